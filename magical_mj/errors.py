@@ -1,0 +1,38 @@
+"""The errors that tell a user what was wrong, what is allowed, and what to do about it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class MagicalError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+
+class UnknownNameError(MagicalError, ValueError):
+    """A task, variant, preset, view or agent that does not exist."""
+
+
+class InvalidActionError(MagicalError, ValueError):
+    """An action that is not one of the 18."""
+
+
+class InvalidSceneError(MagicalError, ValueError):
+    """A scene that is malformed, illegal, or not a scene of the task."""
+
+
+class PlacementError(MagicalError, RuntimeError):
+    """No legal placement was found within the bounded number of tries."""
+
+
+class RenderingError(MagicalError, RuntimeError):
+    """OpenGL does not work here."""
+
+
+def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownNameError:
+    """The error for a `name` that is not among the `allowed`, offering the nearest one."""
+    allowed = tuple(allowed)
+    near = difflib.get_close_matches(str(name), allowed, n=1, cutoff=0.5)
+    hint = f" Did you mean {near[0]!r}?" if near else ""
+    return UnknownNameError(f"unknown {kind} {name!r}.{hint} There are: {', '.join(allowed)}")

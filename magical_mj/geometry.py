@@ -1,0 +1,196 @@
+"""Exact outlines of everything solid, and which scenes are legal.
+
+A solid part is a shapely geometry swollen by a radius: a disc is a point with a radius, the square has a
+small rounded margin, everything else is a polygon with radius 0. Two parts touch if the distance of their
+geometries is at most the sum of their radii, which is exact for all of them.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Final, NamedTuple
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from magical_mj import constants as c
+from magical_mj.constants import Shape
+from magical_mj.errors import InvalidSceneError
+from magical_mj.scene import GoalRegion, Pose, Robot, Scene
+
+Outline = NDArray[np.float64]
+"""Shape (n, 2): the corners of a simple polygon, counter-clockwise."""
+
+OVERLAP_TOLERANCE: Final = 0.02
+"""How deep (world units) solid parts may overlap in a scene that a user gives: contacts are a little soft."""
+
+
+class Part(NamedTuple):
+    """A solid part in the world: its core geometry, swollen by `radius`."""
+
+    core: BaseGeometry
+    radius: float = 0.0
+
+
+class Solid(NamedTuple):
+    """The parts of one body around (x, y), all within `reach` of it."""
+
+    x: float
+    y: float
+    reach: float
+    parts: tuple[Part, ...]
+
+
+def regular_polygon(corners: int, radius: float) -> Outline:
+    """A regular polygon around the origin with its first corner on +y. Shape (corners, 2)."""
+    angles = math.pi / 2 + 2 * math.pi * np.arange(corners) / corners
+    return radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+@cache
+def block_outline(shape: Shape) -> Outline:
+    """Corners of a block in its own frame, as drawn. Shape (n, 2); the circle is a 100-gon."""
+    if shape == "square":
+        half = c.SQUARE_SIDE / 2
+        outline = half * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+    elif shape == "pentagon":
+        outline = regular_polygon(5, c.PENTAGON_RADIUS)
+    elif shape == "star":
+        outline = regular_polygon(10, 1.0)
+        outline *= np.where(np.arange(10) % 2, c.STAR_INNER_RADIUS, c.STAR_OUTER_RADIUS)[:, None]
+    else:
+        outline = regular_polygon(100, c.BLOCK_SIZE)
+    outline.setflags(write=False)
+    return outline
+
+
+@cache
+def finger_outlines() -> tuple[Outline, Outline]:
+    """Upper segment and forearm of the right finger in its own frame (pivot at the origin, +y outwards).
+
+    Each has shape (4, 2). The forearm is hinged at the outer corner of the upper segment's tip and turned
+    inwards, to the left; the left finger is the mirror image.
+    """
+    half = c.FINGER_THICKNESS / 2
+    box = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, 0.0], [1.0, 0.0]])
+    upper = box * [half, c.FINGER_UPPER_LENGTH]
+    cosine, sine = math.cos(c.FINGER_BEND), math.sin(c.FINGER_BEND)
+    turn = np.array([[cosine, -sine], [sine, cosine]])
+    corner = np.array([half, c.FINGER_UPPER_LENGTH])
+    forearm = ((box - [1.0, 0.0]) * [half, c.FINGER_FOREARM_LENGTH]) @ turn.T + corner
+    return upper, forearm
+
+
+def mirrored(outline: Outline) -> Outline:
+    """The outline reflected in the y axis, counter-clockwise again."""
+    return (outline * [-1.0, 1.0])[::-1]
+
+
+def placed(outline: Outline, pose: Pose) -> Outline:
+    """The outline turned by the pose's angle and moved to its position."""
+    x, y, angle = pose
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return outline @ np.array([[cosine, sine], [-sine, cosine]]) + (x, y)
+
+
+def block_solid(shape: Shape, pose: Pose) -> Solid:
+    """A block at `pose`."""
+    x, y, _ = pose
+    if shape == "circle":
+        return Solid(x, y, c.BLOCK_SIZE, (Part(shapely.Point(x, y), c.BLOCK_SIZE),))
+    outline = block_outline(shape)
+    margin = c.SQUARE_MARGIN if shape == "square" else 0.0
+    reach = float(np.hypot(*outline[0])) + margin
+    return Solid(x, y, reach, (Part(shapely.polygons(placed(outline, pose)), margin),))
+
+
+def robot_solid(pose: Pose, fingers: tuple[float, float] = (c.FINGER_OPEN, -c.FINGER_OPEN)) -> Solid:
+    """The robot at `pose`: the disc and the segments of both fingers."""
+    x, y, _ = pose
+    parts = [Part(shapely.Point(x, y), c.ROBOT_RADIUS)]
+    root_x, root_y = c.FINGER_ROOT
+    reach = c.ROBOT_RADIUS
+    for side, relative in zip((-1, 1), fingers, strict=True):
+        for outline in finger_outlines():
+            local = placed(outline if side > 0 else mirrored(outline), (side * root_x, root_y, relative))
+            reach = max(reach, float(np.hypot(local[:, 0], local[:, 1]).max()))
+            parts.append(Part(shapely.polygons(placed(local, pose))))
+    return Solid(x, y, reach, tuple(parts))
+
+
+def region_solid(region: GoalRegion) -> Solid:
+    """A goal region as an obstacle, as placement treats it."""
+    x, y = region.centre
+    box = shapely.box(region.x_min, region.y_min, region.x_max, region.y_max)
+    return Solid(x, y, math.hypot(region.width, region.height) / 2, (Part(box),))
+
+
+def touch(one: Solid, other: Solid, tolerance: float = 0.0) -> bool:
+    """Whether the solids touch or overlap by more than `tolerance`."""
+    if math.hypot(one.x - other.x, one.y - other.y) > one.reach + other.reach:
+        return False
+    if tolerance == 0.0:
+        return any(a.core.distance(b.core) <= a.radius + b.radius for a in one.parts for b in other.parts)
+    return any(_shrunk(a, tolerance).distance(_shrunk(b, tolerance)) <= 0 for a in one.parts for b in other.parts)
+
+
+def _shrunk(part: Part, tolerance: float) -> BaseGeometry:
+    return part.core.buffer(part.radius - tolerance / 2)
+
+
+def inside_walls(solid: Solid, tolerance: float = 0.0) -> bool:
+    """Whether the solid is within the workspace, up to `tolerance`."""
+    limit = c.ARENA_HALF_WIDTH + tolerance
+    if max(abs(solid.x), abs(solid.y)) + solid.reach <= limit:
+        return True
+    for part in solid.parts:
+        x_min, y_min, x_max, y_max = part.core.bounds
+        if max(x_max, y_max, -x_min, -y_min) + part.radius > limit:
+            return False
+    return True
+
+
+def solids(scene: Scene) -> dict[str, Solid]:
+    """Everything solid in the scene by name: "robot", then "block 0", "block 1", ..."""
+    found = {"robot": robot_solid(scene.robot.pose, scene.robot.fingers)}
+    found |= {f"block {index}": block_solid(block.shape, block.pose) for index, block in enumerate(scene.blocks)}
+    return found
+
+
+def check_scene(scene: Scene) -> None:
+    """Raise unless the scene could be a state of the world: inside the walls, nothing deep in anything else.
+
+    Contacts in a running world are a little soft, so overlaps up to `OVERLAP_TOLERANCE` pass.
+
+    Raises:
+        InvalidSceneError: naming what is outside or overlaps what.
+    """
+    _check_fingers(scene.robot)
+    things = list(solids(scene).items())
+    for name, solid in things:
+        if not inside_walls(solid, OVERLAP_TOLERANCE):
+            raise InvalidSceneError(
+                f"{name} at ({solid.x:.3f}, {solid.y:.3f}) is not inside the walls, which are at x, y = -1 and 1"
+            )
+    for index, (name, solid) in enumerate(things):
+        for other_name, other in things[:index]:
+            if touch(solid, other, OVERLAP_TOLERANCE):
+                raise InvalidSceneError(
+                    f"{other_name} and {name} overlap at ({solid.x:.3f}, {solid.y:.3f}); move one of them"
+                )
+    for index, region in enumerate(scene.regions):
+        if not inside_walls(region_solid(region), OVERLAP_TOLERANCE):
+            raise InvalidSceneError(f"region {index} ({region}) is not inside the walls, at x, y = -1 and 1")
+
+
+def _check_fingers(robot: Robot) -> None:
+    """Raise unless the fingers' angles are within their range, left 0..pi/8, right -pi/8..0 (small slack)."""
+    left, right = robot.fingers
+    slack = 0.05
+    if not (-slack <= left <= c.FINGER_OPEN + slack and -slack <= -right <= c.FINGER_OPEN + slack):
+        raise InvalidSceneError(
+            f"the fingers' angles are {robot.fingers}; left must be in 0..{c.FINGER_OPEN:.4f}, right in its negative"
+        )

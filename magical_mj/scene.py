@@ -1,0 +1,250 @@
+"""What is where: the immutable description of a world, from which everything else is built.
+
+Frames: x to the right, y up, origin at the centre of the 2 x 2 workspace. Angles are in radians,
+counter-clockwise; a robot with angle 0 faces +y, a block with angle 0 has its tip (or top side) at +y.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, TypeVar
+
+from magical_mj import constants as c
+from magical_mj.constants import COLOURS, SHAPES, Colour, Shape
+from magical_mj.errors import InvalidSceneError
+
+SCENE_FORMAT: Final = 1
+"""Version of the JSON form, stored in it as ``"format"``."""
+
+Pose = tuple[float, float, float]
+"""x, y in world units and the angle in radians."""
+
+_Part = TypeVar("_Part", bound="Robot | Block | GoalRegion | Dynamics")
+
+
+def _number(owner: object, name: str, value: Any) -> float:
+    """`value` as a finite float, or an error that names the field."""
+    if isinstance(value, bool) or not isinstance(value, int | float) and not hasattr(value, "__float__"):
+        raise InvalidSceneError(f"{type(owner).__name__}.{name} must be a number, not {value!r}")
+    number = float(value)
+    if not math.isfinite(number):
+        raise InvalidSceneError(f"{type(owner).__name__}.{name} must be finite, not {value!r}")
+    return number
+
+
+def _set_numbers(owner: object, names: Iterable[str]) -> None:
+    for name in names:
+        object.__setattr__(owner, name, _number(owner, name, getattr(owner, name)))
+
+
+def _check_choice(owner: object, name: str, allowed: Sequence[str]) -> None:
+    value = getattr(owner, name)
+    if value not in allowed:
+        raise InvalidSceneError(f"{type(owner).__name__}.{name} is {value!r}; it must be one of {', '.join(allowed)}")
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """The robot's pose and the relative angles (rad) of its left and right finger.
+
+    A finger's angle is 0 when closed and ``+pi/8`` (left) or ``-pi/8`` (right) when open, the default.
+    """
+
+    x: float
+    y: float
+    angle: float
+    fingers: tuple[float, float] = (c.FINGER_OPEN, -c.FINGER_OPEN)
+
+    def __post_init__(self) -> None:
+        _set_numbers(self, ("x", "y", "angle"))
+        if not isinstance(self.fingers, Iterable) or len(fingers := tuple(self.fingers)) != 2:
+            raise InvalidSceneError(f"Robot.fingers must be two angles (left, right), not {self.fingers!r}")
+        left, right = (_number(self, "fingers", angle) for angle in fingers)
+        object.__setattr__(self, "fingers", (left, right))
+
+    @property
+    def pose(self) -> Pose:
+        """x, y, angle."""
+        return self.x, self.y, self.angle
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A movable block. Its centre of mass is at (x, y)."""
+
+    shape: Shape
+    colour: Colour
+    x: float
+    y: float
+    angle: float
+
+    def __post_init__(self) -> None:
+        _check_choice(self, "shape", SHAPES)
+        _check_choice(self, "colour", COLOURS)
+        _set_numbers(self, ("x", "y", "angle"))
+
+    @property
+    def pose(self) -> Pose:
+        """x, y, angle."""
+        return self.x, self.y, self.angle
+
+
+@dataclass(frozen=True, slots=True)
+class GoalRegion:
+    """An axis-aligned box that is drawn but not solid."""
+
+    colour: Colour
+    x_min: float
+    y_min: float
+    x_max: float
+    y_max: float
+
+    def __post_init__(self) -> None:
+        _check_choice(self, "colour", COLOURS)
+        _set_numbers(self, ("x_min", "y_min", "x_max", "y_max"))
+        if not (self.x_min < self.x_max and self.y_min < self.y_max):
+            raise InvalidSceneError(f"{self} is empty: x_min < x_max and y_min < y_max are needed")
+
+    @property
+    def width(self) -> float:
+        """Extent along x."""
+        return self.x_max - self.x_min
+
+    @property
+    def height(self) -> float:
+        """Extent along y."""
+        return self.y_max - self.y_min
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """x, y of the middle."""
+        return (self.x_min + self.x_max) / 2, (self.y_min + self.y_max) / 2
+
+    def contains(self, thing: Robot | Block) -> bool:
+        """Whether the centre of `thing` is in the region, borders included."""
+        return self.x_min <= thing.x <= self.x_max and self.y_min <= thing.y <= self.y_max
+
+
+@dataclass(frozen=True, slots=True)
+class Dynamics:
+    """The five force caps of the world, all positive; the Dynamics variant draws them anew."""
+
+    drive_force: float = c.DRIVE_FORCE
+    turn_torque: float = c.TURN_TORQUE
+    finger_torque: float = c.FINGER_TORQUE
+    block_friction_force: float = c.BLOCK_FRICTION_FORCE
+    block_friction_torque: float = c.BLOCK_FRICTION_TORQUE
+
+    def __post_init__(self) -> None:
+        for entry in dataclasses.fields(self):
+            _set_numbers(self, (entry.name,))
+            if getattr(self, entry.name) <= 0:
+                raise InvalidSceneError(f"Dynamics.{entry.name} must be positive, not {getattr(self, entry.name)}")
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A world at rest: the robot, the blocks, the goal regions and the dynamics. Immutable and hashable."""
+
+    robot: Robot
+    blocks: tuple[Block, ...] = ()
+    regions: tuple[GoalRegion, ...] = ()
+    dynamics: Dynamics = field(default_factory=Dynamics)
+
+    def __post_init__(self) -> None:
+        for name, kind in (("blocks", Block), ("regions", GoalRegion)):
+            value = getattr(self, name)
+            if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
+                raise InvalidSceneError(f"Scene.{name} must be a sequence of {kind.__name__}, not {value!r}")
+            object.__setattr__(self, name, tuple(value))
+        for part, kind in ((self.robot, Robot), (self.dynamics, Dynamics)):
+            _check_type(part, kind)
+        for part, kind in [*((b, Block) for b in self.blocks), *((r, GoalRegion) for r in self.regions)]:
+            _check_type(part, kind)
+
+    def moved(self, robot: Sequence[float] | None = None, blocks: Sequence[Sequence[float]] | None = None) -> Scene:
+        """The same scene with other poses (x, y, angle); what is None stays. The fingers stay as they are.
+
+        Raises:
+            InvalidSceneError: if the number of poses is not the number of blocks.
+        """
+        new_robot = self.robot if robot is None else dataclasses.replace(self.robot, **_pose_fields(robot))
+        if blocks is None:
+            return dataclasses.replace(self, robot=new_robot)
+        if len(blocks) != len(self.blocks):
+            raise InvalidSceneError(f"{len(blocks)} poses were given for {len(self.blocks)} blocks")
+        moved = tuple(
+            dataclasses.replace(block, **_pose_fields(pose)) for block, pose in zip(self.blocks, blocks, strict=True)
+        )
+        return dataclasses.replace(self, robot=new_robot, blocks=moved)
+
+    def to_json(self) -> str:
+        """The scene as one line of JSON; floats are exact, so `from_json` gives an equal scene."""
+        return json.dumps({"format": SCENE_FORMAT, **dataclasses.asdict(self)}, separators=(",", ":"))
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> Scene:
+        """The scene that `to_json` wrote.
+
+        Raises:
+            InvalidSceneError: if the text is not JSON, misses or invents fields, or breaks a bound.
+        """
+        try:
+            data = json.loads(text)
+        except (ValueError, TypeError) as error:
+            raise InvalidSceneError(f"a scene must be JSON as Scene.to_json writes it: {error}") from None
+        if not isinstance(data, dict):
+            raise InvalidSceneError(f"a scene must be a JSON object, not {type(data).__name__}")
+        if data.pop("format", None) != SCENE_FORMAT:
+            raise InvalidSceneError(f'a scene must have "format": {SCENE_FORMAT}; write it with Scene.to_json')
+        _check_fields(cls, data)
+        for name in ("blocks", "regions"):
+            if not isinstance(data.get(name, []), list):
+                raise InvalidSceneError(f"Scene.{name} must be a list, not {data[name]!r}")
+        return cls(
+            robot=_part(Robot, data["robot"]),
+            blocks=tuple(_part(Block, item) for item in data.get("blocks", ())),
+            regions=tuple(_part(GoalRegion, item) for item in data.get("regions", ())),
+            dynamics=_part(Dynamics, data.get("dynamics", {})),
+        )
+
+    def digest(self) -> str:
+        """A short fingerprint: equal scenes, and only they, have equal digests."""
+        return hashlib.sha256(self.to_json().encode()).hexdigest()[:16]
+
+
+def _pose_fields(pose: Sequence[float]) -> dict[str, Any]:
+    if len(pose) != 3:
+        raise InvalidSceneError(f"a pose is (x, y, angle), not {pose!r}")
+    return dict(zip(("x", "y", "angle"), pose, strict=True))
+
+
+def _check_type(part: object, kind: type) -> None:
+    if not isinstance(part, kind):
+        raise InvalidSceneError(f"a scene needs a {kind.__name__} here, not {part!r}")
+
+
+def _check_fields(kind: type, data: dict[str, Any]) -> None:
+    entries = dataclasses.fields(kind)
+    names = [entry.name for entry in entries]
+    required = [
+        entry.name
+        for entry in entries
+        if entry.default is dataclasses.MISSING and entry.default_factory is dataclasses.MISSING
+    ]
+    for name in data.keys() - set(names):
+        raise InvalidSceneError(f"{kind.__name__} has no field {name!r}; it has {', '.join(names)}")
+    for name in set(required) - data.keys():
+        raise InvalidSceneError(f"{kind.__name__} misses the field {name!r}; it needs {', '.join(required)}")
+
+
+def _part(kind: type[_Part], data: Any) -> _Part:
+    if not isinstance(data, dict):
+        raise InvalidSceneError(f"{kind.__name__} must be a JSON object, not {data!r}")
+    _check_fields(kind, data)
+    return kind(**data)
