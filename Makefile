@@ -1,0 +1,46 @@
+# `make demo` and `make test` work on a bare machine with Python 3.11 or 3.12: they create .venv and install what is
+# missing, in the versions of constraints.txt. On Linux, PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu
+# spares `make test` and `make check` the CUDA packages of torch; `make demo` needs no torch.
+
+SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 13))
+PYTHON ?= $(shell for p in python3.11 python3.12 python3 python; do \
+	$$p -c '$(SUPPORTED)' 2>/dev/null && echo $$p && break; done)
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
+
+.PHONY: demo test check format constraints system
+
+demo: $(VENV)/.installed-all  ## play all 60 environments, with scores, a picture and videos in out/demo
+	$(BIN)/magical-mj demo
+
+test: $(VENV)/.installed-dev  ## run all tests; ARGS="-k scene" selects some
+	$(BIN)/python -m pytest -n auto --maxprocesses 8 $(ARGS)
+
+check: $(VENV)/.installed-dev  ## lint and type check
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/pyright
+
+format: $(VENV)/.installed-dev  ## format, and fix what can be fixed
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+constraints:  ## write constraints.txt: the newest versions that a fresh environment gets today
+	$(PYTHON) -m venv $(VENV)-new
+	$(VENV)-new/bin/python -m pip install --quiet --editable '.[dev]' 'torch==2.13.0'
+	{ echo "# The versions that the tests ran with; make and CI install through this file. Written by make constraints."; \
+	$(VENV)-new/bin/python -m pip freeze --exclude-editable | sed 's/+cpu$$//'; } > constraints.txt
+	rm -r $(VENV)-new
+
+$(VENV)/.installed-%: pyproject.toml constraints.txt magical_mj/_version.py $(BIN)/python | system
+	@echo "installing magical-mj[$*] into $(VENV) ..."
+	@$(INSTALL) '.[$*]'
+	@touch $@ $(VENV)/.installed-all
+
+$(BIN)/python: | system
+	$(PYTHON) -m venv $(VENV)
+
+system:
+	@[ -n "$(PYTHON)" ] || { echo "magical-mj needs Python 3.11 or 3.12; call make with PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@tools/system.sh $(PYTHON)

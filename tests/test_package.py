@@ -1,0 +1,81 @@
+"""The wheel, its metadata, and what must not depend on the extras."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from email.parser import Parser
+from importlib.metadata import entry_points, version
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+import magical_mj
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
+    folder = tmp_path_factory.mktemp("wheel")
+    build = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(folder)]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    return zipfile.ZipFile(next(folder.glob("*.whl")))
+
+
+def test_wheel_holds_the_whole_package(wheel: zipfile.ZipFile) -> None:
+    tracked = subprocess.run(["git", "ls-files", "magical_mj"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if tracked.returncode != 0:
+        pytest.skip("not a git checkout")
+    held = set(wheel.namelist())
+    assert {name for name in tracked.stdout.split() if (ROOT / name).exists()} <= held
+    assert "magical_mj/py.typed" in held
+    assert not any(name.startswith(("tests/", "tools/", "docs/")) for name in held)
+
+
+def test_wheel_metadata(wheel: zipfile.ZipFile) -> None:
+    name = next(name for name in wheel.namelist() if name.endswith(".dist-info/METADATA"))
+    metadata = Parser().parsestr(wheel.read(name).decode())
+    assert metadata["Version"] == magical_mj.__version__
+    assert metadata["Requires-Python"] == "<3.13,>=3.11"
+    requirements = [Requirement(text) for text in metadata.get_all("Requires-Dist", [])]
+    core = {requirement.name for requirement in requirements if requirement.marker is None}
+    assert core == {"dm-control", "dm-env", "gymnasium", "mujoco", "numpy", "pillow", "shapely"}
+    for requirement in requirements:
+        assert not re.search("==|~=", str(requirement.specifier)), f"{requirement} is pinned"
+
+
+def test_constraints_satisfy_the_requirements() -> None:
+    lines = [line for line in (ROOT / "constraints.txt").read_text().splitlines() if not line.startswith("#")]
+    tested = {Requirement(line).name.lower().replace("_", "-"): line.split("==")[1] for line in lines}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    texts = [*project["dependencies"], *sum(project["optional-dependencies"].values(), [])]
+    for requirement in map(Requirement, texts):
+        name = requirement.name.lower().replace("_", "-")
+        if name != "magical-mj":
+            assert requirement.specifier.contains(tested[name]), f"{requirement}, tested with {tested[name]}"
+
+
+def test_version_is_written_once() -> None:
+    assert magical_mj.__version__ == version("magical-mj")
+    assert f"version: {magical_mj.__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"## [{magical_mj.__version__}] - " in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_entry_point() -> None:
+    (script,) = entry_points(group="console_scripts", name="magical-mj")
+    assert script.value == "magical_mj.cli:main"
+
+
+def test_import_needs_no_extra_and_no_opengl() -> None:
+    code = (
+        "import sys, magical_mj; "
+        "late = {'typer', 'rich', 'imageio_ffmpeg', 'pygame', 'OpenGL', 'torch', 'matplotlib'}; "
+        "sys.exit(', '.join(late & sys.modules.keys()))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr

@@ -1,0 +1,23 @@
+#!/bin/sh
+# What pip cannot install: OpenGL without a display (EGL), and Debian's separately packaged `venv`.
+# Installs what is absent with apt-get where that is permitted, and says in one line what to install where it is not.
+# Usage: tools/system.sh PYTHON
+
+missing=""
+if [ "$(uname)" = Linux ]; then
+    libraries=$(PATH="$PATH:/sbin:/usr/sbin" ldconfig -p 2>/dev/null)
+    case $libraries in *libEGL.so.1*) ;; *) missing="$missing libegl1" ;; esac
+    case $libraries in *libGL.so.1*) ;; *) missing="$missing libgl1" ;; esac
+    [ -n "$missing" ] && missing="$missing libgl1-mesa-dri"
+fi
+"$1" -c "import ensurepip" 2>/dev/null || missing="$missing $(basename "$("$1" -c \
+    'import sys; print("python{}.{}".format(*sys.version_info))')")-venv"
+[ -z "$missing" ] && exit 0
+
+if [ "$(id -u)" = 0 ]; then as_root=""; else as_root="sudo -n"; fi
+if command -v apt-get >/dev/null && $as_root true 2>/dev/null; then
+    echo "installing with apt-get:$missing"
+    export DEBIAN_FRONTEND=noninteractive
+    $as_root apt-get update -qq && $as_root apt-get install -qq -y --no-install-recommends $missing >/dev/null && exit 0
+fi
+echo "please install these system packages (Debian and Ubuntu names):$missing" >&2
