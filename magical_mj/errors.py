@@ -22,6 +22,10 @@ class InvalidSceneError(MagicalError, ValueError):
     """A scene that is malformed, illegal, or not a scene of the task."""
 
 
+class InvalidSeedError(MagicalError, ValueError):
+    """A seed that is not a non-negative integer."""
+
+
 class PlacementError(MagicalError, RuntimeError):
     """No legal placement was found within the bounded number of tries."""
 

@@ -1,0 +1,107 @@
+"""All tasks, variants and environments by name, their scenes and their scores."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from magical_mj.errors import InvalidSceneError, unknown_name
+from magical_mj.scene import Scene
+from magical_mj.tasks import RULES, SPECS, Rules, TaskSpec
+from magical_mj.variants import VARIANTS as _VARIANTS
+from magical_mj.variants import Axis, variants_of, varied_axes, vary
+
+TASKS: Final[tuple[str, ...]] = tuple(SPECS)
+"""The 8 tasks in the paper's order."""
+
+VARIANTS: Final[tuple[str, ...]] = tuple(_VARIANTS)
+"""The 8 variants: Demo, then the paper's test variants in its order."""
+
+ENVIRONMENTS: Final[tuple[tuple[str, str], ...]] = tuple(
+    (task, variant) for task, spec in SPECS.items() for variant in variants_of(spec)
+)
+"""The 60 pairs (task, variant) that exist, which follow from what each task supports."""
+
+
+def task_spec(task: str) -> TaskSpec:
+    """What is known about a task.
+
+    Raises:
+        UnknownNameError: if there is no such task.
+    """
+    if task not in SPECS:
+        raise unknown_name("task", task, TASKS)
+    return SPECS[task]
+
+
+def variant_name(variant: str) -> str:
+    """The variant's own name; ``"TestAll"``, as in the ids, is understood as ``"All"``.
+
+    Raises:
+        UnknownNameError: if there is no such variant.
+    """
+    name = variant.removeprefix("Test") if isinstance(variant, str) and variant != "TestDemo" else variant
+    if name not in VARIANTS:
+        raise unknown_name("variant", variant, VARIANTS)
+    return name
+
+
+def environment_axes(task: str, variant: str) -> tuple[Axis, ...]:
+    """What the environment draws anew at each reset, such as ``("layout", "colour", "dynamics")``.
+
+    Raises:
+        UnknownNameError: if there is no such task or variant, or the task does not have this variant.
+    """
+    return varied_axes(task_spec(task), variant_name(variant))
+
+
+def check_rules(rules: str) -> Rules:
+    """`rules` if it is "paper" or "released".
+
+    Raises:
+        UnknownNameError: if it is anything else.
+    """
+    for known in RULES:
+        if rules == known:
+            return known
+    raise unknown_name("set of rules", rules, RULES)
+
+
+def sample_scene(task: str, variant: str, seed: int) -> Scene:
+    """The scene in which an episode with this seed starts: the same on every machine and in every process.
+
+    The scenes of seeds 0 to 99 are those on which the environment is evaluated.
+
+    Raises:
+        UnknownNameError: if there is no such task or variant, or the task does not have this variant.
+        InvalidSeedError: if the seed is not an integer, or negative; any size will do.
+        PlacementError: if no legal placement was found (not known to happen).
+    """
+    return vary(task_spec(task), variant_name(variant), seed)
+
+
+def score(task: str, initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    """How well the final scene solves the task, in [0, 1]; poses alone count, not how they came about.
+
+    Args:
+        task: a task's name.
+        initial: the scene at the start, which tells what belongs where.
+        final: the same robot, blocks and regions with the poses at the end.
+        rules: "paper", or "released" for the rules of the original's code where it differs.
+
+    Raises:
+        UnknownNameError: if there is no such task or set of rules.
+        InvalidSceneError: if `initial` is not a scene of the task, or `final` has other things in it.
+    """
+    spec = task_spec(task)
+    rules = check_rules(rules)
+    spec.check(initial)
+    things = [[(block.shape, block.colour) for block in scene.blocks] for scene in (initial, final)]
+    if things[0] != things[1]:
+        raise InvalidSceneError(
+            f"the final scene must have the initial scene's blocks, in the same order: {things[0]}, not {things[1]}"
+        )
+    if initial.regions != final.regions:
+        raise InvalidSceneError(
+            f"the final scene must have the initial scene's goal regions: {initial.regions}, not {final.regions}"
+        )
+    return spec.score(initial, final, rules)

@@ -1,0 +1,97 @@
+"""What ClusterColour and ClusterShape share: the score, the variants' rules and the check.
+
+Score
+    Every value of the attribute (colour or shape) that occurs has a centroid, the mean position of its
+    blocks. A block is right if its squared distance to its own centroid is less than a third of that to
+    the nearest other one. The score is 0 up to half the blocks right, then rises linearly to 1 when all are.
+
+    Under this rule doing nothing can score: the ClusterShape demo starts with 5 of 8 blocks right, a score
+    of 0.25 before anyone moves (ClusterColour: 4 of 8, a score of 0).
+
+The released code's rule (rules="released")
+    A block is right if d < D - 2 d^2, with d and D the plain distances to the own and to the nearest other
+    centroid, and the score is 0 up to three quarters of the blocks right. Episodes have 240 steps, not 320.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Final, Literal, TypeVar
+
+import numpy as np
+
+from magical_mj.constants import COLOURS, SHAPES
+from magical_mj.scene import Block, Scene
+from magical_mj.tasks.rules import coloured, pick_each, require, require_regions, shaped
+from magical_mj.tasks.spec import Rules
+
+Attribute = Literal["colour", "shape"]
+_T = TypeVar("_T")
+
+STEPS: Final = 320
+RELEASED_STEPS: Final = 240
+MIN_BLOCKS: Final = 7
+MAX_BLOCKS: Final = 10
+
+
+def _covering(rng: np.random.Generator, values: tuple[_T, ...], number: int) -> list[_T]:
+    """Each of the values once, the rest independent and uniform, in random order. Length `number`."""
+    drawn = [*values, *pick_each(rng, values, number - len(values))]
+    return [drawn[index] for index in rng.permutation(number).tolist()]
+
+
+def colour(rng: np.random.Generator, scene: Scene) -> Scene:
+    """One block of each colour is guaranteed, the rest are uniform."""
+    return coloured(scene, _covering(rng, COLOURS, len(scene.blocks)))
+
+
+def shape(rng: np.random.Generator, scene: Scene) -> Scene:
+    """One block of each shape is guaranteed, the rest are uniform."""
+    return shaped(scene, _covering(rng, SHAPES, len(scene.blocks)))
+
+
+def count(rng: np.random.Generator, scene: Scene) -> Scene:
+    """7 to 10 blocks: the demo's without the last, or with some of them twice."""
+    number = int(rng.integers(MIN_BLOCKS, MAX_BLOCKS + 1))
+    return replace(scene, blocks=(scene.blocks * 2)[:number])
+
+
+def check(scene: Scene, attribute: Attribute, task: str) -> None:
+    """Raise `InvalidSceneError` unless there are blocks of two or more values and no goal region."""
+    found = len(_centroids(scene, attribute))
+    require(found >= 2, task, f"blocks of at least two different {attribute}s, and this has {found}")
+    require_regions(scene, task, 0)
+
+
+def _centroids(scene: Scene, attribute: Attribute) -> dict[str, tuple[float, float]]:
+    """Mean x and y of the blocks of each value of the attribute that occurs."""
+    members: dict[str, list[Block]] = {}
+    for block in scene.blocks:
+        members.setdefault(getattr(block, attribute), []).append(block)
+    return {
+        value: (sum(block.x for block in blocks) / len(blocks), sum(block.y for block in blocks) / len(blocks))
+        for value, blocks in members.items()
+    }
+
+
+def blocks_right(scene: Scene, attribute: Attribute, rules: Rules = "paper") -> int:
+    """The number of blocks that lie with their own kind: see the module's docstring."""
+    centroids = _centroids(scene, attribute)
+    right = 0
+    for block in scene.blocks:
+        squares = {value: (block.x - x) ** 2 + (block.y - y) ** 2 for value, (x, y) in centroids.items()}
+        own = squares.pop(getattr(block, attribute))
+        nearest = min(squares.values())
+        if rules == "released":
+            right += math.sqrt(own) < math.sqrt(nearest) - 2 * own
+        else:
+            right += own < nearest / 3
+    return right
+
+
+def score(final: Scene, attribute: Attribute, rules: Rules = "paper") -> float:
+    """The share of blocks that are right beyond the share that counts for nothing, scaled to [0, 1]."""
+    share = blocks_right(final, attribute, rules) / len(final.blocks)
+    nothing = 0.75 if rules == "released" else 0.5
+    return max(0.0, (share - nothing) / (1 - nothing))

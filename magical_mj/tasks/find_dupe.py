@@ -1,0 +1,110 @@
+"""FindDupe: bring a duplicate of the block in the goal region to it.
+
+Goal
+    One block, the query, starts in the goal region. At least one other block of its shape and colour joins
+    it there, the query stays, and no other block comes in.
+
+What varies
+    Colour and Shape draw the query's anew, the guaranteed duplicate takes them, and the distractor slots
+    draw theirs independently: one that happens to match both is a further duplicate. The region takes the
+    query's colour when colours are drawn. CountPlus has 1 to 5 distractor slots (the demo has 5), so 3 to 7
+    blocks. All blocks but the query start outside the region; the query starts with its centre inside.
+
+Score
+    [query in region] x [another block of its shape and colour in region]
+    x (1 - distractors in region / blocks in region), where the query counts as a block in the region.
+
+Differences from the original
+    The released code accepts any two blocks with the query's attributes, the query or not
+    (rules="released"); this differs only where there are several duplicates. Its Jitter first moves the
+    query to the middle of the region; ours jitters it around its place in the demo, as the paper says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from magical_mj.constants import COLOURS, REGION_SIZE, SHAPES
+from magical_mj.scene import Block, GoalRegion, Robot, Scene
+from magical_mj.tasks.rules import coloured, inside, pick, pick_each, require, require_regions, shaped
+from magical_mj.tasks.spec import Rules, TaskSpec
+
+DEMO: Final = Scene(  # five distractors, then the duplicate, then the query; the rules keep this order
+    robot=Robot(-0.57, 0.25, 3.83),
+    blocks=(
+        Block("pentagon", "green", -0.066751, 0.7552, -2.9266),
+        Block("circle", "red", -0.05195, 0.31468, 1.5418),
+        Block("circle", "red", 0.57528, -0.46865, -2.2141),
+        Block("square", "yellow", 0.40594, -0.74977, 0.24582),
+        Block("star", "blue", 0.45254, 0.3681, -1.0834),
+        Block("pentagon", "yellow", 0.76849, -0.10652, 0.10028),
+        Block("pentagon", "yellow", -0.33, -0.49, -0.51),
+    ),
+    regions=(GoalRegion("yellow", -0.72, -0.89, 0.0, -0.22),),
+)
+
+
+def colour(rng: np.random.Generator, scene: Scene) -> Scene:
+    """A uniform colour for query, duplicate and region; independent uniform ones for the distractors."""
+    query = pick(rng, COLOURS)
+    scene = replace(scene, regions=(replace(scene.regions[0], colour=query),))
+    return coloured(scene, [*pick_each(rng, COLOURS, len(scene.blocks) - 2), query, query])
+
+
+def shape(rng: np.random.Generator, scene: Scene) -> Scene:
+    """A uniform shape for query and duplicate; independent uniform ones for the distractors."""
+    query = pick(rng, SHAPES)
+    return shaped(scene, [*pick_each(rng, SHAPES, len(scene.blocks) - 2), query, query])
+
+
+def count(rng: np.random.Generator, scene: Scene) -> Scene:
+    """1 to 5 distractors."""
+    *distractors, duplicate, query = scene.blocks
+    number = int(rng.integers(1, len(distractors) + 1))
+    return replace(scene, blocks=(*distractors[:number], duplicate, query))
+
+
+def _alike(scene: Scene, query: int) -> set[int]:
+    """Indices of all blocks with the query's shape and colour, the query's own included."""
+    wanted = scene.blocks[query]
+    return {i for i, b in enumerate(scene.blocks) if (b.shape, b.colour) == (wanted.shape, wanted.colour)}
+
+
+def check(scene: Scene) -> None:
+    """Raise `InvalidSceneError` unless there is one region with one block in it and a duplicate of that outside."""
+    require_regions(scene, "FindDupe", 1)
+    found = inside(scene.regions[0], scene.blocks)
+    require(len(found) == 1, "FindDupe", f"exactly one block (the query) in the goal region, and this has {len(found)}")
+    query = scene.blocks[found[0]]
+    has_duplicate = len(_alike(scene, found[0])) > 1
+    require(has_duplicate, "FindDupe", f"another {query.colour} {query.shape}, like the query, outside the goal region")
+
+
+def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    """1.0 if the query and a duplicate are in the region, less the share of distractors in it.
+
+    The query is the block that is in the region in the initial scene.
+    """
+    (query,) = inside(initial.regions[0], initial.blocks)
+    found = set(inside(final.regions[0], final.blocks))
+    alike = found & _alike(final, query)
+    satisfied = len(alike) >= 2 and (query in found or rules == "released")
+    return len(alike) / len(found) if satisfied else 0.0
+
+
+SPEC: Final = TaskSpec(
+    name="FindDupe",
+    summary="bring a duplicate of the block in the goal region into the region",
+    demo=DEMO,
+    steps=100,
+    score=score,
+    check=check,
+    colour=colour,
+    shape=shape,
+    count=count,
+    region_size=REGION_SIZE,
+    inner_margin=0.06,
+)

@@ -1,0 +1,96 @@
+"""MakeLine: arrange all blocks in a line, anywhere and at any angle.
+
+Goal
+    All blocks lie along one straight line without large gaps. Colours and shapes do not matter.
+
+What varies
+    Colour and Shape draw every block's anew. CountPlus has 3 or 4 blocks (the demo has 4).
+
+Score
+    For every pair of blocks take the straight line through both. Its inliers are the blocks within 0.18 of
+    it; cut them into runs wherever neighbours are more than 0.42 apart, measured along the line. With m the
+    size of the largest run over all pairs and n the number of blocks: 1 if m = n, 0.5 if m = n - 1, else 0.
+
+Differences from the original
+    With three blocks, the paper's m = n - 1 = 2 gives 0.5 for any two blocks near each other. The released
+    code gives 0 for it (rules="released"). With four blocks the two agree.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from magical_mj.scene import Block, Robot, Scene
+from magical_mj.tasks.rules import any_colours, any_shapes, require, require_regions
+from magical_mj.tasks.spec import Rules, TaskSpec
+
+DEMO: Final = Scene(
+    robot=Robot(0.702, -0.255, 0.347),
+    blocks=(
+        Block("star", "blue", 0.79, -0.82, -0.721),
+        Block("circle", "yellow", -0.177, 0.383, -1.733),
+        Block("star", "red", -0.051, -0.128, 2.696),
+        Block("pentagon", "green", -0.292, -0.745, -0.159),
+    ),
+)
+
+INLIER_DISTANCE: Final = 0.18
+MAX_GAP: Final = 0.42
+MIN_BLOCKS: Final = 3
+
+
+def count(rng: np.random.Generator, scene: Scene) -> Scene:
+    """3 or 4 blocks."""
+    return replace(scene, blocks=scene.blocks[: int(rng.integers(MIN_BLOCKS, len(scene.blocks) + 1))])
+
+
+def check(scene: Scene) -> None:
+    """Raise `InvalidSceneError` unless there are at least three blocks and no goal region."""
+    found = len(scene.blocks)
+    require(found >= MIN_BLOCKS, "MakeLine", f"at least {MIN_BLOCKS} blocks, and this has {found}")
+    require_regions(scene, "MakeLine", 0)
+
+
+def longest_line(blocks: tuple[Block, ...]) -> int:
+    """The number of blocks in the longest line: m in the module's docstring."""
+    longest = 1
+    for one, other in itertools.combinations(blocks, 2):
+        length = math.hypot(other.x - one.x, other.y - one.y)
+        if length == 0.0:  # two centres in one place (never in a legal scene) define no line
+            continue
+        ux, uy = (other.x - one.x) / length, (other.y - one.y) / length
+        offsets = [(block.x - one.x, block.y - one.y) for block in blocks]
+        along = sorted(ux * x + uy * y for x, y in offsets if abs(ux * y - uy * x) <= INLIER_DISTANCE)
+        run = 1
+        for here, there in itertools.pairwise(along):
+            run = run + 1 if there - here <= MAX_GAP else 1
+            longest = max(longest, run)
+    return longest
+
+
+def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    """1.0 if all blocks are in one line, 0.5 if all but one are, else 0.0."""
+    in_line, total = longest_line(final.blocks), len(final.blocks)
+    if in_line == total:
+        return 1.0
+    if rules == "released" and in_line < 3:
+        return 0.0
+    return 0.5 if in_line == total - 1 else 0.0
+
+
+SPEC: Final = TaskSpec(
+    name="MakeLine",
+    summary="arrange all blocks in a line, anywhere and at any angle",
+    demo=DEMO,
+    steps=180,
+    score=score,
+    check=check,
+    colour=any_colours,
+    shape=any_shapes,
+    count=count,
+)

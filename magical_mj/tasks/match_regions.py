@@ -1,0 +1,101 @@
+"""MatchRegions: bring all blocks of the goal region's colour, and only them, into the region.
+
+Goal
+    Every target (a block of the region's colour) is in the region, and no distractor (any other block) is.
+
+What varies
+    Colour draws one colour, which becomes that of the region and of all targets; the distractors take the
+    other three in the order red, green, blue, yellow, so that none of them becomes a target. Shape draws
+    every block's shape. CountPlus draws 1 or 2 targets and 0 to 2 distractors for each other colour.
+    There is always one region, and every block starts outside it.
+
+Score
+    (targets in region / targets) x (1 - distractors in region / blocks in region); 0 if the region is empty.
+
+Differences from the original
+    None.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from magical_mj.constants import COLOURS, REGION_SIZE, Colour
+from magical_mj.scene import Block, GoalRegion, Robot, Scene
+from magical_mj.tasks.rules import any_shapes, coloured, inside, pick, require, require_regions
+from magical_mj.tasks.spec import Rules, TaskSpec
+
+DEMO: Final = Scene(
+    robot=Robot(-0.5, 0.1, -3.7699111843077517),
+    blocks=(
+        Block("star", "green", 0.8, -0.7, 2.37),
+        Block("square", "green", -0.68, 0.72, 1.28),
+        Block("pentagon", "blue", -0.05, -0.2, -1.09),
+        Block("circle", "yellow", -0.75, -0.55, 2.78),
+        Block("pentagon", "yellow", 0.3, -0.82, -1.15),
+    ),
+    regions=(GoalRegion("green", 0.1, 0.0, 0.7, 0.7),),
+)
+
+MAX_TARGETS: Final = 2
+MAX_DISTRACTORS: Final = 2
+"""Of each colour other than the region's, in the CountPlus variant."""
+
+
+def _others(colour: Colour) -> list[Colour]:
+    return [other for other in COLOURS if other != colour]
+
+
+def colour(rng: np.random.Generator, scene: Scene) -> Scene:
+    """A uniform colour for region and targets; distractors that shared a colour still share one."""
+    (region,) = scene.regions
+    target = pick(rng, COLOURS)
+    new = {region.colour: target, **dict(zip(_others(region.colour), _others(target), strict=True))}
+    scene = replace(scene, regions=(replace(region, colour=target),))
+    return coloured(scene, (new[block.colour] for block in scene.blocks))
+
+
+def count(rng: np.random.Generator, scene: Scene) -> Scene:
+    """1 or 2 targets, then 0 to 2 distractors of each other colour; targets first, as in the demo."""
+    target = scene.regions[0].colour
+    colours = [target] * int(rng.integers(1, MAX_TARGETS + 1))
+    for other in _others(target):
+        colours += [other] * int(rng.integers(MAX_DISTRACTORS + 1))
+    models = [scene.blocks[index % len(scene.blocks)] for index in range(len(colours))]
+    return coloured(replace(scene, blocks=tuple(models)), colours)
+
+
+def check(scene: Scene) -> None:
+    """Raise `InvalidSceneError` unless there is exactly one goal region and a block of its colour."""
+    require_regions(scene, "MatchRegions", 1)
+    wanted = scene.regions[0].colour
+    has_target = any(block.colour == wanted for block in scene.blocks)
+    require(has_target, "MatchRegions", f"at least one block of the goal region's colour, which is {wanted}")
+
+
+def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    """The share of targets in the region, less the share of distractors in it; the same under both rules."""
+    (region,) = final.regions
+    found = inside(region, final.blocks)
+    if not found:
+        return 0.0
+    targets = {index for index, block in enumerate(final.blocks) if block.colour == region.colour}
+    found_targets = len(targets.intersection(found))
+    return (found_targets / len(targets)) * (found_targets / len(found))
+
+
+SPEC: Final = TaskSpec(
+    name="MatchRegions",
+    summary="bring all blocks of the region's colour, and no others, into the goal region",
+    demo=DEMO,
+    steps=120,
+    score=score,
+    check=check,
+    colour=colour,
+    shape=any_shapes,
+    count=count,
+    region_size=REGION_SIZE,
+)

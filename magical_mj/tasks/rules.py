@@ -1,0 +1,70 @@
+"""What the task modules share: drawing colours and shapes, and checking what is in a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from magical_mj.constants import COLOURS, SHAPES, Colour, Shape
+from magical_mj.errors import InvalidSceneError
+from magical_mj.scene import Block, GoalRegion, Scene
+
+_T = TypeVar("_T")
+
+
+def pick(rng: np.random.Generator, options: Sequence[_T]) -> _T:
+    """One of the options, all equally likely."""
+    return options[int(rng.integers(len(options)))]
+
+
+def pick_each(rng: np.random.Generator, options: Sequence[_T], number: int) -> list[_T]:
+    """`number` independent uniform picks; repeats are allowed."""
+    return [options[index] for index in rng.integers(len(options), size=number).tolist()]
+
+
+def coloured(scene: Scene, colours: Iterable[Colour]) -> Scene:
+    """The scene with other block colours, one per block."""
+    blocks = (replace(block, colour=colour) for block, colour in zip(scene.blocks, colours, strict=True))
+    return replace(scene, blocks=tuple(blocks))
+
+
+def shaped(scene: Scene, shapes: Iterable[Shape]) -> Scene:
+    """The scene with other block shapes, one per block."""
+    blocks = (replace(block, shape=shape) for block, shape in zip(scene.blocks, shapes, strict=True))
+    return replace(scene, blocks=tuple(blocks))
+
+
+def any_colours(rng: np.random.Generator, scene: Scene) -> Scene:
+    """Axis rule: every block gets an independent uniform colour."""
+    return coloured(scene, pick_each(rng, COLOURS, len(scene.blocks)))
+
+
+def any_shapes(rng: np.random.Generator, scene: Scene) -> Scene:
+    """Axis rule: every block gets an independent uniform shape."""
+    return shaped(scene, pick_each(rng, SHAPES, len(scene.blocks)))
+
+
+def inside(region: GoalRegion, blocks: Iterable[Block]) -> list[int]:
+    """Indices of the blocks whose centre is in the region, borders included."""
+    return [index for index, block in enumerate(blocks) if region.contains(block)]
+
+
+def require(condition: bool, task: str, need: str) -> None:
+    """Raise `InvalidSceneError` unless the condition holds.
+
+    Args:
+        condition: what must be true of a scene of the task.
+        task: the task's name.
+        need: what the task needs and what was found instead, to go after "...: it needs".
+    """
+    if not condition:
+        raise InvalidSceneError(f"this is not a scene of {task}: it needs {need}")
+
+
+def require_regions(scene: Scene, task: str, number: int) -> None:
+    """Raise `InvalidSceneError` unless the scene has exactly `number` goal regions."""
+    found = len(scene.regions)
+    require(found == number, task, f"{('no goal region', 'exactly one goal region')[number]}, and this has {found}")

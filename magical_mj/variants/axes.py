@@ -1,0 +1,67 @@
+"""The variants as rows of axes, and which of them a task has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final, Literal, get_args
+
+from magical_mj.errors import UnknownNameError, unknown_name
+from magical_mj.tasks.spec import TaskSpec
+
+Axis = Literal["jitter", "layout", "colour", "shape", "count", "dynamics"]
+AXES: Final[tuple[Axis, ...]] = get_args(Axis)
+"""The place in this row decides which random numbers an axis draws: append, never insert or reorder."""
+
+VARIANTS: Final[Mapping[str, tuple[Axis, ...]]] = MappingProxyType(
+    {
+        "Demo": (),
+        "Jitter": ("jitter",),
+        "Layout": ("layout",),
+        "Colour": ("colour",),
+        "Shape": ("shape",),
+        "CountPlus": ("layout", "colour", "shape", "count"),
+        "Dynamics": ("dynamics",),
+        "All": AXES,
+    }
+)
+"""What each variant draws anew. All stands for what the task supports, without jitter where it has a layout."""
+
+
+def supported_axes(spec: TaskSpec) -> tuple[Axis, ...]:
+    """What can vary in a task: small shifts and dynamics always, the rest as its spec says."""
+    offered: dict[Axis, bool] = {
+        "jitter": True,
+        "layout": spec.layout,
+        "colour": spec.colour is not None,
+        "shape": spec.shape is not None,
+        "count": spec.count is not None,
+        "dynamics": True,
+    }
+    return tuple(axis for axis in AXES if offered[axis])
+
+
+def variants_of(spec: TaskSpec) -> tuple[str, ...]:
+    """The variants that a task has: All, and each whose axes the task supports."""
+    supported = set(supported_axes(spec))
+    return tuple(name for name, axes in VARIANTS.items() if name == "All" or supported.issuperset(axes))
+
+
+def varied_axes(spec: TaskSpec, variant: str) -> tuple[Axis, ...]:
+    """What `variant` draws anew in this task.
+
+    Raises:
+        UnknownNameError: if there is no such variant, or this task does not have it.
+    """
+    if variant not in VARIANTS:
+        raise unknown_name("variant", variant, VARIANTS)
+    supported = supported_axes(spec)
+    if variant == "All":
+        return tuple(axis for axis in supported if axis != "jitter" or "layout" not in supported)
+    missing = [axis for axis in VARIANTS[variant] if axis not in supported]
+    if missing:
+        raise UnknownNameError(
+            f"{spec.name} has no variant {variant!r}, for its {' and '.join(missing)} cannot vary. "
+            f"It has: {', '.join(variants_of(spec))}"
+        )
+    return VARIANTS[variant]

@@ -1,0 +1,172 @@
+"""The jitter and layout axes: rejection sampling of poses on exact outlines.
+
+Things are placed one after the other: the goal regions, the robot with its open fingers, the blocks that
+start outside the regions, and last the blocks that belong in one. A draw is rejected if it touches a wall
+or anything placed before. For the robot and the outer blocks every region is an obstacle; a block that
+belongs in a region avoids the other regions, keeps its centre in its own, and may stick out of that.
+So poses are uniform, given what was placed before, as in the original.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from magical_mj import constants as c
+from magical_mj.errors import PlacementError
+from magical_mj.geometry import Solid, block_solid, inside_walls, region_solid, robot_solid, touch
+from magical_mj.scene import Block, GoalRegion, Pose, Robot, Scene
+from magical_mj.tasks.spec import TaskSpec
+
+MAX_TRIES: Final = 10_000
+"""Draws for one thing, before everything is placed anew."""
+MAX_ROUNDS: Final = 11
+"""How often everything is placed anew, before giving up."""
+
+
+class Box(NamedTuple):
+    """A box of poses to draw from uniformly; both corners are (x, y, angle)."""
+
+    low: Pose
+    high: Pose
+
+    def draw(self, rng: np.random.Generator) -> Pose:
+        """One joint draw of x, y and angle."""
+        (x, y, angle), (x_high, y_high, angle_high) = self
+        u, v, w = rng.random(3).tolist()
+        return x + (x_high - x) * u, y + (y_high - y) * v, angle + (angle_high - angle) * w
+
+
+WORKSPACE: Final = Box(
+    (-c.ARENA_HALF_WIDTH, -c.ARENA_HALF_WIDTH, -math.pi), (c.ARENA_HALF_WIDTH, c.ARENA_HALF_WIDTH, math.pi)
+)
+
+Boxes = Callable[[Pose, GoalRegion | None], Box]
+"""Where a thing was, and the region it belongs in (already placed) or None -> where its pose is drawn from."""
+
+
+def jitter(spec: TaskSpec, scene: Scene, rng: np.random.Generator) -> Scene:
+    """The scene with everything moved, turned and resized a little, each around what it was.
+
+    Raises:
+        PlacementError: if no legal placement was found.
+    """
+    step = c.JITTER_REGION_SIZE
+    low, high = spec.region_size
+    regions = []
+    for region in scene.regions:  # resized with the left and top edge fixed, as in the original
+        height = min(max(region.height + _between(rng, -step, step), low), high)
+        width = min(max(region.width + _between(rng, -step, step), low), high)
+        regions.append(replace(region, x_max=region.x_min + width, y_min=region.y_max - height))
+    return _place(scene, regions, _around, rng)
+
+
+def layout(spec: TaskSpec, scene: Scene, rng: np.random.Generator) -> Scene:
+    """The scene with everything placed anew in the whole workspace, and the regions' sizes drawn anew.
+
+    Raises:
+        PlacementError: if no legal placement was found.
+    """
+    regions = []
+    for region in scene.regions:
+        height, width = _between(rng, *spec.region_size), _between(rng, *spec.region_size)
+        regions.append(replace(region, x_max=region.x_min + width, y_max=region.y_min + height))
+
+    def anywhere(pose: Pose, home: GoalRegion | None) -> Box:
+        if home is None:
+            return WORKSPACE
+        (x, y), half = home.centre, min(home.height, home.width) / 2 - spec.inner_margin
+        return Box((x - half, y - half, -math.pi), (x + half, y + half, math.pi))
+
+    return _place(scene, regions, anywhere, rng)
+
+
+def _between(rng: np.random.Generator, low: float, high: float) -> float:
+    """A uniform draw."""
+    return low + (high - low) * rng.random()
+
+
+def _around(pose: Pose, home: GoalRegion | None) -> Box:
+    """The poses a little off `pose`, with the centre in the home region if there is one."""
+    (x, y, angle), step, turn = pose, c.JITTER_POSITION, c.JITTER_ANGLE
+    xs, ys = (x - step, x + step), (y - step, y + step)
+    if home is not None:
+        xs = [min(max(x, home.x_min), home.x_max) for x in xs]
+        ys = [min(max(y, home.y_min), home.y_max) for y in ys]
+    return Box((xs[0], ys[0], angle - turn), (xs[1], ys[1], angle + turn))
+
+
+class _NoRoomError(Exception):
+    """One thing found no place; the argument is its name."""
+
+
+def _place(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: np.random.Generator) -> Scene:
+    """The scene with its regions replaced by `regions` and everything at poses drawn from its box."""
+    stuck: object = None
+    for _ in range(MAX_ROUNDS):
+        try:
+            return _place_once(scene, regions, boxes, rng)
+        except _NoRoomError as error:
+            stuck = error
+    raise PlacementError(
+        f"found no room for {stuck} among {len(scene.blocks)} blocks and {len(regions)} goal regions, after placing "
+        f"everything anew {MAX_ROUNDS} times. Use fewer blocks, fewer or smaller regions, or another seed"
+    )
+
+
+def _place_once(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: np.random.Generator) -> Scene:
+    """One round of `_place`; raises `_NoRoomError` if something finds no place."""
+    areas: list[Solid] = []
+    placed_regions: list[GoalRegion] = []
+    for region in regions:
+        pose = _find(region, boxes((*region.centre, 0.0), None), areas, rng)
+        placed_regions.append(_at(region, pose))
+        areas.append(region_solid(placed_regions[-1]))
+
+    robot = _find(scene.robot, boxes(scene.robot.pose, None), areas, rng)
+    solids = [robot_solid(robot, scene.robot.fingers)]
+
+    homes = [_home(block, scene.regions) for block in scene.blocks]
+    poses: list[Pose] = [block.pose for block in scene.blocks]
+    for index in sorted(range(len(homes)), key=lambda index: homes[index] is not None):  # outer blocks first
+        block, home = scene.blocks[index], homes[index]
+        own_region = None if home is None else placed_regions[home]
+        obstacles = solids + [area for number, area in enumerate(areas) if number != home]
+        poses[index] = _find(block, boxes(block.pose, own_region), obstacles, rng)
+        solids.append(block_solid(block.shape, poses[index]))
+
+    return replace(scene.moved(robot, poses), regions=tuple(placed_regions))
+
+
+def _home(block: Block, regions: Sequence[GoalRegion]) -> int | None:
+    """Index of the region in which the block lies and so belongs, or None."""
+    return next((number for number, region in enumerate(regions) if region.contains(block)), None)
+
+
+def _at(region: GoalRegion, pose: Pose) -> GoalRegion:
+    """The region with its centre at the pose's position; regions are never turned."""
+    (x, y, _), half_width, half_height = pose, region.width / 2, region.height / 2
+    return GoalRegion(region.colour, x - half_width, y - half_height, x + half_width, y + half_height)
+
+
+def _solid(thing: Robot | Block | GoalRegion, pose: Pose) -> Solid:
+    """What the thing would cover at `pose`."""
+    if isinstance(thing, Robot):
+        return robot_solid(pose, thing.fingers)
+    if isinstance(thing, Block):
+        return block_solid(thing.shape, pose)
+    return region_solid(_at(thing, pose))
+
+
+def _find(thing: Robot | Block | GoalRegion, box: Box, obstacles: Sequence[Solid], rng: np.random.Generator) -> Pose:
+    """The first draw from the box at which the thing touches nothing; raises `_NoRoomError` if there is none."""
+    for _ in range(MAX_TRIES):
+        pose = box.draw(rng)
+        solid = _solid(thing, pose)
+        if inside_walls(solid) and not any(touch(solid, other) for other in obstacles):
+            return pose
+    raise _NoRoomError(thing)
