@@ -1,0 +1,20 @@
+"""The command `magical-mj`; one module per subcommand. Nothing in the library imports this package."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+EXTRA = ("typer", "rich")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit code: 0, or 2 for wrong use, or 1 for a failure."""
+    try:
+        from magical_mj.cli.app import run
+    except ModuleNotFoundError as error:
+        if error.name not in EXTRA:
+            raise
+        sys.stderr.write('magical-mj: the command line needs its extra: pip install "magical-mj[cli]"\n')
+        return 1
+    return run(arguments)

@@ -1,0 +1,56 @@
+"""The application: its subcommands, and what becomes of errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+import magical_mj
+from magical_mj.cli import demo, doctor, export, listing, rollout, view
+from magical_mj.cli.console import complain
+from magical_mj.errors import MagicalError
+
+app = typer.Typer(
+    name="magical-mj",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+app.command("list")(listing.list_environments)
+app.command("view")(view.view)
+app.command("rollout")(rollout.rollout)
+app.command("export")(export.export)
+app.command("doctor")(doctor.doctor)
+app.command("demo")(demo.demo)
+
+
+@app.callback(invoke_without_command=True)
+def start(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
+) -> None:
+    """The MAGICAL benchmark for robust imitation learning, on MuJoCo."""
+    if version:
+        typer.echo(f"magical-mj {magical_mj.__version__}")
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run the application; an expected error becomes one line on stderr and an exit code."""
+    try:
+        return app(args=arguments, prog_name="magical-mj", standalone_mode=False) or 0
+    except typer.TyperException as error:
+        complain(f"{error.format_message().rstrip('.')}; see magical-mj --help")
+        return error.exit_code
+    except typer.Abort:
+        return 130
+    except MagicalError as error:
+        complain(str(error))
+        return 2 if isinstance(error, ValueError) else 1
+    except OSError as error:
+        complain(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        return 1

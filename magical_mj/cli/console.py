@@ -1,0 +1,72 @@
+"""Where the command line writes to, and the arguments that the subcommands share."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from magical_mj import TASKS, VARIANTS
+from magical_mj.errors import MagicalError
+from magical_mj.registry import variant_name
+
+PLAIN_WIDTH = 120  # columns where the output is a file or a pipe
+
+Task = Annotated[str, typer.Argument(help=f"One of {', '.join(TASKS)}.", show_default=False)]
+Variant = Annotated[str, typer.Argument(help=f"One of {', '.join(VARIANTS)}.")]
+Seed = Annotated[int, typer.Option(min=0, help="Which of the variant's scenes.")]
+Size = Annotated[int, typer.Option(min=16, max=2048, help="Side of each picture in pixels.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace what is there already.")]
+
+
+def console() -> Console:
+    """Standard output: in colour on a terminal, plain and wide enough for the tables elsewhere."""
+    out = Console(highlight=False)
+    if not out.is_terminal:
+        out.width = PLAIN_WIDTH
+    return out
+
+
+def complain(message: str) -> None:
+    """One line on standard error."""
+    typer.echo(f"magical-mj: {' '.join(message.split())}", err=True)
+
+
+def file_name(task: str, variant: str, seed: int, suffix: str) -> str:
+    """What a file about one scene is called unless the user says otherwise."""
+    return f"{task}-{variant_name(variant)}-{seed}{suffix}"
+
+
+def check_suffix(path: Path | None, suffix: str) -> None:
+    """Raise `BadParameter` if a path is given that does not end in `suffix`."""
+    if path is not None and path.suffix.lower() != suffix:
+        raise typer.BadParameter(f"{path} must end in {suffix}.")
+
+
+def claim(path: Path, force: bool) -> Path:
+    """`path`, once it is sure that a file can be written there; called before the work is done.
+
+    Raises:
+        OSError: if it exists and `force` is not given, or if its folder cannot be written to.
+    """
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} is a folder; give the name of a file")
+    if path.exists() and not force:
+        raise FileExistsError(f"{path} exists already; --force replaces it")
+    claim_folder(path.parent)
+    return path
+
+
+def claim_folder(folder: Path) -> Path:
+    """`folder`, made if it is not there, once it is sure that files can be written in it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=folder):
+        return folder
+
+
+def missing_extra(what: str, extra: str) -> MagicalError:
+    """The error for a feature whose extra is not installed."""
+    return MagicalError(f'{what} needs its extra: pip install "magical-mj[{extra}]"')

@@ -1,0 +1,93 @@
+"""`magical-mj doctor`: what is installed, and which way of drawing works here."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from typing import Final
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from magical_mj.cli.console import console
+
+CORE: Final = ("magical-mj", "mujoco", "dm_control", "dm-env", "gymnasium", "numpy", "shapely", "pillow")
+EXTRAS: Final = {"cli": ("typer", "rich"), "video": ("imageio-ffmpeg",), "window": ("pygame-ce",)}
+BACKENDS: Final = {"egl": "no display needed", "osmesa": "no display needed, software", "glfw": "needs a display"}
+TIMEOUT: Final = 60  # seconds for one backend
+REMEDY: Final = """\
+No OpenGL backend works here, so nothing can be drawn; the state observations and the physics work without.
+On Debian or Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri (or libosmesa6), then run this again.
+In a container with an NVIDIA GPU, EGL also needs NVIDIA_DRIVER_CAPABILITIES=all."""
+
+
+def doctor() -> None:
+    """Say what is installed, try every OpenGL backend, and say what to do if none works."""
+    out = console()
+    _print_versions(out)
+    found = {backend: _probe(backend) for backend in BACKENDS}
+    _print_backends(out, found)
+    if not any("renderer" in facts for facts in found.values()):
+        out.print(f"\n{REMEDY}", style="bold red")
+        raise typer.Exit(1)
+    wanted = os.environ.get("MUJOCO_GL", "").lower()
+    if wanted in found and "renderer" not in found[wanted]:
+        working = next(backend for backend, facts in found.items() if "renderer" in facts)
+        out.print(
+            f"\nMUJOCO_GL={wanted} is set but does not work; unset it, or set MUJOCO_GL={working}", style="bold red"
+        )
+        raise typer.Exit(1)
+
+
+def _print_versions(out: Console) -> None:
+    table = Table.grid(padding=(0, 2))
+    table.add_row("python", f"{platform.python_version()}, {platform.platform()}")
+    for name in CORE:
+        table.add_row(name, _version(name) or "[red]missing[/]")
+    for extra, names in EXTRAS.items():
+        for name in names:
+            table.add_row(name, _version(name) or rf'not installed: pip install "magical-mj\[{extra}]"')
+    table.add_row("MUJOCO_GL", os.environ.get("MUJOCO_GL") or "not set: the first backend that works is used")
+    out.print(table)
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _probe(backend: str) -> dict[str, str | float]:
+    """What the probe found with this backend: the renderer and times, or the error."""
+    command = [sys.executable, "-m", "magical_mj.cli.probe"]
+    environment = os.environ | {"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": ""}
+    if backend == "glfw":
+        environment.pop("PYOPENGL_PLATFORM")
+    else:
+        environment["PYOPENGL_PLATFORM"] = backend
+    try:
+        result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=TIMEOUT, check=False)
+    except subprocess.TimeoutExpired:
+        return {"error": f"no answer within {TIMEOUT} s"}
+    if result.returncode == 0:
+        return json.loads(result.stdout)
+    last_line = (result.stderr.strip().splitlines() or [f"exit code {result.returncode}"])[-1]
+    return {"error": last_line}
+
+
+def _print_backends(out: Console, found: dict[str, dict[str, str | float]]) -> None:
+    table = Table("OpenGL", "", "renderer", "first frame", "96 px frame", box=None, header_style="bold")
+    for backend, facts in found.items():
+        if "error" in facts:
+            table.add_row(backend, "[red]fails[/]", str(facts["error"]))
+        else:
+            times = [f"{facts[name]:.1f} ms" for name in ("first", "typical")]
+            table.add_row(backend, "[green]works[/]", str(facts["renderer"]), *times)
+    out.print()
+    out.print(table)

@@ -1,0 +1,78 @@
+"""Whole episodes with agents that look at nothing, and films of them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from magical_mj.actions import ACTIONS, NOOP
+from magical_mj.cli.console import missing_extra
+from magical_mj.constants import CONTROL_RATE
+
+if TYPE_CHECKING:
+    from magical_mj.environment import Environment
+
+Agent = Literal["random", "noop"]
+
+
+Watch = Callable[["Environment"], None]
+
+
+class Result(NamedTuple):
+    """How an episode ended."""
+
+    score: float
+    steps: int
+
+
+def actions(agent: Agent, seed: int) -> Iterator[int]:
+    """What the agent does, for ever: independent uniform actions drawn from the seed, or nothing."""
+    if agent == "noop":
+        return itertools.repeat(NOOP)
+    rng = np.random.default_rng(seed)
+    return (int(rng.integers(len(ACTIONS))) for _ in itertools.count())
+
+
+def play(env: Environment, agent: Agent, seed: int, watch: Watch | None = None) -> Result:
+    """Plays one episode in the scene of `seed`; `watch` sees the environment at its start and after each step."""
+    env.reset(seed=seed)
+    if watch is not None:
+        watch(env)
+    for steps, action in enumerate(actions(agent, seed), start=1):
+        last = env.step(action).last()
+        if watch is not None:
+            watch(env)
+        if last:
+            return Result(env.score(), steps)
+    raise AssertionError("agents act for ever")
+
+
+@contextmanager
+def film(path: Path, size: int) -> Iterator[Watch]:
+    """A video in real time with both views side by side, each `size` pixels wide; yields what adds a frame."""
+    try:
+        import imageio_ffmpeg
+    except ModuleNotFoundError:
+        raise missing_extra("Writing a video", "video") from None
+    writer = imageio_ffmpeg.write_frames(
+        str(path), (2 * size, size), fps=CONTROL_RATE, macro_block_size=2, quality=8, ffmpeg_log_level="error"
+    )
+    writer.send(None)
+
+    def add_frame(env: Environment) -> None:
+        writer.send(np.ascontiguousarray(both_views(env, size)))
+
+    try:
+        yield add_frame
+    finally:
+        writer.close()
+
+
+def both_views(env: Environment, size: int) -> np.ndarray:
+    """The world as it is now: from above, and as the robot sees it. Shape (size, 2 size, 3)."""
+    return np.concatenate([env.render("allo", size), env.render("ego", size)], axis=1)
