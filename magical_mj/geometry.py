@@ -8,7 +8,7 @@ geometries is at most the sum of their radii, which is exact for all of them.
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -90,7 +90,7 @@ def mirrored(outline: Outline) -> Outline:
 
 
 def placed(outline: Outline, pose: Pose) -> Outline:
-    """The outline turned by the pose's angle and moved to its position."""
+    """The outline turned by the pose's angle and moved to its position. Shape (..., n, 2), as the outline's."""
     x, y, angle = pose
     cosine, sine = math.cos(angle), math.sin(angle)
     return outline @ np.array([[cosine, sine], [-sine, cosine]]) + (x, y)
@@ -103,22 +103,28 @@ def block_solid(shape: Shape, pose: Pose) -> Solid:
         return Solid(x, y, c.BLOCK_SIZE, (Part(shapely.Point(x, y), c.BLOCK_SIZE),))
     outline = block_outline(shape)
     margin = c.SQUARE_MARGIN if shape == "square" else 0.0
-    reach = float(np.hypot(*outline[0])) + margin
-    return Solid(x, y, reach, (Part(shapely.polygons(placed(outline, pose)), margin),))
+    reach = math.hypot(*outline[0]) + margin
+    return Solid(x, y, reach, (Part(shapely.Polygon(placed(outline, pose)), margin),))
+
+
+@lru_cache(maxsize=64)  # the fingers are mostly open or closed, and placement asks for the same over and over
+def _robot_segments(fingers: tuple[float, float]) -> tuple[Outline, float]:
+    """The four segments of both fingers in the robot's frame, shape (4, 4, 2), and how far the robot reaches."""
+    root_x, root_y = c.FINGER_ROOT
+    left, right = fingers
+    segments = np.stack(
+        [placed(mirrored(outline), (-root_x, root_y, left)) for outline in finger_outlines()]
+        + [placed(outline, (root_x, root_y, right)) for outline in finger_outlines()]
+    )
+    return segments, max(c.ROBOT_RADIUS, float(np.hypot(segments[..., 0], segments[..., 1]).max()))
 
 
 def robot_solid(pose: Pose, fingers: tuple[float, float] = (c.FINGER_OPEN, -c.FINGER_OPEN)) -> Solid:
     """The robot at `pose`: the disc and the segments of both fingers."""
     x, y, _ = pose
-    parts = [Part(shapely.Point(x, y), c.ROBOT_RADIUS)]
-    root_x, root_y = c.FINGER_ROOT
-    reach = c.ROBOT_RADIUS
-    for side, relative in zip((-1, 1), fingers, strict=True):
-        for outline in finger_outlines():
-            local = placed(outline if side > 0 else mirrored(outline), (side * root_x, root_y, relative))
-            reach = max(reach, float(np.hypot(local[:, 0], local[:, 1]).max()))
-            parts.append(Part(shapely.polygons(placed(local, pose))))
-    return Solid(x, y, reach, tuple(parts))
+    segments, reach = _robot_segments(fingers)
+    polygons = np.asarray(shapely.polygons(placed(segments, pose)))  # one call for all four is much faster
+    return Solid(x, y, reach, (Part(shapely.Point(x, y), c.ROBOT_RADIUS), *map(Part, polygons)))
 
 
 def region_solid(region: GoalRegion) -> Solid:
@@ -129,16 +135,24 @@ def region_solid(region: GoalRegion) -> Solid:
 
 
 def touch(one: Solid, other: Solid, tolerance: float = 0.0) -> bool:
-    """Whether the solids touch or overlap by more than `tolerance`."""
+    """Whether the solids touch, or with a `tolerance` (world units) overlap when each is shrunk by half of it."""
     if math.hypot(one.x - other.x, one.y - other.y) > one.reach + other.reach:
         return False
-    if tolerance == 0.0:
-        return any(a.core.distance(b.core) <= a.radius + b.radius for a in one.parts for b in other.parts)
-    return any(_shrunk(a, tolerance).distance(_shrunk(b, tolerance)) <= 0 for a in one.parts for b in other.parts)
+    for a in one.parts:
+        for b in other.parts:
+            if _meet(a, b) and (tolerance == 0.0 or _meet(_shrunk(a, tolerance / 2), _shrunk(b, tolerance / 2))):
+                return True
+    return False
 
 
-def _shrunk(part: Part, tolerance: float) -> BaseGeometry:
-    return part.core.buffer(part.radius - tolerance / 2)
+def _meet(a: Part, b: Part) -> bool:
+    return a.core.distance(b.core) <= a.radius + b.radius
+
+
+def _shrunk(part: Part, by: float) -> Part:
+    if part.radius >= by:
+        return Part(part.core, part.radius - by)
+    return Part(part.core.buffer(part.radius - by))
 
 
 def inside_walls(solid: Solid, tolerance: float = 0.0) -> bool:

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from typing import Final
 
+import numpy as np
+
 from magical_mj.errors import InvalidSceneError, unknown_name
 from magical_mj.scene import Scene
 from magical_mj.tasks import RULES, SPECS, Rules, TaskSpec
 from magical_mj.variants import VARIANTS as _VARIANTS
 from magical_mj.variants import Axis, variants_of, varied_axes, vary
+
+_REGION_TOLERANCE: Final = 1e-6
+"""A scene that was read back from the simulator may differ from the one put in by rounding."""
 
 TASKS: Final[tuple[str, ...]] = tuple(SPECS)
 """The 8 tasks in the paper's order."""
@@ -95,13 +100,21 @@ def score(task: str, initial: Scene, final: Scene, rules: Rules = "paper") -> fl
     spec = task_spec(task)
     rules = check_rules(rules)
     spec.check(initial)
-    things = [[(block.shape, block.colour) for block in scene.blocks] for scene in (initial, final)]
-    if things[0] != things[1]:
-        raise InvalidSceneError(
-            f"the final scene must have the initial scene's blocks, in the same order: {things[0]}, not {things[1]}"
-        )
-    if initial.regions != final.regions:
-        raise InvalidSceneError(
-            f"the final scene must have the initial scene's goal regions: {initial.regions}, not {final.regions}"
-        )
+    _check_same(initial, final)
     return spec.score(initial, final, rules)
+
+
+def _check_same(initial: Scene, final: Scene) -> None:
+    """Raise `InvalidSceneError` unless both scenes have the same blocks and goal regions, poses of blocks apart."""
+    before, after = ([f"{block.colour} {block.shape}" for block in scene.blocks] for scene in (initial, final))
+    if before != after:
+        raise InvalidSceneError(
+            "the final scene must have the initial scene's blocks in the same order, "
+            f"which are {', '.join(before) or 'none'}, not {', '.join(after) or 'none'}"
+        )
+    boxes = [[(r.x_min, r.y_min, r.x_max, r.y_max) for r in scene.regions] for scene in (initial, final)]
+    colours = [[region.colour for region in scene.regions] for scene in (initial, final)]
+    if colours[0] != colours[1] or not np.allclose(*boxes, rtol=0.0, atol=_REGION_TOLERANCE):
+        raise InvalidSceneError(
+            f"the final scene must have the initial scene's goal regions, {initial.regions}, not {final.regions}"
+        )

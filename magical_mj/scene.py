@@ -29,17 +29,19 @@ _Part = TypeVar("_Part", bound="Robot | Block | GoalRegion | Dynamics")
 
 def _number(owner: object, name: str, value: Any) -> float:
     """`value` as a finite float, or an error that names the field."""
-    if isinstance(value, bool) or not isinstance(value, int | float) and not hasattr(value, "__float__"):
+    if isinstance(value, bool) or (not isinstance(value, int | float) and not hasattr(value, "__float__")):
         raise InvalidSceneError(f"{type(owner).__name__}.{name} must be a number, not {value!r}")
     number = float(value)
     if not math.isfinite(number):
         raise InvalidSceneError(f"{type(owner).__name__}.{name} must be finite, not {value!r}")
-    return number
+    return number + 0.0  # -0.0 becomes 0.0: equal scenes have equal digests
 
 
 def _set_numbers(owner: object, names: Iterable[str]) -> None:
     for name in names:
-        object.__setattr__(owner, name, _number(owner, name, getattr(owner, name)))
+        value = getattr(owner, name)
+        if type(value) is not float or value == 0.0 or not math.isfinite(value):  # most are fine as they are
+            object.__setattr__(owner, name, _number(owner, name, value))
 
 
 def _check_choice(owner: object, name: str, allowed: Sequence[str]) -> None:
@@ -237,9 +239,9 @@ def _check_fields(kind: type, data: dict[str, Any]) -> None:
         for entry in entries
         if entry.default is dataclasses.MISSING and entry.default_factory is dataclasses.MISSING
     ]
-    for name in data.keys() - set(names):
+    for name in sorted(data.keys() - set(names)):
         raise InvalidSceneError(f"{kind.__name__} has no field {name!r}; it has {', '.join(names)}")
-    for name in set(required) - data.keys():
+    for name in sorted(set(required) - data.keys()):
         raise InvalidSceneError(f"{kind.__name__} misses the field {name!r}; it needs {', '.join(required)}")
 
 

@@ -53,7 +53,8 @@ def colour(rng: np.random.Generator, scene: Scene) -> Scene:
     """A uniform colour for region and targets; distractors that shared a colour still share one."""
     (region,) = scene.regions
     target = pick(rng, COLOURS)
-    new = {region.colour: target, **dict(zip(_others(region.colour), _others(target), strict=True))}
+    new = dict(zip(_others(region.colour), _others(target), strict=True))
+    new[region.colour] = target
     scene = replace(scene, regions=(replace(region, colour=target),))
     return coloured(scene, (new[block.colour] for block in scene.blocks))
 
@@ -61,7 +62,7 @@ def colour(rng: np.random.Generator, scene: Scene) -> Scene:
 def count(rng: np.random.Generator, scene: Scene) -> Scene:
     """1 or 2 targets, then 0 to 2 distractors of each other colour; targets first, as in the demo."""
     target = scene.regions[0].colour
-    colours = [target] * int(rng.integers(1, MAX_TARGETS + 1))
+    colours: list[Colour] = [target] * int(rng.integers(1, MAX_TARGETS + 1))
     for other in _others(target):
         colours += [other] * int(rng.integers(MAX_DISTRACTORS + 1))
     models = [scene.blocks[index % len(scene.blocks)] for index in range(len(colours))]

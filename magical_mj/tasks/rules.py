@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -64,7 +64,7 @@ def require(condition: bool, task: str, need: str) -> None:
         raise InvalidSceneError(f"this is not a scene of {task}: it needs {need}")
 
 
-def require_regions(scene: Scene, task: str, number: int) -> None:
+def require_regions(scene: Scene, task: str, number: Literal[0, 1]) -> None:
     """Raise `InvalidSceneError` unless the scene has exactly `number` goal regions."""
-    found = len(scene.regions)
-    require(found == number, task, f"{('no goal region', 'exactly one goal region')[number]}, and this has {found}")
+    wanted = "exactly one goal region" if number else "no goal regions"
+    require(len(scene.regions) == number, task, f"{wanted}, and this has {len(scene.regions)}")

@@ -76,7 +76,7 @@ def layout(spec: TaskSpec, scene: Scene, rng: np.random.Generator) -> Scene:
         height, width = _between(rng, *spec.region_size), _between(rng, *spec.region_size)
         regions.append(replace(region, x_max=region.x_min + width, y_max=region.y_min + height))
 
-    def anywhere(pose: Pose, home: GoalRegion | None) -> Box:
+    def anywhere(_: Pose, home: GoalRegion | None) -> Box:
         if home is None:
             return WORKSPACE
         (x, y), half = home.centre, min(home.height, home.width) / 2 - spec.inner_margin
@@ -123,21 +123,21 @@ def _place_once(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: 
     areas: list[Solid] = []
     placed_regions: list[GoalRegion] = []
     for region in regions:
-        pose = _find(region, boxes((*region.centre, 0.0), None), areas, rng)
+        pose, area = _find(region, boxes((*region.centre, 0.0), None), areas, rng)
         placed_regions.append(_at(region, pose))
-        areas.append(region_solid(placed_regions[-1]))
+        areas.append(area)
 
-    robot = _find(scene.robot, boxes(scene.robot.pose, None), areas, rng)
-    solids = [robot_solid(robot, scene.robot.fingers)]
+    robot, solid = _find(scene.robot, boxes(scene.robot.pose, None), areas, rng)
+    solids = [solid]
 
     homes = [_home(block, scene.regions) for block in scene.blocks]
-    poses: list[Pose] = [block.pose for block in scene.blocks]
+    poses = [block.pose for block in scene.blocks]
     for index in sorted(range(len(homes)), key=lambda index: homes[index] is not None):  # outer blocks first
         block, home = scene.blocks[index], homes[index]
         own_region = None if home is None else placed_regions[home]
         obstacles = solids + [area for number, area in enumerate(areas) if number != home]
-        poses[index] = _find(block, boxes(block.pose, own_region), obstacles, rng)
-        solids.append(block_solid(block.shape, poses[index]))
+        poses[index], solid = _find(block, boxes(block.pose, own_region), obstacles, rng)
+        solids.append(solid)
 
     return replace(scene.moved(robot, poses), regions=tuple(placed_regions))
 
@@ -162,11 +162,17 @@ def _solid(thing: Robot | Block | GoalRegion, pose: Pose) -> Solid:
     return region_solid(_at(thing, pose))
 
 
-def _find(thing: Robot | Block | GoalRegion, box: Box, obstacles: Sequence[Solid], rng: np.random.Generator) -> Pose:
-    """The first draw from the box at which the thing touches nothing; raises `_NoRoomError` if there is none."""
+def _find(
+    thing: Robot | Block | GoalRegion, box: Box, obstacles: Sequence[Solid], rng: np.random.Generator
+) -> tuple[Pose, Solid]:
+    """The first draw from the box at which the thing touches nothing, and what it covers there.
+
+    Raises:
+        _NoRoomError: if there is none among many draws.
+    """
     for _ in range(MAX_TRIES):
         pose = box.draw(rng)
         solid = _solid(thing, pose)
         if inside_walls(solid) and not any(touch(solid, other) for other in obstacles):
-            return pose
+            return pose, solid
     raise _NoRoomError(thing)
