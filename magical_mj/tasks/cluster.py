@@ -23,7 +23,7 @@ import numpy as np
 
 from magical_mj.constants import COLOURS, SHAPES
 from magical_mj.scene import Block, Scene
-from magical_mj.tasks.rules import coloured, pick_each, require, require_regions, shaped
+from magical_mj.tasks.rules import coloured, pick_each, require, require_regions, shaped, shuffled, whole
 from magical_mj.tasks.spec import Rules
 
 Attribute = Literal["colour", "shape"]
@@ -37,8 +37,7 @@ MAX_BLOCKS: Final = 10
 
 def _covering(rng: np.random.Generator, values: tuple[_T, ...], number: int) -> list[_T]:
     """Each of the values once, the rest independent and uniform, in random order. Length `number`."""
-    drawn = [*values, *pick_each(rng, values, number - len(values))]
-    return [drawn[index] for index in rng.permutation(number).tolist()]
+    return shuffled(rng, [*values, *pick_each(rng, values, number - len(values))])
 
 
 def colour(rng: np.random.Generator, scene: Scene) -> Scene:
@@ -53,8 +52,7 @@ def shape(rng: np.random.Generator, scene: Scene) -> Scene:
 
 def count(rng: np.random.Generator, scene: Scene) -> Scene:
     """7 to 10 blocks: the demo's without the last, or with some of them twice."""
-    number = int(rng.integers(MIN_BLOCKS, MAX_BLOCKS + 1))
-    return replace(scene, blocks=(scene.blocks * 2)[:number])
+    return replace(scene, blocks=(scene.blocks * 2)[: whole(rng, MIN_BLOCKS, MAX_BLOCKS)])
 
 
 def check(scene: Scene, attribute: Attribute, task: str) -> None:

@@ -13,6 +13,7 @@ Score
 
 Differences from the original
     The released code has its own rule, ramp and horizon (rules="released"), described there too.
+    In the Shape variant the poses stay, so shapes that would overlap (a square by the right wall) are drawn again.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ import numpy as np
 
 from magical_mj.constants import COLOURS, REGION_SIZE, SHAPES
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
-from magical_mj.tasks.rules import coloured, inside, pick, pick_each, require, require_regions, shaped
+from magical_mj.tasks.rules import coloured, inside, pick, pick_each, require, require_regions, shaped, whole
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(  # five distractors, then the duplicate, then the query; the rules keep this order
@@ -63,8 +63,7 @@ def shape(rng: np.random.Generator, scene: Scene) -> Scene:
 def count(rng: np.random.Generator, scene: Scene) -> Scene:
     """1 to 5 distractors."""
     *distractors, duplicate, query = scene.blocks
-    number = int(rng.integers(1, len(distractors) + 1))
-    return replace(scene, blocks=(*distractors[:number], duplicate, query))
+    return replace(scene, blocks=(*distractors[: whole(rng, 1, len(distractors))], duplicate, query))
 
 
 def _alike(scene: Scene, query: int) -> set[int]:

@@ -26,7 +26,7 @@ from typing import Final
 import numpy as np
 
 from magical_mj.scene import Block, Robot, Scene
-from magical_mj.tasks.rules import any_colours, any_shapes, require, require_regions
+from magical_mj.tasks.rules import any_colours, any_shapes, require, require_regions, whole
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(
@@ -46,7 +46,7 @@ MIN_BLOCKS: Final = 3
 
 def count(rng: np.random.Generator, scene: Scene) -> Scene:
     """3 or 4 blocks."""
-    return replace(scene, blocks=scene.blocks[: int(rng.integers(MIN_BLOCKS, len(scene.blocks) + 1))])
+    return replace(scene, blocks=scene.blocks[: whole(rng, MIN_BLOCKS, len(scene.blocks))])
 
 
 def check(scene: Scene) -> None:

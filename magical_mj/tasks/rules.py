@@ -15,14 +15,29 @@ from magical_mj.scene import Block, GoalRegion, Scene
 _T = TypeVar("_T")
 
 
+def whole(rng: np.random.Generator, low: int, high: int) -> int:
+    """A uniform integer from `low` to `high`, both included.
+
+    It is made from `Generator.random`, the plainest of numpy's draws: the scenes of a seed must stay the
+    same for years, and numpy promises less for the rest.
+    """
+    return low + int((high - low + 1) * rng.random())
+
+
 def pick(rng: np.random.Generator, options: Sequence[_T]) -> _T:
     """One of the options, all equally likely."""
-    return options[int(rng.integers(len(options)))]
+    return options[whole(rng, 0, len(options) - 1)]
 
 
 def pick_each(rng: np.random.Generator, options: Sequence[_T], number: int) -> list[_T]:
     """`number` independent uniform picks; repeats are allowed."""
-    return [options[index] for index in rng.integers(len(options), size=number).tolist()]
+    return [pick(rng, options) for _ in range(number)]
+
+
+def shuffled(rng: np.random.Generator, items: Sequence[_T]) -> list[_T]:
+    """The items in random order, all orders equally likely."""
+    keys = [rng.random() for _ in items]
+    return [items[index] for index in sorted(range(len(items)), key=keys.__getitem__)]
 
 
 def coloured(scene: Scene, colours: Iterable[Colour]) -> Scene:

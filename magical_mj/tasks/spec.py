@@ -55,8 +55,8 @@ class TaskSpec:
     region_size: tuple[float, float] = (0.0, 0.0)
     """Least and greatest height and width of the goal regions, in world units."""
     inner_margin: float = 0.0
-    """Where poses are drawn anew, a block that belongs in a region keeps its centre this far (world units)
-    from the edge of the largest square around the region's centre."""
+    """How far, in world units, a layout keeps the centre of a block that belongs in a region from the sides
+    of the largest square around the region's centre."""
 
     def horizon(self, rules: Rules = "paper") -> int:
         """The number of control steps of an episode."""

@@ -9,6 +9,7 @@ So poses are uniform, given what was placed before, as in the original.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -83,6 +84,17 @@ def layout(spec: TaskSpec, scene: Scene, rng: np.random.Generator) -> Scene:
         return Box((x - half, y - half, -math.pi), (x + half, y + half, math.pi))
 
     return _place(scene, regions, anywhere, rng)
+
+
+def fits(scene: Scene) -> bool:
+    """Whether everything stands where placement would let it: inside the walls, touching nothing that it avoids."""
+    areas = [region_solid(region) for region in scene.regions]
+    bodies = [_solid(thing, thing.pose) for thing in (scene.robot, *scene.blocks)]
+    homes = [None, *(_home(block, scene.regions) for block in scene.blocks)]
+    pairs = [*itertools.combinations(areas, 2), *itertools.combinations(bodies, 2)]
+    for body, home in zip(bodies, homes, strict=True):
+        pairs += [(body, area) for number, area in enumerate(areas) if number != home]
+    return all(map(inside_walls, areas + bodies)) and not any(touch(one, other) for one, other in pairs)
 
 
 def _between(rng: np.random.Generator, low: float, high: float) -> float:

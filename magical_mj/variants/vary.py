@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import operator
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
-from magical_mj.errors import InvalidSeedError
+from magical_mj.errors import InvalidSeedError, PlacementError
 from magical_mj.scene import Scene
-from magical_mj.tasks.spec import TaskSpec
+from magical_mj.tasks.spec import AxisRule, TaskSpec
 from magical_mj.variants.axes import AXES, Axis, varied_axes
 from magical_mj.variants.dynamics import draw_dynamics
-from magical_mj.variants.placement import jitter, layout
+from magical_mj.variants.placement import fits, jitter, layout
+
+MAX_SHAPE_DRAWS: Final = 1_000
 
 
 def vary(spec: TaskSpec, variant: str, seed: int) -> Scene:
@@ -30,9 +32,15 @@ def vary(spec: TaskSpec, variant: str, seed: int) -> Scene:
     seed = check_seed(seed)
     rngs = {axis: _generator(seed, axis) for axis in varied_axes(spec, variant)}
     scene = spec.demo
-    for axis, rule in (("count", spec.count), ("colour", spec.colour), ("shape", spec.shape)):
-        if rule is not None and axis in rngs:
-            scene = rule(rngs[axis], scene)
+    if spec.count is not None and "count" in rngs:
+        scene = spec.count(rngs["count"], scene)
+    if spec.colour is not None and "colour" in rngs:
+        scene = spec.colour(rngs["colour"], scene)
+    if spec.shape is not None and "shape" in rngs:
+        if "jitter" in rngs or "layout" in rngs:
+            scene = spec.shape(rngs["shape"], scene)
+        else:
+            scene = _fitting_shapes(spec.shape, rngs["shape"], scene)
     if "dynamics" in rngs:
         scene = replace(scene, dynamics=draw_dynamics(rngs["dynamics"]))
     if "jitter" in rngs:
@@ -40,6 +48,22 @@ def vary(spec: TaskSpec, variant: str, seed: int) -> Scene:
     if "layout" in rngs:
         scene = layout(spec, scene, rngs["layout"])
     return scene
+
+
+def _fitting_shapes(rule: AxisRule, rng: np.random.Generator, scene: Scene) -> Scene:
+    """The scene with shapes drawn by the rule, again and again until all fit where the blocks stand.
+
+    Where poses stay as in the demo, some shapes would overlap a neighbour or a wall: in ClusterColour two
+    stars next to each other do. So the shapes are uniform over those that fit.
+    """
+    for _ in range(MAX_SHAPE_DRAWS):
+        drawn = rule(rng, scene)
+        if fits(drawn):
+            return drawn
+    raise PlacementError(
+        f"none of {MAX_SHAPE_DRAWS} draws of shapes fits the poses of the demo scene. "
+        "Move its blocks further from each other and from the walls"
+    )
 
 
 def check_seed(seed: Any) -> int:

@@ -1,0 +1,133 @@
+"""Scenes: immutable values with an exact JSON form, and clear errors for what is not a scene."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magical_mj.errors import InvalidSceneError, MagicalError
+from magical_mj.registry import TASKS, sample_scene
+from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
+
+SCENE = Scene(
+    robot=Robot(0.1, -0.2, math.pi, fingers=(0.1, -0.3)),
+    blocks=(Block("star", "red", 0.1 + 0.2, 1e-17, -7.5), Block("circle", "blue", -0.5, 0.5, 0.0)),
+    regions=(GoalRegion("green", -0.9, -0.8, -0.3, 1 / 3),),
+    dynamics=Dynamics(drive_force=2.345678901234567),
+)
+
+
+def test_a_scene_is_an_immutable_hashable_value() -> None:
+    twin = Scene.from_json(SCENE.to_json())
+    assert twin == SCENE
+    assert hash(twin) == hash(SCENE)
+    assert len({twin, SCENE}) == 1
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        SCENE.robot.x = 0.0  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("scene", [SCENE, Scene(Robot(0, 0, 0)), *(sample_scene(task, "All", 3) for task in TASKS)])
+def test_json_and_pickle_give_the_same_scene_bit_for_bit(scene: Scene) -> None:
+    for copy in (Scene.from_json(scene.to_json()), Scene.from_json(scene.to_json().encode())):
+        assert copy == scene
+        assert copy.to_json() == scene.to_json()
+    assert pickle.loads(pickle.dumps(scene)) == scene  # noqa: S301
+
+
+def test_the_json_is_plain_and_says_its_format() -> None:
+    data = json.loads(SCENE.to_json())
+    assert data["format"] == 1
+    assert data["blocks"][1] == {"shape": "circle", "colour": "blue", "x": -0.5, "y": 0.5, "angle": 0.0}
+    del data["blocks"], data["regions"], data["dynamics"]
+    assert Scene.from_json(json.dumps(data)) == Scene(SCENE.robot)
+
+
+def test_digests_are_equal_exactly_for_equal_scenes() -> None:
+    assert Scene(Robot(0.0, -0.0, 0)).digest() == Scene(Robot(0, 0.0, -0.0)).digest()
+    assert SCENE.moved(robot=(0.1, -0.2, math.nextafter(math.pi, 4))).digest() != SCENE.digest()
+
+
+def test_numbers_of_any_kind_become_plain_floats() -> None:
+    robot = Robot(np.float32(0.5), np.int64(1), 2, fingers=np.array([0.25, -0.25]))  # type: ignore[arg-type]
+    assert robot == Robot(0.5, 1.0, 2.0, (0.25, -0.25))
+    assert {type(value) for value in (robot.x, robot.y, robot.angle, *robot.fingers)} == {float}
+
+
+def test_moved_changes_poses_only() -> None:
+    moved = SCENE.moved(robot=(0.0, 0.5, 1.0), blocks=[(0.7, 0.7, 0.1), (-0.7, 0.7, 0.2)])
+    assert moved.robot == Robot(0.0, 0.5, 1.0, SCENE.robot.fingers)
+    assert [block.pose for block in moved.blocks] == [(0.7, 0.7, 0.1), (-0.7, 0.7, 0.2)]
+    assert [(block.shape, block.colour) for block in moved.blocks] == [("star", "red"), ("circle", "blue")]
+    assert (moved.regions, moved.dynamics) == (SCENE.regions, SCENE.dynamics)
+    assert SCENE.moved() == SCENE
+    assert SCENE.moved(robot=moved.robot.pose).blocks == SCENE.blocks
+
+
+def test_a_region_contains_centres_borders_included() -> None:
+    region = GoalRegion("red", -0.5, -0.25, 0.5, 0.25)
+    assert (region.width, region.height, region.centre) == (1.0, 0.5, (0.0, 0.0))
+    for x, y, inside in [
+        (0, 0, True),
+        (0.5, 0.25, True),
+        (-0.5, -0.25, True),
+        (math.nextafter(0.5, 1), 0, False),
+        (0, math.nextafter(-0.25, -1), False),
+    ]:
+        assert region.contains(Block("circle", "red", x, y, 0)) is inside
+        assert region.contains(Robot(x, y, 0)) is inside
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments", "message"),
+    [
+        (Block, ("hexagon", "red", 0, 0, 0), "Block.shape is 'hexagon'; it must be one of square"),
+        (Block, ("star", "pink", 0, 0, 0), "Block.colour is 'pink'; it must be one of red"),
+        (Robot, (math.nan, 0, 0), "Robot.x must be finite"),
+        (Robot, (0, "1", 0), "Robot.y must be a number, not '1'"),
+        (Robot, (0, True, 0), "Robot.y must be a number, not True"),
+        (Robot, (0, 0, 0, (0.1,)), "two angles"),
+        (GoalRegion, ("red", 0.5, 0, 0.5, 1), "is empty"),
+        (Dynamics, (3, 0), "Dynamics.turn_torque must be positive"),
+        (Scene, ((0, 0, 0),), "needs a Robot"),
+        (Scene, (Robot(0, 0, 0), [Robot(0, 0, 0)]), "needs a Block"),
+        (Scene, (Robot(0, 0, 0), (), "red"), "must be a sequence of GoalRegion"),
+        (SCENE.moved, (None, [(0, 0, 0)]), "1 poses were given for 2 blocks"),
+        (SCENE.moved, ((0, 0),), "a pose is"),
+    ],
+)
+def test_what_is_not_a_scene_is_refused(make: Callable[..., Any], arguments: tuple[Any, ...], message: str) -> None:
+    with pytest.raises(InvalidSceneError, match=message):
+        make(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "must be JSON"),
+        ("[]", "must be a JSON object"),
+        ("{}", '"format": 1'),
+        ('{"format": 2}', '"format": 1'),
+        ('{"format": 1}', "misses the field 'robot'"),
+        ('{"format": 1, "robot": []}', "Robot must be a JSON object"),
+        ('{"format": 1, "robot": {"x": 0, "y": 0}}', "misses the field 'angle'"),
+        ('{"format": 1, "robot": {"x": 0, "y": 0, "angle": 0, "z": 0}}', "no field 'z'; it has x, y, angle, fingers"),
+        ('{"format": 1, "robot": {"x": 0, "y": 0, "angle": NaN}}', "must be finite"),
+        ('{"format": 1, "robot": {"x": 0, "y": 0, "angle": 0}, "blocks": {}}', "must be a list"),
+        ('{"format": 1, "robot": {"x": 0, "y": 0, "angle": 0}, "walls": 4}', "no field 'walls'"),
+    ],
+)
+def test_malformed_json_is_refused(text: str, message: str) -> None:
+    with pytest.raises(InvalidSceneError, match=message):
+        Scene.from_json(text)
+
+
+def test_users_can_catch_every_error_as_one_kind() -> None:
+    assert issubclass(InvalidSceneError, MagicalError)
+    assert issubclass(InvalidSceneError, ValueError)
