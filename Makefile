@@ -9,7 +9,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
 
-.PHONY: demo test check format constraints system
+.PHONY: demo test check format docs constraints system
 
 demo: $(VENV)/.installed-all  ## play all 60 environments, with scores, a picture and videos in out/demo
 	$(BIN)/magical-mj demo
@@ -25,6 +25,11 @@ check: $(VENV)/.installed-dev  ## lint and type check
 format: $(VENV)/.installed-dev  ## format, and fix what can be fixed
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
+
+docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the README
+	$(BIN)/magical-mj view --grid --size 112 --out docs/environments.png --force
+	$(BIN)/magical-mj view FindDupe --size 288 --out docs/views.png --force
+	$(BIN)/python tools/readme_tables.py
 
 constraints:  ## write constraints.txt: the newest versions that a fresh environment gets today
 	$(PYTHON) -m venv $(VENV)-new

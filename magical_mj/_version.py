@@ -1,3 +1,3 @@
-"""The version, the one place where it is written: the packaging reads it from here."""
+"""The version of the package, in one place."""
 
 __version__ = "0.1.0"

@@ -62,9 +62,12 @@ def claim(path: Path, force: bool) -> Path:
 
 def claim_folder(folder: Path) -> Path:
     """`folder`, made if it is not there, once it is sure that files can be written in it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=folder):
-        return folder
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except OSError as error:
+        raise OSError(f"cannot write into {folder}: {error.strerror}") from error
 
 
 def missing_extra(what: str, extra: str) -> MagicalError:

@@ -53,14 +53,20 @@ def play(env: Environment, agent: Agent, seed: int, watch: Watch | None = None) 
 
 
 @contextmanager
-def film(path: Path, size: int) -> Iterator[Watch]:
-    """A video in real time with both views side by side, each `size` pixels wide; yields what adds a frame."""
+def film(path: Path, size: int, speed: int = 1) -> Iterator[Watch]:
+    """A video with both views side by side, each `size` pixels wide; yields what adds a frame.
+
+    Args:
+        path: the MP4 file, overwritten if it exists.
+        size: side of each view in pixels.
+        speed: 1 is real time.
+    """
     try:
         import imageio_ffmpeg
     except ModuleNotFoundError:
         raise missing_extra("Writing a video", "video") from None
     writer = imageio_ffmpeg.write_frames(
-        str(path), (2 * size, size), fps=CONTROL_RATE, macro_block_size=2, quality=8, ffmpeg_log_level="error"
+        str(path), (2 * size, size), fps=speed * CONTROL_RATE, macro_block_size=2, quality=8, ffmpeg_log_level="error"
     )
     writer.send(None)
 
@@ -69,8 +75,11 @@ def film(path: Path, size: int) -> Iterator[Watch]:
 
     try:
         yield add_frame
-    finally:
+    except BaseException:
         writer.close()
+        path.unlink(missing_ok=True)  # half a film is no use
+        raise
+    writer.close()
 
 
 def both_views(env: Environment, size: int) -> np.ndarray:

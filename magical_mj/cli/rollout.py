@@ -37,7 +37,9 @@ def rollout(
     out = console()
     scores = []
     with nullcontext() if video is None else film(video, size) as watch:
-        for episode in track(range(seed, seed + episodes), "playing", console=out, transient=True):
+        for episode in track(
+            range(seed, seed + episodes), "playing", console=out, transient=True, disable=not out.is_terminal
+        ):
             result = play(env, agent, episode, watch)
             scores.append(result.score)
             out.print(f"seed {episode}: score {result.score:.2f} after {result.steps} steps")
