@@ -1,0 +1,299 @@
+"""The command line: what it does, what it writes, and one clear line for everything that can go wrong."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import imageio_ffmpeg
+import mujoco
+import pytest
+from PIL import Image
+
+import magical_mj
+from magical_mj.cli import doctor, main
+from magical_mj.cli.demo import play_pair
+from magical_mj.cli.episodes import actions
+from magical_mj.errors import RenderingError
+
+TOP = ("list", "view", "rollout", "export", "doctor", "demo")
+
+
+class Shell:
+    """Runs `magical-mj` in this process and keeps what it printed."""
+
+    def __init__(self, capture: pytest.CaptureFixture[str]) -> None:
+        self.capture = capture
+
+    def __call__(self, *arguments: object) -> tuple[int, str, str]:
+        """Exit code, standard output and standard error."""
+        code = main([str(argument) for argument in arguments])
+        printed = self.capture.readouterr()
+        return code, printed.out, printed.err
+
+    def fails(self, code: int, *arguments: object) -> str:
+        """The one line that the command complains with."""
+        found, out, error = self(*arguments)
+        assert (found, out) == (code, "")
+        assert error.startswith("magical-mj: ")
+        assert error.count("\n") == 1
+        return error
+
+
+@pytest.fixture
+def shell(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Shell:
+    monkeypatch.chdir(tmp_path)
+    return Shell(capsys)
+
+
+def process(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "magical_mj", *arguments]
+    return subprocess.run(command, env=os.environ | variables, capture_output=True, text=True, check=False)
+
+
+# list, help, version
+
+
+def test_list_shows_every_environment(shell: Shell) -> None:
+    code, out, _ = shell("list")
+    rows = [line.split() for line in out.splitlines()[1:]]
+    assert code == 0
+    assert [(row[0], row[1]) for row in rows] == list(magical_mj.ENVIRONMENTS)
+    assert ["FindDupe", "Layout", "100", "layout"] in rows
+    assert ["MoveToCorner", "Demo", "80", "nothing"] in rows
+
+
+def test_list_ids(shell: Shell) -> None:
+    _, out, _ = shell("list", "--ids")
+    assert out.split() == [magical_mj.env_id(task, variant) for task, variant in magical_mj.ENVIRONMENTS]
+
+
+def test_help_and_version(shell: Shell) -> None:
+    for arguments in ((), ("--help",), ("-h",)):
+        code, out, _ = shell(*arguments)
+        assert code == 0
+        assert all(name in out for name in TOP)
+    for name in TOP:
+        assert shell(name, "--help")[0] == 0
+    assert shell("--version") == (0, f"magical-mj {magical_mj.__version__}\n", "")
+
+
+def test_both_ways_to_start_it() -> None:
+    script = Path(sys.executable).with_name("magical-mj")
+    for command in ([str(script)], [sys.executable, "-m", "magical_mj"]):
+        result = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True)
+        assert result.stdout == f"magical-mj {magical_mj.__version__}\n"
+
+
+def test_closed_pipe_is_no_error() -> None:
+    command = f"'{sys.executable}' -m magical_mj list --ids | head -1"
+    result = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
+    assert (result.stdout, result.stderr) == ("magical_mj/MoveToCorner-Demo-v0\n", "")
+
+
+# view, rollout, export
+
+
+def test_view(shell: Shell, tmp_path: Path) -> None:
+    assert shell("view", "FindDupe", "TestAll", "--seed", 3, "--size", 64) == (0, "FindDupe-All-3.png\n", "")
+    assert shell("view", "FindDupe", "All", "--seed", 4, "--size", 64, "--out", "new/a.png")[0] == 0
+    pictures = [Image.open(tmp_path / name) for name in ("FindDupe-All-3.png", "new/a.png")]
+    assert {picture.size for picture in pictures} == {(128, 64)}
+    assert pictures[0].tobytes() != pictures[1].tobytes()
+    env = magical_mj.load("FindDupe", "All", seed=3, observations=())
+    env.reset()
+    left = pictures[0].crop((0, 0, 64, 64))
+    assert left.tobytes() == Image.fromarray(env.render("allo", 64)).tobytes()
+
+
+def test_view_grid(shell: Shell, tmp_path: Path) -> None:
+    assert shell("view", "--grid", "--size", 32)[0] == 0
+    width, height = Image.open(tmp_path / "environments-0.png").size
+    assert width == height > 8 * 32
+
+
+def test_rollout_writes_a_video(shell: Shell, tmp_path: Path) -> None:
+    code, out, _ = shell("rollout", "MoveToRegion", "Layout", "--episodes", 2, "--video", "a.mp4", "--size", 64)
+    assert code == 0
+    assert out.splitlines()[0].startswith("seed 0: score ")
+    assert "mean of 2: " in out
+    frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "a.mp4"))
+    assert frames == 2 * 41
+    assert seconds == pytest.approx(frames / 8, abs=0.2)
+
+
+def test_rollouts_repeat(shell: Shell) -> None:
+    arguments = ("rollout", "MoveToRegion", "All", "--episodes", 3, "--seed", 5)
+    assert shell(*arguments) == shell(*arguments)
+    assert shell(*arguments, "--agent", "noop")[1].count("score 0.00 after 40 steps") == 3
+
+
+def test_agents() -> None:
+    one, same, other = (list(itertools.islice(actions("random", seed), 500)) for seed in (0, 0, 1))
+    assert one == same != other
+    assert set(one) == set(range(18))
+
+
+def test_export_loads_in_plain_mujoco(shell: Shell, tmp_path: Path) -> None:
+    code, out, _ = shell("export", "FindDupe", "All", "--seed", 3, "--out", "models")
+    assert (code, out) == (0, "models/FindDupe-All-3.xml\n")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "models" / "FindDupe-All-3.xml"))
+    assert model.nkey == 1
+
+
+# demo
+
+
+def test_demo_worker(tmp_path: Path) -> None:
+    results = play_pair(("MoveToRegion", "All"), 0, tmp_path)
+    assert {key[2]: result.steps for key, result in results.items()} == {"random": 40, "noop": 40}
+    assert (tmp_path / "MoveToRegion.mp4").stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_demo(tmp_path: Path) -> None:
+    """The main job in processes of its own, on the two quickest tasks."""
+    (tmp_path / "MoveToRegion.mp4").write_text("old")
+    code = (
+        "import sys, magical_mj.cli.demo as demo, magical_mj.cli as cli\n"
+        "if __name__ == '__main__':\n"
+        "    demo.ENVIRONMENTS = [pair for pair in demo.ENVIRONMENTS if pair[0].startswith('MoveTo')]\n"
+        f"    sys.exit(cli.main(['demo', '--out', {str(tmp_path)!r}, '--jobs', '2']))\n"
+    )
+    script = tmp_path / "short_demo.py"
+    script.write_text(code)
+    result = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert "replacing 1 file" in result.stdout
+    assert "24 episodes" in result.stdout
+    rows = [line.split() for line in result.stdout.splitlines()]
+    assert next(row for row in rows if row[:2] == ["MoveToRegion", "random"])[6] == "-"
+    assert (tmp_path / "environments.png").exists()
+    assert (tmp_path / "MoveToCorner.mp4").exists()
+
+
+# doctor
+
+
+def test_doctor_finds_a_backend() -> None:
+    result = process("doctor", MUJOCO_GL="")
+    assert result.returncode == 0, result.stdout
+    assert "works" in result.stdout
+    assert mujoco.__version__ in result.stdout
+
+
+def test_doctor_without_opengl_says_what_to_do(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "_probe", lambda backend: {"error": "no such library"})
+    code, out, _ = shell("doctor")
+    assert code == 1
+    assert "apt-get install libegl1" in out
+
+
+def test_doctor_names_a_wrong_setting(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    works = {"renderer": "x", "first": 1.0, "typical": 1.0}
+    monkeypatch.setattr(doctor, "_probe", lambda backend: works if backend == "egl" else {"error": "broken"})
+    monkeypatch.setenv("MUJOCO_GL", "glfw")
+    code, out, _ = shell("doctor")
+    assert code == 1
+    assert "MUJOCO_GL=egl" in out
+
+
+# wrong use: exit code 2
+
+
+@pytest.mark.parametrize(
+    ("line", "hint"),
+    [
+        ("frobnicate", "No such command"),
+        ("view", "give TASK"),
+        ("view FindDupe --grid", "either TASK or --grid"),
+        ("view FindDup", "Did you mean 'FindDupe'"),
+        ("view FindDupe Color", "Did you mean 'Colour'"),
+        ("view FindDupe TestDemo", "Did you mean 'Demo'"),
+        ("view MoveToCorner Layout", "It has: Demo, Jitter"),
+        ("view FindDupe --seed -1", "--seed"),
+        ("view FindDupe --seed x", "--seed"),
+        ("view FindDupe --size 0", "--size"),
+        ("view FindDupe --out a.jpg", "must end in .png"),
+        ("view FindDupe Demo extra", "extra"),
+        ("rollout FindDupe --agent greedy", "--agent"),
+        ("rollout FindDupe --episodes 0", "--episodes"),
+        ("rollout FindDupe --video a.avi", "must end in .mp4"),
+        ("rollout MoveToRegion CountPlus", "It has: Demo, Jitter"),
+        ("export FindDupe", "--out"),
+        ("export", "TASK"),
+        ("export FindDupe Nothing --out x", "unknown variant"),
+        ("demo --jobs 0", "--jobs"),
+    ],
+)
+def test_wrong_use(shell: Shell, line: str, hint: str, tmp_path: Path) -> None:
+    assert hint.lower() in shell.fails(2, *line.split()).lower()
+    assert list(tmp_path.iterdir()) == []
+
+
+# failures: exit code 1
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "view FindDupe --out {}/a.png",
+        "view --grid --out {}/a.png",
+        "rollout FindDupe --video {}/a.mp4",
+        "export FindDupe --out {}",
+        "demo --out {}",
+    ],
+)
+def test_unwritable_path_is_said_before_the_work(shell: Shell, line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_work(*_: object, **__: object) -> None:
+        pytest.fail("the path was not checked first")
+
+    monkeypatch.setattr("magical_mj.environment.Environment.reset", no_work)
+    assert "cannot write into /dev/null/folder" in shell.fails(1, *line.format("/dev/null/folder").split())
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        ("view MoveToRegion --out a.png --size 16", "a.png"),
+        ("rollout MoveToRegion --video a.mp4 --size 16", "a.mp4"),
+        ("export MoveToRegion --out .", "MoveToRegion-Demo-0.xml"),
+    ],
+)
+def test_nothing_is_overwritten_unless_forced(shell: Shell, line: str, name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text("precious")
+    assert "--force" in shell.fails(1, *line.split())
+    assert (tmp_path / name).read_text() == "precious"
+    assert shell(*line.split(), "--force")[0] == 0
+    assert (tmp_path / name).read_bytes() != b"precious"
+
+
+def test_a_failed_film_leaves_nothing(shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise RenderingError("OpenGL does not work here")
+
+    monkeypatch.setattr("magical_mj.environment.Environment.render", broken)
+    assert "OpenGL" in shell.fails(1, "rollout", "MoveToRegion", "--video", "a.mp4")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("extra", ["typer", "imageio_ffmpeg"])
+def test_missing_extra_is_one_line(extra: str, tmp_path: Path) -> None:
+    hide = f"import sys; sys.modules[{extra!r}] = None; from magical_mj.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", hide, "rollout", "MoveToRegion", "--video", str(tmp_path / "a.mp4")]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    assert 'pip install "magical-mj[' in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_no_opengl_is_one_line(tmp_path: Path) -> None:
+    """A backend that cannot work here: GLFW without a display."""
+    variables = {"MUJOCO_GL": "glfw", "DISPLAY": "", "WAYLAND_DISPLAY": ""}
+    result = process("view", "FindDupe", "--out", str(tmp_path / "a.png"), **variables)
+    assert result.returncode == 1
+    assert "MUJOCO_GL" in result.stderr
+    assert "Traceback" not in result.stderr
