@@ -1,0 +1,57 @@
+"""The MAGICAL benchmark for robust imitation (Toyer et al., NeurIPS 2020) on MuJoCo.
+
+Eight tasks, seven test variants, 60 environments: through dm_env with `load`, through Gymnasium with
+``gymnasium.make("magical_mj/FindDupe-Demo-LoRes4E-v0")``, and as MJCF files with `export_mjcf`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from magical_mj._version import __version__
+from magical_mj.registration import env_id, register_all
+from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS, sample_scene, score
+from magical_mj.rendering.backend import choose_backend
+from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
+
+if TYPE_CHECKING:
+    from magical_mj.environment import Environment, load, load_scene
+    from magical_mj.export import export_mjcf
+
+_LAZY = {  # loaded at first use, so that listing tasks and sampling scenes start no simulator
+    "Environment": "environment",
+    "load": "environment",
+    "load_scene": "environment",
+    "export_mjcf": "export",
+}
+
+__all__ = [
+    "ENVIRONMENTS",
+    "TASKS",
+    "VARIANTS",
+    "Block",
+    "Dynamics",
+    "Environment",
+    "GoalRegion",
+    "Robot",
+    "Scene",
+    "__version__",
+    "env_id",
+    "export_mjcf",
+    "load",
+    "load_scene",
+    "sample_scene",
+    "score",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)
+
+
+choose_backend()  # before anything imports mujoco or dm_control, which look at MUJOCO_GL only then
+register_all()

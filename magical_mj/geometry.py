@@ -24,7 +24,7 @@ from magical_mj.scene import GoalRegion, Pose, Robot, Scene
 Outline = NDArray[np.float64]
 """Shape (n, 2): the corners of a simple polygon, counter-clockwise."""
 
-OVERLAP_TOLERANCE: Final = 0.02
+OVERLAP_TOLERANCE: Final = 0.04
 """How deep (world units) solid parts may overlap in a scene that a user gives: contacts are a little soft."""
 
 

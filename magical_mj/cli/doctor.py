@@ -66,13 +66,10 @@ def _version(name: str) -> str | None:
 def _probe(backend: str) -> dict[str, str | float]:
     """What the probe found with this backend: the renderer and times, or the error."""
     command = [sys.executable, "-m", "magical_mj.cli.probe"]
-    environment = os.environ | {"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": ""}
-    if backend == "glfw":
-        environment.pop("PYOPENGL_PLATFORM")
-    else:
-        environment["PYOPENGL_PLATFORM"] = backend
+    variables = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
+    variables["MUJOCO_GL"] = backend
     try:
-        result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=TIMEOUT, check=False)
+        result = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=TIMEOUT, check=False)
     except subprocess.TimeoutExpired:
         return {"error": f"no answer within {TIMEOUT} s"}
     if result.returncode == 0:

@@ -1,0 +1,58 @@
+"""The arena: walls, the floor that feet stand on, what they look like, and the settings of simulation and look."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from magical_mj import constants as c
+from magical_mj.assets import style
+from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, STANDS, TIMESTEP, Settings
+from magical_mj.assets.markup import numbers
+from magical_mj.assets.region import BONE
+
+CAMERA_HEIGHT: Final = 2.0
+_CAMERA = f'projection="orthographic" fovy="{c.VISIBLE_SIZE}"'
+ALLO_CAMERA: Final = f'<camera name="allo" {_CAMERA} pos="0 0 {CAMERA_HEIGHT}"/>'
+EGO_CAMERA: Final = (
+    f'<camera name="ego" {_CAMERA} pos="0 {c.VISIBLE_SIZE * (0.5 - c.EGO_ANCHOR):.17g} {CAMERA_HEIGHT}"/>'
+)
+"""Rides on the robot, which stands in the middle, near the bottom, and heads up."""
+
+LOOK: Final = (
+    '<visual><headlight ambient="1 1 1" diffuse="0 0 0" specular="0 0 0"/>'
+    '<map znear="1" zfar="3"/><quality shadowsize="0" offsamples="4"/></visual>'
+    '<statistic extent="1" center="0 0 0"/>'
+)
+"""One flat ambient light gives the palette's colours exactly."""
+
+
+def options(settings: Settings = SETTINGS) -> str:
+    """How MuJoCo simulates.
+
+    Elliptic cones make friction a disc. Explicit Euler with a fixed step is the original's integrator; implicit
+    damping would soften servos whose gain is chosen for the step. With so few geoms, testing all pairs beats the
+    mid-phase.
+    """
+    return (
+        '<compiler angle="radian" autolimits="true"/>'
+        f'<option timestep="{numbers(TIMESTEP)}" gravity="0 0 0" integrator="Euler" cone="elliptic" solver="Newton" '
+        f'iterations="{settings.iterations}" tolerance="{settings.tolerance}" impratio="{numbers(settings.impratio)}">'
+        '<flag eulerdamp="disable" midphase="disable"/></option>'
+    )
+
+
+def arena_mjcf() -> str:
+    """What stands still in the world: floor, walls, their look, the allo camera, and the regions' body."""
+    half = c.ARENA_HALF_WIDTH
+    parts = [
+        style.visual_geom("floor", style.WHITE, style.Z_FLOOR, style.FLOOR_GROUP),
+        style.visual_geom("surround", style.LIGHT_GREY, style.Z_SURROUND),
+        style.visual_geom("border", style.ARENA_BORDER, style.Z_BORDER),
+        f'<geom name="floor" class="solid" type="plane" size="0 0 1" pos="0 0 {numbers(FOOT_DEPTH - FOOT_RADIUS)}" '
+        f'conaffinity="{STANDS}"/>',
+    ]
+    for side, (x, y) in {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}.items():
+        plane = f'type="plane" size="0 0 1" pos="{numbers(half * x, half * y, 0)}" zaxis="{-x} {-y} 0"'
+        parts.append(f'<geom name="{side}_wall" class="wall" {plane}/>')
+        parts.append(f'<geom name="{side}_finger_wall" class="finger_wall" {plane}/>')
+    return "".join(parts) + ALLO_CAMERA + f'<body name="{BONE}"/>'

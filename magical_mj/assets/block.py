@@ -1,0 +1,79 @@
+"""Blocks: a body that slides and turns, dry friction with the ground, a collision shape and a look."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import mujoco
+
+from magical_mj import constants as c
+from magical_mj.assets import style
+from magical_mj.assets.contacts import PRESS, SETTINGS, Settings, foot, softness, vertex
+from magical_mj.assets.markup import numbers, planar_body
+from magical_mj.assets.meshes import Points, inset
+from magical_mj.assets.style import BLOCK_FILL, BLOCK_OUTLINE, FILL_ABOVE_OUTLINE, Z_BLOCK
+from magical_mj.constants import Shape
+from magical_mj.geometry import block_outline, regular_polygon
+from magical_mj.scene import Block, Dynamics
+
+INERTIA: Final[dict[Shape, float]] = {
+    "square": 0.0037699111843077504,
+    "circle": 0.0036,
+    "pentagon": 0.0036611027179584824,
+    "star": 0.004682686464592393,
+}
+"""About the centre, as in the original's engine."""
+
+
+def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: Settings = SETTINGS) -> str:
+    """The body `block<index>`."""
+    name, inertia = f"block{index}", INERTIA[block.shape]
+    content = (
+        f'<inertial pos="0 0 0" mass="{c.BLOCK_MASS}" diaginertia="{numbers(inertia, inertia, inertia)}"/>'
+        + style.visual_geom(f"{block.shape}_outline", BLOCK_OUTLINE[block.colour], Z_BLOCK)
+        + style.visual_geom(f"{block.shape}_fill", BLOCK_FILL[block.colour], Z_BLOCK + FILL_ABOVE_OUTLINE)
+        + "".join(collision_geoms(block.shape, settings))
+        + foot(f"{name}_foot", dynamics.block_friction_force, c.BLOCK_MASS, settings)
+    )
+    spin = softness("friction", 1, settings.dry_impedance)
+    hinge = f'frictionloss="{numbers(dynamics.block_friction_torque)}" {spin}'
+    return planar_body(name, block.pose, content, hinge)
+
+
+def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dynamics) -> None:
+    """Give a block of a compiled model another colour and friction, exactly as if compiled with them."""
+    body = model.body(f"block{index}")
+    outline = body.geomadr[0]
+    for geom, palette in ((outline, BLOCK_OUTLINE), (outline + 1, BLOCK_FILL)):
+        model.geom_rgba[geom] = [float(level) for level in style.rgba(palette[block.colour]).split()]
+    model.geom_friction[outline + body.geomnum[0] - 1, 0] = dynamics.block_friction_force / PRESS
+    model.dof_frictionloss[body.dofadr[0] + 2] = dynamics.block_friction_torque
+
+
+def collision_geoms(shape: Shape, settings: Settings = SETTINGS) -> list[str]:
+    """A disc, or edges and the vertices that stick out."""
+    if shape == "circle":
+        return [f'<geom class="disc" size="{numbers(c.BLOCK_SIZE - settings.block_overlap)}"/>']
+    if shape == "square":
+        core = c.SQUARE_SIDE / 2 - settings.block_overlap
+        half = core + c.SQUARE_MARGIN
+        box = f'<geom class="edge" type="box" size="{numbers(half, half, 0.1)}"/>'
+        corners = ((core * x, core * y) for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1)))
+        return [box, *(vertex(x, y, c.SQUARE_MARGIN) for x, y in corners)]
+    outline = inset(block_outline(shape), settings.block_overlap)
+    if shape == "star":
+        radius = settings.star_tip_radius
+        tips = regular_polygon(5, c.STAR_OUTER_RADIUS - settings.star_tip_depth - radius)
+        return [*_edges(outline, settings.star_edge_radius), *(vertex(x, y, radius) for x, y in tips)]
+    radius = settings.vertex_radius
+    corners = inset(outline, radius)
+    return [*_edges(outline, settings.edge_radius), *(vertex(x, y, radius) for x, y in corners)]
+
+
+def _edges(outline: Points, radius: float) -> list[str]:
+    """Capsules whose outer sides are the edges of the outline."""
+    ends = inset(outline, radius)
+    return [
+        f'<geom class="edge" type="capsule" size="{numbers(radius)}" fromto="{numbers(*ends[k - 1], 0, *ends[k], 0)}"/>'
+        for k in range(len(ends))
+    ]

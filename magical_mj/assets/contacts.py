@@ -1,0 +1,127 @@
+"""How things touch: softness, friction and who meets whom. Fitted to roll-outs of the original simulation.
+
+Contacts of flat shapes are reduced to what a 2-D engine knows: vertices (small spheres) against edges (capsules and
+boxes) and discs (spheres). Of two geoms in contact the larger friction counts, so walls stand twice, once for the
+fingers and once for everything else; that gives the products of coefficients that the original uses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from magical_mj import constants as c
+from magical_mj.assets import style
+from magical_mj.assets.markup import numbers
+
+SUBSTEPS: Final = 10
+"""Physics steps per action."""
+TIMESTEP: Final = 1 / c.CONTROL_RATE / SUBSTEPS
+"""Seconds per physics step."""
+
+# Collision bits: two geoms meet if the contype of one has a bit of the other's conaffinity.
+TOUCHES: Final = 1  # vertices and discs
+FINGER_TOUCHES: Final = 2  # vertices of the fingers
+STANDS: Final = 4  # feet, on the floor
+
+# A foot cannot move vertically, so it presses on the floor with this force whatever happens: friction = cap / PRESS.
+PRESS: Final = 1e4
+FOOT_RADIUS, FOOT_DEPTH = 0.02, 0.01
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the original does not dictate: how stiff, how round, how soft. `tools/fit_physics.py` finds them."""
+
+    contact_impedance: float = 0.99
+    """Share of the relative velocity that a contact removes; below 1 it gives way a little."""
+    contact_damping: float = 1.0
+    """Approach speed removed per substep; 1 is all of it (inelastic)."""
+    contact_stiffness: float = 60.0
+    """1/s^2: how fast overlap is pushed out; the original hardly does so below 0.01."""
+    impratio: float = 10.0
+    """Friction is this much stiffer than the normal direction: grips without creep."""
+    friction_finger_block: float = 2.5
+    friction_finger_wall: float = 4.0
+    friction_block: float = 0.25
+    """Block with block, and block with robot."""
+    friction_wall: float = 0.4
+    """Block or robot with wall."""
+    finger_impedance: float = 0.99
+    finger_damping: float = 1.0
+    finger_stiffness: float = 60.0
+    """The three for whatever a finger touches."""
+    foot_impedance: float = 0.99
+    vertex_radius: float = 0.001
+    """Of the sphere at a corner, world units."""
+    edge_radius: float = 0.02
+    """Of the capsule behind an edge, world units."""
+    star_edge_radius: float = 0.015
+    star_tip_radius: float = 0.0085
+    """Blunt: a tip that starts inside a finger must leave on the star's side of it."""
+    star_tip_depth: float = 0.003
+    finger_overlap: float = 0.0
+    """Surfaces lie this far inside the drawn ones: the overlap that the original tolerates."""
+    block_overlap: float = 0.0
+    body_overlap: float = 0.0
+    dry_impedance: float = 0.99
+    """Of dry friction: turning, and the spin of blocks."""
+    limit_impedance: float = 0.99
+    limit_stiffness: float = 300.0
+    finger_armature: float = 0.055
+    """Rotor inertia of a finger's motor: lets it push with the full cap and not overshoot."""
+    iterations: int = 20
+    tolerance: float = 1e-8
+
+
+SETTINGS: Final = Settings()
+
+
+def softness(kind: str, stiffness: float, impedance: float, damping: float = 1.0) -> str:
+    """`solref` and `solimp` that remove `damping` of a velocity in one substep; kind: "", "friction" or "limit"."""
+    solref = numbers(-stiffness, -damping * impedance / TIMESTEP)
+    return f'solref{kind}="{solref}" solimp{kind}="{numbers(impedance, impedance, 0.001)}"'
+
+
+def foot(name: str, friction_force: float, mass: float, settings: Settings = SETTINGS) -> str:
+    """A sphere that presses on the floor with `PRESS` and so resists sliding with at most `friction_force`.
+
+    Its friction is that of a disc, the same in all directions. `mass` is what it carries: MuJoCo's inverse mass
+    of a body is the mean of three directions, and vertically this one cannot move.
+    """
+    stiffness = PRESS * (1 - settings.foot_impedance) * 2 / 3 / mass / FOOT_DEPTH
+    soft = softness("", stiffness, settings.foot_impedance)
+    return f'<geom name="{name}" class="foot" friction="{numbers(friction_force / PRESS)}" {soft}/>'
+
+
+def vertex(x: float, y: float, radius: float, kind: str = "vertex") -> str:
+    """A small sphere that touches edges, discs and walls."""
+    return f'<geom class="{kind}" size="{numbers(radius)}" pos="{numbers(x, y, 0)}"/>'
+
+
+def geom_classes(settings: Settings = SETTINGS) -> str:
+    """The defaults of all geoms."""
+    soft = softness("", settings.contact_stiffness, settings.contact_impedance, settings.contact_damping)
+    finger = softness("", settings.finger_stiffness, settings.finger_impedance, settings.finger_damping)
+    sphere = 'type="sphere"'
+    meets_all = TOUCHES | FINGER_TOUCHES
+
+    def kind(name: str, friction: float, contype: int, conaffinity: int, more: str = "") -> str:
+        return (
+            f'<default class="{name}"><geom friction="{numbers(friction)}" contype="{contype}" '
+            f'conaffinity="{conaffinity}" {more}/></default>'
+        )
+
+    return (
+        f'<geom condim="3" group="{style.COLLISION_GROUP}" {soft}/>'
+        + kind("visual", 0, 0, 0, f'group="{style.DRAWN_GROUP}" mass="0"')
+        + kind("solid", 0, 0, 0)
+        + kind("disc", settings.friction_block, TOUCHES, meets_all, sphere)
+        + kind("vertex", settings.friction_block, TOUCHES, 0, sphere)
+        + kind("edge", settings.friction_block, 0, meets_all)
+        + kind("finger_vertex", settings.friction_finger_block, FINGER_TOUCHES, 0, f'{sphere} priority="1" {finger}')
+        + kind("finger_edge", settings.friction_finger_block, 0, TOUCHES, f'priority="1" {finger}')
+        + kind("wall", settings.friction_wall, 0, TOUCHES)
+        + kind("finger_wall", settings.friction_finger_wall, 0, FINGER_TOUCHES, f'priority="2" {finger}')
+        + kind("foot", 0, STANDS, 0, f'{sphere} size="{FOOT_RADIUS}" priority="1"')
+    )

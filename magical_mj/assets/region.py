@@ -1,0 +1,104 @@
+"""Goal regions: drawn, never solid. Each is two flat skins, its fill and its dashed border.
+
+A mesh would have to be uploaded again whenever a region changes its size, and the shared drawing context would have
+to know whose it holds. A skin's corners travel with every frame, so new corners in the model are all it takes.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.assets import style
+from magical_mj.assets.markup import single
+from magical_mj.assets.meshes import Faces
+from magical_mj.assets.style import DASH_LENGTH, REGION_BORDER, REGION_BORDER_WIDTH, REGION_FILL, rgba
+from magical_mj.scene import GoalRegion
+
+BONE = "regions"
+"""The still body at the world's origin to which the corners of all regions belong."""
+
+DASHES = 42
+"""Quads kept for the border of one region: enough for 0.8 x 0.8 world units."""
+
+
+def dash_quads(region: GoalRegion) -> NDArray[np.float64]:
+    """The dashes along a region's edge, clockwise from its top-left corner.
+
+    Returns:
+        Shape (n, 4, 2): the corners of each dash, counter-clockwise; a dash that bends round a corner is two.
+    """
+    x0, y0, x1, y1 = region.x_min, region.y_min, region.x_max, region.y_max
+    corners = np.array([[x0, y1], [x1, y1], [x1, y0], [x0, y0]])
+    ahead = np.array([[1.0, 0], [0, -1], [-1, 0], [0, 1]])  # along the top, right, bottom and left side
+    length = np.array([x1 - x0, y1 - y0, x1 - x0, y1 - y0])
+    end_of_side = np.cumsum(length)
+    start_of_side = end_of_side - length
+    start = 2 * DASH_LENGTH * np.arange(np.ceil(end_of_side[-1] / (2 * DASH_LENGTH)))[:, None]  # of each dash
+    end = start + DASH_LENGTH
+    first, last = np.maximum(start, start_of_side), np.minimum(end, end_of_side)  # its part on each side
+    half = REGION_BORDER_WIDTH / 2
+    first = np.where(start < start_of_side, start_of_side - half, first)  # a dash that bends round a corner is mitred
+    bends = (end > end_of_side) & (np.arange(4) < 3)
+    dash, side = np.nonzero(np.minimum(end, end_of_side) > np.maximum(start, start_of_side))
+    last = np.where(bends, end_of_side + half, last)
+    along = np.stack([first, last], axis=-1)[dash, side] - start_of_side[side, None]
+    outward = half * np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)[side]
+    a, b = (corners[side] + along[:, [k]] * ahead[side] for k in (0, 1))
+    return np.stack([a - outward, b - outward, b + outward, a + outward], axis=1)
+
+
+def regions_mjcf(regions: tuple[GoalRegion, ...]) -> str:
+    """The skins of all regions."""
+    text = ""
+    for index, region in enumerate(regions):
+        dashes = max(DASHES, len(dash_quads(region)))
+        for name, colour, count in (
+            (f"region{index}_fill", REGION_FILL[region.colour], 1),
+            (f"region{index}_border", REGION_BORDER[region.colour], dashes),
+        ):
+            corners = _corners(region, index, count)
+            ids = " ".join(map(str, range(len(corners))))
+            text += (
+                f'<skin name="{name}" rgba="{rgba(colour)}" group="{style.DRAWN_GROUP}" '
+                f'vertex="{single(corners.ravel())}" face="{" ".join(map(str, _quad_faces(count).ravel()))}">'
+                f'<bone body="{BONE}" bindpos="0 0 0" bindquat="1 0 0 0" vertid="{ids}" '
+                f'vertweight="{"1 " * len(corners)}"/></skin>'
+            )
+    return text
+
+
+def rewrite_region(model: mujoco.MjModel, index: int, region: GoalRegion) -> None:
+    """Give a region of a compiled model another box and colour, exactly as if compiled with them.
+
+    Raises:
+        ValueError: if the model was compiled for fewer dashes than the region needs.
+    """
+    for skin, palette in ((2 * index, REGION_FILL), (2 * index + 1, REGION_BORDER)):
+        model.skin_rgba[skin] = [float(level) for level in rgba(palette[region.colour]).split()]
+        first, count = model.skin_vertadr[skin], model.skin_vertnum[skin]
+        model.skin_vert[first : first + count] = _corners(region, index, count // 4)
+
+
+def _corners(region: GoalRegion, index: int, count: int) -> NDArray[np.float32]:
+    """Corners of the fill (one quad) or of the border; quads that are not needed lie in one point.
+
+    Shape (4 * count, 3).
+    """
+    z = style.Z_REGION + index * style.REGION_STEP
+    if count == 1:
+        x0, y0, x1, y1 = region.x_min, region.y_min, region.x_max, region.y_max
+        flat = np.array([[x1, y1], [x0, y1], [x0, y0], [x1, y0]])
+    else:
+        flat = dash_quads(region).reshape(-1, 2)
+        if len(flat) > 4 * count:
+            raise ValueError(f"{region} needs {len(flat) // 4} dashes; this model has {count}, so compile it afresh")
+        flat = np.vstack([flat, np.repeat(flat[-1:], 4 * count - len(flat), axis=0)])
+        z += style.BORDER_ABOVE_FILL
+    return np.column_stack([flat, np.full(len(flat), z)]).astype(np.float32)
+
+
+def _quad_faces(count: int) -> Faces:
+    """Two triangles for each quad of four successive corners. Shape (2 * count, 3)."""
+    return (np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(count)[:, None, None]).reshape(-1, 3)

@@ -1,0 +1,180 @@
+"""The Gymnasium environment: presets of stacked frames over the dm_env environment."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, Final
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+
+from magical_mj import constants as c
+from magical_mj.actions import ACTIONS
+from magical_mj.environment import load
+from magical_mj.errors import InvalidSceneError, unknown_name
+from magical_mj.observations import STATE_NAMES
+from magical_mj.presets import Preset, preset
+from magical_mj.rendering.renderer import check_size
+from magical_mj.scene import Scene
+from magical_mj.scene_task import Reward
+from magical_mj.tasks.spec import Rules
+
+Images = NDArray[np.uint8]
+Observation = NDArray[Any] | dict[str, Images]
+
+RENDER_SIZE: Final = 384  # px, side of what `render` gives
+
+
+class MagicalEnv(gymnasium.Env[Observation, Any]):
+    """One of the 60 environments; make it with `gymnasium.make("magical_mj/...")`.
+
+    ## Actions
+    `Discrete(18)`: 9 * gripper + 3 * turn + drive; see `magical_mj.actions`. One action lasts 1/8 s.
+
+    ## Observations
+    What the preset says (`magical_mj.presets.PRESETS`): uint8 pictures stacked along the channels, oldest
+    first, or the state vector. After a reset the first frame fills the stack.
+
+    ## Episodes
+    `reset(seed=7)` starts in `sample_scene(task, variant, 7)`; `reset()` in a scene drawn by `np_random`;
+    `reset(options={"scene": scene})` in that `Scene` or its JSON. An episode is truncated at the task's
+    horizon and never terminates. The reward is 0: `info["eval_score"]` is the score in [0, 1] at the last
+    step (0.0 before), `info["is_success"]` whether it is 1.
+
+    Args:
+        task: one of `magical_mj.TASKS`.
+        variant: one of `magical_mj.VARIANTS`.
+        preset: one of `magical_mj.presets.PRESETS`.
+        image_size: side of the pictures in pixels, instead of the preset's.
+        reward: "none", or "score" for the score as reward at the last step.
+        rules: "paper" or "released".
+        render_mode: "rgb_array" (the allo view, 384 px); Gymnasium makes "human" (a window) from it.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": c.CONTROL_RATE}  # noqa: RUF012
+
+    def __init__(
+        self,
+        task: str,
+        variant: str = "Demo",
+        preset: str = "",
+        *,
+        image_size: int | None = None,
+        reward: Reward = "none",
+        rules: Rules = "paper",
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise unknown_name("render mode", render_mode, self.metadata["render_modes"])
+        self.render_mode = render_mode
+        self._preset = _preset(preset)
+        size = self._preset.image_size if image_size is None else check_size(image_size)
+        self._env = load(
+            task,
+            variant,
+            seed=0,
+            observations=[view for view, _ in self._preset.frames] or ["state"],
+            image_size=size,
+            reward=reward,
+            rules=rules,
+        )
+        self.action_space = spaces.Discrete(len(ACTIONS))
+        self.observation_space = _space(self._preset, size)
+        self._frames: dict[str, deque[Images]] = {view: deque(maxlen=n) for view, n in self._preset.frames}
+        self._running = False
+
+    @property
+    def scene(self) -> Scene:
+        """Where everything is now."""
+        return self._env.scene()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Starts an episode; see the class.
+
+        Raises:
+            InvalidSceneError: if `options` has other keys than "scene", or the scene is not one of the task.
+        """
+        super().reset(seed=seed)
+        scene = _scene_option(options or {})
+        if scene is not None:
+            first = self._env.reset(scene=scene)
+        else:
+            first = self._env.reset(seed=int(self.np_random.integers(2**63)) if seed is None else seed)
+        for view, count in self._preset.frames:
+            self._frames[view].extend([first.observation[view]] * count)
+        self._running = True
+        return self._observation(first.observation), {"eval_score": 0.0, "is_success": False}
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """One action. Truncated at the horizon.
+
+        Raises:
+            InvalidActionError: if the action is not one of the 18.
+            gymnasium.error.ResetNeeded: before the first reset and after the last step.
+        """
+        if not self._running:
+            raise ResetNeeded("the episode has ended; call reset() before the next step")
+        now = self._env.step(action)
+        for view in self._frames:
+            self._frames[view].append(now.observation[view])
+        self._running = not now.last()
+        score = self._env.score() if now.last() else 0.0
+        info = {"eval_score": score, "is_success": score == 1.0}
+        return self._observation(now.observation), float(now.reward or 0.0), False, now.last(), info
+
+    def render(self) -> Images | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """The allo view, shape (384, 384, 3), if `render_mode` is "rgb_array"."""
+        if self.render_mode is None:
+            gymnasium.logger.warn('render() draws nothing: make the environment with render_mode="rgb_array"')
+            return None
+        return self._env.render("allo", RENDER_SIZE)
+
+    def close(self) -> None:
+        """Frees the simulation; closing twice is fine."""
+        self._env.close()
+        super().close()
+
+    def _observation(self, seen: Mapping[str, NDArray[Any]]) -> Observation:
+        layout = self._preset.layout
+        if layout == "state":
+            return seen["state"]
+        if layout == "dict":
+            return {view: np.concatenate(frames, axis=2) for view, frames in self._frames.items()}
+        frames = [frame for view in self._frames.values() for frame in view]
+        if layout == "chw":
+            return np.concatenate([frame.transpose(2, 0, 1) for frame in frames])
+        return np.concatenate(frames, axis=2)
+
+
+_preset = preset  # the constructor's argument of this name hides the function
+
+
+def _space(made: Preset, size: int) -> spaces.Space[Any]:
+    if made.layout == "state":
+        return spaces.Box(-np.inf, np.inf, (len(STATE_NAMES),), np.float32)
+
+    def pictures(count: int) -> spaces.Box:
+        shape = (3 * count, size, size) if made.layout == "chw" else (size, size, 3 * count)
+        return spaces.Box(0, 255, shape, np.uint8)
+
+    if made.layout == "dict":
+        return spaces.Dict({view: pictures(count) for view, count in made.frames})
+    return pictures(sum(count for _, count in made.frames))
+
+
+def _scene_option(options: Mapping[str, Any]) -> Scene | None:
+    unknown = options.keys() - {"scene"}
+    if unknown:
+        raise InvalidSceneError(f'unknown options {sorted(unknown)}; reset understands options={{"scene": ...}}')
+    scene = options.get("scene")
+    if scene is None or isinstance(scene, Scene):
+        return scene
+    if isinstance(scene, str | bytes):
+        return Scene.from_json(scene)
+    raise InvalidSceneError(f'options["scene"] must be a Scene or its JSON, not {type(scene).__name__}')

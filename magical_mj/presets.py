@@ -1,0 +1,51 @@
+"""The observation presets of the Gymnasium environments: which frames, stacked how."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, Literal
+
+from magical_mj.errors import unknown_name
+
+Layout = Literal["dict", "hwc", "chw", "state"]
+
+
+@dataclass(frozen=True)
+class Preset:
+    """How observations are made from pictures.
+
+    Attributes:
+        frames: the views and how many of the latest frames of each, in the order in which they are stacked.
+        layout: "hwc" and "chw" stack all frames along the channels of one array, oldest first; "dict" gives
+            one such array (height x width x channels) per view; "state" is the state vector instead.
+        image_size: side of the pictures in pixels, unless the user asks for another.
+        summary: one line for people.
+    """
+
+    frames: tuple[tuple[str, int], ...]
+    layout: Layout
+    image_size: int
+    summary: str
+
+
+PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
+    {
+        "": Preset((("ego", 1), ("allo", 1)), "dict", 384, "a dict of the current ego and allo picture"),
+        "LoRes4E": Preset((("ego", 4),), "hwc", 96, "the last four ego frames (the paper's default)"),
+        "LoRes4A": Preset((("allo", 4),), "hwc", 96, "the last four allo frames"),
+        "LoRes3EA": Preset((("allo", 1), ("ego", 3)), "hwc", 96, "the current allo frame, then the last three ego"),
+        "LoResStack": Preset((("ego", 4), ("allo", 4)), "dict", 96, "a dict of the last four frames of each view"),
+        "LoResCHW4E": Preset((("ego", 4),), "chw", 96, "LoRes4E with the channels first, as PyTorch wants them"),
+        "State": Preset((), "state", 96, "the state vector (magical_mj.observations.STATE_NAMES)"),
+    }
+)
+"""By name; the empty name is the environment without a preset."""
+
+
+def preset(name: str) -> Preset:
+    """The preset called `name`; raises `UnknownNameError`, offering the nearest name."""
+    if name not in PRESETS:
+        raise unknown_name("preset", name, filter(None, PRESETS))
+    return PRESETS[name]

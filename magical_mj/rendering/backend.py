@@ -1,0 +1,66 @@
+"""The choice of an OpenGL backend, made before mujoco or dm_control is imported (both look at MUJOCO_GL only then)."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import sys
+
+from magical_mj.errors import RenderingError
+
+REMEDY = (
+    "Set the environment variable MUJOCO_GL, before Python starts, to egl (Debian and Ubuntu packages: libegl1, "
+    "libgl1-mesa-dri), osmesa (package: libosmesa6) or, with a display, glfw."
+)
+OSMESA_LIBRARIES = ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
+EGL_PLATFORM_DEVICE_EXT = 0x313F
+MOST_DEVICES = 16
+
+
+def choose_backend() -> None:
+    """Set MUJOCO_GL to what works here, EGL or else OSMesa, unless the user has set it.
+
+    Where neither works it stays unset: everything but pictures can be used, and the first picture raises RenderingError.
+
+    Raises:
+        RenderingError: the user asked for EGL or OSMesa, and mujoco or dm_control would fail to import with it.
+    """
+    os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's software OpenGL is faster without worker threads
+    if sys.platform != "linux":
+        return
+    probes = {"egl": egl_works, "osmesa": osmesa_works}
+    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if not wanted:
+        os.environ.update({"MUJOCO_GL": name for name in reversed(probes) if probes[name]()})
+    elif wanted in probes and not probes[wanted]():
+        raise RenderingError(f"MUJOCO_GL is {wanted}, which does not start on this machine. {REMEDY}")
+
+
+def egl_works() -> bool:
+    """Whether some EGL device can be initialised, as mujoco and dm_control will do."""
+    try:
+        egl = ctypes.CDLL("libEGL.so.1")
+    except OSError:
+        return False
+    egl.eglGetProcAddress.restype = ctypes.c_void_p
+    query = egl.eglGetProcAddress(b"eglQueryDevicesEXT")
+    platform = egl.eglGetProcAddress(b"eglGetPlatformDisplayEXT")
+    if not (query and platform):
+        return False
+    query_devices = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)(query)
+    get_display = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p)(platform)
+    egl.eglInitialize.argtypes = [ctypes.c_void_p] * 3
+    devices, count = (ctypes.c_void_p * MOST_DEVICES)(), ctypes.c_int(0)
+    query_devices(MOST_DEVICES, devices, ctypes.byref(count))
+    displays = (get_display(EGL_PLATFORM_DEVICE_EXT, device, None) for device in devices[: count.value])
+    return any(display and egl.eglInitialize(display, None, None) for display in displays)
+
+
+def osmesa_works() -> bool:
+    """Whether the OSMesa library can be loaded."""
+    for name in OSMESA_LIBRARIES:
+        with contextlib.suppress(OSError):
+            ctypes.CDLL(name)
+            return True
+    return False

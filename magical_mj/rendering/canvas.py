@@ -1,0 +1,163 @@
+"""The canvas: one OpenGL context per process, shared by all models, environments and views.
+
+Every model of ours has the same meshes, and its regions are skins, which travel with each frame. So MuJoCo's drawing
+context, the dear part, is made once and serves them all.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import threading
+import weakref
+from dataclasses import dataclass, field
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.assets.style import DRAWN_GROUP
+from magical_mj.assets.world import world_mjcf
+from magical_mj.errors import RenderingError
+from magical_mj.rendering.backend import REMEDY
+from magical_mj.scene import GoalRegion, Robot, Scene
+
+Picture = NDArray[np.uint8]
+"""Shape (height, width, channels)."""
+
+DRAWN_GROUPS: Final = (0, DRAWN_GROUP)
+"""Geom and skin groups that are drawn: MuJoCo's default, for what users add, and ours."""
+
+_LIBRARY: Final = Scene(Robot(0, 0, 0), regions=(GoalRegion("red", -0.4, -0.4, 0.4, 0.4),) * 3)
+"""A scene whose model has every asset that those of the benchmark have."""
+NO_OPENGL: Final = f"No picture can be drawn: OpenGL did not start (MUJOCO_GL={{backend}}: {{error}}). {REMEDY}"
+FORKED: Final = (
+    "This process was forked after its parent had drawn a picture, and OpenGL does not survive a fork. "
+    "Start workers with the 'spawn' or 'forkserver' method."
+)
+
+
+def drawn(groups: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Which of these geom or skin groups are drawn."""
+    return (groups == DRAWN_GROUPS[0]) | (groups == DRAWN_GROUPS[1])
+
+
+@dataclass
+class Context:
+    """MuJoCo's drawing context, with the model whose meshes and skins it holds."""
+
+    mjr: mujoco.MjrContext
+    model: mujoco.MjModel
+    size: tuple[int, int] = (0, 0)  # of the offscreen buffer: (width, height), pixels
+
+    def draws(self, model: mujoco.MjModel) -> bool:
+        """Whether a scene of this model can be drawn here: it shows no assets but the first meshes and skins, as ours."""
+        mine = self.model
+        shown = drawn(model.geom_group)
+        shown_meshes = model.geom_dataid[shown & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)]
+        return (
+            model.ntex == mine.ntex == 0
+            and model.nhfield == 0
+            and not (shown & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)).any()
+            and (shown_meshes < mine.nmesh).all()
+            and np.array_equal(model.mesh_vertnum[: mine.nmesh], mine.mesh_vertnum)
+            and np.array_equal(model.mesh_vert[: mine.nmeshvert], mine.mesh_vert)
+            and np.array_equal(model.mesh_face[: mine.nmeshface], mine.mesh_face)
+            and model.nskin <= mine.nskin
+            and np.array_equal(model.skin_vertnum, mine.skin_vertnum[: model.nskin])
+            and np.array_equal(model.skin_face, mine.skin_face[: model.nskinface])
+        )
+
+
+@dataclass
+class Canvas(threading.local):
+    """The OpenGL context of this thread, made at its first frame."""
+
+    gl: mujoco.GLContext | None = None
+    process: int = 0
+    contexts: list[Context] = field(default_factory=list)
+    active: Context | None = None
+
+    def activate(self) -> None:
+        """Make the OpenGL context current, starting it if need be."""
+        if self.gl is None:
+            self._start()
+        elif self.process != os.getpid():
+            raise RenderingError(FORKED)
+        else:  # somebody else may have drawn in between
+            self.gl.make_current()
+
+    def _start(self) -> None:
+        os.environ.setdefault("LP_NUM_THREADS", "0")
+        library = mujoco.MjModel.from_xml_string(world_mjcf(_LIBRARY))
+        try:
+            gl = mujoco.GLContext(64, 64)
+            gl.make_current()
+            context = _new_context(library)
+        except Exception as error:  # each backend has its own kinds
+            raise RenderingError(NO_OPENGL.format(backend=os.environ.get("MUJOCO_GL", "unset"), error=error)) from error
+        self.gl, self.process, self.contexts = gl, os.getpid(), [Context(context, library)]
+        _OPEN.add(gl)
+        atexit.unregister(_free_all)
+        atexit.register(_free_all)  # now, so that it runs before the display is closed
+
+    def context_for(self, model: mujoco.MjModel) -> Context:
+        """The shared context where the model has the library's assets, as all of ours have; else one of its own."""
+        self.activate()
+        for context in self.contexts:
+            if context.draws(model):
+                return context
+        self.contexts.append(Context(_new_context(model), model))
+        return self.contexts[-1]
+
+    def draw(self, context: Context, scene: mujoco.MjvScene, pixels: Picture) -> None:
+        """Draw a scene into `pixels`, shape (height, width, 4), bottom row first."""
+        from OpenGL import GL
+
+        height, width, _ = pixels.shape
+        if self.active is not context or context.size != (width, height):
+            mujoco.mjr_resizeOffscreen(width, height, context.mjr)  # the whole buffer: clearing a part of it is slow
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context.mjr)
+            GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, GL.GL_DEPTH_STENCIL_ATTACHMENT, GL.GL_RENDERBUFFER, 0)
+            self.active, context.size = context, (width, height)
+        mujoco.mjr_render(mujoco.MjrRect(0, 0, width, height), scene, context.mjr)
+        GL.glReadPixels(0, 0, width, height, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE, pixels)  # mjr_readPixels is slower (RGB)
+
+    def close(self) -> None:
+        """Free everything; may be called twice."""
+        gl, self.gl = self.gl, None
+        if gl is None or self.process != os.getpid():
+            return
+        gl.make_current()
+        for context in self.contexts:
+            context.mjr.free()
+        self.contexts, self.active = [], None
+        gl.free()
+
+
+CANVAS = Canvas()
+_OPEN: weakref.WeakSet[mujoco.GLContext] = weakref.WeakSet()  # of all threads
+
+
+def _free_all() -> None:
+    """At exit: free the OpenGL contexts without a word, whatever else was taken down before."""
+    contexts = list(_OPEN)
+    with contextlib.suppress(Exception):
+        CANVAS.close()
+    for gl in contexts:
+        with contextlib.suppress(Exception):
+            gl.free()
+        gl._context = None  # or its finaliser would try again, and complain
+
+
+def _new_context(model: mujoco.MjModel) -> mujoco.MjrContext:
+    """A drawing context without shadow map (30 ms and 100 MB less) and without multisampling."""
+    quality = model.vis.quality
+    kept = quality.shadowsize, quality.offsamples
+    quality.shadowsize = quality.offsamples = 0
+    try:
+        return mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+    finally:
+        quality.shadowsize, quality.offsamples = kept
