@@ -54,6 +54,11 @@ def process(*arguments: str, **variables: str) -> subprocess.CompletedProcess[st
     return subprocess.run(command, env=os.environ | variables, capture_output=True, text=True, check=False)
 
 
+def opened(path: Path) -> Image.Image:
+    with Image.open(path) as picture:
+        return picture.convert("RGB")
+
+
 # list, help, version
 
 
@@ -100,7 +105,7 @@ def test_closed_pipe_is_no_error() -> None:
 def test_view(shell: Shell, tmp_path: Path) -> None:
     assert shell("view", "FindDupe", "TestAll", "--seed", 3, "--size", 64) == (0, "FindDupe-All-3.png\n", "")
     assert shell("view", "FindDupe", "All", "--seed", 4, "--size", 64, "--out", "new/a.png")[0] == 0
-    pictures = [Image.open(tmp_path / name) for name in ("FindDupe-All-3.png", "new/a.png")]
+    pictures = [opened(tmp_path / name) for name in ("FindDupe-All-3.png", "new/a.png")]
     assert {picture.size for picture in pictures} == {(128, 64)}
     assert pictures[0].tobytes() != pictures[1].tobytes()
     env = magical_mj.load("FindDupe", "All", seed=3, observations=())
@@ -111,7 +116,7 @@ def test_view(shell: Shell, tmp_path: Path) -> None:
 
 def test_view_grid(shell: Shell, tmp_path: Path) -> None:
     assert shell("view", "--grid", "--size", 32)[0] == 0
-    width, height = Image.open(tmp_path / "environments-0.png").size
+    width, height = opened(tmp_path / "environments-0.png").size
     assert width == height > 8 * 32
 
 
@@ -148,7 +153,7 @@ def test_export_loads_in_plain_mujoco(shell: Shell, tmp_path: Path) -> None:
 
 
 def test_demo_worker(tmp_path: Path) -> None:
-    results = play_pair(("MoveToRegion", "All"), 0, tmp_path)
+    results = play_pair(("MoveToRegion", "Demo"), 0, tmp_path)
     assert {key[2]: result.steps for key, result in results.items()} == {"random": 40, "noop": 40}
     assert (tmp_path / "MoveToRegion.mp4").stat().st_size > 0
 

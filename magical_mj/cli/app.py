@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -41,6 +42,7 @@ def start(
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run the application; an expected error becomes one line on stderr and an exit code."""
+    warnings.filterwarnings("ignore", module="glfw")  # what it says without a display, our own error says better
     try:
         return app(args=arguments, prog_name="magical-mj", standalone_mode=False) or 0
     except typer.TyperException as error:

@@ -23,7 +23,7 @@ from magical_mj.cli.sheet import contact_sheet
 from magical_mj.registry import task_spec
 
 AGENTS: Final[tuple[Agent, ...]] = get_args(Agent)
-FILMED: Final = ("All", "random")  # of each task, the variant and the agent that go into its video
+FILMED: Final = ("Demo", "random")  # of each task, the variant and the agent that go into its video
 FILM_SIZE: Final = 192  # pixels
 FILM_SPEED: Final = 4  # times real time: 10 s for the longest task
 SHEET: Final = "environments.png"
