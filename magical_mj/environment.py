@@ -7,7 +7,6 @@ with a buffer or a delay) still gets composer's loop.
 
 from __future__ import annotations
 
-import functools
 import secrets
 import weakref
 from collections import OrderedDict
@@ -195,7 +194,7 @@ def load(
         source,
         check=spec.check,
         horizon=spec.horizon(rules),
-        score=functools.partial(spec.score, rules=rules),
+        score=lambda initial, final: spec.score(initial, final, rules),
         **_checked(observations, image_size, reward),
     )
     return Environment(task_of_scenes, seed)

@@ -27,6 +27,7 @@ Images = NDArray[np.uint8]
 Observation = NDArray[Any] | dict[str, Images]
 
 RENDER_SIZE: Final = 384  # px, side of what `render` gives
+STATE_BOUND: Final = 1000.0  # of any entry of the state vector; angles add up to 100 rad in the longest episode
 
 
 class MagicalEnv(gymnasium.Env[Observation, Any]):
@@ -128,7 +129,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         info = {"eval_score": score, "is_success": score == 1.0}
         return self._observation(now.observation), float(now.reward or 0.0), False, now.last(), info
 
-    def render(self) -> Images | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def render(self) -> Images | None:
         """The allo view, shape (384, 384, 3), if `render_mode` is "rgb_array"."""
         if self.render_mode is None:
             gymnasium.logger.warn('render() draws nothing: make the environment with render_mode="rgb_array"')
@@ -157,7 +158,7 @@ _preset = preset  # the constructor's argument of this name hides the function
 
 def _space(made: Preset, size: int) -> spaces.Space[Any]:
     if made.layout == "state":
-        return spaces.Box(-np.inf, np.inf, (len(STATE_NAMES),), np.float32)
+        return spaces.Box(-STATE_BOUND, STATE_BOUND, (len(STATE_NAMES),), np.float32)
 
     def pictures(count: int) -> spaces.Box:
         shape = (3 * count, size, size) if made.layout == "chw" else (size, size, 3 * count)

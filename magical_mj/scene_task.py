@@ -39,12 +39,14 @@ class CurrentObservable(observable.Generic):
 
     @property
     def array_spec(self) -> specs.Array:
+        """Shape and type."""
         return self._spec
 
     @property
     def is_immediate(self) -> bool:
         """Whether it is seen as it is now, once per control step."""
-        return not (self.update_interval or self.buffer_size or self.delay or self.aggregator)
+        timing = (self.update_interval, self.buffer_size, self.delay)
+        return timing == (1, None, None) and self.aggregator is None
 
 
 class SceneTask(composer.Task):

@@ -77,6 +77,18 @@ SHAPES = {
 }
 
 
+def stacked(preset: str, seen: list[dict[str, np.ndarray]]) -> np.ndarray | dict[str, np.ndarray]:
+    """What a preset should give, said in another way than the package does."""
+    ego, allo = ([frame[view] for frame in seen] for view in ("ego", "allo"))
+    if preset == "":
+        return {"ego": ego[-1], "allo": allo[-1]}
+    if preset == "LoResStack":
+        return {"ego": np.concatenate(ego[-4:], axis=2), "allo": np.concatenate(allo[-4:], axis=2)}
+    frames = {"LoRes4A": allo[-4:], "LoRes3EA": [allo[-1], *ego[-3:]]}.get(preset, ego[-4:])
+    picture = np.concatenate(frames, axis=2)
+    return picture.transpose(2, 0, 1) if preset == "LoResCHW4E" else picture
+
+
 @pytest.mark.parametrize("preset", SHAPES)
 def test_frames_are_stacked_oldest_first(preset: str) -> None:
     """Against the single frames that the dm_env environment gives."""
@@ -86,16 +98,7 @@ def test_frames_are_stacked_oldest_first(preset: str) -> None:
     seen = [single.reset().observation]
     observation, _ = env.reset(seed=0)
     for action in (1, 4, 4, 10, 13, 0):
-        history = {view: [frame[view] for frame in [seen[0]] * 3 + seen] for view in ("ego", "allo")}
-        ego, allo = history["ego"], history["allo"]
-        expected = {
-            "": lambda: {"ego": ego[-1], "allo": allo[-1]},
-            "LoRes4E": lambda: np.concatenate(ego[-4:], axis=2),
-            "LoRes4A": lambda: np.concatenate(allo[-4:], axis=2),
-            "LoRes3EA": lambda: np.concatenate([allo[-1], *ego[-3:]], axis=2),
-            "LoResStack": lambda: {v: np.concatenate(history[v][-4:], axis=2) for v in history},
-            "LoResCHW4E": lambda: np.concatenate(ego[-4:], axis=2).transpose(2, 0, 1),
-        }[preset]()
+        expected = stacked(preset, [seen[0]] * 3 + seen)
         if isinstance(expected, dict):
             for view, picture in expected.items():
                 np.testing.assert_array_equal(observation[view], picture)

@@ -6,7 +6,7 @@ from typing import Final
 
 from magical_mj import constants as c
 from magical_mj.assets import style
-from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, STANDS, TIMESTEP, Settings
+from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, TIMESTEP, Settings
 from magical_mj.assets.markup import numbers
 from magical_mj.assets.region import BONE
 
@@ -48,8 +48,7 @@ def arena_mjcf() -> str:
         style.visual_geom("floor", style.WHITE, style.Z_FLOOR, style.FLOOR_GROUP),
         style.visual_geom("surround", style.LIGHT_GREY, style.Z_SURROUND),
         style.visual_geom("border", style.ARENA_BORDER, style.Z_BORDER),
-        f'<geom name="floor" class="solid" type="plane" size="0 0 1" pos="0 0 {numbers(FOOT_DEPTH - FOOT_RADIUS)}" '
-        f'conaffinity="{STANDS}"/>',
+        f'<geom name="floor" class="floor" type="plane" size="0 0 1" pos="0 0 {numbers(FOOT_DEPTH - FOOT_RADIUS)}"/>',
     ]
     for side, (x, y) in {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}.items():
         plane = f'type="plane" size="0 0 1" pos="{numbers(half * x, half * y, 0)}" zaxis="{-x} {-y} 0"'

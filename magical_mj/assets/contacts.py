@@ -115,7 +115,7 @@ def geom_classes(settings: Settings = SETTINGS) -> str:
     return (
         f'<geom condim="3" group="{style.COLLISION_GROUP}" {soft}/>'
         + kind("visual", 0, 0, 0, f'group="{style.DRAWN_GROUP}" mass="0"')
-        + kind("solid", 0, 0, 0)
+        + kind("floor", 0, 0, STANDS)
         + kind("disc", settings.friction_block, TOUCHES, meets_all, sphere)
         + kind("vertex", settings.friction_block, TOUCHES, 0, sphere)
         + kind("edge", settings.friction_block, 0, meets_all)

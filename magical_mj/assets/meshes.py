@@ -104,7 +104,7 @@ def _finger(sign: int, depth: float) -> Mesh:
 
 def _pair(points: Points, x: float, y: float) -> Mesh:
     """The same convex polygon at (-x, y) and (x, y)."""
-    return together(convex(points + (side * x, y)) for side in (-1, 1))
+    return together(convex(points + np.array([side * x, y])) for side in (-1, 1))
 
 
 @cache

@@ -21,7 +21,7 @@ MOST_DEVICES = 16
 def choose_backend() -> None:
     """Set MUJOCO_GL to what works here, EGL or else OSMesa, unless the user has set it.
 
-    Where neither works it stays unset: everything but pictures can be used, and the first picture raises RenderingError.
+    Where neither works it stays unset: all but pictures can be used, and the first picture raises RenderingError.
 
     Raises:
         RenderingError: the user asked for EGL or OSMesa, and mujoco or dm_control would fail to import with it.
@@ -32,7 +32,9 @@ def choose_backend() -> None:
     probes = {"egl": egl_works, "osmesa": osmesa_works}
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if not wanted:
-        os.environ.update({"MUJOCO_GL": name for name in reversed(probes) if probes[name]()})
+        found = next((name for name, works in probes.items() if works()), None)
+        if found:
+            os.environ["MUJOCO_GL"] = found
     elif wanted in probes and not probes[wanted]():
         raise RenderingError(f"MUJOCO_GL is {wanted}, which does not start on this machine. {REMEDY}")
 

@@ -30,6 +30,8 @@ Picture = NDArray[np.uint8]
 DRAWN_GROUPS: Final = (0, DRAWN_GROUP)
 """Geom and skin groups that are drawn: MuJoCo's default, for what users add, and ours."""
 
+KEPT_SIZES: Final = 4  # pixel buffers
+KEPT_CONTEXTS: Final = 4  # the library's, and those of models that users changed
 _LIBRARY: Final = Scene(Robot(0, 0, 0), regions=(GoalRegion("red", -0.4, -0.4, 0.4, 0.4),) * 3)
 """A scene whose model has every asset that those of the benchmark have."""
 NO_OPENGL: Final = f"No picture can be drawn: OpenGL did not start (MUJOCO_GL={{backend}}: {{error}}). {REMEDY}"
@@ -44,7 +46,7 @@ def drawn(groups: NDArray[np.int32]) -> NDArray[np.bool_]:
     return (groups == DRAWN_GROUPS[0]) | (groups == DRAWN_GROUPS[1])
 
 
-@dataclass
+@dataclass(eq=False)
 class Context:
     """MuJoCo's drawing context, with the model whose meshes and skins it holds."""
 
@@ -53,7 +55,7 @@ class Context:
     size: tuple[int, int] = (0, 0)  # of the offscreen buffer: (width, height), pixels
 
     def draws(self, model: mujoco.MjModel) -> bool:
-        """Whether a scene of this model can be drawn here: it shows no assets but the first meshes and skins, as ours."""
+        """Whether a scene of this model can be drawn here: it shows nothing but the library's meshes and skins."""
         mine = self.model
         shown = drawn(model.geom_group)
         shown_meshes = model.geom_dataid[shown & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)]
@@ -79,6 +81,7 @@ class Canvas(threading.local):
     process: int = 0
     contexts: list[Context] = field(default_factory=list)
     active: Context | None = None
+    pixels: dict[tuple[int, int], Picture] = field(default_factory=dict)  # a buffer for each of the last few sizes
 
     def activate(self) -> None:
         """Make the OpenGL context current, starting it if need be."""
@@ -105,25 +108,31 @@ class Canvas(threading.local):
 
     def context_for(self, model: mujoco.MjModel) -> Context:
         """The shared context where the model has the library's assets, as all of ours have; else one of its own."""
-        self.activate()
         for context in self.contexts:
             if context.draws(model):
                 return context
+        if len(self.contexts) >= KEPT_CONTEXTS:
+            self.contexts.pop(1).mjr.free()  # whoever used it gets another
         self.contexts.append(Context(_new_context(model), model))
         return self.contexts[-1]
 
-    def draw(self, context: Context, scene: mujoco.MjvScene, pixels: Picture) -> None:
-        """Draw a scene into `pixels`, shape (height, width, 4), bottom row first."""
-        from OpenGL import GL
+    def draw(self, context: Context, scene: mujoco.MjvScene, height: int, width: int) -> Picture:
+        """Red, green, blue and alpha, bottom row first; overwritten by the next. Shape (height, width, 4)."""
+        from OpenGL import GL  # its platform is settled only now
 
-        height, width, _ = pixels.shape
         if self.active is not context or context.size != (width, height):
             mujoco.mjr_resizeOffscreen(width, height, context.mjr)  # the whole buffer: clearing a part of it is slow
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context.mjr)
             GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, GL.GL_DEPTH_STENCIL_ATTACHMENT, GL.GL_RENDERBUFFER, 0)
             self.active, context.size = context, (width, height)
+        if (height, width) not in self.pixels:
+            if len(self.pixels) >= KEPT_SIZES:
+                self.pixels.clear()
+            self.pixels[height, width] = np.empty((height, width, 4), np.uint8)
+        pixels = self.pixels[height, width]
         mujoco.mjr_render(mujoco.MjrRect(0, 0, width, height), scene, context.mjr)
-        GL.glReadPixels(0, 0, width, height, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE, pixels)  # mjr_readPixels is slower (RGB)
+        GL.glReadPixels(0, 0, width, height, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE, pixels)  # mjr_readPixels is slower
+        return pixels
 
     def close(self) -> None:
         """Free everything; may be called twice."""
@@ -134,6 +143,7 @@ class Canvas(threading.local):
         for context in self.contexts:
             context.mjr.free()
         self.contexts, self.active = [], None
+        self.pixels.clear()
         gl.free()
 
 
@@ -161,3 +171,11 @@ def _new_context(model: mujoco.MjModel) -> mujoco.MjrContext:
         return mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
     finally:
         quality.shadowsize, quality.offsamples = kept
+
+
+def opengl_name() -> str:
+    """Who draws: OpenGL's renderer and version."""
+    CANVAS.activate()
+    from OpenGL import GL
+
+    return " / ".join(GL.glGetString(name).decode() for name in (GL.GL_RENDERER, GL.GL_VERSION))
