@@ -10,12 +10,13 @@ from __future__ import annotations
 import secrets
 import weakref
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import dm_env
 import numpy as np
 from dm_control import composer
+from dm_control.composer.environment import HOOK_NAMES
 from dm_env import specs
 from numpy.typing import NDArray
 
@@ -25,7 +26,7 @@ from magical_mj.registry import check_rules, environment_axes, sample_scene, tas
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
 from magical_mj.scene_task import REWARDS, CurrentObservable, Reward, SceneTask
-from magical_mj.simulation import Simulation
+from magical_mj.simulation import Simulation, SimulationCache
 from magical_mj.tasks.spec import Rules
 from magical_mj.variants import check_seed
 
@@ -42,6 +43,7 @@ class Environment(composer.Environment):
             task: what to run.
             seed: of the generator that draws the seeds of scenes; any size; None: from the system's entropy.
         """
+        self._simulations = SimulationCache()
         super().__init__(
             task,
             random_state=np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed))),
@@ -113,8 +115,8 @@ class Environment(composer.Environment):
 
     def close(self) -> None:
         """Frees the simulation. Closing twice is fine."""
-        if self._physics is not None:
-            super().close()
+        self._simulations.free()
+        self._physics = None
 
     def _open_physics(self) -> Simulation:
         if self._physics is None:
@@ -128,14 +130,16 @@ class Environment(composer.Environment):
         return all(isinstance(entry, CurrentObservable) and entry.is_immediate for _, entry in self._enabled())
 
     def _substeps_are_watched(self) -> bool:
-        hooks = (self._hooks._before_substep, self._hooks._after_substep)
-        return not self._plain or any(hook.entity_hooks or hook.extra_hooks for hook in hooks)
+        return not self._plain or self._has_hooks(("before_substep", "after_substep"))
+
+    def _has_hooks(self, names: Iterable[str]) -> bool:
+        """Whether anybody but the task listens to one of these."""
+        hooks = (getattr(self._hooks, f"_{name}") for name in names)
+        return any(hook.entity_hooks or hook.extra_hooks for hook in hooks)
 
     def _recompile_physics_and_update_observables(self) -> None:
-        """Composer's own, less the drawing of pictures that nobody looks at."""
-        if getattr(self, "_physics", None) is not None:
-            self._physics.free()
-        self._physics = Simulation.of(self.task.world)
+        """Composer's own, less the compiling where a model can be rewritten, and the drawing that nobody looks at."""
+        self._physics = self._simulations.simulation(self.task.world, fresh=self._has_hooks(HOOK_NAMES))
         self._physics_proxy = weakref.proxy(self._physics)
         self._n_sub_steps = self.task.physics_steps_per_control_step
         self._hooks.refresh_entity_hooks()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -16,6 +15,7 @@ from magical_mj import constants as c
 from magical_mj.actions import ACTIONS
 from magical_mj.environment import load
 from magical_mj.errors import InvalidSceneError, unknown_name
+from magical_mj.frames import FrameStack, Images
 from magical_mj.observations import STATE_NAMES
 from magical_mj.presets import Preset, preset
 from magical_mj.rendering.renderer import check_size
@@ -23,7 +23,6 @@ from magical_mj.scene import Scene
 from magical_mj.scene_task import Reward
 from magical_mj.tasks.spec import Rules
 
-Images = NDArray[np.uint8]
 Observation = NDArray[Any] | dict[str, Images]
 
 RENDER_SIZE: Final = 384  # px, side of what `render` gives
@@ -84,8 +83,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             rules=rules,
         )
         self.action_space = spaces.Discrete(len(ACTIONS))
-        self.observation_space = _space(self._preset, size)
-        self._frames: dict[str, deque[Images]] = {view: deque(maxlen=n) for view, n in self._preset.frames}
+        self._stacks = _stacks(self._preset, size)
+        self.observation_space = _space(self._preset, self._stacks)
         self._running = False
 
     @property
@@ -107,10 +106,9 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             first = self._env.reset(scene=scene)
         else:
             first = self._env.reset(seed=int(self.np_random.integers(2**63)) if seed is None else seed)
-        for view, count in self._preset.frames:
-            self._frames[view].extend([first.observation[view]] * count)
         self._running = True
-        return self._observation(first.observation), {"eval_score": 0.0, "is_success": False}
+        stacks = {name: stack.start(first.observation) for name, stack in self._stacks.items()}
+        return self._observation(first.observation, stacks), {"eval_score": 0.0, "is_success": False}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One action. Truncated at the horizon.
@@ -122,12 +120,11 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         if not self._running:
             raise ResetNeeded("the episode has ended; call reset() before the next step")
         now = self._env.step(action)
-        for view in self._frames:
-            self._frames[view].append(now.observation[view])
+        stacks = {name: stack.push(now.observation) for name, stack in self._stacks.items()}
         self._running = not now.last()
         score = self._env.score() if now.last() else 0.0
         info = {"eval_score": score, "is_success": score == 1.0}
-        return self._observation(now.observation), float(now.reward or 0.0), False, now.last(), info
+        return self._observation(now.observation, stacks), float(now.reward or 0.0), False, now.last(), info
 
     def render(self) -> Images | None:
         """The allo view, shape (384, 384, 3), if `render_mode` is "rgb_array"."""
@@ -141,32 +138,31 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._env.close()
         super().close()
 
-    def _observation(self, seen: Mapping[str, NDArray[Any]]) -> Observation:
-        layout = self._preset.layout
-        if layout == "state":
+    def _observation(self, seen: Mapping[str, NDArray[Any]], stacks: dict[str, Images]) -> Observation:
+        if self._preset.layout == "state":
             return seen["state"]
-        if layout == "dict":
-            return {view: np.concatenate(frames, axis=2) for view, frames in self._frames.items()}
-        frames = [frame for view in self._frames.values() for frame in view]
-        if layout == "chw":
-            return np.concatenate([frame.transpose(2, 0, 1) for frame in frames])
-        return np.concatenate(frames, axis=2)
+        return stacks if self._preset.layout == "dict" else stacks["all"]
 
 
 _preset = preset  # the constructor's argument of this name hides the function
 
 
-def _space(made: Preset, size: int) -> spaces.Space[Any]:
+def _stacks(made: Preset, size: int) -> dict[str, FrameStack]:
+    """By view for the layout "dict"; else one of all views, under the name "all"."""
+    if made.layout == "state":
+        return {}
+    if made.layout == "dict":
+        return {view: FrameStack(((view, count),), size) for view, count in made.frames}
+    return {"all": FrameStack(made.frames, size, channels_first=made.layout == "chw")}
+
+
+def _space(made: Preset, stacks: Mapping[str, FrameStack]) -> spaces.Space[Any]:
     if made.layout == "state":
         return spaces.Box(-STATE_BOUND, STATE_BOUND, (len(STATE_NAMES),), np.float32)
-
-    def pictures(count: int) -> spaces.Box:
-        shape = (3 * count, size, size) if made.layout == "chw" else (size, size, 3 * count)
-        return spaces.Box(0, 255, shape, np.uint8)
-
-    if made.layout == "dict":
-        return spaces.Dict({view: pictures(count) for view, count in made.frames})
-    return pictures(sum(count for _, count in made.frames))
+    boxes: dict[str, spaces.Space[Any]] = {
+        name: spaces.Box(0, 255, stack.shape, np.uint8) for name, stack in stacks.items()
+    }
+    return spaces.Dict(boxes) if made.layout == "dict" else boxes["all"]
 
 
 def _scene_option(options: Mapping[str, Any]) -> Scene | None:

@@ -1,6 +1,10 @@
-"""A compiled world: composer's physics, which also draws."""
+"""Compiled worlds: composer's physics, which also draws, and those that an environment keeps."""
 
 from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Hashable
+from typing import Final
 
 from dm_control import mjcf
 
@@ -12,13 +16,17 @@ from magical_mj.rendering.renderer import Renderer
 class Simulation(mjcf.Physics):
     """The simulation of a world, at rest in its scene after each reset."""
 
+    is_changed: bool = False
+    """Whether it was compiled from composer's tree, to which anything may have been added."""
     _renderer: Renderer | None = None
 
     @classmethod
     def of(cls, world: World) -> Simulation:
         """Compiles a world: its text, or composer's tree where somebody asked for it."""
         if world.tree is not None:
-            return cls.from_mjcf_model(world.tree)
+            simulation = cls.from_mjcf_model(world.tree)
+            simulation.is_changed = True
+            return simulation
         return cls.from_xml_string(world.mjcf())
 
     def draw(self, view: str, size: int) -> Picture:
@@ -33,3 +41,40 @@ class Simulation(mjcf.Physics):
             self._renderer.close()
             self._renderer = None
         super().free()
+
+
+class SimulationCache:
+    """The simulations of the last few structures of world, least recently used first.
+
+    Compiling takes fifty times as long as rewriting a model, and most episodes differ in numbers only.
+    """
+
+    KEPT: Final = 16
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[Hashable, Simulation] = OrderedDict()
+
+    def simulation(self, world: World, *, fresh: bool = False) -> Simulation:
+        """A simulation that is, to the bit, as if compiled from `world`; earlier ones may be gone.
+
+        Args:
+            world: what to simulate; where somebody asked for its tree, and may have changed it, it is compiled.
+            fresh: compile in any case, so that nothing that was done to an earlier model stays.
+        """
+        simulation = self._kept.pop(world.structure, None)
+        if simulation is not None and (fresh or world.tree is not None or simulation.is_changed):
+            simulation.free()
+            simulation = None
+        if simulation is None:
+            simulation = Simulation.of(world)
+        else:
+            world.rewrite(simulation.model.ptr, simulation.data.ptr)
+        self._kept[world.structure] = simulation
+        while len(self._kept) > self.KEPT:
+            self._kept.popitem(last=False)[1].free()
+        return simulation
+
+    def free(self) -> None:
+        """Frees them all."""
+        while self._kept:
+            self._kept.popitem()[1].free()

@@ -194,7 +194,7 @@ def test_doctor_without_opengl_says_what_to_do(shell: Shell, monkeypatch: pytest
     monkeypatch.setattr(doctor, "_probe", lambda backend: {"error": "no such library"})
     code, out, _ = shell("doctor")
     assert code == 1
-    assert "apt-get install libegl1" in out
+    assert "libegl1" in out
 
 
 def test_doctor_names_a_wrong_setting(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:

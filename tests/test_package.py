@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import re
 import subprocess
 import sys
@@ -34,6 +35,21 @@ def test_wheel_holds_the_whole_package(wheel: zipfile.ZipFile) -> None:
     assert {path.relative_to(ROOT).as_posix() for path in files} <= held
     assert "magical_mj/py.typed" in held
     assert not any(name.startswith(("tests/", "tools/", "docs/")) for name in held)
+
+
+def test_wheel_runs(wheel: zipfile.ZipFile, tmp_path: Path) -> None:
+    wheel.extractall(tmp_path)
+    code = (
+        "import magical_mj; "
+        "env = magical_mj.load('FindDupe', 'All', seed=1); "
+        "assert env.reset().observation['ego'].any(); "
+        "print(magical_mj.__file__)"
+    )
+    variables = os.environ | {"PYTHONPATH": str(tmp_path)}
+    command = [sys.executable, "-c", code]
+    result = subprocess.run(command, cwd=tmp_path, env=variables, capture_output=True, text=True, check=False)
+    assert result.stderr == ""
+    assert Path(result.stdout.strip()).is_relative_to(tmp_path)
 
 
 def test_wheel_metadata(wheel: zipfile.ZipFile) -> None:

@@ -9,7 +9,7 @@ import mujoco
 from magical_mj import constants as c
 from magical_mj.assets import style
 from magical_mj.assets.contacts import PRESS, SETTINGS, Settings, foot, softness, vertex
-from magical_mj.assets.markup import numbers, planar_body
+from magical_mj.assets.markup import move_body, numbers, planar_body
 from magical_mj.assets.meshes import Points, inset
 from magical_mj.assets.style import BLOCK_FILL, BLOCK_OUTLINE, FILL_ABOVE_OUTLINE, Z_BLOCK
 from magical_mj.constants import Shape
@@ -41,7 +41,8 @@ def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: Settings 
 
 
 def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dynamics) -> None:
-    """Give a block of a compiled model another colour and friction, exactly as if compiled with them."""
+    """Give a block of a compiled model another pose, colour and friction, as if compiled with them."""
+    move_body(model, f"block{index}", block.pose)
     body = model.body(f"block{index}")
     outline = body.geomadr[0]
     for geom, palette in ((outline, BLOCK_OUTLINE), (outline + 1, BLOCK_FILL)):

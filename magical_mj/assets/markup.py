@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+import mujoco
+
 from magical_mj.scene import Pose
 
 
@@ -50,3 +52,22 @@ def planar_body(name: str, pose: Pose, content: str, hinge: str = "") -> str:
         f'<joint name="{name}_angle" type="hinge" axis="0 0 1" ref="{numbers(angle)}" {hinge}/>'
         f"{content}</body>"
     )
+
+
+def move_body(model: mujoco.MjModel, name: str, pose: Pose) -> None:
+    """Change where a planar body of a compiled model stands, as if compiled there."""
+    body = model.body(name).id
+    joint = model.body_jntadr[body]
+    model.body_pos[body, :2] = pose[:2]
+    model.body_quat[body] = quaternion(pose[2])
+    model.jnt_axis[joint : joint + 2] = slide_axes(pose[2])
+    first = model.jnt_qposadr[joint]
+    model.qpos0[first : first + 3] = pose
+
+
+def bend_body(model: mujoco.MjModel, name: str, angle: float) -> None:
+    """Change the reference angle of a body with one hinge, likewise."""
+    body = model.body(name).id
+    model.body_quat[body] = quaternion(angle)
+    first = model.jnt_qposadr[model.body_jntadr[body]]
+    model.qpos0[first] = angle

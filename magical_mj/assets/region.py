@@ -49,11 +49,16 @@ def dash_quads(region: GoalRegion) -> NDArray[np.float64]:
     return np.stack([a - outward, b - outward, b + outward, a + outward], axis=1)
 
 
+def dash_count(region: GoalRegion) -> int:
+    """How many quads a model keeps for the region's border."""
+    return max(DASHES, len(dash_quads(region)))
+
+
 def regions_mjcf(regions: tuple[GoalRegion, ...]) -> str:
     """The skins of all regions."""
     text = ""
     for index, region in enumerate(regions):
-        dashes = max(DASHES, len(dash_quads(region)))
+        dashes = dash_count(region)
         for name, colour, count in (
             (f"region{index}_fill", REGION_FILL[region.colour], 1),
             (f"region{index}_border", REGION_BORDER[region.colour], dashes),
@@ -70,7 +75,7 @@ def regions_mjcf(regions: tuple[GoalRegion, ...]) -> str:
 
 
 def rewrite_region(model: mujoco.MjModel, index: int, region: GoalRegion) -> None:
-    """Give a region of a compiled model another box and colour, exactly as if compiled with them.
+    """Give a region of a compiled model another box and colour, as if compiled with them.
 
     Raises:
         ValueError: if the model was compiled for fewer dashes than the region needs.

@@ -34,7 +34,7 @@ from magical_mj.assets.contacts import (
     softness,
     vertex,
 )
-from magical_mj.assets.markup import numbers, planar_body, quaternion
+from magical_mj.assets.markup import bend_body, move_body, numbers, planar_body, quaternion
 from magical_mj.scene import Dynamics, Robot
 
 Side = Literal["left", "right"]
@@ -154,11 +154,13 @@ def actuators_mjcf(settings: Settings = SETTINGS) -> str:
     return text
 
 
-def rewrite_robot(model: mujoco.MjModel, dynamics: Dynamics) -> None:
-    """Give the robot of a compiled model other force caps, exactly as if compiled with them."""
+def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics) -> None:
+    """Give the robot of a compiled model another pose and other force caps, as if compiled with them."""
+    move_body(model, "robot", robot.pose)
     model.geom_friction[model.geom("wheel").id, 0] = dynamics.drive_force / PRESS
     model.tendon_frictionloss[model.tendon("turn").id] = dynamics.turn_torque
-    for side in SIGN:
+    for side, angle in zip(SIGN, robot.fingers, strict=True):
+        bend_body(model, f"{side}_finger", angle)
         model.jnt_actfrcrange[model.joint(f"{side}_finger").id] = (-dynamics.finger_torque, dynamics.finger_torque)
 
 

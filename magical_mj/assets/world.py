@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import OrderedDict
+from collections.abc import Hashable
 from typing import Any
 
 import mujoco
@@ -12,12 +13,12 @@ from dm_control import composer, mjcf
 from numpy.typing import NDArray
 
 from magical_mj.assets.arena import LOOK, arena_mjcf, options
-from magical_mj.assets.block import block_mjcf
+from magical_mj.assets.block import block_mjcf, rewrite_block
 from magical_mj.assets.contacts import SETTINGS, Settings, geom_classes
 from magical_mj.assets.markup import numbers
 from magical_mj.assets.meshes import library
-from magical_mj.assets.region import regions_mjcf
-from magical_mj.assets.robot import JOINTS, actuators_mjcf, robot_mjcf, tendons_mjcf
+from magical_mj.assets.region import dash_count, regions_mjcf, rewrite_region
+from magical_mj.assets.robot import JOINTS, actuators_mjcf, rewrite_robot, robot_mjcf, tendons_mjcf
 from magical_mj.scene import Scene
 
 
@@ -71,6 +72,23 @@ class World(composer.Entity):
     def mjcf(self) -> str:
         """The model as text."""
         return world_mjcf(self.scene)
+
+    @property
+    def structure(self) -> Hashable:
+        """Worlds of equal structure differ in numbers only, so that one model serves them all; see `rewrite`."""
+        return tuple(block.shape for block in self.scene.blocks), tuple(map(dash_count, self.scene.regions))
+
+    def rewrite(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Turn the compiled model of a world of equal structure into that of this one.
+
+        Compiling takes fifty times as long. What the compiler derives from the numbers is derived anew.
+        """
+        rewrite_robot(model, self.scene.robot, self.scene.dynamics)
+        for index, block in enumerate(self.scene.blocks):
+            rewrite_block(model, index, block, self.scene.dynamics)
+        for index, region in enumerate(self.scene.regions):
+            rewrite_region(model, index, region)
+        mujoco.mj_setConst(model, data)
 
     def poses(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """The planar coordinates (or velocities) of the robot and then of each block. Shape (1 + blocks, 3).

@@ -15,15 +15,12 @@ from rich.console import Console
 from rich.table import Table
 
 from magical_mj.cli.console import console
+from magical_mj.rendering.backend import REMEDY
 
 CORE: Final = ("magical-mj", "mujoco", "dm_control", "dm-env", "gymnasium", "numpy", "shapely", "pillow")
 EXTRAS: Final = {"cli": ("typer", "rich"), "video": ("imageio-ffmpeg",), "window": ("pygame-ce",)}
-BACKENDS: Final = {"egl": "no display needed", "osmesa": "no display needed, software", "glfw": "needs a display"}
+BACKENDS: Final = ("egl", "osmesa", "glfw")  # only the last needs a display
 TIMEOUT: Final = 60  # seconds for one backend
-REMEDY: Final = """\
-No OpenGL backend works here, so nothing can be drawn; the state observations and the physics work without.
-On Debian or Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri (or libosmesa6), then run this again.
-In a container with an NVIDIA GPU, EGL also needs NVIDIA_DRIVER_CAPABILITIES=all."""
 
 
 def doctor() -> None:
@@ -33,7 +30,7 @@ def doctor() -> None:
     found = {backend: _probe(backend) for backend in BACKENDS}
     _print_backends(out, found)
     if not any("renderer" in facts for facts in found.values()):
-        out.print(f"\n{REMEDY}", style="bold red")
+        out.print(f"\nNothing can be drawn here; physics and states work without. {REMEDY}", style="bold red")
         raise typer.Exit(1)
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     if wanted in found and "renderer" not in found[wanted]:
@@ -52,7 +49,7 @@ def _print_versions(out: Console) -> None:
     for extra, names in EXTRAS.items():
         for name in names:
             table.add_row(name, _version(name) or rf'not installed: pip install "magical-mj\[{extra}]"')
-    table.add_row("MUJOCO_GL", os.environ.get("MUJOCO_GL") or "not set: the first backend that works is used")
+    table.add_row("MUJOCO_GL", os.environ.get("MUJOCO_GL") or "not set")
     out.print(table)
 
 
@@ -75,7 +72,7 @@ def _probe(backend: str) -> dict[str, str | float]:
     if result.returncode == 0:
         return json.loads(result.stdout)
     last_line = (result.stderr.strip().splitlines() or [f"exit code {result.returncode}"])[-1]
-    return {"error": last_line}
+    return {"error": last_line.removeprefix("magical_mj.errors.RenderingError: ").removesuffix(REMEDY).strip()}
 
 
 def _print_backends(out: Console, found: dict[str, dict[str, str | float]]) -> None:

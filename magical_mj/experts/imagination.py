@@ -1,0 +1,94 @@
+"""A copy of a world to try things in: what happens there is exactly what would happen."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.actions import Action, Drive, Gripper, Turn
+from magical_mj.assets.contacts import SUBSTEPS
+from magical_mj.assets.robot import control_signal
+from magical_mj.environment import Environment
+from magical_mj.scene import Pose, Scene
+
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+State = NDArray[np.float64]
+"""Everything on which the future of a simulation depends."""
+Point = tuple[float, float]
+
+
+class Imagination:
+    """The world of an environment, free to be changed.
+
+    Args:
+        env: where it starts; the environment itself is only looked at.
+    """
+
+    def __init__(self, env: Environment) -> None:
+        self._model = env.physics.model.ptr
+        self._data = mujoco.MjData(self._model)
+        self._world = env.task.world
+        self.trace: list[int] = []
+        """The actions since the last `restore`."""
+        self.restore(state_of(env))
+
+    def save(self) -> State:
+        """The present state."""
+        return _state(self._model, self._data)
+
+    def restore(self, state: State) -> None:
+        """Be in a state again, with an empty trace."""
+        mujoco.mj_setState(self._model, self._data, state, _STATE)
+        mujoco.mj_forward(self._model, self._data)
+        self.trace = []
+
+    def act(self, gripper: Gripper, turn: Turn = Turn.NONE, drive: Drive = Drive.NONE) -> None:
+        """One control step."""
+        action = Action(gripper, turn, drive).number
+        self._data.ctrl[:] = control_signal(action)
+        mujoco.mj_step(self._model, self._data, SUBSTEPS)
+        self.trace.append(action)
+
+    @property
+    def robot(self) -> Pose:
+        """Where the robot is."""
+        x, y, angle = self._world.poses(self._data.qpos)[0].tolist()
+        return x, y, angle
+
+    @property
+    def speed(self) -> tuple[float, float]:
+        """How fast the robot drives (forwards, units/s) and turns (to the left, rad/s)."""
+        vx, vy, spin = self._world.poses(self._data.qvel)[0].tolist()
+        angle = self.robot[2]
+        return -vx * math.sin(angle) + vy * math.cos(angle), spin
+
+    def block(self, index: int) -> Point:
+        """Where a block is."""
+        x, y, _ = self._world.poses(self._data.qpos)[1 + index].tolist()
+        return x, y
+
+    def seen(self, index: int) -> Point:
+        """Where a block is in the robot's frame: to its right, ahead of it."""
+        x, y, angle = self.robot
+        bx, by = self.block(index)
+        cosine, sine = math.cos(angle), math.sin(angle)
+        return cosine * (bx - x) + sine * (by - y), cosine * (by - y) - sine * (bx - x)
+
+    def scene(self) -> Scene:
+        """The present scene."""
+        return self._world.read(self._data.qpos)
+
+
+def state_of(env: Environment) -> State:
+    """The present state of an environment."""
+    return _state(env.physics.model.ptr, env.physics.data.ptr)
+
+
+def _state(model: mujoco.MjModel, data: mujoco.MjData) -> State:
+    state = np.empty(mujoco.mj_stateSize(model, _STATE))
+    mujoco.mj_getState(model, data, state, _STATE)
+    return state

@@ -1,0 +1,176 @@
+"""Ways to drive: every pose that the robot can reach among still blocks, with the fewest actions.
+
+Poses spread from the robot in waves over a grid of places and headings; each cell keeps the first pose that came
+into it, exact, so that a way back through the parents is one that the robot could have driven.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj import constants as c
+from magical_mj.actions import Drive, Turn
+from magical_mj.scene import Pose
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Discs = tuple[tuple[float, float, float], ...]
+
+HEADINGS: Final = 20  # one action turns by about one of them
+CELL: Final = 0.05  # world units
+SIDE: Final = round(2 * c.ARENA_HALF_WIDTH / CELL)
+FINE: Final = 0.02  # world units, of the map of clearances
+FINE_REACH: Final = 1.4  # it extends so far on each side
+FINE_SIDE: Final = round(2 * FINE_REACH / FINE)
+
+GRIP: Final = 0.32  # from the robot's centre to that of a block between its fingers
+TURN_STEP: Final = c.SPEED_TURN / c.CONTROL_RATE
+SWITCH_COST: Final = 2  # actions lost when the robot brakes and drives the other way
+
+EMPTY: Final = ((0.0, 0.0, 0.2), (0.0, 0.18, 0.13), (0.0, 0.27, 0.1))
+"""The robot with closed fingers as discs in its frame: x, y, radius."""
+LOADED: Final = ((0.0, 0.0, 0.2), (0.1, 0.25, 0.1), (-0.1, 0.25, 0.1), (0.0, GRIP, 0.14))
+"""The robot with a block between its fingers."""
+WALL_MARGIN: Final = -0.04  # touching a wall does no harm
+PUSH_COSTS: Final = ((0.01, 1), (-0.04, 2), (-0.1, 3))
+"""Clearance to blocks, and how many actions more it costs to go where there is less: they must be pushed aside."""
+PUSH_LIMIT: Final = -0.2
+
+MOTIONS: Final = tuple(
+    (turn, drive) for drive in (Drive.FORWARD, Drive.BACK, Drive.NONE) for turn in Turn if turn or drive
+)
+_ADVANCE: Final = {Drive.NONE: 0.0, Drive.FORWARD: c.SPEED_FORWARD, Drive.BACK: -c.SPEED_BACKWARD}
+_SPIN: Final = {Turn.NONE: 0.0, Turn.LEFT: TURN_STEP, Turn.RIGHT: -TURN_STEP}
+_STEP: Final = np.array([_ADVANCE[drive] / c.CONTROL_RATE for _, drive in MOTIONS])
+_TURN: Final = np.array([_SPIN[turn] for turn, _ in MOTIONS])
+_GEAR: Final = np.array([0 if step > 0 else 1 if step < 0 else -1 for step in _STEP])
+
+
+@dataclass(frozen=True)
+class Ways:
+    """Where the robot can go from one pose: a tree of poses, each one action after its parent."""
+
+    poses: Floats
+    """Shape (n, 3); the first is the start."""
+    parents: Ints
+    steps: Ints
+    """How many actions it takes to get there."""
+
+    def to(self, node: int) -> list[Pose]:
+        """The poses on the way from the start to a node, both included."""
+        way = []
+        while node >= 0:
+            way.append(tuple(self.poses[node].tolist()))
+            node = int(self.parents[node])
+        return way[::-1]
+
+    def places(self, ahead: float) -> Floats:
+        """The points so far ahead of the robot's centre at each node. Shape (n, 2)."""
+        angles = self.poses[:, 2]
+        return self.poses[:, :2] + ahead * np.stack([-np.sin(angles), np.cos(angles)], axis=1)
+
+
+def toll(obstacles: Floats, loaded: bool) -> Ints:
+    """How many actions more than one it takes to enter each cell; negative where the robot cannot be.
+
+    Args:
+        obstacles: x, y and radius of each block in the way, shape (n, 3).
+        loaded: whether the robot carries a block.
+    """
+    axis = (np.arange(FINE_SIDE) + 0.5) * FINE - FINE_REACH
+    x, y = axis[:, None], axis[None, :]
+    room = np.full((FINE_SIDE, FINE_SIDE), np.inf)
+    for ox, oy, radius in obstacles:
+        np.minimum(room, np.sqrt((x - ox) ** 2 + (y - oy) ** 2) - radius, out=room)
+    discs = LOADED if loaded else EMPTY
+    space = _least(room, discs)
+    costs = sum((space < clearance) * cost for clearance, cost in PUSH_COSTS)
+    costs[(space < PUSH_LIMIT) | _walled(discs)] = -1
+    return costs
+
+
+def _least(room: Floats, discs: Discs) -> Floats:
+    """The least clearance of any disc, for each cell, from the clearance of points. Shape (HEADINGS * SIDE**2,)."""
+    return np.min([room.ravel()[_samples(dx, dy)] - radius for dx, dy, radius in discs], axis=0)
+
+
+@lru_cache
+def _walled(discs: Discs) -> NDArray[np.bool_]:
+    """The cells in which the robot would be in a wall."""
+    axis = (np.arange(FINE_SIDE) + 0.5) * FINE - FINE_REACH
+    room = c.ARENA_HALF_WIDTH - np.maximum(np.abs(axis[:, None]), np.abs(axis[None, :]))
+    return _least(room, discs) < WALL_MARGIN
+
+
+@lru_cache
+def _samples(dx: float, dy: float) -> Ints:
+    """Where in the map of clearances a point of the robot's frame is, for each cell."""
+    angles = (np.arange(HEADINGS) * 2 * math.pi / HEADINGS)[:, None, None]
+    centres = (np.arange(SIDE) + 0.5) * CELL - c.ARENA_HALF_WIDTH
+    x = centres[:, None] + dx * np.cos(angles) - dy * np.sin(angles)
+    y = centres[None, :] + dx * np.sin(angles) + dy * np.cos(angles)
+    column, row = (np.floor((axis + FINE_REACH) / FINE).astype(np.int64) for axis in (x, y))
+    return (column * FINE_SIDE + row).ravel()
+
+
+def _cells(poses: Floats) -> Ints:
+    """The cell of each pose, -1 outside of the arena. Shape (n,)."""
+    place = np.floor((poses[:, :2] + c.ARENA_HALF_WIDTH) / CELL).astype(np.int64)
+    heading = np.round(poses[:, 2] * (HEADINGS / (2 * math.pi))).astype(np.int64) % HEADINGS
+    cells = (heading * SIDE + place[:, 0]) * SIDE + place[:, 1]
+    return np.where(((place >= 0) & (place < SIDE)).all(axis=1), cells, -1)
+
+
+def explore(start: Pose, tolls: Ints, limit: int) -> Ways:
+    """All ways from `start` that take at most `limit` actions, the shortest to each cell.
+
+    Args:
+        start: the robot's pose.
+        tolls: what `toll` gave.
+        limit: in actions, tolls included.
+    """
+    seen = np.zeros(2 * len(tolls), bool)  # a cell is twice there: reached forwards, reached backwards
+    owner = np.empty(2 * len(tolls), np.int64)
+    waiting: list[list[tuple[Floats, Ints, Ints]]] = [[] for _ in range(limit + 1)]
+    waiting[0] = [(np.array([start]), np.array([-1]), np.array([0]))]
+    poses, parents, steps, count = [], [], [], 0
+    for level in range(limit + 1):
+        if not waiting[level]:
+            continue
+        here, above, gear = (np.concatenate(part) for part in zip(*waiting[level], strict=True))
+        slots = gear * len(tolls) + _cells(here)
+        new = np.flatnonzero(~seen[slots])
+        owner[slots[new]] = new
+        new = new[owner[slots[new]] == new]  # one for each cell
+        here, above, gear = here[new], above[new], gear[new]
+        seen[slots[new]] = True
+        poses.append(here)
+        parents.append(above)
+        steps.append(np.full(len(new), level))
+        after, origin, motion = _moved(here)
+        cells = _cells(after)
+        gears = np.where(_GEAR[motion] < 0, gear[origin], _GEAR[motion])
+        arrival = level + 1 + tolls[cells] + SWITCH_COST * (gears != gear[origin])
+        allowed = (cells >= 0) & (tolls[cells] >= 0) & (arrival <= limit) & ~seen[gears * len(tolls) + cells]
+        numbers = count + origin
+        for time in np.unique(arrival[allowed]):
+            then = allowed & (arrival == time)
+            waiting[time].append((after[then], numbers[then], gears[then]))
+        count += len(new)
+    return Ways(np.concatenate(poses), np.concatenate(parents), np.concatenate(steps))
+
+
+def _moved(poses: Floats) -> tuple[Floats, Ints, Ints]:
+    """The poses after each of the motions; from which pose and by which motion each came."""
+    origin = np.repeat(np.arange(len(poses)), len(MOTIONS))
+    motion = np.tile(np.arange(len(MOTIONS)), len(poses))
+    start, step, turn = poses[origin], _STEP[motion], _TURN[motion]
+    middle = start[:, 2] + turn / 2
+    after = start + np.stack([-np.sin(middle) * step, np.cos(middle) * step, turn], axis=1)
+    return after, origin, motion
