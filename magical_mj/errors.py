@@ -34,6 +34,14 @@ class RenderingError(MagicalError, RuntimeError):
     """OpenGL does not work here."""
 
 
+class SettingsError(MagicalError, ValueError):
+    """Settings that cannot be, or that do not go together."""
+
+
+class EvaluationError(MagicalError, RuntimeError):
+    """An evaluation, or the files of one, that cannot be used."""
+
+
 def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownNameError:
     """The error for a `name` that is not among the `allowed`, offering the nearest one."""
     allowed = tuple(allowed)
