@@ -6,17 +6,15 @@ import json
 import sys
 import time
 
+import magical_mj
+
 SIZE = 96  # pixels, as in the LoRes presets
 FRAMES = 20
 
 
 def main() -> None:
     """Prints the renderer's name and the milliseconds of the first and of a typical frame."""
-    import mujoco
-
-    from magical_mj.environment import load
-
-    env = load("FindDupe", observations=())
+    env = magical_mj.load("FindDupe", observations=())
     env.reset()
     times = []
     for _ in range(FRAMES):
@@ -24,6 +22,8 @@ def main() -> None:
         env.render("ego", SIZE)
         times.append(1000 * (time.perf_counter() - start))
     env.close()
+
+    import mujoco
 
     context = mujoco.GLContext(SIZE, SIZE)
     context.make_current()
