@@ -20,7 +20,8 @@ EGO_CAMERA: Final = (
 
 LOOK: Final = (
     '<visual><headlight ambient="1 1 1" diffuse="0 0 0" specular="0 0 0"/>'
-    '<map znear="1" zfar="3"/><quality shadowsize="0" offsamples="4"/><global offwidth="1024" offheight="1024"/></visual>'
+    '<global offwidth="1024" offheight="1024"/><map znear="1" zfar="3"/>'
+    '<quality shadowsize="0" offsamples="4"/></visual>'
     '<statistic extent="1" center="0 0 0"/>'
 )
 """One flat ambient light gives the palette's colours exactly."""
