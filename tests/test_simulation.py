@@ -1,0 +1,116 @@
+"""Compiled worlds: a model that is rewritten for another scene equals one that is compiled from it, to the bit."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+import magical_mj
+from magical_mj.assets.region import DASHES, dash_count, rewrite_region
+from magical_mj.assets.world import World
+from magical_mj.scene import Block, GoalRegion, Robot, Scene
+from magical_mj.simulation import Simulation, SimulationCache
+
+
+def arrays(parts: object) -> Iterator[tuple[str, Any]]:
+    """Every number and array of a MuJoCo structure, those of its parts included."""
+    for name in dir(parts):
+        if name.startswith("_"):
+            continue
+        try:
+            value = getattr(parts, name)
+        except (AttributeError, ValueError):  # has no value in this version
+            continue
+        if isinstance(value, np.ndarray | int | float | bytes):
+            yield name, value
+        elif type(value).__module__.startswith("mujoco") and not callable(value):
+            yield from ((f"{name}.{part}", inner) for part, inner in arrays(value))
+
+
+def assert_same_model(one: mujoco.MjModel, other: mujoco.MjModel) -> None:
+    found, wanted = dict(arrays(one)), dict(arrays(other))
+    assert found.keys() == wanted.keys()
+    assert {"body_pos", "skin_vert", "dof_invweight0", "stat.meaninertia", "opt.timestep"} <= found.keys()
+    for name, value in found.items():
+        if name.startswith("stat."):  # a viewer's measures
+            np.testing.assert_allclose(value, wanted[name], rtol=1e-12, err_msg=name)
+        else:
+            np.testing.assert_array_equal(value, wanted[name], err_msg=name)
+
+
+def repeats(task: str, variant: str) -> list[tuple[World, World]]:
+    """Worlds of the environment that differ and have the same structure."""
+    worlds = [World(scene) for scene in {magical_mj.sample_scene(task, variant, seed) for seed in range(8)}]
+    pairs = ((a, b) for a, b in itertools.permutations(worlds, 2) if a.structure == b.structure)
+    return list(itertools.islice(pairs, 3))
+
+
+@pytest.mark.parametrize(("task", "variant"), magical_mj.ENVIRONMENTS)
+def test_rewriting_equals_compiling(task: str, variant: str) -> None:
+    pairs = repeats(task, variant)
+    assert pairs or variant in ("Demo", "Shape", "CountPlus", "All")
+    for before, after in pairs:
+        used, fresh = Simulation.of(before), Simulation.of(after)
+        for _ in range(3):
+            used.step(10)  # a simulation that ran is no different
+        after.rewrite(used.model.ptr, used.data.ptr)
+        assert_same_model(used.model.ptr, fresh.model.ptr)
+
+
+def test_rewriting_changes_everything_that_a_scene_holds() -> None:
+    """The blocks, regions, dynamics and fingers of two scenes that differ in every number."""
+    first = magical_mj.sample_scene("MatchRegions", "Colour", 0)
+    dynamics = magical_mj.sample_scene("MatchRegions", "Dynamics", 0).dynamics
+    other = Scene(
+        Robot(-0.7, 0.6, 2.5, fingers=(0.3, -0.1)),
+        tuple(Block(b.shape, "yellow", b.x / 2, b.y / 2 - 0.3, b.angle + 1) for b in first.blocks),
+        (GoalRegion("green", -0.9, -0.1, -0.2, 0.6),),
+        dynamics,
+    )
+    used = Simulation.of(World(first))
+    World(other).rewrite(used.model.ptr, used.data.ptr)
+    assert_same_model(used.model.ptr, Simulation.of(World(other)).model.ptr)
+
+
+def test_regions_that_outgrow_a_model_are_not_squeezed_in() -> None:
+    small, large = GoalRegion("red", -0.3, -0.3, 0.3, 0.3), GoalRegion("red", -1.0, -1.0, 1.0, 1.0)
+    assert dash_count(small) == DASHES < dash_count(large)
+    worlds = [World(Scene(Robot(0, 0, 0), regions=(region,))) for region in (small, large)]
+    assert worlds[0].structure != worlds[1].structure
+    with pytest.raises(ValueError, match="compile it afresh"):
+        rewrite_region(Simulation.of(worlds[0]).model.ptr, 0, large)
+
+
+def scenes_of_all_structures(count: int) -> list[World]:
+    """Worlds with 0, 1, 2... blocks."""
+    blocks = [Block("circle", "red", -0.8 + 0.4 * (k % 5), -0.8 + 0.4 * (k // 5), 0) for k in range(count - 1)]
+    return [World(Scene(Robot(0, 0.9, 0), tuple(blocks[:number]))) for number in range(count)]
+
+
+def test_the_cache_compiles_each_structure_once_and_forgets_the_oldest() -> None:
+    cache = SimulationCache()
+    worlds = scenes_of_all_structures(SimulationCache.KEPT + 1)
+    first = [cache.simulation(world) for world in worlds[:-1]]
+    assert [cache.simulation(world) for world in worlds[:-1]] == first
+    cache.simulation(worlds[-1])
+    assert cache.simulation(worlds[1]) is first[1]
+    assert cache.simulation(worlds[0]) is not first[0]
+    cache.free()
+
+
+def test_models_that_somebody_may_have_changed_are_not_used_again() -> None:
+    cache = SimulationCache()
+    scene = magical_mj.sample_scene("FindDupe", "Demo", 0)
+    changed = World(scene)
+    changed.mjcf_model.worldbody.add("site", name="mark")
+    assert cache.simulation(changed).model.nsite == 1
+    assert cache.simulation(World(scene)).model.nsite == 0
+    kept = cache.simulation(World(scene))
+    assert cache.simulation(World(scene)) is kept
+    assert cache.simulation(World(scene), fresh=True) is not kept
+    cache.free()
