@@ -11,15 +11,17 @@ from typing import TYPE_CHECKING, Any
 from magical_mj._version import __version__
 from magical_mj.registration import env_id, register_all
 from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS, sample_scene, score
-from magical_mj.rendering.backend import choose_backend
+from magical_mj.rendering.backend import check_backend, choose_backend
 from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
 
 if TYPE_CHECKING:
     from magical_mj.environment import Environment, load, load_scene
     from magical_mj.export import export_mjcf
+    from magical_mj.gym_env import MagicalEnv
 
 _LAZY = {  # loaded at first use, so that listing tasks and sampling scenes start no simulator
     "Environment": "environment",
+    "MagicalEnv": "gym_env",
     "load": "environment",
     "load_scene": "environment",
     "export_mjcf": "export",
@@ -33,6 +35,7 @@ __all__ = [
     "Dynamics",
     "Environment",
     "GoalRegion",
+    "MagicalEnv",
     "Robot",
     "Scene",
     "__version__",
@@ -50,6 +53,7 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
+    check_backend()
     return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)
 
 

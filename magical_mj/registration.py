@@ -22,6 +22,6 @@ def register_all() -> None:
             if name not in gymnasium.registry:
                 gymnasium.register(
                     name,
-                    entry_point="magical_mj.gym_env:MagicalEnv",
+                    entry_point="magical_mj:MagicalEnv",
                     kwargs={"task": task, "variant": variant, "preset": preset},
                 )

@@ -49,7 +49,7 @@ class SimulationCache:
     Compiling takes fifty times as long as rewriting a model, and most episodes differ in numbers only.
     """
 
-    KEPT: Final = 16
+    KEPT: Final = 8
 
     def __init__(self) -> None:
         self._kept: OrderedDict[Hashable, Simulation] = OrderedDict()

@@ -28,8 +28,8 @@ FLOORS: dict[str, int] = {
     **dict.fromkeys(["constants", "errors", "scene", "geometry", "actions", "_version"], 0),
     **dict.fromkeys(["tasks"], 1),
     **dict.fromkeys(["variants", "assets"], 2),
-    **dict.fromkeys(["registry", "environment", "scene_task", "observations", "rendering", "export"], 3),
-    **dict.fromkeys(["presets", "registration", "gym_env", "experts", "demos"], 4),
+    **dict.fromkeys(["registry", "environment", "scene_task", "simulation", "observations", "rendering", "export"], 3),
+    **dict.fromkeys(["presets", "registration", "frames", "gym_env", "experts", "demos"], 4),
     **dict.fromkeys(["evaluation"], 5),
     **dict.fromkeys(["baselines", "cli", "__main__"], 6),
 }

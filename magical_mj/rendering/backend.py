@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import importlib
 import os
 import sys
+from functools import cache
+from typing import Any, Final
 
 from magical_mj.errors import RenderingError
 
@@ -22,23 +25,43 @@ def choose_backend() -> None:
     """Set MUJOCO_GL to what works here, EGL or else OSMesa, unless the user has set it.
 
     Where neither works it stays unset: all but pictures can be used, and the first picture raises RenderingError.
-
-    Raises:
-        RenderingError: the user asked for EGL or OSMesa, and mujoco or dm_control would fail to import with it.
     """
     os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's software OpenGL is faster without worker threads
-    if sys.platform != "linux":
+    if sys.platform != "linux" or wanted_backend():
         return
-    probes = {"egl": egl_works, "osmesa": osmesa_works}
-    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
-    if not wanted:
-        found = next((name for name, works in probes.items() if works()), None)
-        if found:
-            os.environ["MUJOCO_GL"] = found
-    elif wanted in probes and not probes[wanted]():
+    found = next((name for name, works in PROBES.items() if works()), None)
+    if found:
+        os.environ["MUJOCO_GL"] = found
+
+
+def wanted_backend() -> str:
+    """What MUJOCO_GL asks for; empty if it is not set."""
+    return os.environ.get("MUJOCO_GL", "").strip().lower()
+
+
+def check_backend() -> None:
+    """Raise, with the remedy, where importing mujoco or dm_control would fail and not say why.
+
+    Raises:
+        RenderingError: if MUJOCO_GL asks for what mujoco does not know, or for EGL or OSMesa and that does not start.
+    """
+    wanted = wanted_backend()
+    if wanted and wanted not in KNOWN:
+        raise RenderingError(f"MUJOCO_GL is {wanted}, which mujoco does not know. {REMEDY}")
+    if sys.platform == "linux" and wanted in PROBES and not PROBES[wanted]():
         raise RenderingError(f"MUJOCO_GL is {wanted}, which does not start on this machine. {REMEDY}")
 
 
+def new_gl_context() -> Any:
+    """An OpenGL context of mujoco's for this backend, even if mujoco was imported before the backend was chosen."""
+    import mujoco
+
+    wanted = wanted_backend()
+    module = importlib.import_module(f"mujoco.{wanted}") if wanted in PROBES else mujoco
+    return module.GLContext(64, 64)
+
+
+@cache
 def egl_works() -> bool:
     """Whether some EGL device can be initialised, as mujoco and dm_control will do."""
     try:
@@ -59,6 +82,7 @@ def egl_works() -> bool:
     return any(display and egl.eglInitialize(display, None, None) for display in displays)
 
 
+@cache
 def osmesa_works() -> bool:
     """Whether the OSMesa library can be loaded."""
     for name in OSMESA_LIBRARIES:
@@ -66,3 +90,9 @@ def osmesa_works() -> bool:
             ctypes.CDLL(name)
             return True
     return False
+
+
+PROBES: Final = {"egl": egl_works, "osmesa": osmesa_works}
+"""The backends that need no display, in the order in which they are tried."""
+KNOWN: Final = ("glfw", "on", "enable", "enabled", "true", "1", "off", "disable", "disabled", "false", "0", *PROBES)
+"""Values of MUJOCO_GL that mujoco and dm_control understand."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from magical_mj.assets.style import DRAWN_GROUP
 from magical_mj.assets.world import world_mjcf
 from magical_mj.errors import RenderingError
-from magical_mj.rendering.backend import REMEDY
+from magical_mj.rendering.backend import REMEDY, new_gl_context
 from magical_mj.scene import GoalRegion, Robot, Scene
 
 Picture = NDArray[np.uint8]
@@ -96,9 +96,9 @@ class Canvas(threading.local):
         os.environ.setdefault("LP_NUM_THREADS", "0")
         library = mujoco.MjModel.from_xml_string(world_mjcf(_LIBRARY))
         try:
-            gl = mujoco.GLContext(64, 64)
+            gl = new_gl_context()
             gl.make_current()
-            context = _new_context(library)
+            context = _drawing_context(library)
         except Exception as error:  # each backend has its own kinds
             raise RenderingError(NO_OPENGL.format(backend=os.environ.get("MUJOCO_GL", "unset"), error=error)) from error
         self.gl, self.process, self.contexts = gl, os.getpid(), [Context(context, library)]
@@ -113,7 +113,7 @@ class Canvas(threading.local):
                 return context
         if len(self.contexts) >= KEPT_CONTEXTS:
             self.contexts.pop(1).mjr.free()  # whoever used it gets another
-        self.contexts.append(Context(_new_context(model), model))
+        self.contexts.append(Context(_drawing_context(model), model))
         return self.contexts[-1]
 
     def draw(self, context: Context, scene: mujoco.MjvScene, height: int, width: int) -> Picture:
@@ -162,7 +162,7 @@ def _free_all() -> None:
         gl._context = None  # or its finaliser would try again, and complain
 
 
-def _new_context(model: mujoco.MjModel) -> mujoco.MjrContext:
+def _drawing_context(model: mujoco.MjModel) -> mujoco.MjrContext:
     """A drawing context without shadow map (30 ms and 100 MB less) and without multisampling."""
     quality = model.vis.quality
     kept = quality.shadowsize, quality.offsamples
