@@ -2,60 +2,72 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Final
 
+import numpy as np
+
 from magical_mj import constants as c
 from magical_mj.actions import Drive, Gripper, Turn
 from magical_mj.experts.imagination import Imagination
-from magical_mj.experts.navigation import TURN_STEP
 from magical_mj.scene import Pose
 
-CHOICES: Final = tuple((turn, drive) for turn in Turn for drive in Drive)
-AHEAD: Final = 3  # actions that a choice is judged after
-LOOK_BACK: Final = 6  # poses of the way among which the nearest is sought
 ARM: Final = 0.2  # world units that an error of a radian counts as
-SPEED_GAIN: Final = {Gripper.OPEN: 0.27, Gripper.CLOSE: 0.27}  # units/s per action
-NEAR: Final = 0.03  # world units, the end of a way
+NEAR: Final = 0.03  # world units from the end of a way
+LOOK_AHEAD: Final = 5  # poses of the way among which the nearest is sought
 PATIENCE: Final = 6  # actions more than expected
+STEP: Final = 1 / c.CONTROL_RATE
+GAIN: Final = {Gripper.OPEN: 0.3, Gripper.CLOSE: 0.3}  # units/s that the robot gains in an action
+SPIN_LAG: Final = 0.045  # s
 
+_CHOICES: Final = tuple(itertools.product(Turn, Drive))
+_PAIRS: Final = tuple(itertools.product(_CHOICES, _CHOICES))
 _SPEED: Final = {Drive.NONE: 0.0, Drive.FORWARD: c.SPEED_FORWARD, Drive.BACK: -c.SPEED_BACKWARD}
-_SPIN: Final = {Turn.NONE: 0.0, Turn.LEFT: TURN_STEP, Turn.RIGHT: -TURN_STEP}
-
-
-def wrapped(angle: float) -> float:
-    """The angle in [-pi, pi)."""
-    return (angle + math.pi) % (2 * math.pi) - math.pi
-
-
-def distance(one: Pose, other: Pose) -> float:
-    """How far two poses are from each other."""
-    return math.hypot(one[0] - other[0], one[1] - other[1]) + ARM * abs(wrapped(one[2] - other[2]))
-
-
-def predict(pose: Pose, speed: float, turn: Turn, drive: Drive, gain: float) -> Pose:
-    """Where the robot is after `AHEAD` actions of the same kind."""
-    x, y, angle = pose
-    for _ in range(AHEAD):
-        speed += max(-gain, min(gain, _SPEED[drive] - speed))
-        middle, step = angle + _SPIN[turn] / 2, speed / c.CONTROL_RATE
-        x, y, angle = x - step * math.sin(middle), y + step * math.cos(middle), angle + _SPIN[turn]
-    return x, y, angle
+_SPIN: Final = {Turn.NONE: 0.0, Turn.LEFT: c.SPEED_TURN, Turn.RIGHT: -c.SPEED_TURN}
+_SPINS, _SPEEDS = (
+    np.array([[table[choice[part]] for choice in pair] for pair in _PAIRS]).T
+    for part, table in enumerate((_SPIN, _SPEED))
+)
+"""What all pairs of choices command. Shape (2, 81)."""
 
 
 def follow(world: Imagination, way: Sequence[Pose], gripper: Gripper, limit: int) -> bool:
-    """Drive along a way; whether its end was reached."""
-    passed, last = 0, len(way) - 1
+    """Drive along a way; whether its end was reached.
+
+    At every step all pairs of actions are thought through, the second one held for two steps.
+    """
+    if len(way) < 2:
+        return True
+    poses, passed, last = np.array(way), 0, len(way) - 1
     for _ in range(min(limit, len(way) + len(way) // 2 + PATIENCE)):
-        pose, (speed, _) = world.robot, world.speed
-        window = range(passed, min(passed + LOOK_BACK, last) + 1)
-        passed = min(window, key=lambda index: distance(pose, way[index]))
-        if passed == last and distance(pose, way[last]) < NEAR:
+        here = np.array(world.robot)
+        ahead = poses[passed : passed + LOOK_AHEAD]
+        distances = np.hypot(*(ahead[:, :2] - here[:2]).T) + ARM * np.abs(ahead[:, 2] - here[2])
+        nearest = int(distances.argmin())
+        passed += nearest
+        if passed == last and distances[nearest] < NEAR:
             return True
-        aim = way[min(passed + AHEAD, last)]
-        turn, drive = min(CHOICES, key=lambda choice: distance(predict(pose, speed, *choice, SPEED_GAIN[gripper]), aim))
-        if passed == last and (turn, drive) == (Turn.NONE, Drive.NONE):
-            return distance(pose, way[last]) < 3 * NEAR
+        aims = poses[np.minimum(passed + np.arange(1, 4), last)]
+        turn, drive = _choose(world.robot, world.speed, aims, GAIN[gripper])
         world.act(gripper, turn, drive)
-    return distance(world.robot, way[last]) < 3 * NEAR
+    x, y, angle = world.robot
+    return math.hypot(x - way[-1][0], y - way[-1][1]) + ARM * abs(angle - way[-1][2]) < 3 * NEAR
+
+
+def _choose(pose: Pose, speeds: tuple[float, float], aims: np.ndarray, gain: float) -> tuple[Turn, Drive]:
+    """The first of the two choices that bring the robot nearest to the next three poses of the way."""
+    x, y, angle = (np.full(len(_PAIRS), value) for value in pose)
+    speed, spin = (np.full(len(_PAIRS), value) for value in speeds)
+    cost = np.zeros(len(_PAIRS))
+    for number, (aim_x, aim_y, aim_angle) in enumerate(aims.tolist()):
+        which = min(number, 1)
+        turned = _SPINS[which] * STEP + (spin - _SPINS[which]) * SPIN_LAG
+        change = np.clip(_SPEEDS[which] - speed, -gain, gain)
+        advance = (speed + change / 2) * STEP
+        middle = angle + turned / 2
+        x, y, angle = x - advance * np.sin(middle), y + advance * np.cos(middle), angle + turned
+        speed, spin = speed + change, _SPINS[which]
+        cost += np.hypot(x - aim_x, y - aim_y) + ARM * np.abs(angle - aim_angle)
+    return _PAIRS[int(cost.argmin())][0]

@@ -18,6 +18,8 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 State = NDArray[np.float64]
 """Everything on which the future of a simulation depends."""
+Memory = tuple[list[int], list[State]]
+"""Actions, and the state after each."""
 Point = tuple[float, float]
 
 
@@ -34,6 +36,10 @@ class Imagination:
         self._world = env.task.world
         self.trace: list[int] = []
         """The actions since the last `restore`."""
+        self.states: list[State] = []
+        """The state after each of them."""
+        self.count = 0
+        """How many steps were imagined, ever."""
         self.restore(state_of(env))
 
     def save(self) -> State:
@@ -44,7 +50,16 @@ class Imagination:
         """Be in a state again, with an empty trace."""
         mujoco.mj_setState(self._model, self._data, state, _STATE)
         mujoco.mj_forward(self._model, self._data)
-        self.trace = []
+        self.trace, self.states = [], []
+
+    def memory(self) -> Memory:
+        """What happened since the last `restore`."""
+        return self.trace, self.states
+
+    def remember(self, memory: Memory) -> None:
+        """Be where something ended that happened before."""
+        self.restore(memory[1][-1])
+        self.trace, self.states = memory
 
     def act(self, gripper: Gripper, turn: Turn = Turn.NONE, drive: Drive = Drive.NONE) -> None:
         """One control step."""
@@ -52,6 +67,8 @@ class Imagination:
         self._data.ctrl[:] = control_signal(action)
         mujoco.mj_step(self._model, self._data, SUBSTEPS)
         self.trace.append(action)
+        self.states.append(self.save())
+        self.count += 1
 
     @property
     def robot(self) -> Pose:

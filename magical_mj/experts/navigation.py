@@ -37,7 +37,7 @@ EMPTY: Final = ((0.0, 0.0, 0.2), (0.0, 0.18, 0.13), (0.0, 0.27, 0.1))
 """The robot with closed fingers as discs in its frame: x, y, radius."""
 LOADED: Final = ((0.0, 0.0, 0.2), (0.1, 0.25, 0.1), (-0.1, 0.25, 0.1), (0.0, GRIP, 0.14))
 """The robot with a block between its fingers."""
-WALL_MARGIN: Final = -0.04  # touching a wall does no harm
+WALL_MARGIN: Final = -0.01
 PUSH_COSTS: Final = ((0.01, 1), (-0.04, 2), (-0.1, 3))
 """Clearance to blocks, and how many actions more it costs to go where there is less: they must be pushed aside."""
 PUSH_LIMIT: Final = -0.2
@@ -119,12 +119,12 @@ def _samples(dx: float, dy: float) -> Ints:
     return (column * FINE_SIDE + row).ravel()
 
 
-def _cells(poses: Floats) -> Ints:
+def cells(poses: Floats) -> Ints:
     """The cell of each pose, -1 outside of the arena. Shape (n,)."""
     place = np.floor((poses[:, :2] + c.ARENA_HALF_WIDTH) / CELL).astype(np.int64)
     heading = np.round(poses[:, 2] * (HEADINGS / (2 * math.pi))).astype(np.int64) % HEADINGS
-    cells = (heading * SIDE + place[:, 0]) * SIDE + place[:, 1]
-    return np.where(((place >= 0) & (place < SIDE)).all(axis=1), cells, -1)
+    numbers = (heading * SIDE + place[:, 0]) * SIDE + place[:, 1]
+    return np.where(((place >= 0) & (place < SIDE)).all(axis=1), numbers, -1)
 
 
 def explore(start: Pose, tolls: Ints, limit: int) -> Ways:
@@ -144,7 +144,7 @@ def explore(start: Pose, tolls: Ints, limit: int) -> Ways:
         if not waiting[level]:
             continue
         here, above, gear = (np.concatenate(part) for part in zip(*waiting[level], strict=True))
-        slots = gear * len(tolls) + _cells(here)
+        slots = gear * len(tolls) + cells(here)
         new = np.flatnonzero(~seen[slots])
         owner[slots[new]] = new
         new = new[owner[slots[new]] == new]  # one for each cell
@@ -154,10 +154,10 @@ def explore(start: Pose, tolls: Ints, limit: int) -> Ways:
         parents.append(above)
         steps.append(np.full(len(new), level))
         after, origin, motion = _moved(here)
-        cells = _cells(after)
+        entered = cells(after)
         gears = np.where(_GEAR[motion] < 0, gear[origin], _GEAR[motion])
-        arrival = level + 1 + tolls[cells] + SWITCH_COST * (gears != gear[origin])
-        allowed = (cells >= 0) & (tolls[cells] >= 0) & (arrival <= limit) & ~seen[gears * len(tolls) + cells]
+        arrival = level + 1 + tolls[entered] + SWITCH_COST * (gears != gear[origin])
+        allowed = (entered >= 0) & (tolls[entered] >= 0) & (arrival <= limit) & ~seen[gears * len(tolls) + entered]
         numbers = count + origin
         for time in np.unique(arrival[allowed]):
             then = allowed & (arrival == time)

@@ -1,0 +1,215 @@
+"""What to do, as errands: the cheapest rearrangement of a scene that solves its task. No simulator here.
+
+Every task has a function that lists what is still to be done in a scene: which block goes where. Costs are in
+actions, roughly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from magical_mj.experts.clusters import rearranged
+from magical_mj.experts.lines import straightened
+from magical_mj.scene import GoalRegion, Scene
+from magical_mj.tasks import SPECS
+
+FETCHING: Final = 14  # actions to go to a block, take it and let go of it
+CARRYING: Final = 11  # actions to carry it one unit
+SPREAD: Final = 3.0  # actions by which the seed varies what places cost
+APART: Final = 0.27  # between the centres of blocks that do not touch
+INSIDE, OUTSIDE = 0.08, 0.06  # from the border of a goal region
+REACHABLE: Final = 0.84  # blocks are left within this square
+GRID: Final = 0.06
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Errand:
+    """Bring a block somewhere, or with `block` None only the robot."""
+
+    block: int | None
+    target: Point
+    tolerance: float = 0.06
+
+    def left(self, scene: Scene) -> float:
+        """How far there still is to go; 0 if it is done."""
+        thing = scene.robot if self.block is None else scene.blocks[self.block]
+        way = math.dist((thing.x, thing.y), self.target)
+        return 0.0 if way <= self.tolerance else way
+
+    def cost(self, scene: Scene) -> float:
+        """About how many actions it still takes."""
+        way = self.left(scene)
+        return FETCHING + CARRYING * way if way else 0.0
+
+
+Errands = tuple[Errand, ...]
+
+
+def errands(task: str, initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
+    """What is still to be done; nothing if the task is solved.
+
+    Args:
+        task: a task's name.
+        initial: the scene at the start.
+        now: the present scene.
+        rng: makes one of several good plans the best.
+    """
+    if SPECS[task].score(initial, now, "paper") >= 1.0:
+        return ()
+    return _PLANS[task](initial, now, rng)
+
+
+def done(scene: Scene, todo: Iterable[Errand]) -> Scene:
+    """The scene as it would be if all errands were done, and nothing else changed."""
+    poses = [block.pose for block in scene.blocks]
+    robot = scene.robot.pose
+    for errand in todo:
+        if errand.left(scene) == 0.0:
+            continue
+        if errand.block is None:
+            robot = (*errand.target, robot[2])
+        else:
+            poses[errand.block] = (*errand.target, poses[errand.block][2])
+    return scene.moved(robot, poses)
+
+
+def _grid(x_min: float, y_min: float, x_max: float, y_max: float) -> list[Point]:
+    """Points that fill a box, borders included; its middle if it is empty."""
+    xs, ys = (
+        np.linspace(low, high, max(2, math.ceil((high - low) / GRID))) if low < high else [(low + high) / 2]
+        for low, high in ((x_min, x_max), (y_min, y_max))
+    )
+    return [(float(x), float(y)) for x in xs for y in ys]
+
+
+def _inside(region: GoalRegion) -> list[Point]:
+    """Places for a block in a region."""
+    box = (region.x_min + INSIDE, region.y_min + INSIDE, region.x_max - INSIDE, region.y_max - INSIDE)
+    return _grid(*(max(-REACHABLE, min(REACHABLE, side)) for side in box))
+
+
+def _nearest(scene: Scene, block: int, places: Iterable[Point], rng: np.random.Generator) -> Errand:
+    """The errand to bring a block to the nearest of the places that no other block takes."""
+    here = scene.blocks[block]
+
+    def cost(place: Point) -> float:
+        crowding = sum(
+            max(0.0, APART - math.dist(place, (other.x, other.y)))
+            for number, other in enumerate(scene.blocks)
+            if number != block
+        )
+        return CARRYING * math.dist(place, (here.x, here.y)) + 1000 * crowding + SPREAD * rng.random()
+
+    return Errand(block, min(places, key=cost))
+
+
+def _move_to_corner(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
+    reach = SPECS["MoveToCorner"]
+    places = [place for place in _grid(-REACHABLE, -REACHABLE, REACHABLE, REACHABLE) if math.dist(place, (-1, 1)) < 0.6]
+    del initial, reach
+    return (_nearest(now, 0, places, rng),)
+
+
+def _move_to_region(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
+    del initial
+    robot = now.robot
+    places = _inside(now.regions[0])
+    place = min(places, key=lambda at: CARRYING * math.dist(at, (robot.x, robot.y)) + SPREAD * rng.random())
+    return (Errand(None, place, 0.04),)
+
+
+def _match_regions(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
+    del initial
+    (region,) = now.regions
+    todo, scene = [], now
+    for number, block in enumerate(now.blocks):
+        if block.colour == region.colour and not region.contains(block):
+            todo.append(_nearest(scene, number, _inside(region), rng))
+        elif block.colour != region.colour and region.contains(block):
+            todo.append(_nearest(scene, number, _outside(now), rng))
+        scene = done(scene, todo)
+    return tuple(todo)
+
+
+def _find_dupe(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
+    (region,) = now.regions
+    (query,) = (number for number, block in enumerate(initial.blocks) if region.contains(block))
+    kind = now.blocks[query].shape, now.blocks[query].colour
+    alike = [n for n, block in enumerate(now.blocks) if (block.shape, block.colour) == kind and n != query]
+    todo = [
+        _nearest(now, number, _outside(now), rng)
+        for number, block in enumerate(now.blocks)
+        if region.contains(block) and number != query and number not in alike
+    ]
+    if not region.contains(now.blocks[query]):
+        todo.append(_nearest(now, query, _inside(region), rng))
+    if not any(region.contains(now.blocks[number]) for number in alike):
+        choices = [_nearest(now, number, _inside(region), rng) for number in alike]
+        todo.append(min(choices, key=lambda errand: errand.cost(now) + 4 * SPREAD * rng.random()))
+    return tuple(todo)
+
+
+def _outside(scene: Scene) -> list[Point]:
+    """Places for a block outside of all regions."""
+
+    def clear(place: Point, region: GoalRegion) -> bool:
+        aside = max(region.x_min - place[0], place[0] - region.x_max, region.y_min - place[1], place[1] - region.y_max)
+        return aside >= OUTSIDE
+
+    places = _grid(-REACHABLE, -REACHABLE, REACHABLE, REACHABLE)
+    return [place for place in places if all(clear(place, region) for region in scene.regions)]
+
+
+def _fix_colour(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
+    todo, scene = [], now
+    for region in now.regions:
+        (home,) = (number for number, block in enumerate(initial.blocks) if region.contains(block))
+        odd = initial.blocks[home].colour != region.colour
+        inside = region.contains(now.blocks[home])
+        if odd and inside:
+            todo.append(_nearest(scene, home, _outside(now), rng))
+        elif not odd and not inside:
+            todo.append(_nearest(scene, home, _inside(region), rng))
+        scene = done(scene, todo)
+    return tuple(todo)
+
+
+def _moves(now: Scene, targets: Sequence[Point | None], tolerance: float) -> Errands:
+    """The errands of a plan that has a target, or None, for each block."""
+    return tuple(Errand(n, target, tolerance) for n, target in enumerate(targets) if target is not None)
+
+
+def _make_line(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
+    del initial
+    return _moves(now, straightened([(block.x, block.y) for block in now.blocks], rng), 0.07)
+
+
+def _cluster_by(attribute: str) -> Callable[[Scene, Scene, np.random.Generator], Errands]:
+    def plan(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
+        del initial
+        kinds = [getattr(block, attribute) for block in now.blocks]
+        return _moves(now, rearranged([(block.x, block.y) for block in now.blocks], kinds, rng), 0.09)
+
+    return plan
+
+
+_PLANS: Final[Mapping[str, Callable[[Scene, Scene, np.random.Generator], Errands]]] = MappingProxyType(
+    {
+        "MoveToCorner": _move_to_corner,
+        "MoveToRegion": _move_to_region,
+        "MatchRegions": _match_regions,
+        "MakeLine": _make_line,
+        "FindDupe": _find_dupe,
+        "FixColour": _fix_colour,
+        "ClusterColour": _cluster_by("colour"),
+        "ClusterShape": _cluster_by("shape"),
+    }
+)

@@ -1,0 +1,60 @@
+"""The expert: plans an episode, then acts, and plans again if the world is not as foreseen."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from magical_mj.actions import NOOP
+from magical_mj.environment import Environment
+from magical_mj.experts.imagination import Imagination, State, state_of
+from magical_mj.experts.planner import Plan, Planner
+from magical_mj.registry import task_spec
+
+BUDGET: Final = 40  # imagined steps for each step of an episode, after which no new plan is begun
+
+
+class Expert:
+    """A policy that drives one environment; each call gives the action for the environment's present state.
+
+    It plans when an episode starts, and again whenever the state is not the one that its plan foresaw.
+
+    Args:
+        env: an environment of the task, already reset.
+        task: one of `magical_mj.TASKS`.
+        seed: varies how the expert goes about it.
+
+    Raises:
+        UnknownNameError: if there is no such task.
+        InvalidSceneError: if the environment's scene is not one of the task.
+    """
+
+    def __init__(self, env: Environment, task: str, seed: int = 0) -> None:
+        self._spec = task_spec(task)
+        self._spec.check(env.initial_scene)
+        self._env, self._seed = env, seed
+        self._plan = Plan(0.0, [], [])
+        self._step = 0
+
+    @property
+    def expected_score(self) -> float:
+        """The score to which the present plan leads; 0 before there is one."""
+        return self._plan.score
+
+    def __call__(self) -> int:
+        """The action for the present state."""
+        left = (self._env.horizon or self._spec.horizon()) - self._env.task.steps
+        if left <= 0:
+            return NOOP
+        state = state_of(self._env)
+        if self._step >= len(self._plan.actions) or not np.array_equal(state, self._plan.states[self._step]):
+            self._think(state, left)
+        self._step += 1
+        return self._plan.actions[self._step - 1]
+
+    def _think(self, state: State, left: int) -> None:
+        planner = Planner(self._spec, self._env.initial_scene, Imagination(self._env))
+        rng = np.random.default_rng(self._seed)
+        self._plan = planner.plan(state, left, BUDGET * self._spec.horizon(), rng)
+        self._step = 0

@@ -1,0 +1,105 @@
+"""From errands to actions: candidate manoeuvres are tried in the imagination, and the best is kept."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from magical_mj.actions import Gripper
+from magical_mj.experts.errands import Errands, done, errands
+from magical_mj.experts.imagination import Imagination, State
+from magical_mj.experts.moves import manoeuvres, obstacles, perform
+from magical_mj.experts.navigation import explore, toll
+from magical_mj.scene import Scene
+from magical_mj.tasks import TaskSpec
+
+TRIES: Final = 8  # manoeuvres tried in one situation
+SPREAD: Final = 2.0  # actions by which chance varies estimates
+LOSS: Final = 300.0  # actions that a score of 1 is worth
+FAILURE: Final = 60.0  # actions that an errand begun in vain costs
+REACH: Final = 90  # actions, the longest way to anything
+PAUSE: Final = 4  # actions of waiting when there is nothing to do
+
+
+class Plan(NamedTuple):
+    """Actions from one state on, and where they lead."""
+
+    score: float
+    actions: list[int]
+    states: list[State]
+    """Before each action, and after the last."""
+
+
+class Planner:
+    """Plans the rest of an episode.
+
+    Args:
+        spec: the task.
+        initial: the scene at the start of the episode.
+        world: the imagination to think in.
+    """
+
+    def __init__(self, spec: TaskSpec, initial: Scene, world: Imagination) -> None:
+        self._spec, self._initial, self._world = spec, initial, world
+
+    def _score(self, scene: Scene) -> float:
+        return self._spec.score(self._initial, scene, "paper")
+
+    def plan(self, start: State, steps: int, budget: int, rng: np.random.Generator) -> Plan:
+        """The best of several plans for the next `steps` actions: the first that gives the full score, if any does.
+
+        Args:
+            start: the state to start from.
+            steps: how many actions are left.
+            budget: no new plan is begun after so many imagined steps.
+            rng: varies the plans.
+        """
+        end = self._world.count + budget
+        best = self._attempt(start, steps, rng)
+        while best.score < 1.0 and self._world.count < end:
+            best = max(best, self._attempt(start, steps, rng), key=lambda plan: plan.score)
+        return best
+
+    def _attempt(self, start: State, steps: int, rng: np.random.Generator) -> Plan:
+        world, todo = self._world, ()
+        world.restore(start)
+        actions: list[int] = []
+        states = [start]
+        while len(actions) < steps:
+            scene, left = world.scene(), steps - len(actions)
+            todo = tuple(errand for errand in todo if errand.left(scene))
+            if not todo or self._score(done(scene, todo)) < 1.0:
+                todo = errands(self._spec.name, self._initial, scene, rng)
+            if not self._do_best(scene, todo, left, rng):
+                world.restore(states[-1])
+                for _ in range(min(PAUSE, left)):
+                    world.act(Gripper.OPEN)
+            actions += world.trace
+            states += world.states
+        return Plan(self._score(world.scene()), actions, states)
+
+    def _do_best(self, scene: Scene, todo: Errands, left: int, rng: np.random.Generator) -> bool:
+        """Tries the most promising manoeuvres and leaves the world after the best; whether there is one."""
+        if not todo:
+            return False
+        world, start = self._world, self._world.save()
+        ways = explore(scene.robot.pose, toll(obstacles(scene), loaded=False), min(left, REACH))
+        options = [option for errand in todo for option in manoeuvres(ways, scene, errand)]
+        options.sort(key=lambda option: option.estimate - option.errand.cost(scene) + SPREAD * rng.normal())
+        best, best_cost = None, math.inf
+        for option in options[:TRIES]:
+            world.restore(start)
+            perform(world, option, int(min(left, best_cost)))
+            cost = len(world.trace) + self._rest(todo) + FAILURE * (option.errand.left(world.scene()) > 0)
+            if cost < best_cost and world.trace:
+                best, best_cost = world.memory(), cost
+        if best is not None:
+            world.remember(best)
+        return best is not None
+
+    def _rest(self, todo: Errands) -> float:
+        """About how many actions are left after the present state."""
+        scene = self._world.scene()
+        return sum(errand.cost(scene) for errand in todo) + LOSS * (1 - self._score(done(scene, todo)))
