@@ -1,0 +1,14 @@
+"""Evaluating agents: scores on the benchmark's scenes, their statistics, reports and comparisons.
+
+`evaluate` plays, and the modules `report` and `compare` make tables and figures of what it wrote.
+"""
+
+from __future__ import annotations
+
+from magical_mj.evaluation.episodes import Outcome
+from magical_mj.evaluation.policies import BatchPolicy, Episode, Policy
+from magical_mj.evaluation.run import Evaluation, evaluate
+from magical_mj.evaluation.scores import Score
+from magical_mj.evaluation.vector import rollouts
+
+__all__ = ["BatchPolicy", "Episode", "Evaluation", "Outcome", "Policy", "Score", "evaluate", "rollouts"]

@@ -1,0 +1,105 @@
+"""Comparing two policies on the same scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from magical_mj.errors import EvaluationError, SettingsError
+from magical_mj.evaluation.extra import check_extra
+from magical_mj.evaluation.results import check_same
+from magical_mj.evaluation.scores import Score, read
+from magical_mj.evaluation.statistics import mean_interval
+from magical_mj.registry import VARIANTS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+ALL = "all of them"
+
+
+def choose(which: Path | str) -> tuple[str, list[Score]]:
+    """The name and the scores of a policy that is named as ``DIR``, or ``DIR:POLICY`` where there are several.
+
+    Raises:
+        SettingsError: if the folder holds several policies and none, or another, is named.
+        EvaluationError: if the folder is no evaluation.
+    """
+    folder, colon, policy = str(which).rpartition(":")
+    if not colon or Path(str(which)).is_dir():
+        folder, policy = str(which), ""
+    scores = read(Path(folder))
+    names = list(dict.fromkeys(score.policy for score in scores))
+    if policy not in names if policy else len(names) > 1:
+        raise SettingsError(f"{folder} holds {', '.join(names)}: name one of them, as in {folder}:{names[0]}")
+    policy = policy or names[0]
+    return policy, [score for score in scores if score.policy == policy]
+
+
+def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
+    """How much better the first policy is than the second, in each variant and in all, on the scenes that both played.
+
+    Scores of several runs in one scene are averaged first. The interval of the difference is of a bootstrap that draws
+    the scenes of each environment anew; all environments have equal weight.
+
+    Args:
+        first: the folder of an evaluation, or ``DIR:POLICY`` if it holds several policies.
+        second: likewise.
+
+    Returns:
+        A row for each variant, and one for all: the mean scores (`first`, `second`), their `difference` and its 95 %
+        interval (`low`, `high`), in how many scenes the first was `better` or `worse`, of how many `scenes` in how
+        many `environments`, and how many other scenes only one of them has played (`unpaired`).
+
+    Raises:
+        SettingsError: if it is not clear which policies are meant.
+        EvaluationError: if they were scored by different rules, or share no scene.
+    """
+    check_extra()
+    import pandas as pd
+
+    sides = [choose(which) for which in (first, second)]
+    check_same([(score, name) for name, scores in sides for score in scores], "rules", "they cannot be compared")
+    both = pd.concat([_by_scene(scores) for _, scores in sides], axis=1, keys=["first", "second"])
+    paired = both.dropna()
+    if paired.empty:
+        raise EvaluationError(f"{first} and {second} have no scene in common")
+    rows = [
+        _row(variant, both, paired) for variant in (*VARIANTS, ALL) if variant == ALL or variant in _variants(paired)
+    ]
+    return pd.DataFrame(rows)
+
+
+def _by_scene(scores: Sequence[Score]) -> pd.Series[float]:
+    import pandas as pd
+
+    table = pd.DataFrame([(score.variant, score.task, score.seed, score.score) for score in scores])
+    table.columns = ["variant", "task", "seed", "score"]
+    return table.groupby(["variant", "task", "seed"])["score"].mean()
+
+
+def _variants(table: pd.DataFrame) -> Any:
+    return table.index.get_level_values("variant")
+
+
+def _row(variant: str, both: pd.DataFrame, paired: pd.DataFrame) -> dict[str, Any]:
+    if variant != ALL:
+        both, paired = (table[_variants(table) == variant] for table in (both, paired))
+    difference = paired["first"] - paired["second"]
+    strata = [group.to_numpy() for _, group in difference.groupby(["variant", "task"])]
+    means = paired.groupby(["variant", "task"]).mean().mean()
+    low, high = mean_interval(strata)
+    return {
+        "variant": variant,
+        "first": float(means["first"]),
+        "second": float(means["second"]),
+        "difference": float(means["first"] - means["second"]),
+        "low": low,
+        "high": high,
+        "better": int((difference > 0).sum()),
+        "worse": int((difference < 0).sum()),
+        "scenes": len(paired),
+        "environments": len(strata),
+        "unpaired": len(both) - len(paired),
+    }

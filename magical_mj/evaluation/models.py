@@ -1,0 +1,132 @@
+"""Trained models from files: stable-baselines3 archives and ONNX.
+
+A stable-baselines3 archive holds its settings as pickles, and reading a pickle runs whatever code it holds. So none
+is read unless the user says ``trust``: standard actor-critic networks (PPO, A2C and their like) are rebuilt from the
+archive's plain JSON, and their weights are loaded as bare tensors. ONNX files hold no Python at all. (TorchScript
+files are programs too, and PyTorch is giving them up.)
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from gymnasium import spaces
+
+from magical_mj.actions import ACTIONS
+from magical_mj.errors import EvaluationError, SettingsError
+from magical_mj.evaluation.policies import Episode
+
+TRUST: Final = "--trust (trust=True) loads it, and thereby runs what code it holds: do that only with files of your own"
+
+
+class Model:
+    """A policy that maps a batch of observations to a batch of actions and remembers nothing."""
+
+    def __init__(self, act: Callable[[Any], Any]) -> None:
+        self._act = act
+
+    def reset_batch(self, episodes: Sequence[Episode]) -> None:
+        """There is nothing to forget."""
+
+    def act_batch(self, observations: Any) -> Any:
+        """An action for each observation. Shape (n,)."""
+        return self._act(observations)
+
+    def __call__(self, observation: Any) -> Any:
+        """The action for one observation."""
+        if isinstance(observation, dict):
+            return self._act({name: value[None] for name, value in observation.items()})[0]
+        return self._act(observation[None])[0]
+
+
+def load_sb3(path: Path, trust: bool = False) -> Model:
+    """The policy of a stable-baselines3 archive; it acts deterministically."""
+    try:
+        import torch
+    except ModuleNotFoundError:
+        raise EvaluationError(f"{path} needs stable-baselines3: pip install stable-baselines3") from None
+    torch.set_num_threads(1)  # sums depend on how they are split, and workers must not fight for cores
+    try:
+        with zipfile.ZipFile(path) as archive:
+            data = json.loads(archive.read("data"))
+            weights = torch.load(io.BytesIO(archive.read("policy.pth")), map_location="cpu", weights_only=True)
+    except (zipfile.BadZipFile, KeyError, ValueError) as error:
+        raise SettingsError(f"{path} is not a stable-baselines3 archive: {error}") from error
+    policy = _trusted(path) if trust else _rebuilt(path, data, weights)
+    if not isinstance(policy.action_space, spaces.Discrete) or policy.action_space.n != len(ACTIONS):
+        raise SettingsError(f"{path} acts in {policy.action_space}, and the environments in Discrete({len(ACTIONS)})")
+    try:
+        policy.load_state_dict(weights)
+    except RuntimeError as error:
+        raise SettingsError(f"{path} is not of a standard network; {TRUST}") from error
+    policy.set_training_mode(False)
+    return Model(lambda observations: policy.predict(observations, deterministic=True)[0])
+
+
+def _rebuilt(path: Path, data: dict[str, Any], weights: dict[str, Any]) -> Any:
+    """A standard actor-critic network, from nothing but plain JSON."""
+    from stable_baselines3.common.policies import ActorCriticCnnPolicy, ActorCriticPolicy
+
+    kwargs: Any = data.get("policy_kwargs")
+    seen, acted = data.get("observation_space", {}), data.get("action_space", {})
+    plain = isinstance(kwargs, dict) and ":serialized:" not in kwargs
+    if not plain or "action_net.weight" not in weights or "_shape" not in seen:
+        raise SettingsError(f"{path} keeps how its network is built as a pickle; {TRUST}")
+    if "n" not in acted or int(acted["n"]) != len(ACTIONS):
+        raise SettingsError(f"{path} was trained with other actions than the environments' Discrete({len(ACTIONS)})")
+    shape, pictures = tuple(int(n) for n in _plain(seen["_shape"])), seen.get("dtype") == "uint8"
+    space = spaces.Box(0, 255, shape, np.uint8) if pictures else spaces.Box(-np.inf, np.inf, shape, np.float32)
+    kind = ActorCriticCnnPolicy if any(name.startswith("features_extractor.cnn") for name in weights) else None
+    return (kind or ActorCriticPolicy)(space, spaces.Discrete(len(ACTIONS)), lambda _: 0.0, **kwargs)
+
+
+def _plain(value: Any) -> Any:
+    return json.loads(value.replace("(", "[").replace(",)", "]").replace(")", "]")) if isinstance(value, str) else value
+
+
+def _trusted(path: Path) -> Any:
+    """Any network, built by the archive's own pickles."""
+    from stable_baselines3.common.save_util import load_from_zip_file
+
+    data, _, _ = load_from_zip_file(path, device="cpu")
+    made: dict[str, Any] = data or {}
+    kwargs = made.get("policy_kwargs") or {}
+    return made["policy_class"](made["observation_space"], made["action_space"], lambda _: 0.0, **kwargs)
+
+
+def load_onnx(path: Path, trust: bool = False) -> Model:
+    """An ONNX network from a batch of observations to actions, or to a value for each action: it takes the best."""
+    del trust  # there is nothing to be trusted
+    try:
+        import onnxruntime
+    except ModuleNotFoundError:
+        raise EvaluationError(f"{path} needs ONNX Runtime: pip install onnxruntime") from None
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    try:
+        session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except Exception as error:
+        raise SettingsError(f"{path} is not an ONNX file that can be run: {error}") from error
+    (entry, *others), output = session.get_inputs(), session.get_outputs()[0]
+    if others:
+        raise SettingsError(f"{path} wants {1 + len(others)} inputs, and presets give one array: choose its preset")
+    if len(output.shape) == 2 and isinstance(output.shape[1], int) and output.shape[1] not in (1, len(ACTIONS)):
+        raise SettingsError(f"{path} gives {output.shape[1]} values, and there are {len(ACTIONS)} actions")
+    kinds = {"tensor(uint8)": np.uint8, "tensor(float)": np.float32, "tensor(double)": np.float64}
+    kind = kinds.get(entry.type, np.float32)
+
+    def act(observations: Any) -> Any:
+        values = np.asarray(session.run([output.name], {entry.name: np.asarray(observations, kind)})[0])
+        return values.reshape(len(values)) if values.size == len(values) else values.argmax(axis=1)
+
+    return Model(act)
+
+
+LOADERS: Final[dict[str, Callable[[Path, bool], Model]]] = {".zip": load_sb3, ".onnx": load_onnx}
+"""By the ending of the file's name."""

@@ -1,0 +1,90 @@
+"""Reports: tables, figures and a page that shows them, from the files of evaluations alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from magical_mj.evaluation.extra import check_extra
+from magical_mj.evaluation.figures import bars, heat_map
+from magical_mj.evaluation.results import Results, results
+from magical_mj.evaluation.scores import Score
+from magical_mj.evaluation.tables import csv, latex, markdown, result_tables
+
+PAGE = "report.md"
+DPI = 150
+
+
+def report(
+    folders: Sequence[Path | str], out: Path | str, *, with_published: bool = False, mixed_presets: bool = False
+) -> Path:
+    """Writes the tables (Markdown, CSV, LaTeX) and figures of some evaluations.
+
+    Args:
+        folders: of the evaluations.
+        out: the folder for the report; files of an earlier one are replaced.
+        with_published: show the paper's results as well.
+        mixed_presets: show policies side by side that were given different observations.
+
+    Returns:
+        The path of the page, in Markdown.
+
+    Raises:
+        EvaluationError: if a folder is no evaluation, two of them do not go together, or an extra is not installed.
+    """
+    check_extra()
+    found = results([Path(folder) for folder in folders], with_published, mixed_presets)
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "variants.csv").write_text(csv(found.variants), encoding="utf-8")
+    (out / "environments.csv").write_text(csv(found.environments), encoding="utf-8")
+    tables = result_tables(found)
+    for table in tables:
+        (out / f"{table.name}.tex").write_text(latex(table), encoding="utf-8")
+    for name, figure in {"bars": bars(found), "heat_map": heat_map(found)}.items():
+        for suffix in ("png", "pdf"):
+            figure.savefig(
+                out / f"{name}.{suffix}", dpi=DPI, metadata=None if suffix == "png" else {"CreationDate": None}
+            )
+    parts = [
+        "# Evaluation",
+        _settings(found),
+        "## Variants",
+        *map(markdown, tables[:2]),
+        "![Mean scores over tasks](bars.png)",
+        "## Environments",
+        "![Mean scores](heat_map.png)",
+        *map(markdown, tables[2:]),
+        "The same as files: `variants.csv`, `environments.csv`, `*.tex`, `*.pdf`.",
+    ]
+    page = out / PAGE
+    page.write_text("\n\n".join(part.strip() for part in parts) + "\n", encoding="utf-8")
+    return page
+
+
+def _settings(found: Results) -> str:
+    """What was played, in a paragraph."""
+    scores = found.scores
+    presets = ", ".join(f"`{name or 'none'}`" for name in scores["preset"].dropna().unique())
+    count = scores["policy"].nunique()
+    methods = "one method" if count == 1 else f"{count} methods"
+    facts = [
+        f"{len(scores)} episodes of {methods} in {len(scores.groupby(['task', 'variant']))} environments",
+        f"scores by the rules `{scores['rules'].iloc[0]}`",
+        f"observations: {presets or 'none needed'}",
+        f"magical_mj {', '.join(scores['version'].unique())}, MuJoCo {', '.join(scores['mujoco'].unique())}",
+    ]
+    return "; ".join(facts) + "."
+
+
+def extremes(scores: Sequence[Score]) -> list[tuple[str, Score]]:
+    """The episodes that videos show: of each policy and task the best and the worst, if they differ."""
+    chosen: list[tuple[str, Score]] = []
+    for policy, task in dict.fromkeys((score.policy, score.task) for score in scores):
+        mine = [score for score in scores if (score.policy, score.task) == (policy, task) and score.actions]
+        if mine:
+            worst, best = (extreme(mine, key=lambda score: score.score) for extreme in (min, max))
+            chosen.append(("best", best))
+            if worst.score < best.score:
+                chosen.append(("worst", worst))
+    return chosen

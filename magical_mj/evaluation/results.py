@@ -1,0 +1,158 @@
+"""The results of a report: scores from one or several folders, their statistics, and what must be said about them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from magical_mj.errors import EvaluationError
+from magical_mj.evaluation import published
+from magical_mj.evaluation.scores import Key, Score, frame, read
+from magical_mj.evaluation.statistics import by_environment, by_variant
+from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Results:
+    """What there is to report.
+
+    Attributes:
+        scores: a row for each episode.
+        environments: a row for each policy and environment; `published` tells where it is from, `rules` how it was
+            scored.
+        variants: a row for each policy and variant, over tasks; `missing` names the tasks that it lacks.
+        notes: what a reader must know, a sentence each.
+    """
+
+    scores: pd.DataFrame
+    environments: pd.DataFrame
+    variants: pd.DataFrame
+    notes: tuple[str, ...]
+
+    @property
+    def policies(self) -> list[str]:
+        """The methods in their order, the published ones last."""
+        return list(dict.fromkeys(self.environments["policy"]))
+
+
+def gather(folders: Sequence[Path], mixed_presets: bool = False) -> list[Score]:
+    """The scores of all folders.
+
+    Raises:
+        EvaluationError: if a folder is no evaluation, two hold the same episode, or rules or presets differ.
+    """
+    found: dict[Key, tuple[Score, Path]] = {}
+    for folder in folders:
+        for score in read(folder):
+            if score.key in found:
+                raise EvaluationError(
+                    f"{found[score.key][1]} and {folder} both hold run {score.run} of {score.policy} in {score.task} "
+                    f"{score.variant}, seed {score.seed}; evaluate one of them with another --run or NAME=POLICY"
+                )
+            found[score.key] = score, folder
+    scores = [score for score, _ in found.values()]
+    check_same(found.values(), "rules", "their scores cannot be compared")
+    if not mixed_presets:
+        check_same(found.values(), "preset", "--mixed-presets (mixed_presets=True) reports them together all the same")
+    return scores
+
+
+def check_same(found: Iterable[tuple[Score, object]], what: str, consequence: str) -> None:
+    """Raises an `EvaluationError` unless this attribute of all scores is the same; None goes with anything.
+
+    Args:
+        found: scores, and where they are from.
+        what: the attribute's name.
+        consequence: what that means.
+    """
+    where: dict[str, object] = {}
+    for score, folder in found:
+        if getattr(score, what) is not None:
+            where.setdefault(getattr(score, what), folder)
+    if len(where) > 1:
+        kinds = ", ".join(f"{name or 'none'} in {folder}" for name, folder in where.items())
+        raise EvaluationError(f"the {what} differ: {kinds}; {consequence}")
+
+
+def results(folders: Sequence[Path], with_published: bool = False, mixed_presets: bool = False) -> Results:
+    """Everything that a report is made of.
+
+    Raises:
+        EvaluationError: as `gather`.
+    """
+    import pandas as pd
+
+    scores = frame(gather(folders, mixed_presets))
+    rules = str(scores["rules"].iloc[0])
+    environments = by_environment(scores).assign(published=False, rules=rules)
+    variants = by_variant(scores).assign(published=False, rules=rules)
+    if with_published:
+        marks = {"published": True, "rules": published.RULES}
+        environments = pd.concat([environments, published.published_by_environment().assign(**marks)])
+        variants = pd.concat([variants, published.published_by_variant().assign(**marks)])
+    order = list(dict.fromkeys(scores["policy"])) + (
+        [] if not with_published else list(dict.fromkeys(published.published_results()["policy"]))
+    )
+    environments = _sorted(environments, order)
+    variants = _sorted(variants, order)
+    variants["missing"] = [_missing(scores, row) for row in variants.itertuples()]
+    return Results(scores, environments, variants, tuple(_notes(scores, variants, with_published)))
+
+
+def _sorted(table: pd.DataFrame, policies: list[str]) -> pd.DataFrame:
+    """In the order of policies, tasks and variants."""
+    ranks = {"policy": policies, "task": TASKS, "variant": VARIANTS}
+    keys = [name for name in ranks if name in table]
+    return table.sort_values(keys, key=lambda column: column.map(list(ranks[column.name]).index), ignore_index=True)
+
+
+def _missing(scores: pd.DataFrame, row: Any) -> str:
+    if row.published:
+        return ""
+    there = set(scores[(scores["policy"] == row.policy) & (scores["variant"] == row.variant)]["task"])
+    return ", ".join(task for task, variant in ENVIRONMENTS if variant == row.variant and task not in there)
+
+
+def _notes(scores: pd.DataFrame, variants: pd.DataFrame, with_published: bool) -> Iterator[str]:
+    for policy, group in variants[~variants["published"]].groupby("policy", sort=False):
+        lacking: dict[str, list[str]] = {}
+        for row in group.itertuples():
+            if row.missing:
+                lacking.setdefault(str(row.missing), []).append(str(row.variant))
+        for tasks, names in lacking.items():
+            yield f"{policy}: the figures for {', '.join(names)} are without {tasks}."
+        absent = [variant for variant in VARIANTS if variant not in set(group["variant"])]
+        if absent:
+            yield f"{policy}: not evaluated in {', '.join(absent)}."
+    most = int(scores["seed"].max()) + 1
+    counts = scores.groupby(["policy", "run", "task", "variant"], sort=False)["seed"].nunique()
+    short = counts[counts < most]
+    if len(short):
+        (policy, run, task, variant), count = short.index[0], short.iloc[0]
+        others = f", and {len(short) - 1} more are short" if len(short) > 1 else ""
+        yield f"Unfinished: {policy}, run {run}, {task} {variant} has {count} of {most} episodes{others}."
+    runs = scores.groupby(["policy", "task", "variant"], sort=False)["run"].nunique().groupby("policy", sort=False)
+    for policy, numbers in runs:
+        if numbers.nunique() > 1:
+            yield f"{policy}: between {numbers.min()} and {numbers.max()} runs, depending on the environment."
+    if (runs.max() == 1).any():
+        names = ", ".join(runs.max()[runs.max() == 1].index)
+        yield f"One run only of {names}: its intervals are over episodes and say nothing about training."
+    failed = scores[scores["failure"].notna()]
+    for policy, group in failed.groupby("policy", sort=False):
+        yield f"{policy}: {len(group)} failed episodes count as 0; the first reason: {group['failure'].iloc[0]}"
+    for what in ("version", "mujoco", "gl"):
+        if scores[what].nunique() > 1:
+            yield f"Played with different settings of {what}: {', '.join(sorted(scores[what].unique()))}."
+    if with_published:
+        rules = str(scores["rules"].iloc[0])
+        others = "" if rules == published.RULES else f", and all others by the rules {rules!r}"
+        yield (
+            f"† Published results: in the original simulator, {published.RUNS} runs of {published.EPISODES} episodes, "
+            f"scored by the rules {published.RULES!r}{others}."
+        )

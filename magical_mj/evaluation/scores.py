@@ -1,0 +1,186 @@
+"""``scores.jsonl``: one line for each finished episode, added to and never rewritten."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Final, Self
+
+from magical_mj.errors import EvaluationError
+
+SCORES: Final = "scores.jsonl"
+
+Key = tuple[str, int, str, str, int]
+"""What makes an episode the one it is: policy, run, task, variant, seed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """One finished episode.
+
+    Attributes:
+        policy: the method's name.
+        run: which run of the method.
+        task: the task's name.
+        variant: the variant's name.
+        seed: of the scene.
+        score: in [0, 1]; 0 if the policy failed.
+        steps: how many actions were taken.
+        seconds: the episode took.
+        rules: by which it was scored.
+        preset: of the observations; None if the policy looks at none.
+        version: of this package.
+        mujoco: MuJoCo's version.
+        gl: the OpenGL backend.
+        actions: a letter for each action, from which the episode can be played again.
+        failure: why the policy failed; None if it did not.
+    """
+
+    policy: str
+    run: int
+    task: str
+    variant: str
+    seed: int
+    score: float
+    steps: int
+    seconds: float
+    rules: str
+    preset: str | None
+    version: str
+    mujoco: str
+    gl: str
+    actions: str
+    failure: str | None = None
+
+    @property
+    def key(self) -> Key:
+        """What makes this episode the one it is."""
+        return self.policy, self.run, self.task, self.variant, self.seed
+
+    def line(self) -> str:
+        """As a line of the file."""
+        return json.dumps(dataclasses.asdict(self), ensure_ascii=False) + "\n"
+
+
+_TYPES: Final[dict[str, tuple[type, ...]]] = {
+    **dict.fromkeys(("policy", "task", "variant", "rules", "version", "mujoco", "gl", "actions"), (str,)),
+    **dict.fromkeys(("run", "seed", "steps"), (int,)),
+    **dict.fromkeys(("score", "seconds"), (int, float)),
+    **dict.fromkeys(("preset", "failure"), (str, type(None))),
+}
+
+
+def parse(line: str) -> Score:
+    """The episode of a line; a ValueError that says what is wrong with it."""
+    entry = json.loads(line)
+    if not isinstance(entry, dict) or entry.keys() != _TYPES.keys():
+        raise ValueError(f"it must be an object with the keys {', '.join(_TYPES)}")
+    for name, types in _TYPES.items():
+        if not isinstance(entry[name], types) or isinstance(entry[name], bool):
+            raise ValueError(f"{name} must not be {entry[name]!r}")
+    if not 0 <= entry["score"] <= 1:
+        raise ValueError(f"the score {entry['score']} is not in [0, 1]")
+    return Score(**entry)
+
+
+def read(folder: Path) -> list[Score]:
+    """The finished episodes in a folder. A last line that is still being written is left out.
+
+    Raises:
+        EvaluationError: if there are none, a line is not one of ours, or an episode is there twice.
+    """
+    path = folder / SCORES
+    if not path.is_file():
+        raise EvaluationError(f"{folder} holds no {SCORES}; magical-mj evaluate --out {folder} makes one")
+    found: list[Score] = []
+    seen: dict[Key, int] = {}
+    for number, line in enumerate(_lines(path), start=1):
+        try:
+            score = parse(line)
+        except ValueError as error:
+            raise EvaluationError(
+                f"{path}, line {number}: {error}. Delete the line; evaluate --resume plays the episode again"
+            ) from error
+        if score.key in seen:
+            raise EvaluationError(f"{path}, line {number}: the same episode as line {seen[score.key]}; delete one")
+        seen[score.key] = number
+        found.append(score)
+    if not found:
+        raise EvaluationError(f"{path} holds no finished episode yet")
+    return found
+
+
+def _lines(path: Path) -> list[str]:
+    """All lines that were written to their ends."""
+    raw = path.read_bytes()
+    *lines, rest = raw.split(b"\n")
+    if rest:
+        try:
+            parse(rest.decode())
+            lines.append(rest)  # only the line's end is missing
+        except ValueError:
+            pass
+    return [line.decode(errors="replace") for line in lines]
+
+
+class ScoreFile:
+    """The file, open for more lines. Only one process may have it open."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / SCORES
+        self._file: IO[str] | None = None
+
+    def __enter__(self) -> Self:
+        self._file = self._path.open("a", encoding="utf-8")
+        _lock(self._file, self._path)
+        _repair(self._path)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def add(self, scores: Iterable[Score]) -> None:
+        """Appends finished episodes, all in one write."""
+        if self._file is None:
+            raise RuntimeError("enter the file first")
+        self._file.write("".join(score.line() for score in scores))
+        self._file.flush()
+
+
+def _repair(path: Path) -> None:
+    """Ends the last line if a killed run did not: with its missing end if it is whole, else by taking it away."""
+    raw = path.read_bytes()
+    start = raw.rfind(b"\n") + 1
+    if start == len(raw):
+        return
+    try:
+        parse(raw[start:].decode())
+    except ValueError:
+        os.truncate(path, start)
+        return
+    with path.open("ab") as file:
+        file.write(b"\n")
+
+
+def _lock(file: IO[Any], path: Path) -> None:
+    try:
+        import fcntl
+    except ImportError:  # Windows: nothing keeps two runs apart
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        raise EvaluationError(f"another evaluation is writing to {path}") from error
+
+
+def frame(scores: Sequence[Score]) -> Any:
+    """The episodes as a pandas frame, one row each, in a fixed order."""
+    import pandas as pd
+
+    rows = [dataclasses.asdict(score) for score in sorted(scores, key=lambda score: score.key)]
+    return pd.DataFrame(rows, columns=[field.name for field in dataclasses.fields(Score)])

@@ -1,0 +1,128 @@
+"""Where policies come from: names, ``module:object``, model files, or Python objects; with a name and a run each."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import inspect
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from magical_mj.errors import SettingsError, unknown_name
+from magical_mj.evaluation.models import LOADERS
+from magical_mj.evaluation.policies import BUILT_IN
+
+Act = Callable[[Any], Any]
+"""A policy, or a plain function from observation to action."""
+
+LEGEND: Final = f"{', '.join(BUILT_IN)}, module:object, or a file that ends in {' or '.join(LOADERS)}"
+
+
+@dataclass(frozen=True)
+class Source:
+    """One policy to be evaluated; small and picklable if it was given by name.
+
+    Attributes:
+        name: what tables call the method.
+        run: which run of the method it is.
+        origin: a built-in's name, ``module:object``, a file, or the policy itself.
+        trust: whether files that hold code may be loaded.
+    """
+
+    name: str
+    run: int
+    origin: Any
+    trust: bool = False
+
+    def load(self) -> Act:
+        """The policy.
+
+        Raises:
+            SettingsError: if there is no such policy, or it does not fit.
+        """
+        if not isinstance(self.origin, str):
+            return self.origin
+        if self.origin in BUILT_IN:
+            return BUILT_IN[self.origin]()
+        suffix = Path(self.origin).suffix
+        if suffix in LOADERS:
+            if not Path(self.origin).is_file():
+                raise SettingsError(f"there is no file {self.origin}")
+            return LOADERS[suffix](Path(self.origin), self.trust)
+        if ":" in self.origin:
+            return _imported(self.origin)
+        raise unknown_name("policy", self.origin, (*BUILT_IN, "module:object", *(f"FILE{s}" for s in LOADERS)))
+
+    def describe(self) -> dict[str, Any]:
+        """What must not change between a run and its continuation."""
+        origin = self.origin if isinstance(self.origin, str) else f"a Python object: {type(self.origin).__qualname__}"
+        described = {"name": self.name, "run": self.run, "origin": origin}
+        if isinstance(self.origin, str) and Path(self.origin).suffix in LOADERS:
+            described["sha256"] = hashlib.sha256(Path(self.origin).read_bytes()).hexdigest()
+        return described
+
+
+def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
+    """The policies that were asked for; those with the same name are successive runs of one method.
+
+    Args:
+        policies: a policy or a list of them; each a name, ``module:object``, a file, any of them as
+            ``NAME=...``, a mapping of such names to policies or lists of them, or a policy object.
+        run: the number of the first run.
+        trust: whether files that hold code may be loaded.
+    """
+    found: list[Source] = []
+    seen: Counter[str] = Counter()
+    for source in _each(policies):
+        found.append(replace(source, run=run + seen[source.name], trust=trust))
+        seen[source.name] += 1
+    if not found:
+        raise SettingsError(f"give a policy: {LEGEND}")
+    return found
+
+
+def _each(policies: Any) -> Iterator[Source]:
+    if isinstance(policies, str):
+        for text in filter(None, (part.strip() for part in policies.split(","))):
+            name, equals, origin = text.partition("=")
+            yield Source(name, 0, origin) if equals else Source(_short(text), 0, text)
+    elif isinstance(policies, Mapping):
+        for name, given in policies.items():
+            for source in _each(given):
+                yield replace(source, name=name)
+    elif isinstance(policies, Sequence):
+        for given in policies:
+            yield from _each(given)
+    elif isinstance(policies, type):
+        yield Source(policies.__name__, 0, policies())
+    elif callable(policies):
+        yield Source(getattr(policies, "__name__", type(policies).__name__), 0, policies)
+    else:
+        raise SettingsError(f"{policies!r} is not a policy: it must be callable, or one of {LEGEND}")
+
+
+def _short(origin: str) -> str:
+    return origin.rpartition(":")[2] if Path(origin).suffix not in LOADERS else Path(origin).stem
+
+
+def _imported(origin: str) -> Act:
+    """The object that ``module:object`` names; a class is called to make one."""
+    module, _, name = origin.partition(":")
+    here = str(Path.cwd())
+    if here not in sys.path:  # so that a module next to the user is found, whatever started Python
+        sys.path.insert(0, here)
+    try:
+        found: Any = importlib.import_module(module)
+        for part in name.split("."):
+            found = getattr(found, part)
+    except (ImportError, AttributeError) as error:
+        raise SettingsError(f"the policy {origin} cannot be imported: {error}") from error
+    if inspect.isclass(found):
+        found = found()
+    if not callable(found):
+        raise SettingsError(f"the policy {origin} is a {type(found).__name__}, which cannot be called")
+    return found

@@ -1,0 +1,147 @@
+"""From scores to means, spreads, interquartile means and intervals.
+
+The unit of the paper's statistics is the mean score of one run (one trained policy) in one environment. Its spreads
+are standard deviations of such run means (ddof = 0), within an environment over runs, and within a variant over tasks
+and runs. The interquartile mean leaves out the lowest and the highest quarter of the run means.
+
+Intervals are of a stratified bootstrap (Agarwal et al., NeurIPS 2021): the runs of each task are drawn anew. Where
+there is but one run of each task, its episodes are drawn anew instead; that interval knows the chance of the episodes
+but not that of the training.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Floats = NDArray[np.float64]
+
+RESAMPLES: Final = 2000
+CONFIDENCE: Final = 0.95
+
+COLUMNS: Final = ("mean", "std", "low", "high", "iqm", "iqm_low", "iqm_high")
+"""The statistics; `low` and `high` bound the mean."""
+
+
+class Summary(NamedTuple):
+    """The statistics of some run means; NaN where there are too few."""
+
+    mean: float
+    std: float
+    low: float
+    high: float
+    iqm: float
+    iqm_low: float
+    iqm_high: float
+
+
+def interquartile_mean(values: Floats, axis: int = -1) -> Any:
+    """The mean of what is left without the lowest and the highest quarter (each rounded down to whole values)."""
+    from scipy.stats import trim_mean
+
+    return trim_mean(values, 0.25, axis=axis)
+
+
+def summarise(tasks: Sequence[Sequence[Floats]]) -> Summary:
+    """The statistics over tasks, all of equal weight.
+
+    Args:
+        tasks: of each task, of each run, the scores of its episodes.
+    """
+    means = [np.array([scores.mean() for scores in runs]) for runs in tasks]
+    pooled = np.concatenate(means)
+    if all(len(runs) == 1 for runs in tasks):
+        strata = [runs[0] for runs in tasks]
+        low, high = mean_interval(strata)
+        iqm_low, iqm_high = bootstrap(strata, _iqm_of_means)
+    else:
+        low, high = mean_interval(means)
+        iqm_low, iqm_high = bootstrap(means, _iqm_of_values)
+    return Summary(
+        mean=float(np.mean([values.mean() for values in means])),
+        std=float(pooled.std()) if len(pooled) > 1 else np.nan,
+        low=low,
+        high=high,
+        iqm=float(interquartile_mean(pooled)),
+        iqm_low=iqm_low,
+        iqm_high=iqm_high,
+    )
+
+
+def bootstrap(strata: Sequence[Floats], statistic: Any, resamples: int = RESAMPLES) -> tuple[float, float]:
+    """The percentile interval of a statistic, each stratum drawn anew by itself; NaN if one has a single value.
+
+    Args:
+        strata: the values.
+        statistic: of the strata, along an axis: ``statistic(*strata, axis=-1)``.
+        resamples: how often they are drawn.
+    """
+    from scipy.stats import bootstrap as scipy_bootstrap
+
+    if min(map(len, strata)) < 2:
+        return np.nan, np.nan
+    interval = scipy_bootstrap(
+        tuple(strata),
+        statistic,
+        vectorized=True,
+        n_resamples=resamples,
+        confidence_level=CONFIDENCE,
+        method="percentile",
+        rng=np.random.default_rng(0),  # the same scores always have the same interval
+    ).confidence_interval
+    return float(interval.low), float(interval.high)
+
+
+def mean_interval(strata: Sequence[Floats]) -> tuple[float, float]:
+    """The interval of the mean of the strata's means."""
+    return bootstrap(strata, _mean_of_means)
+
+
+def _means(strata: Sequence[Floats], axis: int) -> Floats:
+    return np.stack([values.mean(axis=axis) for values in strata])
+
+
+def _mean_of_means(*strata: Floats, axis: int = -1) -> Any:
+    return _means(strata, axis).mean(axis=0)
+
+
+def _iqm_of_means(*strata: Floats, axis: int = -1) -> Any:
+    return interquartile_mean(_means(strata, axis), axis=0)
+
+
+def _iqm_of_values(*strata: Floats, axis: int = -1) -> Any:
+    return interquartile_mean(np.concatenate(strata, axis=axis), axis=axis)
+
+
+def by_environment(scores: pd.DataFrame) -> pd.DataFrame:
+    """The statistics of each policy in each environment, one row each: over runs.
+
+    Args:
+        scores: a row for each episode.
+    """
+    import pandas as pd
+
+    rows = []
+    for (policy, task, variant), group in scores.groupby(["policy", "task", "variant"], sort=False):
+        runs = [run["score"].to_numpy(float) for _, run in group.groupby("run")]
+        counts = {"runs": len(runs), "episodes": len(group), "failures": int(group["failure"].notna().sum())}
+        rows.append({"policy": policy, "task": task, "variant": variant, **summarise([runs])._asdict(), **counts})
+    return pd.DataFrame(rows)
+
+
+def by_variant(scores: pd.DataFrame) -> pd.DataFrame:
+    """The statistics of each policy in each variant, one row each: over the tasks that are there."""
+    import pandas as pd
+
+    rows = []
+    for (policy, variant), group in scores.groupby(["policy", "variant"], sort=False):
+        tasks = [[run["score"].to_numpy(float) for _, run in task.groupby("run")] for _, task in group.groupby("task")]
+        counts = {"tasks": len(tasks), "runs": max(map(len, tasks)), "episodes": len(group)}
+        rows.append({"policy": policy, "variant": variant, **summarise(tasks)._asdict(), **counts})
+    return pd.DataFrame(rows)

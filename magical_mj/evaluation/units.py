@@ -1,0 +1,198 @@
+"""Units of work: some episodes of one environment with one policy, independent of all others and repeatable."""
+
+from __future__ import annotations
+
+import functools
+import os
+import threading
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, TypeVar
+
+import gymnasium
+import mujoco
+
+from magical_mj._version import __version__
+from magical_mj.evaluation.episodes import BlindWorld, Outcome, World, play, reason, seen_world
+from magical_mj.evaluation.limits import TimeLimitError, Workbench
+from magical_mj.evaluation.policies import BatchPolicy, Episode, is_blind
+from magical_mj.evaluation.scores import Key, Score
+from magical_mj.evaluation.sources import Act, Source
+from magical_mj.evaluation.vector import Copies, Envs, play_wave
+from magical_mj.registration import env_id
+from magical_mj.registry import task_spec
+from magical_mj.tasks.spec import Rules
+
+Vectorization = Literal["sync", "async"]
+T = TypeVar("T")
+
+SEEDS_PER_UNIT: Final = 10
+"""Seconds of work: little is lost when a run is killed, and little is spent on handing units out."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Some episodes of one environment with one policy.
+
+    Attributes:
+        source: of the policy.
+        task: the task's name.
+        variant: the variant's name.
+        seeds: of the scenes.
+        preset: of the observations, for policies that look at any.
+        rules: by which scores are given.
+        time_limit: for each episode, in seconds.
+        envs: how many episodes are played side by side.
+        vectorization: how: in this process, or in one process each.
+    """
+
+    source: Source
+    task: str
+    variant: str
+    seeds: tuple[int, ...]
+    preset: str
+    rules: Rules
+    time_limit: float
+    envs: int = 1
+    vectorization: Vectorization = "sync"
+
+    @property
+    def steps(self) -> int:
+        """How many actions it takes."""
+        return len(self.seeds) * task_spec(self.task).horizon(self.rules)
+
+
+def plan(
+    listed: Sequence[Source], pairs: Iterable[tuple[str, str]], episodes: int, done: Collection[Key], **settings: Any
+) -> list[Unit]:
+    """The units that are still to be done, the longest first, so that all workers end at about the same time."""
+    units = []
+    size = max(SEEDS_PER_UNIT, settings.get("envs", 1))
+    for task, variant in pairs:
+        for source in listed:
+            left = [seed for seed in range(episodes) if (source.name, source.run, task, variant, seed) not in done]
+            units += [
+                Unit(source, task, variant, tuple(left[start : start + size]), **settings)
+                for start in range(0, len(left), size)
+            ]
+    return sorted(units, key=lambda unit: -unit.steps)
+
+
+def play_unit(unit: Unit) -> list[Score]:
+    """What a worker does."""
+    return list(player().play(unit))
+
+
+_LOCAL = threading.local()
+
+
+def player() -> Player:
+    """This thread's player; a cluster's worker may work in several threads."""
+    if not hasattr(_LOCAL, "player"):
+        _LOCAL.player = Player()
+    return _LOCAL.player
+
+
+class Player:
+    """Plays units, on a thread that can be given up, and keeps the last environment and policy for the next unit."""
+
+    def __init__(self) -> None:
+        self._forget()
+
+    def play(self, unit: Unit) -> Iterator[Score]:
+        """Plays the unit's episodes, one after another or side by side.
+
+        Raises:
+            SettingsError: if the policy cannot be loaded.
+            RenderingError: if no pictures can be drawn here.
+        """
+        for start in range(0, len(unit.seeds), unit.envs):
+            seeds = unit.seeds[start : start + unit.envs]
+            episodes = [Episode(unit.task, unit.variant, seed, unit.source.run) for seed in seeds]
+            yield from map(functools.partial(_score, unit), episodes, self._outcomes(unit, episodes))
+
+    def _outcomes(self, unit: Unit, episodes: list[Episode]) -> list[Outcome]:
+        policy = self._policy_of(unit)
+        if unit.envs > 1 and not is_blind(policy):
+            try:
+                limit = unit.time_limit * len(episodes)
+                wave = self._bench.call(lambda: play_wave(*self._vector(unit, policy), episodes), limit)
+            except TimeLimitError:
+                self._forget()
+            else:
+                if not any(outcome.failure for outcome in wave):
+                    return wave
+        return [self._single(unit, episode) for episode in episodes]  # which tells whose failure it was
+
+    def _single(self, unit: Unit, episode: Episode) -> Outcome:
+        policy = self._policy_of(unit)
+        world = self._keep("world", _world_key(unit, policy), lambda: _world(unit, policy))
+        known = Episode(episode.task, episode.variant, episode.seed, episode.run, world.env)
+        try:
+            return self._bench.call(lambda: play(world, policy, known), unit.time_limit)
+        except TimeLimitError as error:
+            self._forget()
+            return Outcome(0.0, "", unit.time_limit, reason(error))
+
+    def _policy_of(self, unit: Unit) -> Act:
+        return self._keep("policy", unit.source, lambda: self._bench.call(unit.source.load, None))
+
+    def _vector(self, unit: Unit, policy: Act) -> tuple[Envs, BatchPolicy]:
+        key = (*_world_key(unit, policy), unit.envs, unit.vectorization)
+        envs = self._keep("vector", key, lambda: _vector_env(unit))
+        if isinstance(policy, BatchPolicy):
+            return envs, policy
+        return envs, self._keep("copies", (key, unit.source), lambda: Copies(policy, envs))
+
+    def _keep(self, what: str, key: Any, make: Callable[[], T]) -> T:
+        """The thing that was made for this key; a new one replaces, and closes, that of another key."""
+        kept, made = self._kept.get(what, (None, None))
+        if made is None or kept != key:
+            if made is not None and hasattr(made, "close"):
+                made.close()
+            made = make()
+            self._kept[what] = key, made
+        return made
+
+    def _forget(self) -> None:
+        """Starts afresh: an episode that never ended may still be using everything."""
+        self._kept: dict[str, tuple[Any, Any]] = {}
+        self._bench = Workbench()
+
+
+def _world_key(unit: Unit, policy: Act) -> tuple[Any, ...]:
+    return unit.task, unit.variant, unit.rules, None if is_blind(policy) else unit.preset
+
+
+def _world(unit: Unit, policy: Act) -> World:
+    if is_blind(policy):
+        return BlindWorld(unit.task, unit.variant, unit.rules)
+    return seen_world(unit.task, unit.variant, unit.preset, unit.rules)
+
+
+def _vector_env(unit: Unit) -> Envs:
+    kwargs: dict[str, Any] = {"autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
+    if unit.vectorization == "async":
+        kwargs["context"] = "spawn"  # OpenGL does not survive a fork
+    name = f"magical_mj:{env_id(unit.task, unit.variant, unit.preset)}"
+    return gymnasium.make_vec(name, unit.envs, unit.vectorization, vector_kwargs=kwargs, rules=unit.rules)
+
+
+def _score(unit: Unit, episode: Episode, outcome: Outcome) -> Score:
+    return Score(
+        policy=unit.source.name,
+        run=unit.source.run,
+        task=unit.task,
+        variant=unit.variant,
+        seed=episode.seed,
+        score=outcome.score,
+        steps=len(outcome.actions),
+        seconds=round(outcome.seconds, 4),
+        rules=unit.rules,
+        preset=None if is_blind(player()._policy_of(unit)) else unit.preset,
+        version=__version__,
+        mujoco=mujoco.__version__,
+        gl=os.environ.get("MUJOCO_GL", ""),
+        actions=outcome.actions,
+        failure=outcome.failure,
+    )
