@@ -65,7 +65,8 @@ def collision_geoms(shape: Shape, settings: Settings = SETTINGS) -> list[str]:
     if shape == "star":
         radius = settings.star_tip_radius
         tips = regular_polygon(5, c.STAR_OUTER_RADIUS - settings.star_tip_depth - radius)
-        return [*_edges(outline, settings.star_edge_radius), *(vertex(x, y, radius) for x, y in tips)]
+        edges = _edges(outline, settings.star_edge_radius)
+        return [*edges, *(vertex(x, y, radius, "disc") for x, y in tips)]  # blunt tips also meet other corners
     radius = settings.vertex_radius
     corners = inset(outline, radius)
     return [*_edges(outline, settings.edge_radius), *(vertex(x, y, radius) for x, y in corners)]

@@ -1,13 +1,16 @@
-"""The robot: a disc that drives and turns, two hinged fingers, and the motors of all.
+"""The robot: a disc that drives and turns, and two hinged fingers.
 
 What stands for what of the original's 2-D engine:
 
-- its velocity servo, a force of any direction with one cap that also brakes and stops side-slip: a driven wheel
-  under the robot's centre, which grips the floor with a constant normal force, for Coulomb friction is a disc;
-- its turning servo with a torque cap: dry friction between the ground and a heavy rotor that spins against the robot;
-- its finger motors: a speed in proportion to the way to go, clipped; the joint's force range is the cap;
-- its latency of one substep: each command passes through a filter of one substep, and the wheel hangs on a light
+- its velocity servo, a force of any direction with one cap that also brakes and stops side-slip: driven wheels under
+  the robot's centre, which grip the floor with a constant normal force, for Coulomb friction is a disc;
+- its turning servo with a torque cap: dry friction between the ground and heavy rotors that spin against the robot;
+- its finger motors: dry friction between a finger and a heavy rotor that turns at the finger's speed. The original
+  eases in over the last 0.1 rad, ours stops at the limit;
+- its latency of one substep: each command passes through a filter of one substep, and the wheels hang on a light
   castor that keeps the heading of the substep before.
+
+Wheels and rotors come in pairs because a load slows the original's servos; see `Settings.loaded_share`.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj import constants as c
-from magical_mj.actions import ACTIONS
+from magical_mj.actions import ACTIONS, Gripper
 from magical_mj.assets import style
 from magical_mj.assets.arena import EGO_CAMERA
 from magical_mj.assets.contacts import (
@@ -42,31 +45,46 @@ SIGN: Final[dict[Side, int]] = {"left": -1, "right": 1}
 """On which side of the body's x axis a finger is."""
 FINGER_INERTIA: Final[dict[Side, float]] = {"left": 0.00500649436186835, "right": 0.004983019517209476}
 """About the root, where the mass sits; the original's two fingers differ a little."""
-JOINTS: Final = ("robot_x", "robot_y", "robot_angle", "castor", "wheel", "rotor", "left_finger", "right_finger")
+WHEELS: Final = ("wheel", "loaded_wheel")
+ROTORS: Final = ("rotor", "loaded_rotor")
+MOTORS: Final[dict[Side, str]] = {"left": "left_motor", "right": "right_motor"}
+_PLANAR: Final = ("robot_x", "robot_y", "robot_angle")
+JOINTS: Final = (*_PLANAR, "castor", *WHEELS, *ROTORS, *MOTORS.values(), "left_finger", "right_finger")
 """In the order of the model's coordinates."""
 
-ROTOR_INERTIA: Final = 40.0  # of wheel and rotor: so heavy that friction cannot slow them
+ROTOR_INERTIA: Final = 40.0  # of wheels, rotors and motors: so heavy that friction cannot slow them
 CASTOR_INERTIA: Final = 1e-5  # so light that nobody feels it
-MOTOR_MASS: Final = 1e-6
-FINGER_RATE: Final = 10.0  # 1/s: a finger's speed is this times the way to go, up to c.SPEED_FINGER
+LIGHT: Final = '<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-7 1e-7 1e-7"/>'
 
 
 def robot_mjcf(robot: Robot, dynamics: Dynamics, settings: Settings = SETTINGS) -> str:
     """The body `robot` with its motors, fingers, face and the ego camera."""
     castor = f'armature="{numbers(CASTOR_INERTIA)}" stiffness="{numbers(CASTOR_INERTIA / TIMESTEP**2)}"'
-    motor = f'<inertial pos="0 0 0" mass="{MOTOR_MASS}" diaginertia="1e-7 1e-7 1e-7"/>'
+    mass = c.ROBOT_MASS + 2 * c.FINGER_MASS
+    wheels = "".join(
+        _spinner(name, "-1 0 0", foot(name, share * dynamics.drive_force, mass, settings))
+        for name, share in zip(WHEELS, _shares(settings.loaded_share), strict=True)
+    )
     content = (
         f'<inertial pos="0 0 0" mass="{c.ROBOT_MASS}" diaginertia="{numbers(*[c.ROBOT_INERTIA] * 3)}"/>'
         f'<geom name="robot" class="disc" size="{numbers(c.ROBOT_RADIUS - settings.body_overlap)}"/>{EGO_CAMERA}'
-        f'<body name="wheel"><joint name="castor" type="hinge" axis="0 0 1" {castor}/>'
-        f'<joint name="wheel" type="hinge" axis="-1 0 0" armature="{ROTOR_INERTIA}"/>{motor}'
-        f"{foot('wheel', dynamics.drive_force, c.ROBOT_MASS + 2 * c.FINGER_MASS, settings)}</body>"
-        f'<body name="rotor"><joint name="rotor" type="hinge" axis="0 0 1" armature="{ROTOR_INERTIA}"/>{motor}</body>'
-        f"{_finger('left', robot.fingers[0], dynamics, settings)}"
-        f"{_finger('right', robot.fingers[1], dynamics, settings)}"
+        f'<body name="castor"><joint name="castor" type="hinge" axis="0 0 1" {castor}/>{LIGHT}{wheels}</body>'
+        f"{''.join(_spinner(name, '0 0 1') for name in (*ROTORS, *MOTORS.values()))}"
+        f"{_finger('left', robot.fingers[0], settings)}{_finger('right', robot.fingers[1], settings)}"
         f'<body name="face">{_face()}</body>'
     )
     return planar_body("robot", robot.pose, content)
+
+
+def _shares(loaded: float) -> tuple[float, float]:
+    """How a cap is divided between the two wheels, or the two rotors."""
+    return 1 - loaded, loaded
+
+
+def _spinner(name: str, axis: str, geom: str = "") -> str:
+    """The body of a heavy wheel, rotor or motor."""
+    joint = f'<joint name="{name}" type="hinge" axis="{axis}" armature="{ROTOR_INERTIA}"/>'
+    return f'<body name="{name}">{joint}{LIGHT}{geom}</body>'
 
 
 def _face() -> str:
@@ -79,7 +97,7 @@ def _face() -> str:
     )
 
 
-def _finger(side: Side, angle: float, dynamics: Dynamics, settings: Settings) -> str:
+def _finger(side: Side, angle: float, settings: Settings) -> str:
     """The body `<side>_finger`: a box for each segment, and spheres at the three corners that stick out."""
     sign, name, inertia = SIGN[side], f"{side}_finger", FINGER_INERTIA[side]
     half, bend = c.FINGER_THICKNESS / 2, SIGN[side] * c.FINGER_BEND
@@ -101,7 +119,6 @@ def _finger(side: Side, angle: float, dynamics: Dynamics, settings: Settings) ->
         f'quat="{numbers(*quaternion(angle))}">'
         f'<joint name="{name}" type="hinge" axis="0 0 1" ref="{numbers(angle)}" range="{numbers(low, high)}" '
         f'armature="{numbers(settings.finger_armature)}" '
-        f'actuatorfrcrange="{numbers(-dynamics.finger_torque, dynamics.finger_torque)}" '
         f"{softness('limit', settings.limit_stiffness, settings.limit_impedance)}/>"
         f'<inertial pos="0 0 0" mass="{c.FINGER_MASS}" diaginertia="{numbers(inertia, inertia, inertia)}"/>'
         + style.visual_geom(f"{name}_outline", style.GREY, style.Z_FINGER)
@@ -116,57 +133,69 @@ def _finger(side: Side, angle: float, dynamics: Dynamics, settings: Settings) ->
 
 
 def tendons_mjcf(dynamics: Dynamics, settings: Settings = SETTINGS) -> str:
-    """Dry friction between rotor and ground, the turning servo; drag that holds the castor's heading for a substep."""
+    """Dry friction of the turning servo and of the finger motors, and the drag that turns the castor.
+
+    The drag turns the castor back by what the robot turned in a substep.
+    """
+    soft = softness("friction", 1, settings.dry_impedance)
+    turns = "".join(
+        f'<fixed name="{rotor}" frictionloss="{numbers(share * dynamics.turn_torque)}" {soft}>'
+        f'<joint joint="robot_angle" coef="1"/><joint joint="{rotor}" coef="1"/></fixed>'
+        for rotor, share in zip(ROTORS, _shares(settings.loaded_turn_share), strict=True)
+    )
+    soft = softness("friction", 1, settings.motor_impedance)
+    grips = "".join(
+        f'<fixed name="{motor}" frictionloss="{numbers(dynamics.finger_torque)}" {soft}>'
+        f'<joint joint="{side}_finger" coef="1"/><joint joint="{motor}" coef="-1"/></fixed>'
+        for side, motor in MOTORS.items()
+    )
     return (
-        f'<fixed name="turn" frictionloss="{numbers(dynamics.turn_torque)}" '
-        f"{softness('friction', 1, settings.dry_impedance)}>"
-        '<joint joint="robot_angle" coef="1"/><joint joint="rotor" coef="1"/></fixed>'
-        f'<fixed name="castor" damping="{numbers(CASTOR_INERTIA / TIMESTEP)}">'
+        f'{turns}{grips}<fixed name="castor" damping="{numbers(CASTOR_INERTIA / TIMESTEP)}">'
         '<joint joint="robot_angle" coef="1"/><joint joint="castor" coef="1"/></fixed>'
     )
 
 
-def actuators_mjcf(settings: Settings = SETTINGS) -> str:
-    """Four commands: drive (units/s), turn (rad/s), left and right finger (0 open, 1 closed). Two dampers follow."""
-    latency = 'dyntype="filterexact" dynprm="1e-9"'  # the command acts one substep after it was written
-    gain = ROTOR_INERTIA / TIMESTEP  # reaches the commanded speed in one substep
-    drive = gain / (FOOT_RADIUS - FOOT_DEPTH / 2)  # the contact is midway between the wheel's rim and the floor
-    text = (
-        f'<general name="drive" joint="wheel" {latency} gainprm="{numbers(drive)}" biastype="affine" '
-        f'biasprm="0 0 {numbers(-gain)}"/>'
-        f'<general name="turn" joint="rotor" {latency} gainprm="{numbers(-gain)}" biastype="affine" '
-        f'biasprm="0 0 {numbers(-gain)}"/>'
+def actuators_mjcf() -> str:
+    """Six speeds, reached in one substep: two wheels (units/s), two rotors and two finger motors (rad/s)."""
+    gain = ROTOR_INERTIA / TIMESTEP
+    rolling = FOOT_RADIUS - FOOT_DEPTH / 2  # MuJoCo puts a contact midway between the wheel's rim and the floor
+    scales = {WHEELS: 1 / rolling, ROTORS: -1.0, tuple(MOTORS.values()): 1.0}
+    return "".join(
+        f'<general name="{joint}" joint="{joint}" dyntype="filterexact" dynprm="1e-9" '
+        f'gainprm="{numbers(gain * scale)}" biastype="affine" biasprm="0 0 {numbers(-gain)}"/>'
+        for joints, scale in scales.items()
+        for joint in joints
     )
-    # torque = strength * (clip(FINGER_RATE * (target - angle), +-SPEED_FINGER) - speed), then the joint's force range
-    strength = {side: (settings.finger_armature + FINGER_INERTIA[side]) / TIMESTEP for side in SIGN}
-    for side, sign in SIGN.items():
-        opened, rate = -sign * c.FINGER_OPEN, FINGER_RATE * strength[side]
-        cap = strength[side] * c.SPEED_FINGER
-        text += (
-            f'<general name="{side}_finger" joint="{side}_finger" {latency} gainprm="{numbers(-rate * opened)}" '
-            f'biastype="affine" biasprm="{numbers(rate * opened, -rate, 0)}" forcerange="{numbers(-cap, cap)}"/>'
-        )
-    for side in SIGN:
-        text += (
-            f'<general name="{side}_finger_damper" joint="{side}_finger" gainprm="0" biastype="affine" '
-            f'biasprm="0 0 {numbers(-strength[side])}"/>'
-        )
-    return text
 
 
 def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics) -> None:
     """Give the robot of a compiled model another pose and other force caps, as if compiled with them."""
     move_body(model, "robot", robot.pose)
-    model.geom_friction[model.geom("wheel").id, 0] = dynamics.drive_force / PRESS
-    model.tendon_frictionloss[model.tendon("turn").id] = dynamics.turn_torque
-    for side, angle in zip(SIGN, robot.fingers, strict=True):
+    for wheel, share in zip(WHEELS, _shares(SETTINGS.loaded_share), strict=True):
+        model.geom_friction[model.geom(wheel).id, 0] = share * dynamics.drive_force / PRESS
+    for rotor, share in zip(ROTORS, _shares(SETTINGS.loaded_turn_share), strict=True):
+        model.tendon_frictionloss[model.tendon(rotor).id] = share * dynamics.turn_torque
+    for (side, motor), angle in zip(MOTORS.items(), robot.fingers, strict=True):
         bend_body(model, f"{side}_finger", angle)
-        model.jnt_actfrcrange[model.joint(f"{side}_finger").id] = (-dynamics.finger_torque, dynamics.finger_torque)
+        model.tendon_frictionloss[model.tendon(motor).id] = dynamics.finger_torque
 
 
-_SPEED = (0.0, c.SPEED_FORWARD, -c.SPEED_BACKWARD)
-_TURN = (0.0, c.SPEED_TURN, -c.SPEED_TURN)
-_CONTROLS = np.array([(_SPEED[a.drive], _TURN[a.turn], a.gripper, a.gripper, 0.0, 0.0) for a in ACTIONS])
+def controls(settings: Settings = SETTINGS) -> NDArray[np.float64]:
+    """What each action writes into `ctrl`: speeds of wheels, rotors and finger motors. Shape (18, 6)."""
+    rows = []
+    for action in ACTIONS:
+        speed = (0.0, c.SPEED_FORWARD, -c.SPEED_BACKWARD)[action.drive]
+        turn = (0.0, c.SPEED_TURN, -c.SPEED_TURN)[action.turn]
+        loaded_speed, loaded_turn, grip = speed, turn, c.SPEED_FINGER
+        if action.gripper is Gripper.CLOSE:
+            loaded_speed = (0.0, settings.loaded_forward, -settings.loaded_backward)[action.drive]
+            loaded_turn = (0.0, settings.loaded_turn, -settings.loaded_turn)[action.turn]
+            grip = -c.SPEED_FINGER
+        rows.append((speed, loaded_speed, turn, loaded_turn, grip, -grip))
+    return np.array(rows)
+
+
+_CONTROLS = controls()
 _CONTROLS.setflags(write=False)
 
 

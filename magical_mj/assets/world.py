@@ -32,7 +32,7 @@ def world_mjcf(scene: Scene, keyframe: str = "", settings: Settings = SETTINGS) 
         f"<worldbody>{arena_mjcf()}{blocks}{robot_mjcf(scene.robot, dynamics, settings)}</worldbody>"
         f"<deformable>{regions_mjcf(scene.regions)}</deformable>"
         '<contact><exclude body1="left_finger" body2="right_finger"/></contact>'
-        f"<tendon>{tendons_mjcf(dynamics, settings)}</tendon><actuator>{actuators_mjcf(settings)}</actuator>"
+        f"<tendon>{tendons_mjcf(dynamics, settings)}</tendon><actuator>{actuators_mjcf()}</actuator>"
         f"<keyframe>{keyframe}</keyframe></mujoco>"
     )
 
