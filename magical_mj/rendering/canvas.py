@@ -11,6 +11,7 @@ import contextlib
 import os
 import threading
 import weakref
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -22,6 +23,7 @@ from magical_mj.assets.style import DRAWN_GROUP
 from magical_mj.assets.world import world_mjcf
 from magical_mj.errors import RenderingError
 from magical_mj.rendering.backend import REMEDY, new_gl_context
+from magical_mj.rendering.current import borrowed_thread
 from magical_mj.scene import GoalRegion, Robot, Scene
 
 Picture = NDArray[np.uint8]
@@ -83,14 +85,17 @@ class Canvas(threading.local):
     active: Context | None = None
     pixels: dict[tuple[int, int], Picture] = field(default_factory=dict)  # a buffer for each of the last few sizes
 
-    def activate(self) -> None:
-        """Make the OpenGL context current, starting it if need be."""
-        if self.gl is None:
-            self._start()
-        elif self.process != os.getpid():
+    @contextlib.contextmanager
+    def current(self) -> Iterator[None]:
+        """A block in which the OpenGL context is current; it is started if need be."""
+        if self.gl is not None and self.process != os.getpid():
             raise RenderingError(FORKED)
-        else:  # somebody else may have drawn in between
-            self.gl.make_current()
+        with borrowed_thread():
+            if self.gl is None:
+                self._start()
+            else:
+                self.gl.make_current()
+            yield
 
     def _start(self) -> None:
         os.environ.setdefault("LP_NUM_THREADS", "0")
@@ -136,15 +141,13 @@ class Canvas(threading.local):
 
     def close(self) -> None:
         """Free everything; may be called twice."""
-        gl, self.gl = self.gl, None
-        if gl is None or self.process != os.getpid():
-            return
-        gl.make_current()
-        for context in self.contexts:
-            context.mjr.free()
-        self.contexts, self.active = [], None
+        if self.gl is not None and self.process == os.getpid():
+            with self.current():
+                for context in self.contexts:
+                    context.mjr.free()
+                self.gl.free()
+        self.gl, self.active, self.contexts = None, None, []
         self.pixels.clear()
-        gl.free()
 
 
 CANVAS = Canvas()
@@ -175,7 +178,7 @@ def _drawing_context(model: mujoco.MjModel) -> mujoco.MjrContext:
 
 def opengl_name() -> str:
     """Who draws: OpenGL's renderer and version."""
-    CANVAS.activate()
-    from OpenGL import GL
+    with CANVAS.current():
+        from OpenGL import GL
 
-    return " / ".join(GL.glGetString(name).decode() for name in (GL.GL_RENDERER, GL.GL_VERSION))
+        return " / ".join(GL.glGetString(name).decode() for name in (GL.GL_RENDERER, GL.GL_VERSION))

@@ -79,13 +79,14 @@ class Renderer:
         Raises:
             RenderingError: if OpenGL does not work here; it says what to do.
         """
-        CANVAS.activate()
-        if self._context not in CANVAS.contexts:
-            self._context = CANVAS.context_for(self._model)
-        context, scene, option = self._context, self._get_scene(), self._option
-        mujoco.mjv_updateScene(self._model, data, option, None, self._get_camera(camera), _STILL, scene)
-        mujoco.mjv_addGeoms(self._model, data, option, self._perturbation, _MOVING, scene)
-        return on_paper(CANVAS.draw(context, scene, OVERSAMPLING * size, OVERSAMPLING * size))
+        with CANVAS.current():
+            if self._context not in CANVAS.contexts:
+                self._context = CANVAS.context_for(self._model)
+            context, scene, option = self._context, self._get_scene(), self._option
+            mujoco.mjv_updateScene(self._model, data, option, None, self._get_camera(camera), _STILL, scene)
+            mujoco.mjv_addGeoms(self._model, data, option, self._perturbation, _MOVING, scene)
+            pixels = CANVAS.draw(context, scene, OVERSAMPLING * size, OVERSAMPLING * size)
+        return on_paper(pixels)
 
     def close(self) -> None:
         """Let go of the scene; the process's canvas stays for others. May be called twice."""

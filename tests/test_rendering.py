@@ -1,0 +1,349 @@
+"""Pictures: their geometry and colours, the reference images, sharing one canvas, and machines without OpenGL."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from PIL import Image
+
+import magical_mj
+from magical_mj import constants as c
+from magical_mj.assets import style
+from magical_mj.assets.world import World
+from magical_mj.rendering.backend import osmesa_works
+from magical_mj.rendering.canvas import CANVAS
+from magical_mj.rendering.renderer import LARGEST, Renderer, check_size, on_paper
+from magical_mj.scene import Block, GoalRegion, Robot, Scene
+from magical_mj.simulation import Simulation
+
+IMAGES = Path(__file__).parent / "data" / "images"
+VIEWS = ("ego", "allo")
+
+GALLERY = Scene(
+    Robot(0.1, -0.6, 0.0),
+    tuple(
+        Block(shape, colour, x, 0.1, 0.4)
+        for shape, colour, x in zip(c.SHAPES, c.COLOURS, (-0.75, -0.25, 0.25, 0.75), strict=True)
+    ),
+    tuple(GoalRegion(colour, x, 0.4, x + 0.5, 0.9) for colour, x in (("red", -0.9), ("blue", -0.25), ("green", 0.4))),
+)
+
+
+def draw(scene: Scene, view: str, size: int = 96) -> np.ndarray:
+    return Simulation.of(World(scene)).draw(view, size)
+
+
+def allo_pixel(x: float, y: float, size: int) -> tuple[int, int]:
+    """Row and column of a point of the world."""
+    return int((0.5 - y / c.VISIBLE_SIZE) * size), int((0.5 + x / c.VISIBLE_SIZE) * size)
+
+
+def centre_of(picture: np.ndarray, rgb: style.Rgb) -> np.ndarray:
+    """Mean position of the pixels of a colour: (row, column) as fractions of the picture."""
+    places = np.argwhere((picture == rgb).all(axis=2))
+    assert len(places)
+    return (places.mean(axis=0) + 0.5) / len(picture)
+
+
+def difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return np.abs(one.astype(float) - other)
+
+
+# What is seen
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("task", magical_mj.TASKS)
+def test_demo_looks_like_the_original(task: str, view: str) -> None:
+    with Image.open(IMAGES / f"{task}-Demo-{view}-96.png") as reference:
+        expected = np.asarray(reference.convert("RGB"))
+    found = draw(magical_mj.sample_scene(task, "Demo", 0), view)
+    assert difference(found, expected).mean() <= 3.0
+
+
+@pytest.mark.parametrize("size", [192, 384])
+def test_allo_shows_every_point_in_its_place_and_exact_colour(size: int) -> None:
+    picture = draw(GALLERY, "allo", size)
+    for block in GALLERY.blocks:
+        assert tuple(picture[allo_pixel(block.x, block.y, size)]) == style.BLOCK_FILL[block.colour]
+    for region in GALLERY.regions:
+        assert tuple(picture[allo_pixel(*region.centre, size)]) == style.REGION_FILL[region.colour]
+    robot = GALLERY.robot
+    assert tuple(picture[allo_pixel(robot.x, robot.y - c.ROBOT_RADIUS / 2, size)]) == style.GREY
+    assert tuple(picture[allo_pixel(0, -0.2, size)]) == style.WHITE
+    assert tuple(picture[0, 0]) == style.LIGHT_GREY
+
+
+@pytest.mark.parametrize(("x", "y", "angle"), [(0, 0, 0), (0.4, -0.3, 0.7), (-0.5, 0.2, -2.5)])
+def test_ego_keeps_the_robot_in_place_and_heading_up(x: float, y: float, angle: float) -> None:
+    def world(right: float, ahead: float) -> tuple[float, float]:
+        """A point that is so far to the right of the robot and ahead of it."""
+        cosine, sine = np.cos(angle), np.sin(angle)
+        return x + cosine * right - sine * ahead, y + sine * right + cosine * ahead
+
+    block = Block("circle", "blue", *world(0.25, 0.4), 0)
+    picture = draw(Scene(Robot(x, y, angle), (block,)), "ego", 384)
+    assert tuple(picture[int(0.87 * 384), 192]) == style.GREY
+    edges = np.argwhere((picture[int(0.85 * 384)] == style.GREY).all(axis=1))
+    assert (edges.min() + edges.max() + 1) / 2 / 384 == pytest.approx(0.5, abs=0.005)
+    centre = centre_of(picture, style.BLOCK_FILL["blue"])
+    np.testing.assert_allclose(centre, (0.85 - 0.4 / c.VISIBLE_SIZE, 0.5 + 0.25 / c.VISIBLE_SIZE), atol=0.005)
+    assert centre_of(picture, style.BLACK)[0] < 0.85  # it looks ahead
+
+
+def test_later_things_hide_earlier_ones() -> None:
+    """Regions lie below blocks; fingers and body above."""
+    scene = Scene(Robot(0, -0.2, 0), (Block("square", "red", 0, 0.4, 0),), (GoalRegion("green", -0.4, -0.4, 0.4, 0.6),))
+    picture = draw(scene, "allo")
+    assert tuple(picture[allo_pixel(0, 0.4, 96)]) == style.BLOCK_FILL["red"]
+    assert tuple(picture[allo_pixel(0, -0.3, 96)]) == style.GREY
+    assert tuple(picture[allo_pixel(-0.3, 0.1, 96)]) == style.REGION_FILL["green"]
+
+
+@pytest.mark.parametrize("task", ["FixColour", "FindDupe", "ClusterShape"])
+def test_any_mujoco_viewer_shows_the_same(task: str, tmp_path: Path) -> None:
+    """MuJoCo's own renderer, with a depth buffer and its default flags, from the exported file."""
+    scene = magical_mj.sample_scene(task, "Demo", 0)
+    model = mujoco.MjModel.from_xml_path(str(magical_mj.export_mjcf(scene, tmp_path / "scene.xml")))
+    model.vis.global_.offwidth = model.vis.global_.offheight = 768
+    model.vis.quality.offsamples = 0
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    renderer = mujoco.Renderer(model, 768, 768)
+    for view in VIEWS:
+        renderer.update_scene(data, view)
+        theirs = renderer.render().astype(float).reshape(384, 2, 384, 2, 3).mean(axis=(1, 3))
+        assert difference(theirs, draw(scene, view, 384)).max() <= 1.0
+    renderer.close()
+
+
+def test_averaging_is_exact_on_white_paper() -> None:
+    rng = np.random.default_rng(0)
+    pixels = rng.integers(0, 256, (24, 16, 4), np.uint8)
+    pixels[..., 3] = 255 * rng.integers(0, 2, (24, 16))
+    pixels[pixels[..., 3] == 0] = 0
+    opaque = np.where(pixels[..., 3:] == 0, 255.0, pixels[..., :3])
+    expected = opaque[::-1].reshape(12, 2, 8, 2, 3).mean(axis=(1, 3))
+    found = on_paper(pixels)
+    assert found.dtype == np.uint8
+    assert difference(found, expected).max() <= 1.0
+
+
+@pytest.mark.parametrize("size", [1, 3, 97, LARGEST])
+def test_pictures_of_any_size_are_fresh_arrays(size: int) -> None:
+    simulation = Simulation.of(World(GALLERY))
+    first, second = (simulation.draw("ego", size) for _ in range(2))
+    assert first.shape == (size, size, 3)
+    assert first.flags.c_contiguous
+    first[:] = 1
+    assert (second != 1).any()
+
+
+@pytest.mark.parametrize("size", [0, -1, LARGEST + 1, 9.5, True, "96", None])
+def test_sizes_are_checked(size: object) -> None:
+    with pytest.raises(ValueError, match="image_size"):
+        check_size(size)
+
+
+# One canvas for all
+
+
+def test_interleaved_simulations_draw_what_each_draws_alone() -> None:
+    scenes = [magical_mj.sample_scene(task, "All", 1) for task in magical_mj.TASKS]
+    alone = {
+        (k, view, size): draw(scene, view, size)
+        for k, scene in enumerate(scenes)
+        for view in VIEWS
+        for size in (96, 64, 200)
+    }
+    CANVAS.close()
+    simulations = [Simulation.of(World(scene)) for scene in scenes]
+    keys = list(alone)
+    for choice in np.random.default_rng(0).integers(len(keys), size=300):
+        k, view, size = keys[choice]
+        np.testing.assert_array_equal(simulations[k].draw(view, size), alone[keys[choice]])
+    assert len(CANVAS.contexts) == 1
+
+
+def test_rewritten_models_draw_as_compiled_ones() -> None:
+    scenes = [magical_mj.sample_scene("MatchRegions", "Layout", seed) for seed in range(4)]
+    used = Simulation.of(World(scenes[0]))
+    for scene in scenes:
+        World(scene).rewrite(used.model.ptr, used.data.ptr)
+        used.reset()
+        for view in VIEWS:
+            np.testing.assert_array_equal(used.draw(view, 96), draw(scene, view))
+
+
+def test_foreign_models_are_drawn_too_and_disturb_nobody() -> None:
+    ours = Simulation.of(World(GALLERY))
+    before = ours.draw("allo", 96)
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><asset><texture name="t" type="2d" builtin="checker" width="8" height="8" rgb1="1 0 0" rgb2="0 1 0"/>'
+        '<material name="t" texture="t"/></asset><worldbody><camera name="c" pos="0 0 3"/>'
+        '<geom type="plane" size="1 1 .1" material="t"/></worldbody></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    red, green, blue = Renderer(model).draw(data, "c", 96).reshape(-1, 3).mean(axis=0)
+    assert min(red, green) > blue
+    np.testing.assert_array_equal(ours.draw("allo", 96), before)
+
+
+def test_things_that_users_add_are_drawn() -> None:
+    env = magical_mj.load_scene(Scene(Robot(0.5, -0.5, 0)), observations=("allo",))
+
+    def add_ball(random_state: object) -> None:
+        root = env.task.root_entity.mjcf_model
+        if root.find("geom", "ball") is None:
+            look = {"size": [0.2], "rgba": [0, 0, 1, 1], "group": 0}
+            root.worldbody.add("geom", name="ball", type="sphere", pos=[-0.5, 0.5, 0], **look)
+
+    env.add_extra_hook("initialize_episode_mjcf", add_ball)
+    picture = env.reset().observation["allo"]
+    assert tuple(picture[allo_pixel(-0.5, 0.5, 96)]) == (0, 0, 255)
+
+
+def test_drawing_beside_mujoco_and_dm_control_disturbs_nobody() -> None:
+    """Each has an OpenGL context of its own, expects it to stay current, and frees things in whichever is."""
+    env = magical_mj.load_scene(GALLERY, observations=("ego",), image_size=64)
+    ours = env.reset().observation["ego"]
+    renderer = mujoco.Renderer(env.physics.model.ptr, 64, 64)
+    pictures = []
+    for _ in range(3):
+        pictures.append(env.physics.render(64, 64, "ego"))
+        np.testing.assert_array_equal(env.render("ego", 64), ours)
+        renderer.update_scene(env.physics.data.ptr, "ego")
+        np.testing.assert_array_equal(renderer.render(), pictures[0])
+        np.testing.assert_array_equal(pictures[-1], pictures[0])
+    renderer.close()
+    np.testing.assert_array_equal(env.render("ego", 64), ours)
+
+
+def test_the_canvas_can_be_closed_and_opened_again() -> None:
+    simulation = Simulation.of(World(GALLERY))
+    before = simulation.draw("ego", 96)
+    CANVAS.close()
+    CANVAS.close()
+    np.testing.assert_array_equal(simulation.draw("ego", 96), before)
+
+
+def test_each_thread_has_a_canvas_of_its_own() -> None:
+    expected = draw(GALLERY, "ego")
+    found = []
+
+    def work() -> None:
+        found.append(draw(GALLERY, "ego"))
+        CANVAS.close()
+
+    threads = [threading.Thread(target=work) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(found) == 3
+    for picture in found:
+        np.testing.assert_array_equal(picture, expected)
+
+
+# Processes
+
+FIRST_FRAME = """
+import magical_mj
+env = magical_mj.load("MoveToRegion", seed=0)
+env.reset()
+"""
+DAEMON = """
+import threading, time
+work = lambda: (magical_mj.load("MoveToRegion").reset(), started.set(), time.sleep(60))
+started = threading.Event()
+threading.Thread(target=work, daemon=True).start()
+assert started.wait(60)
+"""
+BARE = {name: value for name, value in os.environ.items() if name not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
+NO_DRIVER = {"__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent"}
+ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere MuJoCo has one backend")
+
+
+def python(program: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", program], env=BARE | variables, capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+@pytest.mark.parametrize(
+    ("ending", "code", "last_line"),
+    [
+        ("", 0, ""),
+        ("raise SystemExit(3)", 3, ""),
+        ("raise KeyError('expected')", 1, "KeyError: 'expected'"),
+        (DAEMON, 0, ""),
+    ],
+    ids=["end", "exit", "exception", "daemon"],
+)
+def test_nothing_is_said_at_exit(ending: str, code: int, last_line: str) -> None:
+    result = python(f"{FIRST_FRAME}{ending}")
+    assert (result.returncode, result.stdout) == (code, "")
+    assert "ignored" not in result.stderr
+    assert (result.stderr.strip().splitlines() or [""])[-1] == last_line
+
+
+@ON_LINUX
+def test_drawing_after_a_fork_is_refused_and_spawning_suggested() -> None:
+    result = python(
+        f"{FIRST_FRAME}"
+        "import multiprocessing\n"
+        "worker = multiprocessing.get_context('fork').Process(target=env.step, args=(0,))\n"
+        "worker.start(); worker.join(60)\n"
+        "raise SystemExit(worker.exitcode)"
+    )
+    assert result.returncode == 1
+    assert "RenderingError" in result.stderr
+    assert "'spawn' or 'forkserver'" in result.stderr
+
+
+@ON_LINUX
+@pytest.mark.skipif(osmesa_works(), reason="OSMesa can draw without a driver")
+class TestWithoutOpenGL:
+    """No driver: EGL finds no device, and OSMesa is not installed."""
+
+    def test_states_work_and_pictures_say_what_is_missing(self) -> None:
+        program = (
+            "import magical_mj\n"
+            "env = magical_mj.load('FindDupe', observations=('state',))\n"
+            "env.reset(); env.step(1)\n"
+            "print('state')\n"
+            "env.render()"
+        )
+        result = python(program, **NO_DRIVER)
+        assert result.stdout == "state\n"
+        assert result.returncode == 1
+        self.check_message(result.stderr)
+
+    @pytest.mark.parametrize("backend", ["egl", "osmesa"])
+    def test_a_backend_that_was_asked_for_and_fails_is_named(self, backend: str) -> None:
+        result = python("import magical_mj; magical_mj.load('FindDupe')", MUJOCO_GL=backend, **NO_DRIVER)
+        assert result.returncode == 1
+        self.check_message(result.stderr)
+        assert f"MUJOCO_GL is {backend}" in result.stderr
+
+    def check_message(self, error: str) -> None:
+        """One error, which names the variable and the packages."""
+        last = error.strip().splitlines()[-1]
+        assert last.startswith("magical_mj.errors.RenderingError: ")
+        for word in ("MUJOCO_GL", "egl", "libegl1", "osmesa", "libosmesa6"):
+            assert word in last
+
+
+@ON_LINUX
+@pytest.mark.parametrize("wanted", ["egl", "glfw", "disable", "off"])
+def test_a_users_choice_of_backend_is_kept(wanted: str) -> None:
+    result = python("import magical_mj, os; print(os.environ['MUJOCO_GL'])", MUJOCO_GL=wanted)
+    assert result.stdout == f"{wanted}\n"
