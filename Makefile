@@ -1,6 +1,6 @@
 # `make demo` and `make test` work on a bare machine with Python 3.11 or 3.12: they create .venv and install what is
-# missing, in the versions of constraints.txt. On Linux, PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu
-# spares `make test` and `make check` the CUDA packages of torch; `make demo` needs no torch.
+# missing, in the versions of constraints.txt. `make demo` needs no torch. `make test` and `make check` do: on Linux, point
+# PIP_EXTRA_INDEX_URL to PyTorch's index of CPU builds to be spared the CUDA packages.
 
 SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 13))
 PYTHON ?= $(shell for p in python3.11 python3.12 python3 python; do \

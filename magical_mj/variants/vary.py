@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import zlib
 from dataclasses import replace
 from typing import Any, Final
 
@@ -30,7 +31,7 @@ def vary(spec: TaskSpec, variant: str, seed: int) -> Scene:
         PlacementError: if no legal placement was found.
     """
     seed = check_seed(seed)
-    rngs = {axis: _generator(seed, axis) for axis in varied_axes(spec, variant)}
+    rngs = {axis: _generator(spec.name, axis, seed) for axis in varied_axes(spec, variant)}
     scene = spec.demo
     if spec.count is not None and "count" in rngs:
         scene = spec.count(rngs["count"], scene)
@@ -81,10 +82,10 @@ def check_seed(seed: Any) -> int:
     return number
 
 
-def _generator(seed: int, axis: Axis) -> np.random.Generator:
-    """The axis's own generator: that of child ``AXES.index(axis)`` of ``SeedSequence(seed)``.
+def _generator(task: str, axis: Axis, seed: int) -> np.random.Generator:
+    """The generator of one axis of one task: scenes of other tasks with the same seed share nothing with it.
 
     The bit generator is named, for `default_rng` may choose another one in a later numpy.
     """
-    child = np.random.SeedSequence(seed, spawn_key=(AXES.index(axis),))
+    child = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(task.encode()), AXES.index(axis)))
     return np.random.Generator(np.random.PCG64(child))
