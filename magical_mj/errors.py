@@ -30,6 +30,10 @@ class PlacementError(MagicalError, RuntimeError):
     """No legal placement was found within the bounded number of tries."""
 
 
+class DemonstrationError(MagicalError, ValueError):
+    """A demonstration that is damaged, of another version or task, or does not fit its world."""
+
+
 class RenderingError(MagicalError, RuntimeError):
     """OpenGL does not work here."""
 

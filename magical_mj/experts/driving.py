@@ -26,10 +26,8 @@ _CHOICES: Final = tuple(itertools.product(Turn, Drive))
 _PAIRS: Final = tuple(itertools.product(_CHOICES, _CHOICES))
 _SPEED: Final = {Drive.NONE: 0.0, Drive.FORWARD: c.SPEED_FORWARD, Drive.BACK: -c.SPEED_BACKWARD}
 _SPIN: Final = {Turn.NONE: 0.0, Turn.LEFT: c.SPEED_TURN, Turn.RIGHT: -c.SPEED_TURN}
-_SPINS, _SPEEDS = (
-    np.array([[table[choice[part]] for choice in pair] for pair in _PAIRS]).T
-    for part, table in enumerate((_SPIN, _SPEED))
-)
+_SPINS: Final = np.array([[_SPIN[turn] for turn, _ in pair] for pair in _PAIRS]).T
+_SPEEDS: Final = np.array([[_SPEED[drive] for _, drive in pair] for pair in _PAIRS]).T
 """What all pairs of choices command. Shape (2, 81)."""
 
 

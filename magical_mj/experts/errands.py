@@ -112,9 +112,8 @@ def _nearest(scene: Scene, block: int, places: Iterable[Point], rng: np.random.G
 
 
 def _move_to_corner(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
-    reach = SPECS["MoveToCorner"]
     places = [place for place in _grid(-REACHABLE, -REACHABLE, REACHABLE, REACHABLE) if math.dist(place, (-1, 1)) < 0.6]
-    del initial, reach
+    del initial
     return (_nearest(now, 0, places, rng),)
 
 
@@ -182,21 +181,21 @@ def _fix_colour(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands
     return tuple(todo)
 
 
-def _moves(now: Scene, targets: Sequence[Point | None], tolerance: float) -> Errands:
+def _moves(targets: Sequence[Point | None], tolerance: float) -> Errands:
     """The errands of a plan that has a target, or None, for each block."""
     return tuple(Errand(n, target, tolerance) for n, target in enumerate(targets) if target is not None)
 
 
 def _make_line(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
     del initial
-    return _moves(now, straightened([(block.x, block.y) for block in now.blocks], rng), 0.07)
+    return _moves(straightened([(block.x, block.y) for block in now.blocks], rng), 0.07)
 
 
 def _cluster_by(attribute: str) -> Callable[[Scene, Scene, np.random.Generator], Errands]:
     def plan(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
         del initial
         kinds = [getattr(block, attribute) for block in now.blocks]
-        return _moves(now, rearranged([(block.x, block.y) for block in now.blocks], kinds, rng), 0.09)
+        return _moves(rearranged([(block.x, block.y) for block in now.blocks], kinds, rng), 0.09)
 
     return plan
 

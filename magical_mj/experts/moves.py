@@ -92,7 +92,7 @@ def perform(world: Imagination, manoeuvre: Manoeuvre, limit: int) -> bool:
         return approached
     if not _take(world, errand.block, limit):
         return False
-    carried = _carry(world, errand, limit)
+    carried = _carry(world, errand.block, errand, limit)
     _let_go(world, errand.block, limit)
     return carried
 
@@ -118,22 +118,21 @@ def _take(world: Imagination, block: int, limit: int) -> bool:
     return ahead < LOST and abs(right) < 0.12
 
 
-def _carry(world: Imagination, errand: Errand, limit: int) -> bool:
+def _carry(world: Imagination, block: int, errand: Errand, limit: int) -> bool:
     """Drive until the block is at its target."""
-    assert errand.block is not None
     for _ in range(2):
         left = limit - len(world.trace)
         if left <= 0:
             return False
         scene = world.scene()
-        right, ahead = world.seen(errand.block)
+        ahead = world.seen(block)[1]
         if ahead > LOST:
             return False
-        ways = explore(world.robot, toll(obstacles(scene, errand.block), loaded=True), min(left, 80))
+        ways = explore(world.robot, toll(obstacles(scene, block), loaded=True), min(left, 80))
         gaps = np.hypot(*(ways.places(ahead) - errand.target).T)
         cost = ways.steps + 60 * gaps + 1000 * np.clip(gaps - errand.tolerance, 0, None)
         follow(world, ways.to(int(cost.argmin())), Gripper.CLOSE, left)
-        if math.dist(world.block(errand.block), errand.target) <= errand.tolerance:
+        if math.dist(world.block(block), errand.target) <= errand.tolerance:
             return True
     return False
 

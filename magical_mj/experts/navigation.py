@@ -90,7 +90,9 @@ def toll(obstacles: Floats, loaded: bool) -> Ints:
         np.minimum(room, np.sqrt((x - ox) ** 2 + (y - oy) ** 2) - radius, out=room)
     discs = LOADED if loaded else EMPTY
     space = _least(room, discs)
-    costs = sum((space < clearance) * cost for clearance, cost in PUSH_COSTS)
+    costs = np.zeros(len(space), np.int64)
+    for clearance, cost in PUSH_COSTS:
+        costs += (space < clearance) * cost
     costs[(space < PUSH_LIMIT) | _walled(discs)] = -1
     return costs
 

@@ -1,0 +1,66 @@
+"""Demonstrations: the shipped ones, files of your own, and what learners and other tools want of them.
+
+Example:
+    >>> demos = magical_mj.demos.load("FindDupe")  # 25 by the expert, all with score 1
+    >>> observations, actions = magical_mj.demos.transitions(demos, "LoRes4E")  # (n, 96, 96, 12) uint8, (n,) uint8
+"""
+
+from __future__ import annotations
+
+from importlib.resources import as_file, files
+from pathlib import Path
+
+from magical_mj.demos.demonstration import Demonstration
+from magical_mj.demos.export import to_minari, to_npz
+from magical_mj.demos.files import SUFFIX, read, write
+from magical_mj.demos.learning import Transitions, observations, stream, transitions
+from magical_mj.demos.recording import Recorder, demonstrate
+from magical_mj.demos.replay import Verdict, see, verify
+from magical_mj.demos.variety import Diversity, diversity
+from magical_mj.errors import DemonstrationError
+from magical_mj.registry import task_spec
+
+__all__ = [
+    "Demonstration",
+    "Diversity",
+    "Recorder",
+    "Transitions",
+    "Verdict",
+    "demonstrate",
+    "diversity",
+    "load",
+    "observations",
+    "read",
+    "see",
+    "stream",
+    "to_minari",
+    "to_npz",
+    "transitions",
+    "verify",
+    "write",
+]
+
+DATA = "data"
+"""The folder of the shipped demonstrations, in this package."""
+
+
+def load(task: str, folder: Path | str | None = None) -> list[Demonstration]:
+    """The shipped demonstrations of a task, or all of a folder that are of this task.
+
+    Raises:
+        UnknownNameError: if there is no such task.
+        DemonstrationError: if there are none, or a file is damaged.
+    """
+    task_spec(task)
+    if folder is None:
+        with as_file(files(__name__) / DATA) as shipped:
+            return _of_task(task, shipped)
+    return _of_task(task, Path(folder))
+
+
+def _of_task(task: str, folder: Path) -> list[Demonstration]:
+    """What lies in a folder; files are named ``<Task>-<Variant>-<number>.npz``."""
+    paths = sorted(folder.glob(f"{task}-*{SUFFIX}"))
+    if not paths:
+        raise DemonstrationError(f"there are no demonstrations of {task} in {folder}; magical-mj demos generate {task}")
+    return [read(path, task) for path in paths]

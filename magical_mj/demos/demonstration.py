@@ -1,0 +1,78 @@
+"""A demonstration: everything that happened in an episode, as numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj._version import __version__
+from magical_mj.actions import ACTIONS
+from magical_mj.assets.world import World
+from magical_mj.errors import DemonstrationError
+from magical_mj.registry import environment_axes, score
+from magical_mj.scene import Scene
+
+Demonstrator = Literal["expert", "human"]
+DEMONSTRATORS: Final[tuple[Demonstrator, ...]] = get_args(Demonstrator)
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstration:
+    """An episode: the scene that it started in, the actions, and the state before the first and after each of them.
+
+    Raises:
+        DemonstrationError: if the parts do not fit each other.
+        UnknownNameError: if there is no such environment.
+    """
+
+    task: str
+    variant: str
+    scene_seed: int
+    """`scene` is `sample_scene(task, variant, scene_seed)`."""
+    demonstrator: Demonstrator
+    seed: int
+    """The expert's: how it went about it."""
+    scene: Scene
+    actions: NDArray[np.uint8]
+    """Shape (steps,)."""
+    qpos: NDArray[np.float64]
+    """MuJoCo's positions, shape (steps + 1, nq)."""
+    qvel: NDArray[np.float64]
+    """MuJoCo's velocities, shape (steps + 1, nv)."""
+    score: float
+    """Of the last state, by the paper's rules."""
+    package: str = __version__
+    mujoco: str = version("mujoco")
+
+    def __post_init__(self) -> None:
+        environment_axes(self.task, self.variant)
+        if self.demonstrator not in DEMONSTRATORS:
+            raise DemonstrationError(f"demonstrator is {self.demonstrator!r}; it must be one of {DEMONSTRATORS}")
+        steps = len(self.actions)
+        kinds = [(self.actions, np.uint8, 1), (self.qpos, np.float64, 2), (self.qvel, np.float64, 2)]
+        if any(array.dtype != kind or array.ndim != dimensions for array, kind, dimensions in kinds):
+            raise DemonstrationError("actions must be (steps,) uint8, qpos and qvel (steps + 1, n) float64")
+        if steps == 0 or not len(self.qpos) == len(self.qvel) == steps + 1:
+            raise DemonstrationError(f"{steps} actions do not fit {len(self.qpos)} and {len(self.qvel)} states")
+        if (self.actions >= len(ACTIONS)).any():
+            raise DemonstrationError(f"actions must be below {len(ACTIONS)}")
+        if not (np.isfinite(self.qpos).all() and np.isfinite(self.qvel).all()):
+            raise DemonstrationError("states must be finite")
+
+    @property
+    def name(self) -> str:
+        """Such as ``"FindDupe-Demo"``."""
+        return f"{self.task}-{self.variant}"
+
+    def scenes(self) -> list[Scene]:
+        """The scene before the first action and after each."""
+        world = World(self.scene)
+        return [world.read(qpos) for qpos in self.qpos]
+
+    def rescored(self) -> float:
+        """The score computed from the last state."""
+        return score(self.task, self.scene, World(self.scene).read(self.qpos[-1]))

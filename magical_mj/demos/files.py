@@ -1,0 +1,107 @@
+"""Demonstrations as files: one zip archive of numpy arrays each, which `numpy.load` opens without pickle.
+
+`header.npy` holds JSON as bytes: what is not an array, the file format's version, and a SHA-256 digest of everything
+else. `actions.npy`, `qpos.npy` and `qvel.npy` are those of `Demonstration`, bit by bit. A file is written under
+another name first and then renamed, so that what carries the name of a demonstration is always whole.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from magical_mj.demos.demonstration import Demonstration
+from magical_mj.errors import DemonstrationError, MagicalError
+from magical_mj.scene import Scene
+
+FORMAT: Final = 1
+SUFFIX: Final = ".npz"
+ARRAYS: Final = ("actions", "qpos", "qvel")
+TEXTS: Final = tuple(f.name for f in dataclasses.fields(Demonstration) if f.name not in (*ARRAYS, "scene"))
+
+
+def write(demo: Demonstration, path: Path) -> None:
+    """Write a demonstration to a file that does not exist yet.
+
+    Raises:
+        FileExistsError: if it does; nothing is overwritten.
+    """
+    arrays = {name: getattr(demo, name) for name in ARRAYS}
+    header = {"format": FORMAT, **{name: getattr(demo, name) for name in TEXTS}}
+    header["scene"] = json.loads(demo.scene.to_json())
+    header["digest"] = _digest(header, arrays)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with unfinished.open("wb") as file:
+            text = np.frombuffer(json.dumps(header).encode(), np.uint8)
+            np.savez_compressed(file, allow_pickle=False, header=text, **arrays)
+            file.flush()
+            os.fsync(file.fileno())
+        if path.exists():
+            raise FileExistsError(f"{path} exists already; demonstrations are never overwritten")
+        unfinished.rename(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def read(path: Path, task: str | None = None) -> Demonstration:
+    """Read a demonstration, and make sure that it is what was written.
+
+    Args:
+        path: the file.
+        task: the task that it must be of.
+
+    Raises:
+        DemonstrationError: if it is truncated, altered, of another version or of another task.
+        OSError: if there is no such file, or it cannot be read.
+    """
+    parts = _parts(path)
+    arrays = {name: parts[name] for name in ARRAYS}
+    try:
+        header = json.loads(parts["header"].tobytes())
+        found = header.get("format")
+    except (ValueError, AttributeError):
+        raise DemonstrationError(f"{path} has an unreadable header: it is damaged, or not a demonstration") from None
+    if found != FORMAT:
+        raise DemonstrationError(
+            f"{path} has format {found!r}, and this version of magical_mj reads format {FORMAT}: "
+            "read it with the version that wrote it, or generate it again"
+        )
+    if header.pop("digest", None) != _digest(header, arrays):
+        raise DemonstrationError(f"{path} was altered after it was written: its digest is not that of its content")
+    if task is not None and header.get("task") != task:
+        raise DemonstrationError(f"{path} is a demonstration of {header.get('task')}, not of {task}")
+    try:
+        scene = Scene.from_json(json.dumps(header["scene"]))
+        return Demonstration(**{name: header[name] for name in TEXTS}, scene=scene, **arrays)
+    except (KeyError, TypeError, MagicalError) as error:
+        raise DemonstrationError(f"{path} does not describe a demonstration: {error}") from error
+
+
+def _parts(path: Path) -> dict[str, Any]:
+    """The header and the arrays of a file."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in ("header", *ARRAYS)}
+    except (KeyError, TypeError, ValueError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error):
+        raise DemonstrationError(f"{path} is damaged or cut short, or not a demonstration at all") from None
+
+
+def _digest(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
+    """A fingerprint of all that a file says."""
+    digest = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
+    for name in ARRAYS:
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()

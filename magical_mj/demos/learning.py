@@ -1,0 +1,87 @@
+"""Demonstrations as a learner wants them: what was seen, and what was done."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.actions import NOOP
+from magical_mj.assets.world import World
+from magical_mj.demos.demonstration import Demonstration
+from magical_mj.demos.replay import see
+from magical_mj.errors import DemonstrationError
+from magical_mj.frames import FrameStack
+from magical_mj.observations import StateEncoder
+from magical_mj.presets import Preset, preset
+
+Observations = NDArray[Any] | dict[str, NDArray[np.uint8]]
+"""One array with a row for each time; for presets with the layout "dict" one for each view."""
+
+
+class Transitions(NamedTuple):
+    """What was seen before each action, and the action."""
+
+    observations: Observations
+    """Shape (n, ...): rows are the preset's observations, such as (96, 96, 12) uint8 for LoRes4E."""
+    actions: NDArray[np.uint8]
+    """Shape (n,)."""
+
+
+def transitions(demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop_noop: bool = True) -> Transitions:
+    """All transitions of all demonstrations in one; see `stream` for the arguments."""
+    parts = list(stream(demos, preset, drop_noop=drop_noop))
+    if not parts:
+        raise DemonstrationError("there are no demonstrations to take transitions from")
+    actions = np.concatenate([part.actions for part in parts])
+    views = [part.observations for part in parts if isinstance(part.observations, dict)]
+    if views:
+        return Transitions({view: np.concatenate([part[view] for part in views]) for view in views[0]}, actions)
+    rows = [part.observations for part in parts if isinstance(part.observations, np.ndarray)]
+    return Transitions(np.concatenate(rows), actions)
+
+
+def stream(demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop_noop: bool = True) -> Iterator[Transitions]:
+    """The transitions of one demonstration after the other: nothing is drawn before it is asked for.
+
+    Observations are those that the Gymnasium environment of the preset gives. As there, the first picture of an
+    episode fills its first stack; the state after the last action is not among them, for nothing was done in it.
+
+    Args:
+        demos: any demonstrations.
+        preset: the name of a Gymnasium preset, "" for the pair of current views.
+        drop_noop: leave out the transitions in which nothing was commanded, as the original does. Only rows go:
+            stacks still hold the frames of all steps.
+    """
+    for demo in demos:
+        seen = observations(demo, preset)
+        keep = demo.actions != NOOP if drop_noop else np.ones(len(demo.actions), bool)
+        if isinstance(seen, dict):
+            yield Transitions({view: rows[:-1][keep] for view, rows in seen.items()}, demo.actions[keep])
+        else:
+            yield Transitions(seen[:-1][keep], demo.actions[keep])
+
+
+def observations(demo: Demonstration, preset: str = "LoRes4E") -> Observations:
+    """What the Gymnasium environment of the preset shows at the start and after each action: steps + 1 rows."""
+    made = _preset(preset)
+    if made.layout == "state":
+        world, encode = World(demo.scene), StateEncoder(demo.scene)
+        states = zip(demo.qpos, demo.qvel, strict=True)
+        return np.array([encode(world.poses(qpos), world.poses(qvel), world.fingers(qpos)) for qpos, qvel in states])
+    if made.layout == "dict":
+        return {view: _stacked(demo, made, ((view, count),)) for view, count in made.frames}
+    return _stacked(demo, made, made.frames)
+
+
+_preset = preset  # the functions' argument of this name hides it
+
+
+def _stacked(demo: Demonstration, made: Preset, frames: tuple[tuple[str, int], ...]) -> NDArray[np.uint8]:
+    stack = FrameStack(frames, made.image_size, channels_first=made.layout == "chw")
+    rows = np.empty((len(demo.qpos), *stack.shape), np.uint8)
+    for number, pictures in enumerate(see(demo, [view for view, _ in frames], made.image_size)):
+        rows[number] = stack.push(pictures) if number else stack.start(pictures)
+    return rows

@@ -1,0 +1,91 @@
+"""Episodes become demonstrations: what is done in an environment is written down, step by step."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import dm_env
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.demos.demonstration import Demonstration, Demonstrator
+from magical_mj.environment import Environment, load
+from magical_mj.errors import DemonstrationError
+from magical_mj.experts import Expert
+from magical_mj.registry import variant_name
+
+Floats = NDArray[np.float64]
+
+ATTEMPTS: Final = 10
+STRIDE: Final = 1_000_003
+"""What an expert's seed grows by from one attempt to the next, so that no two demonstrations share one."""
+
+
+class Recorder:
+    """Steps an environment and keeps what happens from its present state on, which is the start of an episode."""
+
+    def __init__(self, env: Environment) -> None:
+        self._env = env
+        self._actions: list[int] = []
+        self._states = [self._state()]
+
+    def step(self, action: int) -> dm_env.TimeStep:
+        """One action."""
+        now = self._env.step(action)
+        self._actions.append(action)
+        self._states.append(self._state())
+        return now
+
+    def states(self) -> tuple[Floats, Floats]:
+        """The positions and the velocities so far. Shapes (steps + 1, nq) and (steps + 1, nv)."""
+        positions, velocities = zip(*self._states, strict=True)
+        return np.array(positions), np.array(velocities)
+
+    def demonstration(
+        self, task: str, variant: str, scene_seed: int, demonstrator: Demonstrator, seed: int
+    ) -> Demonstration:
+        """What happened, with the present score."""
+        positions, velocities = self.states()
+        return Demonstration(
+            task=task,
+            variant=variant_name(variant),
+            scene_seed=scene_seed,
+            demonstrator=demonstrator,
+            seed=seed,
+            scene=self._env.initial_scene,
+            actions=np.array(self._actions, np.uint8),
+            qpos=positions,
+            qvel=velocities,
+            score=self._env.score(),
+        )
+
+    def _state(self) -> tuple[Floats, Floats]:
+        data = self._env.physics.data
+        return data.qpos.copy(), data.qvel.copy()
+
+
+def demonstrate(task: str, variant: str, number: int, least_score: float = 1.0) -> Demonstration:
+    """The expert's demonstration of a number: in the scene of this seed, by an expert of this seed.
+
+    If it does not reach the score that is wanted, experts of other seeds try.
+
+    Raises:
+        DemonstrationError: if none of them reaches it.
+    """
+    env = load(task, variant, seed=number, observations=())
+    best = 0.0
+    try:
+        for attempt in range(ATTEMPTS):
+            env.reset(seed=number)
+            seed = number + attempt * STRIDE
+            expert, recorder = Expert(env, task, seed), Recorder(env)
+            while not recorder.step(expert()).last():
+                pass
+            if env.score() >= least_score:
+                return recorder.demonstration(task, variant, number, "expert", seed)
+            best = max(best, env.score())
+    finally:
+        env.close()
+    raise DemonstrationError(
+        f"{ATTEMPTS} experts tried {task}-{variant_name(variant)} with seed {number}; the best reached {best:.2f}"
+    )
