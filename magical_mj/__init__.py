@@ -15,7 +15,9 @@ from magical_mj.rendering.backend import check_backend, choose_backend
 from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
 
 if TYPE_CHECKING:
+    from magical_mj import demos, experts
     from magical_mj.environment import Environment, load, load_scene
+    from magical_mj.evaluation import evaluate
     from magical_mj.export import export_mjcf
     from magical_mj.gym_env import MagicalEnv
 
@@ -24,6 +26,7 @@ _LAZY = {  # loaded at first use, so that listing tasks and sampling scenes star
     "MagicalEnv": "gym_env",
     "load": "environment",
     "load_scene": "environment",
+    "evaluate": "evaluation",
     "export_mjcf": "export",
 }
 
@@ -39,7 +42,10 @@ __all__ = [
     "Robot",
     "Scene",
     "__version__",
+    "demos",
     "env_id",
+    "evaluate",
+    "experts",
     "export_mjcf",
     "load",
     "load_scene",
@@ -48,12 +54,17 @@ __all__ = [
 ]
 
 
+_LAZY_MODULES = ("demos", "experts")
+
+
 def __getattr__(name: str) -> Any:
-    if name not in _LAZY:
+    if name not in _LAZY and name not in _LAZY_MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
     check_backend()
+    if name in _LAZY_MODULES:
+        return import_module(f"{__name__}.{name}")
     return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)
 
 
