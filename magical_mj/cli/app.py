@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 import magical_mj
-from magical_mj.cli import demo, doctor, export, listing, rollout, view
+from magical_mj.cli import compare, demo, doctor, evaluate, export, listing, report, rollout, view
 from magical_mj.cli.console import complain
 from magical_mj.errors import MagicalError
 
@@ -22,6 +22,9 @@ app = typer.Typer(
 app.command("list")(listing.list_environments)
 app.command("view")(view.view)
 app.command("rollout")(rollout.rollout)
+app.command("evaluate")(evaluate.evaluate)
+app.command("report")(report.make_report)
+app.command("compare")(compare.make_comparison)
 app.command("export")(export.export)
 app.command("doctor")(doctor.doctor)
 app.command("demo")(demo.demo)

@@ -125,7 +125,7 @@ def _notes(scores: pd.DataFrame, variants: pd.DataFrame, with_published: bool) -
             if row.missing:
                 lacking.setdefault(str(row.missing), []).append(str(row.variant))
         for tasks, names in lacking.items():
-            yield f"{policy}: the figures for {', '.join(names)} are without {tasks}."
+            yield f"{policy}: incomplete in {', '.join(names)}: without {tasks}."
         absent = [variant for variant in VARIANTS if variant not in set(group["variant"])]
         if absent:
             yield f"{policy}: not evaluated in {', '.join(absent)}."

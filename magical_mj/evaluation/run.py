@@ -19,6 +19,7 @@ from magical_mj.evaluation.sources import sources
 from magical_mj.evaluation.units import plan
 from magical_mj.presets import preset as check_preset
 from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS, check_rules, environment_axes, task_spec, variant_name
+from magical_mj.tasks.spec import Rules
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -108,6 +109,7 @@ class Evaluation:
     """What `evaluate` does, in steps: prepare, then play. Its arguments are those of `evaluate`.
 
     Attributes:
+        rules: by which scores are given.
         scores: of the episodes that are done.
         units: what is left to do when it starts.
     """
@@ -140,13 +142,14 @@ class Evaluation:
         listed = sources(policy, run, trust)
         for source in listed:
             source.load()  # so that what is wrong with it is said now
+        self.rules: Rules = check_rules(rules)
         self._out = None if out is None else Path(out)
         self._settings = {
             "policies": [source.describe() for source in listed],
             "environments": [f"{task}-{variant}" for task, variant in pairs],
             "episodes": episodes,
             "preset": preset,
-            "rules": check_rules(rules),
+            "rules": self.rules,
             "time_limit": time_limit,
             "version": __version__,
             "mujoco": mujoco.__version__,
@@ -159,7 +162,7 @@ class Evaluation:
             episodes,
             {score.key for score in self.scores},
             preset=preset,
-            rules=check_rules(rules),
+            rules=self.rules,
             time_limit=time_limit,
             envs=envs,
             vectorization=vectorization,
@@ -215,13 +218,15 @@ def _prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[Score
     if started and not resume:
         raise EvaluationError(f"{folder} holds an evaluation already; --resume goes on with it (resume=True)")
     if not started:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / SETTINGS).write_text(json.dumps(settings, indent=2) + "\n")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / SETTINGS).write_text(json.dumps(settings, indent=2) + "\n")
+        except OSError as error:
+            raise EvaluationError(f"cannot write into {folder}: {error.strerror}") from error
         return []
     _compare(folder, settings)
     with ScoreFile(folder):  # which mends its end
-        pass
-    return read(folder) if (folder / SCORES).stat().st_size else []
+        return read(folder) if (folder / SCORES).stat().st_size else []
 
 
 def _compare(folder: Path, settings: dict[str, Any]) -> None:

@@ -73,6 +73,8 @@ def _float(table: Table, groups: Sequence[Group], number: int, last: bool) -> st
         r"  \setlength{\tabcolsep}{3pt}",
         rf"  \caption{{{_escaped(table.caption)}{'' if number == 1 else ' (continued)'}.}}",
         rf"  \label{{tab:{table.name}{'' if number == 1 else f'-{number}'}}}",
+        r"  \smallskip",
+        r"  \makebox[\linewidth][c]{%",  # a wide table stands out on both sides
         rf"  \begin{{tabular}}{{l{'c' * (columns - 1)}}}",
         r"    \toprule",
         f"    {_latex_row(table.header)}",
@@ -82,7 +84,7 @@ def _float(table: Table, groups: Sequence[Group], number: int, last: bool) -> st
         if heading:
             lines.append(rf"    \multicolumn{{{columns}}}{{l}}{{\textbf{{{_escaped(heading)}}}}} \\")
         lines += [f"    {_latex_row(row)}" for row in rows]
-    lines += [r"    \bottomrule", r"  \end{tabular}"]
+    lines += [r"    \bottomrule", r"  \end{tabular}}"]
     if last:
         lines += [rf"  \par\smallskip\parbox{{\linewidth}}{{{_escaped(note)}}}" for note in table.notes]
     return "\n".join([*lines, r"\end{table}"]) + "\n"
@@ -94,7 +96,7 @@ def csv(frame: pd.DataFrame) -> str:
 
 
 def _latex_row(cells: Sequence[str]) -> str:
-    return " & ".join(map(_escaped, cells)) + r" \\"
+    return " & ".join(_escaped(cell.replace(f" {PLUS_MINUS} ", PLUS_MINUS)) for cell in cells) + r" \\"
 
 
 def _escaped(text: str) -> str:
@@ -117,7 +119,7 @@ def result_tables(results: Results) -> list[Table]:
         "interquartile",
         "Interquartile mean of the run means over all tasks, with its 95 % interval (stratified bootstrap)",
         ("Method", *VARIANTS),
-        (("", _rows(results, results.variants[~results.variants["published"]], _iqm_and_interval)),),
+        (("", _iqm_rows(results)),),
     )
     groups = []
     for task in TASKS:
@@ -143,6 +145,14 @@ def _rows(results: Results, frame: pd.DataFrame, text: Callable[[Any], str], tas
     return tuple(rows)
 
 
+def _iqm_rows(results: Results) -> Rows:
+    """Two for each method: the interquartile means, and below them their intervals."""
+    mine = results.variants[~results.variants["published"]]
+    means = _rows(results, mine, lambda row: f"{row.iqm:.2f}{_share(row)}")
+    intervals = _rows(results, mine, lambda row: f"[{row.iqm_low:.2f}, {row.iqm_high:.2f}]".replace("[nan, nan]", NONE))
+    return tuple(row for mean, interval in zip(means, intervals, strict=True) for row in (mean, ("", *interval[1:])))
+
+
 def _gap(task: str | None, variant: str) -> str:
     return "missing" if (task, variant) in ENVIRONMENTS else NONE
 
@@ -152,13 +162,8 @@ def _mean_and_std(row: Any) -> str:
     return f"{row.mean:.2f}{spread}{_share(row)}"
 
 
-def _iqm_and_interval(row: Any) -> str:
-    interval = "" if math.isnan(row.iqm_low) else f" [{row.iqm_low:.2f}, {row.iqm_high:.2f}]"
-    return f"{row.iqm:.2f}{interval}{_share(row)}"
-
-
 def _share(row: Any) -> str:
     """How many of the variant's tasks a figure is made of, if not all."""
     if not getattr(row, "missing", ""):
         return ""
-    return f" ({row.tasks} of {row.tasks + row.missing.count(',') + 1} tasks)"
+    return f" ({row.tasks}/{row.tasks + row.missing.count(',') + 1})"

@@ -1,0 +1,130 @@
+"""`magical-mj evaluate`: play policies on the evaluation scenes and keep every score."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.text import Text
+
+from magical_mj.cli.console import console
+from magical_mj.evaluation.backends import Backend, check_backend
+from magical_mj.evaluation.extra import check_extra
+from magical_mj.evaluation.run import EPISODES, TIME_LIMIT, Evaluation
+from magical_mj.evaluation.scores import SCORES, Score
+from magical_mj.evaluation.units import Vectorization
+from magical_mj.registry import task_spec
+from magical_mj.tasks.spec import Rules
+
+Policies = Annotated[
+    str,
+    typer.Option(
+        "--policy",
+        help="expert, random, noop, module:object, or a file (.zip of stable-baselines3, .onnx); several with commas. "
+        "NAME=... names a method; those of the same name are its runs.",
+        show_default=False,
+    ),
+]
+Out = Annotated[Path, typer.Option(help="The folder for the scores.", show_default=False)]
+Tasks = Annotated[str, typer.Option(help="Tasks, separated by commas.")]
+Variants = Annotated[str, typer.Option(help="Variants, separated by commas.")]
+Episodes = Annotated[int, typer.Option(min=1, help="In each environment: in the scenes of seeds 0, 1, ...")]
+Preset = Annotated[str, typer.Option(help="The observations: a preset's name, or an empty one.")]
+RulesName = Annotated[Rules, typer.Option(help="Scores and horizons of the paper, or of the released code.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on with what is in the folder.")]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Processes.", show_default="one per core")]
+Where = Annotated[Backend, typer.Option(help="Where they run: on this machine or on a cluster.")]
+Address = Annotated[str | None, typer.Option(help="Of the cluster, such as tcp://host:8786.", show_default=False)]
+Run = Annotated[int, typer.Option(min=0, help="The number of the (first) run of each method.")]
+Limit = Annotated[float, typer.Option(min=0.1, help="Seconds for one episode; then it has failed.")]
+Envs = Annotated[int, typer.Option(min=1, help="Episodes played side by side in each process, for batches.")]
+Side = Annotated[Vectorization, typer.Option(help="How: in the process itself, or in one each.")]
+Trust = Annotated[bool, typer.Option("--trust", help="Load model files that hold code, which then runs.")]
+
+
+def evaluate(
+    policy: Policies,
+    out: Out,
+    tasks: Tasks = "all",
+    variants: Variants = "all",
+    episodes: Episodes = EPISODES,
+    preset: Preset = "LoRes4E",
+    rules: RulesName = "paper",
+    resume: Resume = False,
+    jobs: Jobs = None,
+    backend: Where = "local",
+    address: Address = None,
+    run: Run = 0,
+    time_limit: Limit = TIME_LIMIT,
+    envs: Envs = 1,
+    vectorization: Side = "sync",
+    trust: Trust = False,
+) -> None:
+    """Play policies on the evaluation scenes; every episode's score is kept in OUT/scores.jsonl."""
+    check_extra()
+    check_backend(backend, jobs, address)
+    evaluation = Evaluation(
+        policy,
+        tasks=tasks,
+        variants=variants,
+        episodes=episodes,
+        preset=preset,
+        rules=rules,
+        out=out,
+        resume=resume,
+        run=run,
+        time_limit=time_limit,
+        envs=envs,
+        vectorization=vectorization,
+        trust=trust,
+    )
+    screen = console()
+    if evaluation.scores:
+        screen.print(f"{len(evaluation.scores)} episodes are done already")
+    show_progress(screen, evaluation, jobs, backend, address)
+    for line in summary(evaluation.scores):
+        screen.print(line, soft_wrap=True)
+    screen.print(f"{out / SCORES}; tables and figures: magical-mj report {out}", soft_wrap=True)
+
+
+class Rate(ProgressColumn):
+    """Episodes done, of how many, and how many per second."""
+
+    def render(self, task: Task) -> Text:
+        """As text."""
+        done, total, fresh = (task.fields[name] for name in ("done", "total_episodes", "fresh"))
+        rate = fresh / task.elapsed if task.elapsed else 0.0
+        return Text(f"{done}/{total} episodes, {rate:.1f}/s")
+
+
+def show_progress(
+    screen: Console, evaluation: Evaluation, jobs: int | None, backend: str = "local", address: str | None = None
+) -> None:
+    """Plays what is left, with a bar that counts steps, since episodes differ in length."""
+    left = sum(len(unit.seeds) for unit in evaluation.units)
+    known = len(evaluation.scores)
+    columns = TextColumn("{task.description}"), BarColumn(), Rate(), TimeElapsedColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=screen, speed_estimate_period=120) as progress:
+        steps = sum(unit.steps for unit in evaluation.units)
+        bar = progress.add_task("playing", total=steps, done=known, total_episodes=known + left, fresh=0)
+        for count, score in enumerate(evaluation.play(jobs, backend, address), start=1):
+            length = task_spec(score.task).horizon(evaluation.rules)
+            progress.update(bar, advance=length, done=known + count, fresh=count)
+
+
+def summary(scores: list[Score]) -> list[str]:
+    """A line for each policy: the mean over environments, and what failed."""
+    by_policy: dict[str, dict[tuple[str, str], list[Score]]] = defaultdict(lambda: defaultdict(list))
+    for score in scores:
+        by_policy[score.policy][score.task, score.variant].append(score)
+    lines = []
+    for policy, environments in sorted(by_policy.items()):
+        means = [sum(score.score for score in found) / len(found) for found in environments.values()]
+        failed = [score for found in environments.values() for score in found if score.failure is not None]
+        line = f"{policy}: mean score {sum(means) / len(means):.3f} over {len(means)} environments"
+        lines.append(f"{line}; {len(failed)} episodes failed, such as: {failed[0].failure}" if failed else line)
+    return lines

@@ -1,0 +1,69 @@
+"""`magical-mj report`: tables, figures and videos of evaluations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import magical_mj
+from magical_mj.cli.console import claim_folder, console
+from magical_mj.cli.episodes import film
+from magical_mj.errors import EvaluationError
+from magical_mj.evaluation.episodes import actions_of
+from magical_mj.evaluation.report import extremes, report
+from magical_mj.evaluation.results import gather
+from magical_mj.evaluation.scores import Score
+from magical_mj.registry import check_rules
+
+FILM_SIZE = 192  # pixels
+FILM_SPEED = 4  # times real time
+
+Folders = Annotated[list[Path], typer.Argument(help="The folders of evaluations.", show_default=False)]
+Out = Annotated[Path | None, typer.Option(help="The folder for the report.", show_default="DIR/report")]
+Published = Annotated[bool, typer.Option("--published", help="Show the paper's own results as well.")]
+Mixed = Annotated[bool, typer.Option("--mixed-presets", help="Allow policies that were given different observations.")]
+Videos = Annotated[bool, typer.Option("--videos", help="Film each policy's best and worst episode of each task.")]
+
+
+def make_report(
+    folders: Folders,
+    out: Out = None,
+    published: Published = False,
+    mixed_presets: Mixed = False,
+    videos: Videos = False,
+) -> None:
+    """Write tables (Markdown, CSV, LaTeX), figures and videos of one or several evaluations."""
+    screen = console()
+    scores = gather(folders, mixed_presets)  # before anything is made
+    out = claim_folder(out or folders[0] / "report")
+    if videos:
+        for which, score in extremes(scores):
+            path = out / f"{which}-{score.policy.replace('/', '-')}-{score.task}.mp4"
+            replay(score, path)
+            screen.print(f"{path}: {score.variant}, seed {score.seed}, score {score.score:.2f}", soft_wrap=True)
+    page = report(folders, out, with_published=published, mixed_presets=mixed_presets)
+    screen.print(page, soft_wrap=True)
+
+
+def replay(score: Score, path: Path) -> None:
+    """Plays the actions of an episode again and films it.
+
+    Raises:
+        EvaluationError: if it ends with another score than it did, because something has changed since.
+    """
+    rules = check_rules(score.rules)
+    env = magical_mj.load(score.task, score.variant, seed=score.seed, observations=(), rules=rules)
+    with film(path, FILM_SIZE, FILM_SPEED) as watch:
+        env.reset(seed=score.seed)
+        watch(env)
+        for action in actions_of(score.actions):
+            env.step(action)
+            watch(env)
+        if score.failure is None and abs(env.score() - score.score) > 1e-9:
+            raise EvaluationError(
+                f"{score.task} {score.variant}, seed {score.seed}, of {score.policy} ends with {env.score():.2f} now, "
+                f"not {score.score:.2f}: it was played with magical_mj {score.version} and MuJoCo {score.mujoco}"
+            )
+    env.close()
