@@ -54,11 +54,18 @@ def play(env: Environment, agent: Agent, seed: int, watch: Watch | None = None) 
 
 @contextmanager
 def film(path: Path, size: int, speed: int = 1) -> Iterator[Watch]:
-    """A video with both views side by side, each `size` pixels wide; yields what adds a frame.
+    """A video of an environment, both views side by side; yields what adds a frame. See `film_pictures`."""
+    with film_pictures(path, size, speed) as add:
+        yield lambda env: add(both_views(env, size))
+
+
+@contextmanager
+def film_pictures(path: Path, size: int, speed: int = 1) -> Iterator[Callable[[np.ndarray], None]]:
+    """A video of two pictures side by side; yields what adds a frame of shape (size, 2 size, 3).
 
     Args:
         path: the MP4 file, overwritten if it exists.
-        size: side of each view in pixels.
+        size: side of each picture in pixels.
         speed: 1 is real time.
     """
     try:
@@ -69,12 +76,8 @@ def film(path: Path, size: int, speed: int = 1) -> Iterator[Watch]:
         str(path), (2 * size, size), fps=speed * CONTROL_RATE, macro_block_size=2, quality=8, ffmpeg_log_level="error"
     )
     writer.send(None)
-
-    def add_frame(env: Environment) -> None:
-        writer.send(np.ascontiguousarray(both_views(env, size)))
-
     try:
-        yield add_frame
+        yield lambda picture: writer.send(np.ascontiguousarray(picture))
     except BaseException:
         writer.close()
         path.unlink(missing_ok=True)  # half a film is no use

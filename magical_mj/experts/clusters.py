@@ -12,6 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from magical_mj.experts.whim import Whim
+
 Point = tuple[float, float]
 Floats = NDArray[np.float64]
 
@@ -23,35 +25,37 @@ APART: Final = 0.28  # between the centres of blocks
 PITCH: Final = 0.14  # of the places
 LIMIT: Final = 0.78  # places are within this square
 STARTS: Final = 3
+SPREAD: Final = 30.0  # actions by which a whim makes a layout better or worse
 ROUNDS: Final = 24
 
 
-def rearranged(points: Sequence[Point], kinds: Sequence[str], rng: np.random.Generator) -> list[Point | None]:
+def rearranged(points: Sequence[Point], kinds: Sequence[str], whim: Whim) -> list[Point | None]:
     """A target for each block, or None for those that stay where they are."""
     here = np.array(points)
     values = sorted(set(kinds))
     members = np.array([[kind == value for kind in kinds] for value in values], float)
     best, best_cost = here, np.inf
     for number in range(STARTS):
-        start = here if number == 0 else _gathered(here, members, rng)
-        layout, cost = _improved(here, start, members, rng)
+        start = here if number == 0 else _gathered(here, members, whim)
+        layout, cost = _improved(here, start, members, whim)
+        cost += whim(SPREAD)
         if cost < best_cost:
             best, best_cost = layout, cost
     return [None if (new == old).all() else (float(new[0]), float(new[1])) for new, old in zip(best, here, strict=True)]
 
 
-def _gathered(here: Floats, members: Floats, rng: np.random.Generator) -> Floats:
+def _gathered(here: Floats, members: Floats, whim: Whim) -> Floats:
     """A start in which every kind is in one place: near its blocks, or at one of the other kinds' places."""
     middles = members @ here / members.sum(axis=1, keepdims=True)
     corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
-    centres = 0.5 * middles + 0.5 * corners[rng.permutation(4)][: len(middles)]
-    return members.T @ centres + rng.normal(0, 0.1, here.shape)
+    centres = 0.5 * middles + 0.5 * corners[whim.rng.permutation(4)][: len(middles)]
+    return members.T @ centres + whim.rng.normal(0, 0.1, here.shape)
 
 
-def _improved(here: Floats, start: Floats, members: Floats, rng: np.random.Generator) -> tuple[Floats, float]:
+def _improved(here: Floats, start: Floats, members: Floats, whim: Whim) -> tuple[Floats, float]:
     axis = np.arange(-LIMIT, LIMIT + 1e-9, PITCH)
     places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    places = np.clip(places + rng.uniform(-PITCH / 2, PITCH / 2, places.shape), -LIMIT, LIMIT)
+    places = np.clip(places + whim.rng.uniform(-PITCH / 2, PITCH / 2, places.shape), -LIMIT, LIMIT)
     layout, cost = start, np.inf
     for _ in range(ROUNDS):
         options = [

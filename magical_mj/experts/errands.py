@@ -16,12 +16,14 @@ import numpy as np
 
 from magical_mj.experts.clusters import rearranged
 from magical_mj.experts.lines import straightened
+from magical_mj.experts.whim import Whim
 from magical_mj.scene import GoalRegion, Scene
 from magical_mj.tasks import SPECS
 
 FETCHING: Final = 14  # actions to go to a block, take it and let go of it
 CARRYING: Final = 11  # actions to carry it one unit
-SPREAD: Final = 3.0  # actions by which the seed varies what places cost
+SPREAD: Final = 8.0  # actions by which a whim makes a place better or worse
+CHOICE: Final = 20.0  # likewise for one of several blocks
 APART: Final = 0.27  # between the centres of blocks that do not touch
 INSIDE, OUTSIDE = 0.08, 0.06  # from the border of a goal region
 REACHABLE: Final = 0.84  # blocks are left within this square
@@ -53,18 +55,18 @@ class Errand:
 Errands = tuple[Errand, ...]
 
 
-def errands(task: str, initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
+def errands(task: str, initial: Scene, now: Scene, whim: Whim) -> Errands:
     """What is still to be done; nothing if the task is solved.
 
     Args:
         task: a task's name.
         initial: the scene at the start.
         now: the present scene.
-        rng: makes one of several good plans the best.
+        whim: which of several good plans it is.
     """
     if SPECS[task].score(initial, now, "paper") >= 1.0:
         return ()
-    return _PLANS[task](initial, now, rng)
+    return _PLANS[task](initial, now, whim)
 
 
 def done(scene: Scene, todo: Iterable[Errand]) -> Scene:
@@ -96,7 +98,7 @@ def _inside(region: GoalRegion) -> list[Point]:
     return _grid(*(max(-REACHABLE, min(REACHABLE, side)) for side in box))
 
 
-def _nearest(scene: Scene, block: int, places: Iterable[Point], rng: np.random.Generator) -> Errand:
+def _nearest(scene: Scene, block: int, places: Iterable[Point], whim: Whim) -> Errand:
     """The errand to bring a block to the nearest of the places that no other block takes."""
     here = scene.blocks[block]
 
@@ -106,53 +108,53 @@ def _nearest(scene: Scene, block: int, places: Iterable[Point], rng: np.random.G
             for number, other in enumerate(scene.blocks)
             if number != block
         )
-        return CARRYING * math.dist(place, (here.x, here.y)) + 1000 * crowding + SPREAD * rng.random()
+        return CARRYING * math.dist(place, (here.x, here.y)) + 1000 * crowding + whim(SPREAD)
 
     return Errand(block, min(places, key=cost))
 
 
-def _move_to_corner(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
+def _move_to_corner(initial: Scene, now: Scene, whim: Whim) -> Errands:
     places = [place for place in _grid(-REACHABLE, -REACHABLE, REACHABLE, REACHABLE) if math.dist(place, (-1, 1)) < 0.6]
     del initial
-    return (_nearest(now, 0, places, rng),)
+    return (_nearest(now, 0, places, whim),)
 
 
-def _move_to_region(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
+def _move_to_region(initial: Scene, now: Scene, whim: Whim) -> Errands:
     del initial
     robot = now.robot
     places = _inside(now.regions[0])
-    place = min(places, key=lambda at: CARRYING * math.dist(at, (robot.x, robot.y)) + SPREAD * rng.random())
+    place = min(places, key=lambda at: CARRYING * math.dist(at, (robot.x, robot.y)) + whim(SPREAD))
     return (Errand(None, place, 0.04),)
 
 
-def _match_regions(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
+def _match_regions(initial: Scene, now: Scene, whim: Whim) -> Errands:
     del initial
     (region,) = now.regions
     todo, scene = [], now
     for number, block in enumerate(now.blocks):
         if block.colour == region.colour and not region.contains(block):
-            todo.append(_nearest(scene, number, _inside(region), rng))
+            todo.append(_nearest(scene, number, _inside(region), whim))
         elif block.colour != region.colour and region.contains(block):
-            todo.append(_nearest(scene, number, _outside(now), rng))
+            todo.append(_nearest(scene, number, _outside(now), whim))
         scene = done(scene, todo)
     return tuple(todo)
 
 
-def _find_dupe(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
+def _find_dupe(initial: Scene, now: Scene, whim: Whim) -> Errands:
     (region,) = now.regions
     (query,) = (number for number, block in enumerate(initial.blocks) if region.contains(block))
     kind = now.blocks[query].shape, now.blocks[query].colour
     alike = [n for n, block in enumerate(now.blocks) if (block.shape, block.colour) == kind and n != query]
     todo = [
-        _nearest(now, number, _outside(now), rng)
+        _nearest(now, number, _outside(now), whim)
         for number, block in enumerate(now.blocks)
         if region.contains(block) and number != query and number not in alike
     ]
     if not region.contains(now.blocks[query]):
-        todo.append(_nearest(now, query, _inside(region), rng))
+        todo.append(_nearest(now, query, _inside(region), whim))
     if not any(region.contains(now.blocks[number]) for number in alike):
-        choices = [_nearest(now, number, _inside(region), rng) for number in alike]
-        todo.append(min(choices, key=lambda errand: errand.cost(now) + 4 * SPREAD * rng.random()))
+        choices = [_nearest(now, number, _inside(region), whim) for number in alike]
+        todo.append(min(choices, key=lambda errand: errand.cost(now) + whim(CHOICE)))
     return tuple(todo)
 
 
@@ -167,16 +169,16 @@ def _outside(scene: Scene) -> list[Point]:
     return [place for place in places if all(clear(place, region) for region in scene.regions)]
 
 
-def _fix_colour(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
+def _fix_colour(initial: Scene, now: Scene, whim: Whim) -> Errands:
     todo, scene = [], now
     for region in now.regions:
         (home,) = (number for number, block in enumerate(initial.blocks) if region.contains(block))
         odd = initial.blocks[home].colour != region.colour
         inside = region.contains(now.blocks[home])
         if odd and inside:
-            todo.append(_nearest(scene, home, _outside(now), rng))
+            todo.append(_nearest(scene, home, _outside(now), whim))
         elif not odd and not inside:
-            todo.append(_nearest(scene, home, _inside(region), rng))
+            todo.append(_nearest(scene, home, _inside(region), whim))
         scene = done(scene, todo)
     return tuple(todo)
 
@@ -186,21 +188,21 @@ def _moves(targets: Sequence[Point | None], tolerance: float) -> Errands:
     return tuple(Errand(n, target, tolerance) for n, target in enumerate(targets) if target is not None)
 
 
-def _make_line(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
+def _make_line(initial: Scene, now: Scene, whim: Whim) -> Errands:
     del initial
-    return _moves(straightened([(block.x, block.y) for block in now.blocks], rng), 0.07)
+    return _moves(straightened([(block.x, block.y) for block in now.blocks], whim), 0.07)
 
 
-def _cluster_by(attribute: str) -> Callable[[Scene, Scene, np.random.Generator], Errands]:
-    def plan(initial: Scene, now: Scene, rng: np.random.Generator) -> Errands:
+def _cluster_by(attribute: str) -> Callable[[Scene, Scene, Whim], Errands]:
+    def plan(initial: Scene, now: Scene, whim: Whim) -> Errands:
         del initial
         kinds = [getattr(block, attribute) for block in now.blocks]
-        return _moves(rearranged([(block.x, block.y) for block in now.blocks], kinds, rng), 0.09)
+        return _moves(rearranged([(block.x, block.y) for block in now.blocks], kinds, whim), 0.09)
 
     return plan
 
 
-_PLANS: Final[Mapping[str, Callable[[Scene, Scene, np.random.Generator], Errands]]] = MappingProxyType(
+_PLANS: Final[Mapping[str, Callable[[Scene, Scene, Whim], Errands]]] = MappingProxyType(
     {
         "MoveToCorner": _move_to_corner,
         "MoveToRegion": _move_to_region,

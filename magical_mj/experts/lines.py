@@ -9,6 +9,8 @@ from typing import Final
 
 import numpy as np
 
+from magical_mj.experts.whim import Whim
+
 Point = tuple[float, float]
 
 SPACINGS: Final = (0.29, 0.34, 0.39)  # between neighbours; blocks are up to 0.31 wide, and 0.42 is too far
@@ -16,11 +18,11 @@ ANGLES: Final = 24
 STAYS: Final = 0.09  # a block this near to its place is left alone
 MOVE_COST: Final = 14.0  # actions, and then as many for each unit:
 CARRY_COST: Final = 11.0
-SPREAD: Final = 3.0  # actions by which chance varies the costs
+SPREAD: Final = 12.0  # actions by which a whim makes a line better or worse
 LIMIT: Final = 0.84  # lines end within this square
 
 
-def straightened(points: Sequence[Point], rng: np.random.Generator) -> list[Point | None]:
+def straightened(points: Sequence[Point], whim: Whim) -> list[Point | None]:
     """A target for each block, or None for those that stay where they are.
 
     Lines go through one of the blocks, which stays. All their directions, spacings and places for that block are
@@ -28,7 +30,7 @@ def straightened(points: Sequence[Point], rng: np.random.Generator) -> list[Poin
     """
     here = np.array(points)
     count = len(here)
-    angles = (np.arange(ANGLES) + rng.random()) * math.pi / ANGLES
+    angles = (np.arange(ANGLES) + whim.rng.random()) * math.pi / ANGLES
     pairs = here[None] - here[:, None]
     angles = np.concatenate([angles, np.arctan2(pairs[..., 1], pairs[..., 0])[~np.eye(count, dtype=bool)]])
     along = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -40,7 +42,7 @@ def straightened(points: Sequence[Point], rng: np.random.Generator) -> list[Poin
     costs = np.where(ways <= STAYS, 0.0, MOVE_COST + CARRY_COST * ways)
     orders = np.array(list(itertools.permutations(range(count))))
     totals = costs[:, np.arange(count), orders[:, None]].reshape(len(slots), len(orders), count).sum(axis=-1)
-    totals += SPREAD * rng.random(totals.shape)
+    totals += whim(SPREAD, totals.shape)
     line, order = np.unravel_index(int(totals.argmin()), totals.shape)
     targets: list[Point | None] = [None] * count
     for slot, block in enumerate(orders[order].tolist()):

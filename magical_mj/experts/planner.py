@@ -12,11 +12,14 @@ from magical_mj.experts.errands import Errands, done, errands
 from magical_mj.experts.imagination import Imagination, State
 from magical_mj.experts.moves import manoeuvres, obstacles, perform
 from magical_mj.experts.navigation import explore, toll
+from magical_mj.experts.whim import Whim
 from magical_mj.scene import Scene
 from magical_mj.tasks import TaskSpec
 
 TRIES: Final = 8  # manoeuvres tried in one situation
-SPREAD: Final = 2.0  # actions by which chance varies estimates
+SPREAD: Final = 16.0  # actions by which a whim makes a manoeuvre more or less promising
+TASTE: Final = 6.0  # and better or worse, once tried
+CALMING: Final = 0.6  # of a whim's strength remains after each plan that failed
 LOSS: Final = 300.0  # actions that a score of 1 is worth
 FAILURE: Final = 60.0  # actions that an errand begun in vain costs
 REACH: Final = 90  # actions, the longest way to anything
@@ -54,15 +57,17 @@ class Planner:
             start: the state to start from.
             steps: how many actions are left.
             budget: no new plan is begun after so many imagined steps.
-            rng: varies the plans.
+            rng: varies the plans; the less, the more have failed.
         """
         end = self._world.count + budget
-        best = self._attempt(start, steps, rng)
+        best = self._attempt(start, steps, Whim(rng, 1.0))
+        strength = CALMING
         while best.score < 1.0 and self._world.count < end:
-            best = max(best, self._attempt(start, steps, rng), key=lambda plan: plan.score)
+            best = max(best, self._attempt(start, steps, Whim(rng, strength)), key=lambda plan: plan.score)
+            strength *= CALMING
         return best
 
-    def _attempt(self, start: State, steps: int, rng: np.random.Generator) -> Plan:
+    def _attempt(self, start: State, steps: int, whim: Whim) -> Plan:
         world, todo = self._world, ()
         world.restore(start)
         actions: list[int] = []
@@ -71,8 +76,8 @@ class Planner:
             scene, left = world.scene(), steps - len(actions)
             todo = tuple(errand for errand in todo if errand.left(scene))
             if not todo or self._score(done(scene, todo)) < 1.0:
-                todo = errands(self._spec.name, self._initial, scene, rng)
-            if not self._do_best(scene, todo, left, rng):
+                todo = errands(self._spec.name, self._initial, scene, whim)
+            if not self._do_best(scene, todo, left, whim):
                 world.restore(states[-1])
                 for _ in range(min(PAUSE, left)):
                     world.act(Gripper.OPEN)
@@ -80,19 +85,20 @@ class Planner:
             states += world.states
         return Plan(self._score(world.scene()), actions, states)
 
-    def _do_best(self, scene: Scene, todo: Errands, left: int, rng: np.random.Generator) -> bool:
+    def _do_best(self, scene: Scene, todo: Errands, left: int, whim: Whim) -> bool:
         """Tries the most promising manoeuvres and leaves the world after the best; whether there is one."""
         if not todo:
             return False
         world, start = self._world, self._world.save()
         ways = explore(scene.robot.pose, toll(obstacles(scene), loaded=False), min(left, REACH))
         options = [option for errand in todo for option in manoeuvres(ways, scene, errand)]
-        options.sort(key=lambda option: option.estimate - option.errand.cost(scene) + SPREAD * rng.normal())
+        options.sort(key=lambda option: option.estimate - option.errand.cost(scene) + whim(SPREAD))
         best, best_cost = None, math.inf
         for option in options[:TRIES]:
             world.restore(start)
             perform(world, option, int(min(left, best_cost)))
             cost = len(world.trace) + self._rest(todo) + FAILURE * (option.errand.left(world.scene()) > 0)
+            cost += whim(TASTE)
             if cost < best_cost and world.trace:
                 best, best_cost = world.memory(), cost
         if best is not None:
