@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 import magical_mj
-from magical_mj.cli import compare, demo, demos, doctor, evaluate, experts, export, listing, report, rollout, view
+from magical_mj.cli import compare, demo, demos, doctor, evaluate, experts, export, listing, play, report, rollout, view
 from magical_mj.cli.console import complain
 from magical_mj.errors import MagicalError
 
@@ -27,6 +27,7 @@ app.command("report")(report.make_report)
 app.command("compare")(compare.make_comparison)
 app.command("experts")(experts.experts)
 app.add_typer(demos.app, name="demos")
+app.command("play")(play.play)
 app.command("export")(export.export)
 app.command("doctor")(doctor.doctor)
 app.command("demo")(demo.demo)

@@ -1,0 +1,90 @@
+"""`magical-mj play`: drive the robot with the keyboard, and record what you do."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+import magical_mj
+from magical_mj.cli.console import Seed, Size, Task, Variant, claim_folder, console
+from magical_mj.cli.episodes import both_views
+from magical_mj.cli.window import Window
+from magical_mj.constants import CONTROL_RATE
+from magical_mj.demos import Demonstration, Recorder, write
+from magical_mj.demos.files import SUFFIX
+from magical_mj.environment import Environment
+from magical_mj.registry import variant_name
+
+KEYS: Final = "arrows drive, space grips, R again, N next scene, Esc quits"
+
+Record = Annotated[Path | None, typer.Option(help="Write each finished episode into this folder.", show_default=False)]
+Speed = Annotated[float, typer.Option(min=0.1, max=4.0, help="Times real time.")]
+
+
+def play(
+    task: Task,
+    variant: Variant = "Demo",
+    seed: Seed = 0,
+    record: Record = None,
+    size: Size = 480,
+    speed: Speed = 1.0,
+) -> None:
+    """Drive the robot yourself: arrows, space to grip, R to start again, N for the next scene, Esc to quit."""
+    env = magical_mj.load(task, variant, seed=seed, observations=())
+    screen = console()
+    if record is not None:
+        claim_folder(record)
+
+    def finished(demo: Demonstration) -> None:
+        screen.print(f"seed {demo.scene_seed}: score {demo.score:.2f}")
+        if record is not None:
+            screen.print(keep(demo, record), soft_wrap=True)
+
+    window = Window(f"{task} {variant_name(variant)}", size, speed)
+    try:
+        play_in(window, env, task, variant, seed, size, finished)
+    finally:
+        window.close()
+        env.close()
+
+
+def play_in(
+    window: Window,
+    env: Environment,
+    task: str,
+    variant: str,
+    seed: int,
+    size: int,
+    finished: Callable[[Demonstration], None],
+) -> None:
+    """The loop: episodes until somebody wants to quit; `finished` is given each that was played to its end."""
+    horizon = env.horizon or 0
+    while True:
+        env.reset(seed=seed)
+        recorder, steps, over = Recorder(env), 0, False
+        while True:
+            left = f"score {env.score():.2f}" if over else f"{(horizon - steps) / CONTROL_RATE:.0f} s"
+            window.show(both_views(env, size), f"{left}   ({KEYS})")
+            wishes = window.wishes()
+            if "quit" in wishes:
+                return
+            if wishes:
+                seed += "next" in wishes
+                break
+            if not over:
+                over = recorder.step(window.action()).last()
+                steps += 1
+                if over:
+                    finished(recorder.demonstration(task, variant, seed, "human", seed))
+
+
+def keep(demo: Demonstration, folder: Path) -> Path:
+    """Write a demonstration under the next free name."""
+    names = (f"{demo.name}-human-{number:03}{SUFFIX}" for number in itertools.count())
+    path = next(folder / name for name in names if not (folder / name).exists())
+    write(demo, path)
+    return path
