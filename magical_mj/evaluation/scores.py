@@ -136,8 +136,12 @@ class ScoreFile:
 
     def __enter__(self) -> Self:
         self._file = self._path.open("a", encoding="utf-8")
-        _lock(self._file, self._path)
-        _repair(self._path)
+        try:
+            _lock(self._file, self._path)
+            _repair(self._path)
+        except BaseException:
+            self._file.close()
+            raise
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,0 +1,76 @@
+"""Policies for the tests of evaluations, importable by worker processes as ``agents:...``."""
+
+from __future__ import annotations
+
+import threading
+import time
+import zlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from magical_mj.evaluation import Episode
+
+
+def look(observation: Any) -> int:
+    """An action that depends on every bit of the observation."""
+    return zlib.crc32(np.ascontiguousarray(observation).tobytes()) % 18
+
+
+class Counting:
+    """Acts by what it sees and by how many steps it has made, so that mixed-up episodes would show."""
+
+    def reset(self, episode: Episode) -> None:
+        self.steps = episode.seed
+
+    def __call__(self, observation: Any) -> int:
+        self.steps += 1
+        return (look(observation) + self.steps) % 18
+
+
+class Batch:
+    """`look` for all environments at once."""
+
+    def reset_batch(self, episodes: Sequence[Episode]) -> None:
+        pass
+
+    def act_batch(self, observations: Any) -> list[int]:
+        return [look(observation) for observation in observations]
+
+    def __call__(self, observation: Any) -> int:
+        return look(observation)
+
+
+class Trouble:
+    """Behaves in the scenes of even seeds, and badly in the others; each badly in its own way."""
+
+    blind = True
+
+    def reset(self, episode: Episode) -> None:
+        self.seed = episode.seed
+        if self.seed == 1:
+            raise RuntimeError("lost\nits way")
+
+    def __call__(self, observation: Any) -> Any:
+        if self.seed == 5:
+            while True:
+                pass
+        if self.seed == 7:
+            time.sleep(1000)
+        if self.seed == 9:
+            threading.Event().wait()
+        return {3: 18, 11: None, 13: np.float32(2.0), 15: [1]}.get(self.seed, 1)
+
+
+class Slow:
+    """Does nothing, and takes its time."""
+
+    blind = True
+
+    def __call__(self, observation: Any) -> int:
+        time.sleep(0.001)
+        return 0
+
+
+NOT_CALLABLE = 3
