@@ -76,7 +76,7 @@ def check_same(found: Iterable[tuple[Score, object]], what: str, consequence: st
             where.setdefault(getattr(score, what), folder)
     if len(where) > 1:
         kinds = ", ".join(f"{name or 'none'} in {folder}" for name, folder in where.items())
-        raise EvaluationError(f"the {what} differ: {kinds}; {consequence}")
+        raise EvaluationError(f"different {what}: {kinds}; {consequence}")
 
 
 def results(folders: Sequence[Path], with_published: bool = False, mixed_presets: bool = False) -> Results:
@@ -119,6 +119,8 @@ def _missing(scores: pd.DataFrame, row: Any) -> str:
 
 
 def _notes(scores: pd.DataFrame, variants: pd.DataFrame, with_published: bool) -> Iterator[str]:
+    if (variants["missing"] != "").any():
+        yield "(1/8) after a figure: it is made of one of the eight tasks that have the variant."
     for policy, group in variants[~variants["published"]].groupby("policy", sort=False):
         lacking: dict[str, list[str]] = {}
         for row in group.itertuples():
@@ -145,7 +147,7 @@ def _notes(scores: pd.DataFrame, variants: pd.DataFrame, with_published: bool) -
         yield f"One run only of {names}: its intervals are over episodes and say nothing about training."
     failed = scores[scores["failure"].notna()]
     for policy, group in failed.groupby("policy", sort=False):
-        yield f"{policy}: {len(group)} failed episodes count as 0; the first reason: {group['failure'].iloc[0]}"
+        yield f"{policy}: failed episodes, which count as 0: {len(group)}; the first reason: {group['failure'].iloc[0]}"
     for what in ("version", "mujoco", "gl"):
         if scores[what].nunique() > 1:
             yield f"Played with different settings of {what}: {', '.join(sorted(scores[what].unique()))}."

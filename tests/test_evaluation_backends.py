@@ -1,0 +1,110 @@
+"""Clusters: the same scores as here, also when a worker dies."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+import magical_mj
+from magical_mj.errors import EvaluationError
+from magical_mj.evaluation import Score
+from magical_mj.evaluation.scores import read
+
+SETTINGS: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo,Layout,Colour", "episodes": 40}
+
+
+def rows(scores: list[Score]) -> list[Any]:
+    return sorted((score.key, score.score, score.actions, score.failure) for score in scores)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # of the libraries' own
+def test_dask_cluster_that_loses_a_worker(tmp_path: Path) -> None:
+    """Two worker processes; one is killed when the first scores come in."""
+    distributed = pytest.importorskip("distributed")
+    magical_mj.evaluate("random,agents:Slow", out=tmp_path / "here", **SETTINGS)
+    killed: list[int] = []
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, env={"PYTHONPATH": str(Path(__file__).parent)}
+    ) as cluster:
+
+        def kill_one(_: Score) -> None:
+            if not killed:
+                killed.append(next(iter(cluster.workers.values())).process.pid)
+                os.kill(killed[0], signal.SIGKILL)
+
+        magical_mj.evaluate(
+            "random,agents:Slow",
+            out=tmp_path / "there",
+            jobs=None,
+            backend="dask",
+            address=cluster.scheduler_address,
+            watch=kill_one,
+            **SETTINGS,
+        )
+    assert killed
+    assert rows(read(tmp_path / "there")) == rows(read(tmp_path / "here"))
+
+
+@pytest.mark.slow
+def test_ray_gives_the_same(tmp_path: Path) -> None:
+    """In a process of its own, which ray changes for good."""
+    pytest.importorskip("ray")
+    program = (
+        "import magical_mj\n"
+        "if __name__ == '__main__':\n"
+        "    magical_mj.evaluate('random,noop', tasks='MoveToRegion', variants='Demo,Layout,Colour', episodes=40,\n"
+        f"                        backend='ray', jobs=2, out={str(tmp_path / 'there')!r})\n"
+    )
+    (tmp_path / "program.py").write_text(program)
+    result = subprocess.run(
+        [sys.executable, str(tmp_path / "program.py")], capture_output=True, text=True, timeout=240, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    here = magical_mj.evaluate("random,noop", out=tmp_path / "here", **SETTINGS)
+    assert len(here) == 240
+    assert rows(read(tmp_path / "there")) == rows(read(tmp_path / "here"))
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_cluster_that_is_not_there() -> None:
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.dask.config.set({"distributed.comm.timeouts.connect": "1s"}),
+        pytest.raises(EvaluationError, match="9"),
+    ):
+        magical_mj.evaluate("noop", backend="dask", address="tcp://127.0.0.1:9", **SETTINGS)
+
+
+def test_a_worker_that_dies_is_said() -> None:
+    def fatal(observation: Any) -> int:
+        os._exit(1)
+
+    with pytest.raises(EvaluationError, match="worker process died"):
+        magical_mj.evaluate(fatal, jobs=2, preset="State", **SETTINGS)
+
+
+def test_missing_extras_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module, backend, hint in (
+        ("distributed", {"backend": "dask", "address": "tcp://127.0.0.1:9"}, r"magical-mj\[dask\]"),
+        ("ray", {"backend": "ray"}, r"magical-mj\[ray\]"),
+    ):
+        monkeypatch.setitem(sys.modules, module, None)
+        with pytest.raises(EvaluationError, match=hint):
+            magical_mj.evaluate("noop", **backend, **SETTINGS)
+    monkeypatch.setattr("magical_mj.evaluation.extra.find_spec", lambda name: None)
+    with pytest.raises(EvaluationError, match=r'pip install "magical-mj\[eval\]"'):
+        magical_mj.evaluate("noop", **SETTINGS)
+
+
+def test_frames_are_in_one_order() -> None:
+    frame = magical_mj.evaluate("noop", tasks="MoveToRegion", variants="Demo", episodes=25, jobs=2)
+    assert isinstance(frame, pd.DataFrame)
+    assert frame["seed"].tolist() == list(range(25))

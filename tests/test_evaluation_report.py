@@ -1,0 +1,261 @@
+"""Reports and comparisons: golden tables, what is missing is said, and what does not go together is refused.
+
+To write the golden files anew: ``python -m tests.test_evaluation_report`` from the repository's root.
+"""
+
+from __future__ import annotations
+
+import csv
+import shutil
+import subprocess
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from magical_mj.errors import EvaluationError, SettingsError
+from magical_mj.evaluation.compare import compare
+from magical_mj.evaluation.report import extremes, report
+from magical_mj.evaluation.scores import SCORES, Score
+
+GOLDEN: Final = Path(__file__).parent / "data" / "evaluation"
+TABLES: Final = (
+    "report.md",
+    "variants.csv",
+    "environments.csv",
+    "variants.tex",
+    "interquartile.tex",
+    "environments.tex",
+)
+
+TEMPLATE: Final = Score(
+    policy="BC_4 & more",
+    run=0,
+    task="FindDupe",
+    variant="Demo",
+    seed=0,
+    score=0.0,
+    steps=3,
+    seconds=0.1,
+    rules="paper",
+    preset="LoRes4E",
+    version="0.1.0",
+    mujoco="3.17.0",
+    gl="egl",
+    actions="aba",
+)
+
+
+def example() -> list[Score]:
+    """Two runs of a method, which lacks an environment and fails once, and one of noop, all with four episodes."""
+    rng = np.random.default_rng(0)
+    scores = []
+    for run, task, variant in product((0, 1), ("MoveToCorner", "MoveToRegion"), ("Demo", "Jitter", "All")):
+        if (task, variant) != ("MoveToRegion", "All"):
+            chance = {"Demo": 0.9, "Jitter": 0.6, "All": 0.2}[variant]
+            for seed in range(4):
+                drawn = float(rng.random() < chance) / (1 + run)
+                scores.append(replace(TEMPLATE, run=run, task=task, variant=variant, seed=seed, score=drawn))
+    scores[3] = replace(scores[3], score=0.0, failure="ValueError: 50% of {it} is_missing")
+    for task, variant, seed in product(("MoveToCorner", "MoveToRegion"), ("Demo", "Jitter", "All"), range(4)):
+        noop = replace(TEMPLATE, policy="noop", preset=None, task=task, variant=variant, seed=seed)
+        scores.append(replace(noop, score=0.25 * (seed == 0)))
+    return scores
+
+
+def write(folder: Path, scores: list[Score]) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / SCORES).write_text("".join(score.line() for score in scores))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of the example, with nothing but scores.jsonl to go by."""
+    folder = tmp_path_factory.mktemp("report")
+    return report([write(folder / "scores", example())], folder / "out").parent
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_are_the_golden_ones(made: Path, name: str) -> None:
+    assert (made / name).read_text() == (GOLDEN / name).read_text()
+
+
+def test_the_order_of_rows_does_not_matter(tmp_path: Path, made: Path) -> None:
+    page = report([write(tmp_path / "scores", example()[::-1])], tmp_path / "out")
+    assert page.read_text() == (made / "report.md").read_text()
+
+
+def test_folders_add_up(tmp_path: Path, made: Path) -> None:
+    scores = example()
+    folders = [
+        write(tmp_path / name, [score for score in scores if (score.policy, score.run) == key])
+        for name, key in {"a": ("BC_4 & more", 0), "b": ("BC_4 & more", 1), "c": ("noop", 0)}.items()
+    ]
+    assert report(folders, tmp_path / "out").read_text() == (made / "report.md").read_text()
+
+
+def test_missing_environments_are_said_and_marked(made: Path) -> None:
+    page = (made / "report.md").read_text()
+    assert "BC_4 & more: incomplete in All: without MoveToRegion, MatchRegions, MakeLine, " in page
+    assert "(1/8)" in page
+    assert "missing" in page
+    assert "not evaluated in Layout, Colour, Shape, CountPlus, Dynamics" in page
+    assert "failed episodes, which count as 0: 1; the first reason: ValueError: 50% of {it} is_missing" in page
+    with (made / "variants.csv").open() as file:
+        rows = {(row["policy"], row["variant"]): row for row in csv.DictReader(file)}
+    assert rows["BC_4 & more", "All"]["tasks"] == "1"
+    assert rows["BC_4 & more", "All"]["missing"].startswith("MoveToRegion, ")
+
+
+def test_unfinished_evaluations_say_so(tmp_path: Path) -> None:
+    page = report([write(tmp_path, example()[:-2])], tmp_path / "out").read_text()
+    assert "Unfinished: noop, run 0, MoveToRegion All has 2 of 4 episodes" in page
+
+
+def test_published_results_are_marked(tmp_path: Path) -> None:
+    page = report([write(tmp_path, example())], tmp_path / "out", with_published=True).read_text()
+    assert "| BC (ST)† | 0.64 ± 0.29 | 0.56 ± 0.27 |" in page
+    assert "scored by the rules 'released', and all others by the rules 'paper'" in page
+    tables = (tmp_path / "out" / "environments.tex").read_text()
+    assert tables.count(r"\begin{table}") == tables.count(r"\end{table}") > 1
+    with (tmp_path / "out" / "environments.csv").open() as file:
+        published = [row for row in csv.DictReader(file) if row["published"] == "True"]
+    assert len(published) == 660
+    assert {row["rules"] for row in published} == {"released"}
+
+
+def test_figures_are_drawn(made: Path) -> None:
+    for name in ("bars", "heat_map"):
+        with Image.open(made / f"{name}.png") as picture:
+            assert picture.width > 800
+            assert len(picture.convert("RGB").resize((400, 200)).getcolors(80_000)) > 20
+        assert (made / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="pdflatex is not installed")
+@pytest.mark.parametrize("published", [False, True])
+def test_latex_compiles(tmp_path: Path, published: bool) -> None:
+    out = report([write(tmp_path, example())], tmp_path / "out", with_published=published).parent
+    inputs = "".join(rf"\input{{{name}}}" for name in TABLES if name.endswith(".tex"))
+    (out / "paper.tex").write_text(
+        rf"\documentclass{{article}}\usepackage{{booktabs}}\begin{{document}}{inputs}\end{{document}}"
+    )
+    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "paper.tex"]
+    result = subprocess.run(command, cwd=out, capture_output=True, text=True, errors="replace", check=False)
+    assert result.returncode == 0, result.stdout
+    assert "Overfull" not in result.stdout
+
+
+# what does not go together
+
+
+def test_empty_and_missing_folders_are_explained(tmp_path: Path) -> None:
+    with pytest.raises(EvaluationError, match=r"holds no scores\.jsonl; magical-mj evaluate"):
+        report([tmp_path], tmp_path / "out")
+    (tmp_path / SCORES).write_text("")
+    with pytest.raises(EvaluationError, match="no finished episode"):
+        report([tmp_path], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_mixed_rules_are_refused(tmp_path: Path) -> None:
+    paper, released = (
+        write(tmp_path / rules, [replace(score, run=run + score.run, rules=rules) for score in example()])
+        for run, rules in ((0, "paper"), (2, "released"))
+    )
+    with pytest.raises(EvaluationError, match=r"different rules: paper in .*, released in "):
+        report([paper, released], tmp_path / "out")
+    with pytest.raises(EvaluationError, match="different rules"):
+        compare(f"{paper}:noop", f"{released}:noop")
+
+
+def test_mixed_presets_are_refused_unless_wanted(tmp_path: Path) -> None:
+    other = [replace(score, policy="allo", preset="LoRes4A") for score in example() if score.policy != "noop"]
+    folders = [write(tmp_path / "a", example()), write(tmp_path / "b", other)]
+    with pytest.raises(EvaluationError, match=r"different preset: LoRes4E in .*, LoRes4A in .* --mixed-presets"):
+        report(folders, tmp_path / "out")
+    assert "`LoRes4E`, `LoRes4A`" in report(folders, tmp_path / "out", mixed_presets=True).read_text()
+
+
+def test_an_episode_counts_once(tmp_path: Path) -> None:
+    folders = [write(tmp_path / name, example()) for name in "ab"]
+    with pytest.raises(EvaluationError, match="both hold run 0 of BC_4 & more in MoveToCorner Demo, seed 0"):
+        report(folders, tmp_path / "out")
+
+
+def test_different_versions_are_noted(tmp_path: Path) -> None:
+    scores = example()
+    scores[0] = replace(scores[0], mujoco="3.18.0")
+    assert (
+        "different settings of mujoco: 3.17.0, 3.18.0" in report([write(tmp_path, scores)], tmp_path / "o").read_text()
+    )
+
+
+# comparisons
+
+
+def side(folder: Path, values: dict[tuple[str, str], list[float]], run: int = 0) -> list[Score]:
+    return [
+        replace(TEMPLATE, policy=folder.name, run=run, task=task, variant=variant, seed=seed, score=value)
+        for (task, variant), given in values.items()
+        for seed, value in enumerate(given)
+    ]
+
+
+def test_comparison_is_paired_by_scene(tmp_path: Path) -> None:
+    """By hand: FindDupe differs by 0.5, -0.5, 0.5 and MakeLine by 0, 0.3; the scene that one has alone is left out."""
+    a, b = tmp_path / "a", tmp_path / "b"
+    write(a, side(a, {("FindDupe", "Demo"): [1.0, 0.0, 0.5, 1.0], ("MakeLine", "Demo"): [0.5, 0.5]}))
+    write(b, side(b, {("FindDupe", "Demo"): [0.5, 0.5, 0.0], ("MakeLine", "Demo"): [0.5, 0.2]}))
+    demo, every = compare(a, b).to_dict("records")
+    assert {**demo, "variant": every["variant"]} == every
+    assert demo["variant"] == "Demo"
+    assert demo["first"] == pytest.approx((0.5 + 0.5) / 2)
+    assert demo["second"] == pytest.approx((1 / 3 + 0.35) / 2)
+    assert demo["difference"] == pytest.approx((0.5 / 3 + 0.15) / 2)
+    assert demo["low"] < demo["difference"] < demo["high"]
+    assert [demo[name] for name in ("better", "worse", "scenes", "environments", "unpaired")] == [3, 1, 5, 2, 1]
+
+
+def test_comparison_averages_runs_first(tmp_path: Path) -> None:
+    a, b = tmp_path / "a", tmp_path / "b"
+    runs = [side(a, {("FindDupe", "Demo"): values}, run) for run, values in enumerate(([1.0, 0.0], [0.0, 1.0]))]
+    write(a, [*runs[0], *runs[1]])
+    write(b, side(b, {("FindDupe", "Demo"): [0.5, 0.25]}))
+    row = compare(a, b).iloc[0]
+    assert (row["first"], row["second"], row["better"], row["worse"]) == (0.5, 0.375, 1, 0)
+
+
+def test_equal_policies_do_not_differ(tmp_path: Path) -> None:
+    folder = write(tmp_path, example())
+    found = compare(f"{folder}:noop", f"{folder}:noop")
+    assert (found[["difference", "low", "high"]] == 0).all(axis=None)
+
+
+def test_comparisons_need_names_and_common_scenes(tmp_path: Path) -> None:
+    folder = write(tmp_path / "many", example())
+    with pytest.raises(SettingsError, match="holds BC_4 & more, noop: name one of them, as in "):
+        compare(folder, folder)
+    with pytest.raises(SettingsError, match="name one of them"):
+        compare(f"{folder}:nobody", folder)
+    other = write(tmp_path / "other", [replace(TEMPLATE, seed=99)])
+    with pytest.raises(EvaluationError, match="no scene in common"):
+        compare(f"{folder}:noop", other)
+
+
+def test_extremes_are_the_best_and_the_worst_of_each_task() -> None:
+    chosen = [(which, score.policy, score.task, score.score) for which, score in extremes(example())]
+    assert ("best", "noop", "MoveToCorner", 0.25) in chosen
+    assert ("worst", "noop", "MoveToCorner", 0.0) in chosen
+    assert len(chosen) == len(set(chosen)) == 8
+
+
+if __name__ == "__main__":
+    for table in TABLES:
+        made_here = report([write(Path("out/golden/scores"), example())], "out/golden").parent
+        shutil.copy(made_here / table, GOLDEN / table)
