@@ -64,6 +64,11 @@ class Environment(composer.Environment):
         """Number of control steps of an episode; None if it never ends."""
         return self.task.horizon
 
+    @property
+    def compilations(self) -> int:
+        """How many models were compiled so far; all other resets rewrote one."""
+        return self._simulations.compiled
+
     def score(self) -> float:
         """The score in [0, 1] if the episode ended now; an `InvalidSceneError` for plain scenes."""
         return self.task.score(self._open_physics())

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from magical_mj import constants as c
 from magical_mj.actions import ACTIONS
-from magical_mj.environment import load
+from magical_mj.environment import Environment, load
 from magical_mj.errors import InvalidSceneError, unknown_name
 from magical_mj.frames import FrameStack, Images
 from magical_mj.observations import STATE_NAMES
@@ -86,6 +86,11 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._stacks = _stacks(self._preset, size)
         self.observation_space = _space(self._preset, self._stacks)
         self._running = False
+
+    @property
+    def dm_env(self) -> Environment:
+        """The dm_env environment that this one runs."""
+        return self._env
 
     @property
     def scene(self) -> Scene:

@@ -128,7 +128,7 @@ def library() -> str:
         meshes[f"{shape}_outline"] = _block(shape, 0.0)
         meshes[f"{shape}_fill"] = _block(shape, style.BLOCK_OUTLINE_WIDTH)
     return "".join(
-        f'<mesh name="{name}" inertia="shell" vertex="{single(np.pad(points, ((0, 0), (0, 1))).ravel())}" '
+        f'<mesh name="{name}" inertia="shell" vertex="{single(np.pad(points, ((0, 0), (0, 1))).ravel().tolist())}" '
         f'face="{" ".join(map(str, faces.ravel()))}"/>'
         for name, (points, faces) in meshes.items()
     )

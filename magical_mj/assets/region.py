@@ -6,6 +6,8 @@ to know whose it holds. A skin's corners travel with every frame, so new corners
 
 from __future__ import annotations
 
+from functools import cache, lru_cache
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,7 @@ DASHES = 42
 """Quads kept for the border of one region: enough for 0.8 x 0.8 world units."""
 
 
+@lru_cache(16)
 def dash_quads(region: GoalRegion) -> NDArray[np.float64]:
     """The dashes along a region's edge, clockwise from its top-left corner.
 
@@ -46,7 +49,9 @@ def dash_quads(region: GoalRegion) -> NDArray[np.float64]:
     along = np.stack([first, last], axis=-1)[dash, side] - start_of_side[side, None]
     outward = half * np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)[side]
     a, b = (corners[side] + along[:, [k]] * ahead[side] for k in (0, 1))
-    return np.stack([a - outward, b - outward, b + outward, a + outward], axis=1)
+    quads = np.stack([a - outward, b - outward, b + outward, a + outward], axis=1)
+    quads.setflags(write=False)
+    return quads
 
 
 def dash_count(region: GoalRegion) -> int:
@@ -63,13 +68,10 @@ def regions_mjcf(regions: tuple[GoalRegion, ...]) -> str:
             (f"region{index}_fill", REGION_FILL[region.colour], 1),
             (f"region{index}_border", REGION_BORDER[region.colour], dashes),
         ):
-            corners = _corners(region, index, count)
-            ids = " ".join(map(str, range(len(corners))))
+            corners = _corners(region, index, count).ravel().tolist()
             text += (
                 f'<skin name="{name}" rgba="{rgba(colour)}" group="{style.DRAWN_GROUP}" '
-                f'vertex="{single(corners.ravel())}" face="{" ".join(map(str, _quad_faces(count).ravel()))}">'
-                f'<bone body="{BONE}" bindpos="0 0 0" bindquat="1 0 0 0" vertid="{ids}" '
-                f'vertweight="{"1 " * len(corners)}"/></skin>'
+                f'vertex="{single(corners)}" {_connection(count)}</skin>'
             )
     return text
 
@@ -102,6 +104,14 @@ def _corners(region: GoalRegion, index: int, count: int) -> NDArray[np.float32]:
         flat = np.vstack([flat, np.repeat(flat[-1:], 4 * count - len(flat), axis=0)])
         z += style.BORDER_ABOVE_FILL
     return np.column_stack([flat, np.full(len(flat), z)]).astype(np.float32)
+
+
+@cache
+def _connection(count: int) -> str:
+    """How a skin of so many quads hangs together, as MJCF."""
+    faces, ids = " ".join(map(str, _quad_faces(count).ravel())), " ".join(map(str, range(4 * count)))
+    bone = f'<bone body="{BONE}" bindpos="0 0 0" bindquat="1 0 0 0" vertid="{ids}" vertweight="{"1 " * 4 * count}"/>'
+    return f'face="{faces}">{bone}'
 
 
 def _quad_faces(count: int) -> Faces:

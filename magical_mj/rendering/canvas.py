@@ -11,7 +11,6 @@ import contextlib
 import os
 import threading
 import weakref
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -23,7 +22,7 @@ from magical_mj.assets.style import DRAWN_GROUP
 from magical_mj.assets.world import world_mjcf
 from magical_mj.errors import RenderingError
 from magical_mj.rendering.backend import REMEDY, new_gl_context
-from magical_mj.rendering.current import borrowed_thread
+from magical_mj.rendering.current import Handles, current, switch
 from magical_mj.scene import GoalRegion, Robot, Scene
 
 Picture = NDArray[np.uint8]
@@ -83,19 +82,27 @@ class Canvas(threading.local):
     process: int = 0
     contexts: list[Context] = field(default_factory=list)
     active: Context | None = None
+    ours: Handles | None = None  # with EGL
+    others: Handles | None = None  # what was current before
     pixels: dict[tuple[int, int], Picture] = field(default_factory=dict)  # a buffer for each of the last few sizes
 
-    @contextlib.contextmanager
-    def current(self) -> Iterator[None]:
-        """A block in which the OpenGL context is current; it is started if need be."""
+    def __enter__(self) -> None:
+        """Make the OpenGL context current for a block; it is started if need be."""
         if self.gl is not None and self.process != os.getpid():
             raise RenderingError(FORKED)
-        with borrowed_thread():
-            if self.gl is None:
-                self._start()
-            else:
-                self.gl.make_current()
-            yield
+        self.others = current()
+        if self.gl is None:
+            self._start()
+            self.ours = current()
+        elif self.ours is None:
+            self.gl.make_current()
+        else:
+            switch(self.ours, self.ours)
+
+    def __exit__(self, *error: object) -> None:
+        """Make current what was before. With other backends than EGL, ours stays."""
+        if self.ours is not None:
+            switch(self.ours, self.others)
 
     def _start(self) -> None:
         os.environ.setdefault("LP_NUM_THREADS", "0")
@@ -142,7 +149,7 @@ class Canvas(threading.local):
     def close(self) -> None:
         """Free everything; may be called twice."""
         if self.gl is not None and self.process == os.getpid():
-            with self.current():
+            with self:
                 for context in self.contexts:
                     context.mjr.free()
                 self.gl.free()
@@ -178,7 +185,7 @@ def _drawing_context(model: mujoco.MjModel) -> mujoco.MjrContext:
 
 def opengl_name() -> str:
     """Who draws: OpenGL's renderer and version."""
-    with CANVAS.current():
+    with CANVAS:
         from OpenGL import GL
 
         return " / ".join(GL.glGetString(name).decode() for name in (GL.GL_RENDERER, GL.GL_VERSION))

@@ -79,14 +79,17 @@ class Renderer:
         Raises:
             RenderingError: if OpenGL does not work here; it says what to do.
         """
-        with CANVAS.current():
-            if self._context not in CANVAS.contexts:
-                self._context = CANVAS.context_for(self._model)
-            context, scene, option = self._context, self._get_scene(), self._option
-            mujoco.mjv_updateScene(self._model, data, option, None, self._get_camera(camera), _STILL, scene)
-            mujoco.mjv_addGeoms(self._model, data, option, self._perturbation, _MOVING, scene)
-            pixels = CANVAS.draw(context, scene, OVERSAMPLING * size, OVERSAMPLING * size)
-        return on_paper(pixels)
+        with CANVAS:
+            return on_paper(self.paint(data, camera, size))
+
+    def paint(self, data: mujoco.MjData, camera: str, size: int) -> Picture:
+        """What `on_paper` makes the picture of; the canvas must be current, and the next painting overwrites it."""
+        if self._context not in CANVAS.contexts:
+            self._context = CANVAS.context_for(self._model)
+        context, scene, option = self._context, self._get_scene(), self._option
+        mujoco.mjv_updateScene(self._model, data, option, None, self._get_camera(camera), _STILL, scene)
+        mujoco.mjv_addGeoms(self._model, data, option, self._perturbation, _MOVING, scene)
+        return CANVAS.draw(context, scene, OVERSAMPLING * size, OVERSAMPLING * size)
 
     def close(self) -> None:
         """Let go of the scene; the process's canvas stays for others. May be called twice."""
