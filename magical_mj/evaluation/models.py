@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import io
 import json
+import pickle
 import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -58,6 +59,8 @@ def load_sb3(path: Path, trust: bool = False) -> Model:
             weights = torch.load(io.BytesIO(archive.read("policy.pth")), map_location="cpu", weights_only=True)
     except (zipfile.BadZipFile, KeyError, ValueError) as error:
         raise SettingsError(f"{path} is not a stable-baselines3 archive: {error}") from error
+    except (pickle.UnpicklingError, RuntimeError) as error:
+        raise SettingsError(f"{path} has something else than tensors for weights; it is not loaded") from error
     policy = _trusted(path) if trust else _rebuilt(path, data, weights)
     if not isinstance(policy.action_space, spaces.Discrete) or policy.action_space.n != len(ACTIONS):
         raise SettingsError(f"{path} acts in {policy.action_space}, and the environments in Discrete({len(ACTIONS)})")
