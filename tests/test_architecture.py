@@ -7,7 +7,7 @@
 | 2 | variants; assets | floor 0; variants also the tasks' spec, and no simulator; neither knows the other |
 | 3 | registry, environment, observations, rendering, export | 0-2, mujoco, dm_control |
 | 4 | Gymnasium, experts, demonstrations | 0-3, gymnasium |
-| 5 | evaluation | 0-4 |
+| 5 | evaluation, speed | 0-4 |
 | 6 | baselines, cli | anything; nobody imports them |
 """
 
@@ -30,7 +30,7 @@ FLOORS: dict[str, int] = {
     **dict.fromkeys(["variants", "assets"], 2),
     **dict.fromkeys(["registry", "environment", "scene_task", "simulation", "observations", "rendering", "export"], 3),
     **dict.fromkeys(["presets", "registration", "frames", "gym_env", "experts", "demos"], 4),
-    **dict.fromkeys(["evaluation"], 5),
+    **dict.fromkeys(["evaluation", "speed"], 5),
     **dict.fromkeys(["baselines", "cli", "__main__"], 6),
 }
 FACADE = "__init__"

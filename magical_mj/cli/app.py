@@ -9,7 +9,21 @@ from typing import Annotated
 import typer
 
 import magical_mj
-from magical_mj.cli import compare, demo, demos, doctor, evaluate, experts, export, listing, play, report, rollout, view
+from magical_mj.cli import (
+    bench,
+    compare,
+    demo,
+    demos,
+    doctor,
+    evaluate,
+    experts,
+    export,
+    listing,
+    play,
+    report,
+    rollout,
+    view,
+)
 from magical_mj.cli.console import complain
 from magical_mj.errors import MagicalError
 
@@ -29,6 +43,7 @@ app.command("experts")(experts.experts)
 app.add_typer(demos.app, name="demos")
 app.command("play")(play.play)
 app.command("export")(export.export)
+app.command("bench")(bench.bench)
 app.command("doctor")(doctor.doctor)
 app.command("demo")(demo.demo)
 

@@ -1,0 +1,57 @@
+"""The bare loop: what MuJoCo and OpenGL take for an environment's steps, with as little Python as possible."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import mujoco
+
+from magical_mj.assets.contacts import SUBSTEPS
+from magical_mj.assets.robot import control_signal
+from magical_mj.assets.world import World
+from magical_mj.presets import Preset
+from magical_mj.rendering.canvas import CANVAS
+from magical_mj.rendering.renderer import Renderer, on_paper
+from magical_mj.scene import Scene
+from magical_mj.simulation import Simulation
+
+
+class BareLoop:
+    """Steps the model of a scene, and draws the views of a preset by the same means as the environment.
+
+    No resets, hooks, checks, scores, stacked frames or wrappers. The averaging of the pixels belongs to the picture.
+    """
+
+    def __init__(self, scene: Scene, preset: Preset) -> None:
+        self._simulation = Simulation.of(World(scene))
+        self._views = [view for view, _ in preset.frames]
+        self._size = preset.image_size
+        self._renderer = Renderer(self._simulation.model.ptr)
+        self.run([0])  # the first frame starts OpenGL
+
+    def run(self, actions: Iterable[int]) -> None:
+        """Takes these actions."""
+        if not self._views:
+            self._simulate(actions)
+            return
+        with CANVAS:
+            self._simulate_and_draw(actions)
+
+    def close(self) -> None:
+        """Frees the simulation."""
+        self._renderer.close()
+        self._simulation.free()
+
+    def _simulate(self, actions: Iterable[int]) -> None:
+        model, data = self._simulation.model.ptr, self._simulation.data.ptr
+        for action in actions:
+            data.ctrl[:] = control_signal(action)
+            mujoco.mj_step(model, data, SUBSTEPS)
+
+    def _simulate_and_draw(self, actions: Iterable[int]) -> None:
+        model, data = self._simulation.model.ptr, self._simulation.data.ptr
+        for action in actions:
+            data.ctrl[:] = control_signal(action)
+            mujoco.mj_step(model, data, SUBSTEPS)
+            for view in self._views:
+                on_paper(self._renderer.paint(data, view, self._size))
