@@ -8,8 +8,11 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magical_mj.experts.whim import Whim
+from magical_mj.scene import Block
+from magical_mj.tasks.make_line import longest_line
 
 Point = tuple[float, float]
 
@@ -19,6 +22,8 @@ STAYS: Final = 0.09  # a block this near to its place is left alone
 MOVE_COST: Final = 14.0  # actions, and then as many for each unit:
 CARRY_COST: Final = 11.0
 SPREAD: Final = 12.0  # actions by which a whim makes a line better or worse
+CHECKED: Final = 500  # of the cheapest plans: blocks that stay near their places may leave too large a gap
+SPARE: Final = 1.05  # the rule holds for places that are farther apart by this factor
 LIMIT: Final = 0.84  # lines end within this square
 
 
@@ -42,11 +47,21 @@ def straightened(points: Sequence[Point], whim: Whim) -> list[Point | None]:
     costs = np.where(ways <= STAYS, 0.0, MOVE_COST + CARRY_COST * ways)
     orders = np.array(list(itertools.permutations(range(count))))
     totals = costs[:, np.arange(count), orders[:, None]].reshape(len(slots), len(orders), count).sum(axis=-1)
+    ends = here
     totals += whim(SPREAD, totals.shape)
-    line, order = np.unravel_index(int(totals.argmin()), totals.shape)
-    targets: list[Point | None] = [None] * count
-    for slot, block in enumerate(orders[order].tolist()):
-        if ways[line, slot, block] > STAYS:
-            x, y = slots[line, slot].tolist()
-            targets[block] = (x, y)
-    return targets
+    for best in totals.ravel().argsort()[:CHECKED].tolist():
+        line, order = divmod(best, len(orders))
+        ends = here.copy()
+        moved = ways[line, np.arange(count), orders[order]] > STAYS
+        ends[orders[order][moved]] = slots[line][moved]
+        if _is_line(ends):
+            break
+    return [
+        None if (end == start).all() else (float(end[0]), float(end[1])) for end, start in zip(ends, here, strict=True)
+    ]
+
+
+def _is_line(points: NDArray[np.float64]) -> bool:
+    """Whether blocks in these places make a line by the task's rule, with something to spare."""
+    blocks = [Block("circle", "red", SPARE * float(x), SPARE * float(y), 0.0) for x, y in points]
+    return longest_line(tuple(blocks)) == len(blocks)

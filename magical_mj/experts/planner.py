@@ -23,6 +23,7 @@ CALMING: Final = 0.6  # of a whim's strength remains after each plan that failed
 LOSS: Final = 300.0  # actions that a score of 1 is worth
 FAILURE: Final = 60.0  # actions that an errand begun in vain costs
 REACH: Final = 90  # actions, the longest way to anything
+ATTEMPTS: Final = 8  # plans for an episode
 PAUSE: Final = 4  # actions of waiting when there is nothing to do
 
 
@@ -61,10 +62,10 @@ class Planner:
         """
         end = self._world.count + budget
         best = self._attempt(start, steps, Whim(rng, 1.0))
-        strength = CALMING
-        while best.score < 1.0 and self._world.count < end:
-            best = max(best, self._attempt(start, steps, Whim(rng, strength)), key=lambda plan: plan.score)
-            strength *= CALMING
+        for failed in range(1, ATTEMPTS):
+            if best.score == 1.0 or self._world.count > end:
+                break
+            best = max(best, self._attempt(start, steps, Whim(rng, CALMING**failed)), key=lambda plan: plan.score)
         return best
 
     def _attempt(self, start: State, steps: int, whim: Whim) -> Plan:

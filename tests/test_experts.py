@@ -1,0 +1,246 @@
+"""The experts: what they plan, how they drive, and that they solve what they promise."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+import magical_mj
+from magical_mj import ENVIRONMENTS, TASKS, Block, Robot, Scene
+from magical_mj.actions import NOOP, Drive, Gripper, Turn
+from magical_mj.cli import main
+from magical_mj.errors import InvalidSceneError, UnknownNameError
+from magical_mj.experts import Expert, make_expert, run_episode
+from magical_mj.experts.clusters import rearranged
+from magical_mj.experts.driving import follow
+from magical_mj.experts.errands import Errand, done, errands
+from magical_mj.experts.imagination import Imagination, state_of
+from magical_mj.experts.lines import straightened
+from magical_mj.experts.moves import obstacles
+from magical_mj.experts.navigation import EMPTY, cells, explore, toll
+from magical_mj.experts.whim import Whim
+from magical_mj.tasks.cluster import blocks_right
+from magical_mj.tasks.make_line import longest_line
+
+
+def whim(seed: int = 0, strength: float = 1.0) -> Whim:
+    return Whim(np.random.default_rng(seed), strength)
+
+
+def env_of(task: str, variant: str = "Demo", seed: int = 0) -> magical_mj.Environment:
+    env = magical_mj.load(task, variant, seed=seed, observations=())
+    env.reset(seed=seed)
+    return env
+
+
+# planning, without a simulator
+
+
+@pytest.mark.parametrize(
+    ("task", "variant"), [pair for pair in ENVIRONMENTS if pair[1] in ("Demo", "CountPlus", "All")]
+)
+def test_the_errands_solve_the_task(task: str, variant: str) -> None:
+    for seed in range(3):
+        scene = magical_mj.sample_scene(task, variant, seed)
+        todo = errands(task, scene, scene, whim(seed))
+        assert magical_mj.score(task, scene, done(scene, todo)) == 1.0
+        assert len({errand.block for errand in todo}) == len(todo)
+        assert all(max(map(abs, errand.target)) < 0.9 for errand in todo)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_solved_scene_leaves_nothing_to_do(task: str) -> None:
+    scene = magical_mj.sample_scene(task, "Demo", 0)
+    solved = done(scene, errands(task, scene, scene, whim()))
+    assert errands(task, scene, solved, whim()) == ()
+
+
+def test_an_errand_costs_more_the_farther_it_is() -> None:
+    scene = magical_mj.sample_scene("MoveToCorner", "Demo", 0)
+    block = scene.blocks[0]
+    near, far = (Errand(0, (block.x - way, block.y)).cost(scene) for way in (0.2, 0.9))
+    assert 0 < near < far
+    assert Errand(0, (block.x, block.y)).cost(scene) == 0
+
+
+def test_the_mistake_of_a_clumsy_expert_is_mended() -> None:
+    """A distractor in the region, and the query out of it: both are errands."""
+    scene = magical_mj.sample_scene("FindDupe", "Demo", 0)
+    poses = [block.pose for block in scene.blocks]
+    poses[0], poses[6] = (-0.3, -0.6, 0.0), (0.2, -0.1, 0.0)
+    todo = errands("FindDupe", scene, scene.moved(blocks=poses), whim())
+    assert {errand.block for errand in todo} == {0, 5, 6}
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_lines_are_lines_and_move_few_blocks(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = [(float(x), float(y)) for x, y in rng.uniform(-0.8, 0.8, (4, 2))]
+    targets = straightened(points, whim(seed))
+    ends = [target or point for target, point in zip(targets, points, strict=True)]
+    assert longest_line(tuple(Block("circle", "red", x, y, 0.0) for x, y in ends)) == 4
+    assert targets.count(None) >= 1
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_clusters_are_clusters_with_room_between_blocks(seed: int) -> None:
+    scene = magical_mj.sample_scene("ClusterShape", "CountPlus", seed)
+    points = [(block.x, block.y) for block in scene.blocks]
+    targets = rearranged(points, [block.shape for block in scene.blocks], whim(seed))
+    after = scene.moved(blocks=[(*(t or p), 0.0) for t, p in zip(targets, points, strict=True)])
+    assert blocks_right(after, "shape") == len(points)
+    moved = [target for target in targets if target]
+    assert all(math.dist(one, other) > 0.26 for one, other in itertools.combinations(moved, 2))
+
+
+# ways
+
+
+def test_a_way_is_what_the_robot_can_drive() -> None:
+    scene = magical_mj.sample_scene("FindDupe", "Demo", 0)
+    tolls = toll(obstacles(scene), loaded=False)
+    ways = explore(scene.robot.pose, tolls, 60)
+    assert np.array_equal(ways.poses[0], scene.robot.pose)
+    assert len(ways.poses) > 5000
+    assert (tolls[cells(ways.poses[1:])] >= 0).all()
+    node = int(ways.steps.argmax())
+    way = np.array(ways.to(node))
+    assert np.array_equal(way[-1], ways.poses[node])
+    assert np.hypot(*np.diff(way[:, :2], axis=0).T).max() <= 0.1 + 1e-9
+    assert np.abs(np.diff(way[:, 2])).max() <= 0.3125 + 1e-9
+
+
+def test_blocks_cost_toll_and_walls_stop() -> None:
+    tolls = toll(np.array([[0.0, 0.0, 0.12]]), loaded=False)
+    inside, free, wall = cells(np.array([[0.0, -0.25, 0.0], [0.6, -0.5, 0.0], [0.0, 0.9, 0.0]]))
+    assert tolls[free] == 0
+    assert tolls[inside] != 0
+    assert tolls[wall] < 0
+    assert max(y + radius for _, y, radius in EMPTY) < 0.38
+
+
+def test_ways_are_followed() -> None:
+    env = env_of("MoveToRegion")
+    world = Imagination(env)
+    ways = explore(world.robot, toll(np.empty((0, 3)), loaded=False), 50)
+    start, near = world.save(), 0
+    for node in np.random.default_rng(0).integers(len(ways.poses), size=12).tolist():
+        world.restore(start)
+        follow(world, ways.to(node), Gripper.CLOSE, 80)
+        near += math.dist(world.robot[:2], ways.poses[node][:2]) < 0.12
+    assert near >= 11
+
+
+# imagination
+
+
+def test_what_is_imagined_is_what_happens() -> None:
+    env = env_of("ClusterColour", "All", 3)
+    world = Imagination(env)
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        gripper, turn, drive = Gripper(rng.integers(2)), Turn(rng.integers(3)), Drive(rng.integers(3))
+        world.act(gripper, turn, drive)
+        env.step(world.trace[-1])
+        assert np.array_equal(world.save(), state_of(env))
+    assert world.scene() == env.scene()
+
+
+def test_imagining_leaves_the_environment_alone() -> None:
+    env = env_of("FindDupe")
+    before = state_of(env)
+    Expert(env, "FindDupe")()
+    assert np.array_equal(before, state_of(env))
+
+
+# experts
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_experts_solve_the_demo(task: str) -> None:
+    env = env_of(task)
+    assert run_episode(env, task, scene_seed=0, seed=1) == 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("task", "variant"), ENVIRONMENTS)
+def test_experts_solve_every_environment(task: str, variant: str) -> None:
+    env = env_of(task, variant, 1)
+    assert run_episode(env, task, scene_seed=1) >= 0.75
+
+
+def test_the_same_seed_does_the_same_and_another_something_else() -> None:
+    env = env_of("FixColour")
+
+    def acted(seed: int) -> list[int]:
+        env.reset(seed=0)
+        expert = make_expert(env, "FixColour", seed)
+        taken = [expert()]
+        while not env.step(taken[-1]).last():
+            taken.append(expert())
+        return taken
+
+    first = acted(0)
+    assert acted(0) == first
+    assert acted(1) != first
+
+
+def test_it_plans_again_when_the_world_is_not_as_foreseen() -> None:
+    env = env_of("MoveToCorner")
+    expert = Expert(env, "MoveToCorner")
+    for step in range(80):
+        action = expert()
+        env.step(NOOP if 5 <= step < 10 else action)  # somebody holds the robot for a while
+    assert env.score() == 1.0
+
+
+def test_it_follows_the_environment_into_new_scenes() -> None:
+    env = env_of("FindDupe", "All", 0)
+    expert = make_expert(env, "FindDupe")
+    for seed in (0, 1):
+        env.reset(seed=seed)
+        while not env.step(expert()).last():
+            pass
+        assert env.score() == 1.0
+    assert expert() == NOOP  # the episode is over
+
+
+def test_wrong_tasks_and_scenes_are_refused() -> None:
+    env = env_of("MakeLine")
+    with pytest.raises(UnknownNameError):
+        make_expert(env, "MakeLines")
+    with pytest.raises(InvalidSceneError):
+        make_expert(env, "FindDupe")
+
+
+def test_a_hopeless_scene_is_played_to_its_end() -> None:
+    """A block between the robot and a corner of the arena where no finger can reach behind it."""
+    scene = magical_mj.sample_scene("MoveToCorner", "Demo", 0)
+    corner = dataclasses.replace(scene, blocks=(Block("square", "red", 0.89, -0.89, 0.0),), robot=Robot(0.0, 0.0, 0.0))
+    env = magical_mj.load("MoveToCorner", scene=corner, observations=())
+    env.reset()
+    expert = Expert(env, "MoveToCorner")
+    for _ in range(80):
+        last = env.step(expert()).last()
+    assert last
+    assert env.score() == expert.expected_score
+
+
+def test_the_command_prints_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+    assert (
+        main(["experts", "MoveToRegion", "--variant", "Demo", "--variant", "All", "--seeds", "2", "--jobs", "1"]) == 0
+    )
+    out = capsys.readouterr().out
+    assert "| MoveToRegion | 1.000 |  |" in out
+    assert "4 of 4 episodes have the full score" in out
+
+
+def test_plain_scenes_have_no_expert() -> None:
+    env = magical_mj.load_scene(Scene(Robot(0, 0, 0)), observations=())
+    env.reset()
+    with pytest.raises(InvalidSceneError):
+        make_expert(env, "FindDupe")
