@@ -11,6 +11,7 @@ import dataclasses
 import hashlib
 import json
 import os
+import struct
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -26,6 +27,10 @@ from magical_mj.scene import Scene
 FORMAT: Final = 1
 SUFFIX: Final = ".npz"
 ARRAYS: Final = ("actions", "qpos", "qvel")
+DAMAGE: Final = (  # what numpy and zipfile raise for damaged archives
+    *(KeyError, TypeError, ValueError, EOFError, AttributeError, OSError, RuntimeError, SyntaxError, MemoryError),
+    *(OverflowError, struct.error, zipfile.BadZipFile, zlib.error),
+)
 TEXTS: Final = tuple(f.name for f in dataclasses.fields(Demonstration) if f.name not in (*ARRAYS, "scene"))
 
 
@@ -90,11 +95,12 @@ def read(path: Path, task: str | None = None) -> Demonstration:
 
 def _parts(path: Path) -> dict[str, Any]:
     """The header and the arrays of a file."""
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in ("header", *ARRAYS)}
-    except (KeyError, TypeError, ValueError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error):
-        raise DemonstrationError(f"{path} is damaged or cut short, or not a demonstration at all") from None
+    with path.open("rb") as file:
+        try:
+            with np.load(file, allow_pickle=False) as archive:
+                return {name: archive[name] for name in ("header", *ARRAYS)}
+        except DAMAGE:
+            raise DemonstrationError(f"{path} is damaged or cut short, or not a demonstration at all") from None
 
 
 def _digest(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:

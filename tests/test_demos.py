@@ -1,0 +1,323 @@
+"""Demonstrations: files that lose nothing and tell of every damage, replay, what learners get, exports, commands."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+import magical_mj
+from magical_mj import TASKS, demos
+from magical_mj.cli import main
+from magical_mj.demos import Demonstration
+from magical_mj.errors import DemonstrationError, MagicalError, UnknownNameError
+from magical_mj.presets import PRESETS
+
+
+@pytest.fixture(scope="module")
+def demo() -> Demonstration:
+    """A short one."""
+    return demos.demonstrate("FixColour", "Demo", 0)
+
+
+@pytest.fixture
+def path(demo: Demonstration, tmp_path: Path) -> Path:
+    path = tmp_path / "FixColour-Demo-000.npz"
+    demos.write(demo, path)
+    return path
+
+
+def equal(one: Demonstration, other: Demonstration) -> bool:
+    fields = [(getattr(one, f.name), getattr(other, f.name)) for f in dataclasses.fields(Demonstration)]
+    return all(np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b for a, b in fields)
+
+
+def damaged(path: Path, **changes: object) -> None:
+    """Rewrites a file with other parts, as somebody with numpy could."""
+    with np.load(path) as archive:
+        parts = {name: archive[name] for name in archive}
+    np.savez_compressed(path, **(parts | changes))
+
+
+# the shipped ones
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_25_demonstrations_of_each_task_are_shipped_and_differ(task: str) -> None:
+    shipped = demos.load(task)
+    assert len(shipped) == 25
+    assert {(d.task, d.variant, d.demonstrator, d.score) for d in shipped} == {(task, "Demo", "expert", 1.0)}
+    assert all(d.scene == magical_mj.sample_scene(task, "Demo", d.scene_seed) for d in shipped)
+    assert all(len(d.actions) == magical_mj.load(task, observations=()).horizon for d in shipped[:1])
+    assert len({d.actions.tobytes() for d in shipped}) == 25
+    assert demos.diversity(shipped).ways > 0.05
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_shipped_demonstrations_replay(task: str) -> None:
+    first = demos.load(task)[0]
+    verdict = demos.verify(first)
+    assert verdict.good
+    if (first.mujoco, first.package) == (Demonstration.mujoco, Demonstration.package):
+        assert verdict.scene
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", TASKS)
+def test_all_shipped_demonstrations_replay(task: str) -> None:
+    assert all(demos.verify(demo).good for demo in demos.load(task))
+
+
+# files
+
+
+def test_a_file_gives_back_what_was_written(demo: Demonstration, path: Path) -> None:
+    again = demos.read(path, "FixColour")
+    assert equal(again, demo)
+    assert again.rescored() == again.score == 1.0
+    assert demos.verify(again) == demos.Verdict(scene=True, score=True, replay=True, exact=True)
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+def test_nothing_is_overwritten(demo: Demonstration, path: Path) -> None:
+    before = path.read_bytes()
+    with pytest.raises(FileExistsError, match="never overwritten"):
+        demos.write(demo, path)
+    assert path.read_bytes() == before
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+def test_no_truncated_file_is_read(path: Path) -> None:
+    whole = path.read_bytes()
+    for length in (0, 1, 50, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:length])
+        with pytest.raises(DemonstrationError, match="damaged or cut short"):
+            demos.read(path)
+
+
+def test_no_flipped_byte_goes_unnoticed(demo: Demonstration, path: Path) -> None:
+    whole = path.read_bytes()
+    for place in np.random.default_rng(0).integers(len(whole), size=60).tolist():
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x55]) + whole[place + 1 :])
+        with contextlib.suppress(DemonstrationError):
+            assert equal(demos.read(path), demo)  # some bytes of a zip archive mean nothing
+
+
+@pytest.mark.parametrize("name", ["actions", "qpos", "qvel"])
+def test_altered_arrays_are_noticed(name: str, demo: Demonstration, path: Path) -> None:
+    array = getattr(demo, name).copy()
+    array.flat[3] += 1
+    damaged(path, **{name: array})
+    with pytest.raises(DemonstrationError, match="altered"):
+        demos.read(path)
+
+
+def test_another_version_another_task_and_other_files_are_named(
+    demo: Demonstration, path: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(DemonstrationError, match="of FixColour, not of MakeLine"):
+        demos.read(path, "MakeLine")
+    damaged(path, header=np.frombuffer(b'{"format": 99}', np.uint8))
+    with pytest.raises(DemonstrationError, match="format 99"):
+        demos.read(path)
+    damaged(path, header=np.frombuffer(b"no json", np.uint8))
+    with pytest.raises(DemonstrationError, match="header"):
+        demos.read(path)
+    np.savez(path, something=np.zeros(3))
+    with pytest.raises(DemonstrationError, match="damaged"):
+        demos.read(path)
+    np.savez(path, header=np.array([{}], dtype=object), actions=1, qpos=2, qvel=3)  # a pickle is never opened
+    with pytest.raises(DemonstrationError, match="damaged"):
+        demos.read(path)
+    with pytest.raises(FileNotFoundError):
+        demos.read(tmp_path / "none.npz")
+
+
+def test_parts_that_do_not_fit_are_refused(demo: Demonstration) -> None:
+    bad = [
+        {"actions": demo.actions[1:]},
+        {"actions": demo.actions.astype(float)},
+        {"actions": np.full_like(demo.actions, 18)},
+        {"qpos": demo.qpos * np.nan},
+        {"demonstrator": "robot"},
+        {"variant": "Nowhere"},
+    ]
+    for change in bad:
+        with pytest.raises(MagicalError):
+            dataclasses.replace(demo, **change)
+
+
+def test_folders_without_demonstrations_are_told(tmp_path: Path) -> None:
+    with pytest.raises(DemonstrationError, match="no demonstrations of FindDupe"):
+        demos.load("FindDupe", tmp_path)
+    with pytest.raises(UnknownNameError):
+        demos.load("FindDup")
+
+
+# what is seen
+
+
+def test_pictures_from_states_are_those_of_the_episode(demo: Demonstration) -> None:
+    env = magical_mj.load("FixColour", scene=demo.scene, image_size=64)
+    seen = [env.reset().observation, *(env.step(action).observation for action in demo.actions.tolist())]
+    drawn = list(demos.see(demo, ("ego", "allo"), 64))
+    assert len(drawn) == len(seen) == 61
+    assert all(np.array_equal(a[view], b[view]) for a, b in zip(drawn, seen, strict=True) for view in ("ego", "allo"))
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_observations_are_those_of_the_gymnasium_environment(demo: Demonstration, preset: str) -> None:
+    short = dataclasses.replace(demo, actions=demo.actions[:6], qpos=demo.qpos[:7], qvel=demo.qvel[:7])
+    env = gymnasium.make(magical_mj.env_id("FixColour", "Demo", preset))
+    first, _ = env.reset(seed=demo.scene_seed)
+    seen = [first, *(env.step(action)[0] for action in short.actions.tolist())]
+    rows = demos.observations(short, preset)
+    for number, wanted in enumerate(seen):
+        if isinstance(rows, dict):
+            assert all(np.array_equal(rows[view][number], wanted[view]) for view in rows)
+        else:
+            assert np.array_equal(rows[number], wanted)
+    env.close()
+
+
+def test_transitions_are_what_learners_want(demo: Demonstration) -> None:
+    both = [demo, demo]
+    busy = int((demo.actions != 0).sum())
+    seen, acted = demos.transitions(both, preset="LoRes4E")
+    assert (seen.shape, seen.dtype) == ((2 * busy, 96, 96, 12), np.uint8)
+    assert (acted != 0).all()
+    everything = demos.transitions(both, preset="LoRes4E", drop_noop=False)
+    assert np.array_equal(everything.actions, np.concatenate([demo.actions, demo.actions]))
+    start = everything.observations[0]
+    assert all(np.array_equal(start[..., :3], start[..., k : k + 3]) for k in (3, 6, 9))
+    with pytest.raises(DemonstrationError):
+        demos.transitions([])
+
+
+def test_streams_draw_nothing_before_it_is_asked_for(demo: Demonstration) -> None:
+    def endless() -> Iterator[Demonstration]:
+        while True:
+            yield demo
+
+    stream = demos.stream(endless(), "LoRes4A")
+    assert len(next(stream).actions) == len(next(stream).actions)
+
+
+# exports
+
+
+def test_npz_export(demo: Demonstration, tmp_path: Path) -> None:
+    path = tmp_path / "out.npz"
+    demos.to_npz([demo, demo], path, "State", drop_noop=False)
+    with np.load(path, allow_pickle=False) as archive:
+        assert archive["observations"].shape == (120, len(magical_mj.observations.STATE_NAMES))
+        assert archive["episodes"].tolist() == [0] * 60 + [1] * 60
+        assert np.array_equal(archive["actions"][:60], demo.actions)
+    with pytest.raises(FileExistsError):
+        demos.to_npz([demo], path)
+
+
+def test_minari_export_is_lossless_and_its_environment_replays(
+    demo: Demonstration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    minari = pytest.importorskip("minari")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    demos.to_minari([demo, demo], preset="LoRes4A")
+    dataset = minari.load_dataset("magical-mj/FixColour/expert-v0")
+    episode = dataset[0]
+    assert np.array_equal(episode.observations, demos.observations(demo, "LoRes4A"))
+    assert np.array_equal(episode.infos["qpos"], demo.qpos)
+    assert np.array_equal(episode.infos["qvel"], demo.qvel)
+    assert np.array_equal(episode.actions, demo.actions)
+    assert episode.rewards.tolist() == [0.0] * 59 + [1.0]
+    assert episode.truncations.tolist() == [False] * 59 + [True]
+    env = dataset.recover_environment()
+    env.reset(seed=next(iter(dataset.storage.get_episode_metadata([0])))["seed"])
+    info = {}
+    for action in episode.actions:
+        seen, _, _, _, info = env.step(action)
+    assert np.array_equal(seen, episode.observations[-1])
+    assert info["eval_score"] == 1.0
+    env.close()
+    with pytest.raises(ValueError, match="exist"):
+        demos.to_minari([demo])
+    with pytest.raises(DemonstrationError, match="one environment"):
+        demos.to_minari([demo, dataclasses.replace(demo, variant="Jitter")])
+
+
+# commands
+
+
+def run(*arguments: object) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+def test_generate_verify_info_video_and_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "made"
+    generate = ("demos", "generate", "MoveToRegion", "--variant", "All", "--out", folder, "--jobs", 1, "--count")
+    assert run(*generate, 2) == 0
+    first = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert sorted(first) == ["MoveToRegion-All-000.npz", "MoveToRegion-All-001.npz"]
+    assert run(*generate, 3) == 0
+    assert "2 of 3 are there already" in capsys.readouterr().out
+    assert all((folder / name).read_bytes() == content for name, content in first.items())
+    assert run("demos", "verify", folder, "--jobs", 1) == 0
+    assert "3 of 3 replay to the same score, 3 through the same states" in capsys.readouterr().out
+    assert run("demos", "info", folder / "MoveToRegion-All-001.npz") == 0
+    assert "MoveToRegion-All" in capsys.readouterr().out
+    assert run("demos", "video", folder / "MoveToRegion-All-001.npz", "--out", tmp_path / "x.mp4", "--size", 32) == 0
+    assert (tmp_path / "x.mp4").stat().st_size > 1000
+    assert run("demos", "export", folder, "--out", tmp_path / "x.npz", "--preset", "State") == 0
+    assert (tmp_path / "x.npz").exists()
+
+
+def test_a_damaged_file_stops_generate_and_verify(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path.write_bytes(path.read_bytes()[:-10])
+    for command in ("generate", "FixColour", "--count", 1, "--out", path.parent), ("verify", path), ("info", path):
+        assert run("demos", *command) == 2
+        assert "damaged or cut short" in capsys.readouterr().err
+    assert run("demos", "info", path.parent / "none.npz") == 1
+
+
+def test_verify_tells_what_does_not_replay(
+    demo: Demonstration, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = dataclasses.replace(demo, actions=np.zeros_like(demo.actions))
+    demos.write(other, tmp_path / "bad.npz")
+    assert run("demos", "verify", tmp_path, "--jobs", 1) == 2
+    assert "bad.npz" in capsys.readouterr().err
+
+
+def test_a_killed_generate_leaves_only_whole_files_and_goes_on(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "magical_mj", "demos", "generate", "MatchRegions"]
+    process = subprocess.Popen(
+        [*command, "--count", "40", "--out", str(tmp_path), "--jobs", "1"],
+        stdout=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    for _ in range(300):
+        if list(tmp_path.glob("*.npz")):
+            break
+        time.sleep(0.1)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    made = demos.load("MatchRegions", tmp_path)
+    assert 0 < len(made) < 40
+    assert run("demos", "generate", "MatchRegions", "--count", len(made) + 1, "--out", tmp_path, "--jobs", 1) == 0
+    assert len(demos.load("MatchRegions", tmp_path)) == len(made) + 1
+
+
+def test_half_written_files_are_not_read(path: Path) -> None:
+    shutil.copy(path, path.with_name(f".{path.name}.123.part"))
+    assert len(demos.load("FixColour", path.parent)) == 1
