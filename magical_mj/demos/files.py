@@ -12,6 +12,7 @@ import hashlib
 import json
 import os
 import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -29,7 +30,7 @@ SUFFIX: Final = ".npz"
 ARRAYS: Final = ("actions", "qpos", "qvel")
 DAMAGE: Final = (  # what numpy and zipfile raise for damaged archives
     *(KeyError, TypeError, ValueError, EOFError, AttributeError, OSError, RuntimeError, SyntaxError, MemoryError),
-    *(OverflowError, struct.error, zipfile.BadZipFile, zlib.error),
+    *(OverflowError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error),
 )
 TEXTS: Final = tuple(f.name for f in dataclasses.fields(Demonstration) if f.name not in (*ARRAYS, "scene"))
 

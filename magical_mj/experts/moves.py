@@ -21,6 +21,7 @@ BEFORE: Final = (0.46, 0.68)  # how far ahead of the robot a block is before it 
 ASIDE: Final = 0.1  # and at most how far to the side
 SIDES: Final = 16  # from which a block can be taken
 TIGHT: Final = 1.5  # actions for each of toll on the way to a block
+WALLED: Final = 12  # toll where a finger is in a wall, by calculation: now and then it still works
 CENTRED: Final = 0.17  # rad, so straight ahead must a block be
 HELD: Final = 0.35  # so near must it come
 LOST: Final = 0.44  # so far away it is not held any more
@@ -63,8 +64,7 @@ def manoeuvres(ways: Ways, scene: Scene, errand: Errand) -> list[Manoeuvre]:
         heading = side * 2 * math.pi / SIDES
         stops = [_behind(block.x, block.y, heading, ahead) for ahead in (GRIP, GRIP + 0.07, GRIP + 0.14)]
         tight = tolls[cells(np.array(stops))]
-        if (tight < 0).any():
-            continue
+        tight[tight < 0] = WALLED
         estimate = ways.steps[node] + TIGHT * tight.sum() + _carrying(block.x, block.y, heading, errand)
         found.append(Manoeuvre(errand, ways.to(node), float(estimate)))
     return found
