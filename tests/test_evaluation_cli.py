@@ -1,0 +1,124 @@
+"""`magical-mj evaluate`, `report` and `compare`: what they print and write, and one line for what goes wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from magical_mj.cli import main
+from magical_mj.evaluation.scores import SCORES, read
+
+Shell = Callable[..., tuple[int, str, str]]
+SMALL = ("--tasks", "MoveToRegion", "--variants", "Demo,Layout", "--episodes", "2", "--jobs", "1")
+
+
+@pytest.fixture
+def shell(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Shell:
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: Any) -> tuple[int, str, str]:
+        code = main([str(argument) for argument in arguments])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def test_from_scores_to_videos(shell: Shell, tmp_path: Path) -> None:
+    code, out, error = shell("evaluate", "--policy", "random,still=noop", "--out", "o", *SMALL)
+    assert (code, error) == (0, "")
+    assert "8/8 episodes" in out
+    assert "still: mean score 0.000 over 2 environments\n" in out
+    assert "magical-mj report o" in out
+
+    code, out, error = shell("report", "o", "--videos", "--published")
+    assert (code, error) == (0, "")
+    assert out.endswith("o/report/report.md\n")
+    assert (tmp_path / "o/report/best-still-MoveToRegion.mp4").stat().st_size > 1000
+    assert "BC (ST)†" in (tmp_path / "o/report/report.md").read_text()
+
+    code, out, error = shell("compare", "o:random", "o:still")
+    assert (code, error) == (0, "")
+    lines = {line.split("  ")[0].strip(): line.split() for line in out.splitlines()}
+    assert lines["variant"][1:3] == ["random", "still"]
+    assert set(lines) == {"variant", "Demo", "Layout", "all of them"}
+    assert lines["all of them"][-1] == "4"
+
+
+def test_resume_says_what_is_done(shell: Shell, tmp_path: Path) -> None:
+    command = ("evaluate", "--policy", "noop", "--out", "o", *SMALL)
+    shell(*command)
+    path = tmp_path / "o" / SCORES
+    path.write_bytes(path.read_bytes()[:-5])
+    code, out, _ = shell(*command, "--resume")
+    assert code == 0
+    assert "3 episodes are done already" in out
+    assert "4/4 episodes" in out
+    assert len(read(tmp_path / "o")) == 4
+
+
+def test_failures_are_counted(shell: Shell, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("def act(observation):\n    return 99\n")
+    code, out, _ = shell("evaluate", "--policy", "mine:act", "--preset", "State", "--out", "o", *SMALL)
+    assert code == 0
+    assert "act: mean score 0.000 over 2 environments; 4 episodes failed, such as: InvalidActionError: 99" in out
+
+
+def test_a_replay_that_ends_otherwise_is_refused(shell: Shell, tmp_path: Path) -> None:
+    shell("evaluate", "--policy", "noop", "--out", "o", *SMALL)
+    path = tmp_path / "o" / SCORES
+    path.write_text(path.read_text().replace('"score": 0.0', '"score": 0.5'))
+    code, _, error = shell("report", "o", "--videos")
+    assert code == 1
+    assert "ends with 0.00 now, not 0.50" in error
+    assert not list(tmp_path.rglob("*.mp4"))
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "hint"),
+    [
+        ("evaluate --out o", 2, "--policy"),
+        ("evaluate --policy noop", 2, "--out"),
+        ("evaluate --policy nop --out o", 2, "Did you mean 'noop'"),
+        ("evaluate --policy gone.zip --out o", 2, "no file gone.zip"),
+        ("evaluate --policy noop --out o --tasks FindDup", 2, "Did you mean 'FindDupe'"),
+        ("evaluate --policy noop --out o --variants Color", 2, "Did you mean 'Colour'"),
+        ("evaluate --policy noop --out o --tasks MoveToRegion --variants Shape", 2, "It has: Demo"),
+        ("evaluate --policy noop --out o --preset LoRes5E", 2, "Did you mean 'LoRes4E'"),
+        ("evaluate --policy noop --out o --rules mine", 2, "--rules"),
+        ("evaluate --policy noop --out o --episodes 0", 2, "--episodes"),
+        ("evaluate --policy noop --out o --backend dask", 2, "needs the scheduler's address"),
+        ("evaluate --policy noop --out o --backend mars", 2, "--backend"),
+        ("evaluate --policy noop --out /dev/null/folder", 1, "cannot write into /dev/null/folder"),
+        ("report", 2, "FOLDERS"),
+        ("report nothing", 1, "nothing holds no scores.jsonl"),
+        ("compare nothing nothing", 1, "nothing holds no scores.jsonl"),
+        ("compare nothing", 2, "missing argument"),
+    ],
+)
+def test_wrong_use_is_one_line(shell: Shell, tmp_path: Path, line: str, code: int, hint: str) -> None:
+    found, out, error = shell(*line.split())
+    assert (found, out) == (code, "")
+    assert error.startswith("magical-mj: ")
+    assert error.count("\n") == 1
+    assert hint.lower() in error.lower()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_changed_settings_are_one_line(shell: Shell) -> None:
+    shell("evaluate", "--policy", "noop", "--out", "o", *SMALL)
+    code, _, error = shell("evaluate", "--policy", "noop", "--out", "o", *SMALL, "--resume", "--rules", "released")
+    assert code == 2
+    assert error == 'magical-mj: o was started with other settings: rules was "paper" and is "released"\n'
+    code, _, error = shell("evaluate", "--policy", "noop", "--out", "o", *SMALL)
+    assert code == 1
+    assert "--resume" in error
+
+
+def test_a_report_needs_a_folder_it_can_write_to(shell: Shell) -> None:
+    shell("evaluate", "--policy", "noop", "--out", "o", *SMALL)
+    code, _, error = shell("report", "o", "--out", "/dev/null/folder")
+    assert code == 1
+    assert "cannot write into /dev/null/folder" in error
