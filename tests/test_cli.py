@@ -138,7 +138,9 @@ def test_rollouts_repeat(shell: Shell) -> None:
 
 
 def test_agents() -> None:
-    one, same, other = (list(itertools.islice(actions("random", seed), 500)) for seed in (0, 0, 1))
+    env = magical_mj.load("MoveToRegion", observations=())
+    env.reset(seed=0)
+    one, same, other = (list(itertools.islice(actions("random", seed, env, "MoveToRegion"), 500)) for seed in (0, 0, 1))
     assert one == same != other
     assert set(one) == set(range(18))
 
@@ -155,7 +157,7 @@ def test_export_loads_in_plain_mujoco(shell: Shell, tmp_path: Path) -> None:
 
 def test_demo_worker(tmp_path: Path) -> None:
     results = play_pair(("MoveToRegion", "Demo"), 0, tmp_path)
-    assert {key[2]: result.steps for key, result in results.items()} == {"random": 40, "noop": 40}
+    assert {key[2]: result.steps for key, result in results.items()} == {"expert": 40, "random": 40, "noop": 40}
     assert (tmp_path / "MoveToRegion.mp4").stat().st_size > 0
 
 
@@ -174,9 +176,9 @@ def test_demo(tmp_path: Path) -> None:
     result = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
     assert (result.returncode, result.stderr) == (0, "")
     assert "replacing 1 file" in result.stdout
-    assert "24 episodes" in result.stdout
+    assert "36 episodes" in result.stdout
     rows = [line.split() for line in result.stdout.splitlines()]
-    assert next(row for row in rows if row[:2] == ["MoveToRegion", "random"])[6] == "-"
+    assert next(row for row in rows if row[:2] == ["MoveToRegion", "expert"])[6] == "-"
     assert (tmp_path / "environments.png").exists()
     assert (tmp_path / "MoveToCorner.mp4").exists()
 

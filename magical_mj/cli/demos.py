@@ -5,34 +5,25 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from statistics import fmean
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import typer
 from rich.table import Table
 
+import magical_mj
 from magical_mj import TASKS, VARIANTS
 from magical_mj.cli.console import Force, Size, check_suffix, claim, claim_folder, console
 from magical_mj.cli.episodes import film_pictures
 from magical_mj.cli.parallel import Jobs, in_parallel
-from magical_mj.demos import (
-    Demonstration,
-    Verdict,
-    demonstrate,
-    diversity,
-    load,
-    read,
-    see,
-    to_minari,
-    to_npz,
-    verify,
-    write,
-)
-from magical_mj.demos.files import SUFFIX
 from magical_mj.errors import DemonstrationError
 from magical_mj.registry import environment_axes, task_spec, variant_name
 
+if TYPE_CHECKING:  # magical_mj.demos starts OpenGL, which help and wrong arguments do without
+    from magical_mj.demos import Demonstration, Verdict
+
 ALL = "all"
+SUFFIX = ".npz"
 
 Tasks = Annotated[list[str], typer.Argument(help=f"One or more of {', '.join(TASKS)}; or {ALL}.", show_default=False)]
 Paths = Annotated[
@@ -60,12 +51,12 @@ def generate(
     paths = {(name, number): out / file_name(name, variant, number) for name, number in numbers}
     for (name, _), path in paths.items():
         if path.exists():
-            read(path, name)  # or an error: a damaged file is not taken for a demonstration
+            magical_mj.demos.read(path, name)  # or an error: a damaged file is not taken for a demonstration
     todo = [(*key, variant, least_score, path) for key, path in paths.items() if not path.exists()]
     if len(todo) < len(numbers):
         screen.print(f"{len(numbers) - len(todo)} of {len(numbers)} are there already")
     failures = [failure for failure in in_parallel(screen, "demonstrating", make, todo, jobs) if failure]
-    describe([demo for name in sorted(names, key=TASKS.index) for demo in load(name, out)])
+    describe([demo for name in sorted(names, key=TASKS.index) for demo in magical_mj.demos.load(name, out)])
     if failures:
         raise DemonstrationError(f"{len(failures)} demonstrations are missing: {'; '.join(sorted(failures))}")
 
@@ -78,7 +69,7 @@ def file_name(task: str, variant: str, number: int) -> str:
 def make(task: str, number: int, variant: str, least_score: float, path: Path) -> str:
     """What a worker does: one demonstration; why there is none, if there is none."""
     try:
-        write(demonstrate(task, variant, number, least_score), path)
+        magical_mj.demos.write(magical_mj.demos.demonstrate(task, variant, number, least_score), path)
     except DemonstrationError as error:
         return str(error)
     return ""
@@ -98,7 +89,7 @@ def describe(demos: Sequence[Demonstration]) -> None:
     for demo in demos:
         groups.setdefault((demo.name, demo.demonstrator), []).append(demo)
     for (name, demonstrator), some in groups.items():
-        differ = diversity(some)
+        differ = magical_mj.demos.diversity(some)
         table.add_row(
             name,
             demonstrator,
@@ -135,7 +126,7 @@ def verify_all(paths: Paths, jobs: Jobs = None) -> None:
 
 def check(label: str, demo: Demonstration) -> tuple[str, Verdict]:
     """What a worker does: one demonstration."""
-    return label, verify(demo)
+    return label, magical_mj.demos.verify(demo)
 
 
 @app.command()
@@ -151,7 +142,7 @@ def video(
     claim(out, force)
     demo = next(_read([path]))[1]
     with film_pictures(out, size, speed) as add:
-        for pictures in see(demo, ("allo", "ego"), size):
+        for pictures in magical_mj.demos.see(demo, ("allo", "ego"), size):
             add(np.concatenate([pictures["allo"], pictures["ego"]], axis=1))
     console().print(out, soft_wrap=True)
 
@@ -167,10 +158,10 @@ def export(
     """Hand demonstrations to other tools."""
     demos = [demo for _, demo in _read(paths)]
     if to == "minari":
-        made = to_minari(demos, out, preset or "State").spec.dataset_id
+        made = magical_mj.demos.to_minari(demos, out, preset or "State").spec.dataset_id
     else:
         made = Path(out or f"{demos[0].name}{SUFFIX}")
-        to_npz(demos, made, preset or "LoRes4E", drop_noop=drop_noop)
+        magical_mj.demos.to_npz(demos, made, preset or "LoRes4E", drop_noop=drop_noop)
     console().print(made, soft_wrap=True)
 
 
@@ -179,11 +170,13 @@ def _read(paths: Sequence[str]) -> Iterator[tuple[str, Demonstration]]:
     for path in paths:
         if path in TASKS or path == ALL:
             for task in TASKS if path == ALL else (path,):
-                yield from ((f"{demo.name}-{number:03}", demo) for number, demo in enumerate(load(task)))
+                yield from (
+                    (f"{demo.name}-{number:03}", demo) for number, demo in enumerate(magical_mj.demos.load(task))
+                )
         elif Path(path).is_dir():
             found = sorted(Path(path).glob(f"*{SUFFIX}"))
             if not found:
                 raise DemonstrationError(f"there are no demonstrations in {path}")
-            yield from ((str(file), read(file)) for file in found)
+            yield from ((str(file), magical_mj.demos.read(file)) for file in found)
         else:
-            yield path, read(Path(path))
+            yield path, magical_mj.demos.read(Path(path))

@@ -1,4 +1,4 @@
-"""Whole episodes with agents that look at nothing, and films of them."""
+"""Whole episodes with the expert or with agents that look at nothing, and films of them."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from magical_mj.constants import CONTROL_RATE
 if TYPE_CHECKING:
     from magical_mj.environment import Environment
 
-Agent = Literal["random", "noop"]
-
+Agent = Literal["expert", "random", "noop"]
 
 Watch = Callable[["Environment"], None]
 
@@ -30,20 +29,31 @@ class Result(NamedTuple):
     steps: int
 
 
-def actions(agent: Agent, seed: int) -> Iterator[int]:
-    """What the agent does, for ever: independent uniform actions drawn from the seed, or nothing."""
+def actions(agent: Agent, seed: int, env: Environment, task: str) -> Iterator[int]:
+    """What the agent does in an environment of the task, for ever.
+
+    The expert of the seed looks at the environment; the others do nothing, or independent uniform actions.
+    """
+    if agent == "expert":
+        from magical_mj.experts import Expert
+
+        expert = Expert(env, task, seed)
+        return (expert() for _ in itertools.count())
     if agent == "noop":
         return itertools.repeat(NOOP)
     rng = np.random.default_rng(seed)
     return (int(rng.integers(len(ACTIONS))) for _ in itertools.count())
 
 
-def play(env: Environment, agent: Agent, seed: int, watch: Watch | None = None) -> Result:
-    """Plays one episode in the scene of `seed`; `watch` sees the environment at its start and after each step."""
+def play(env: Environment, task: str, agent: Agent, seed: int, watch: Watch | None = None) -> Result:
+    """Plays one episode of the task in the scene of `seed`.
+
+    `watch` sees the environment at its start and after each step.
+    """
     env.reset(seed=seed)
     if watch is not None:
         watch(env)
-    for steps, action in enumerate(actions(agent, seed), start=1):
+    for steps, action in enumerate(actions(agent, seed, env, task), start=1):
         last = env.step(action).last()
         if watch is not None:
             watch(env)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -14,10 +14,11 @@ from magical_mj.cli.console import Seed, Size, Task, Variant, claim_folder, cons
 from magical_mj.cli.episodes import both_views
 from magical_mj.cli.window import Window
 from magical_mj.constants import CONTROL_RATE
-from magical_mj.demos import Demonstration, Recorder, write
-from magical_mj.demos.files import SUFFIX
-from magical_mj.environment import Environment
 from magical_mj.registry import variant_name
+
+if TYPE_CHECKING:
+    from magical_mj.demos import Demonstration
+    from magical_mj.environment import Environment
 
 KEYS: Final = "arrows drive, space grips, R again, N next scene, Esc quits"
 
@@ -65,7 +66,7 @@ def play_in(
     horizon = env.horizon or 0
     while True:
         env.reset(seed=seed)
-        recorder, steps, over = Recorder(env), 0, False
+        recorder, steps, over = magical_mj.demos.Recorder(env), 0, False
         while True:
             left = f"score {env.score():.2f}" if over else f"{(horizon - steps) / CONTROL_RATE:.0f} s"
             window.show(both_views(env, size), f"{left}   ({KEYS})")
@@ -84,7 +85,7 @@ def play_in(
 
 def keep(demo: Demonstration, folder: Path) -> Path:
     """Write a demonstration under the next free name."""
-    names = (f"{demo.name}-human-{number:03}{SUFFIX}" for number in itertools.count())
+    names = (f"{demo.name}-human-{number:03}.npz" for number in itertools.count())
     path = next(folder / name for name in names if not (folder / name).exists())
-    write(demo, path)
+    magical_mj.demos.write(demo, path)
     return path

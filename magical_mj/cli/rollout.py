@@ -14,7 +14,7 @@ import magical_mj
 from magical_mj.cli.console import Force, Seed, Size, Task, Variant, check_suffix, claim, console
 from magical_mj.cli.episodes import Agent, film, play
 
-Who = Annotated[Agent, typer.Option(help="Uniform random actions, or none at all.")]
+Who = Annotated[Agent, typer.Option(help="The expert, uniform random actions, or none at all.")]
 Episodes = Annotated[int, typer.Option(min=1, help="How many; the scenes are those of SEED, SEED + 1, ...")]
 Video = Annotated[Path | None, typer.Option(help="Write an MP4 file of the episodes, both views.", show_default=False)]
 
@@ -22,14 +22,14 @@ Video = Annotated[Path | None, typer.Option(help="Write an MP4 file of the episo
 def rollout(
     task: Task,
     variant: Variant = "Demo",
-    agent: Who = "random",
+    agent: Who = "expert",
     episodes: Episodes = 1,
     seed: Seed = 0,
     video: Video = None,
     size: Size = 384,
     force: Force = False,
 ) -> None:
-    """Play episodes with an agent that looks at nothing, and print the scores."""
+    """Play episodes with the expert or a simple agent, and print the scores."""
     check_suffix(video, ".mp4")
     env = magical_mj.load(task, variant, seed=seed, observations=())
     if video is not None:
@@ -40,7 +40,7 @@ def rollout(
         for episode in track(
             range(seed, seed + episodes), "playing", console=out, transient=True, disable=not out.is_terminal
         ):
-            result = play(env, agent, episode, watch)
+            result = play(env, task, agent, episode, watch)
             scores.append(result.score)
             out.print(f"seed {episode}: score {result.score:.2f} after {result.steps} steps")
     env.close()
