@@ -86,7 +86,7 @@ def test_a_file_gives_back_what_was_written(demo: Demonstration, path: Path) -> 
     again = demos.read(path, "FixColour")
     assert equal(again, demo)
     assert again.rescored() == again.score == 1.0
-    assert demos.verify(again) == demos.Verdict(scene=True, score=True, replay=True, exact=True)
+    assert demos.verify(again) == demos.Verdict(scene=True, score=True, replay=True, exact=True, pictures=True)
     assert [p.name for p in path.parent.iterdir()] == [path.name]
 
 
@@ -273,7 +273,10 @@ def test_generate_verify_info_video_and_export(tmp_path: Path, capsys: pytest.Ca
     assert "2 of 3 are there already" in capsys.readouterr().out
     assert all((folder / name).read_bytes() == content for name, content in first.items())
     assert run("demos", "verify", folder, "--jobs", 1) == 0
-    assert "3 of 3 replay to the same score, 3 through the same states" in capsys.readouterr().out
+    assert (
+        "3 of 3 replay to the same score, 3 through the same states, 3 with the same pictures"
+        in capsys.readouterr().out
+    )
     assert run("demos", "info", folder / "MoveToRegion-All-001.npz") == 0
     assert "MoveToRegion-All" in capsys.readouterr().out
     assert run("demos", "video", folder / "MoveToRegion-All-001.npz", "--out", tmp_path / "x.mp4", "--size", 32) == 0

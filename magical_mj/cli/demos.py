@@ -117,8 +117,10 @@ def verify_all(paths: Paths, jobs: Jobs = None) -> None:
     results = dict(in_parallel(screen, "verifying", check, work, jobs))
     bad = sorted(label for label, verdict in results.items() if not verdict.good)
     exact = sum(verdict.exact for verdict in results.values())
+    alike = sum(verdict.pictures for verdict in results.values())
     screen.print(
-        f"{len(results) - len(bad)} of {len(results)} replay to the same score, {exact} through the same states"
+        f"{len(results) - len(bad)} of {len(results)} replay to the same score, "
+        f"{exact} through the same states, {alike} with the same pictures"
     )
     if bad:
         raise DemonstrationError(f"these do not replay in this version of the world: {', '.join(bad)}")

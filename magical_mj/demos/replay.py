@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -16,6 +17,9 @@ from magical_mj.environment import Environment, load
 from magical_mj.registry import sample_scene
 
 Picture = NDArray[np.uint8]
+
+GLANCE: Final = 10  # steps from one picture that is compared to the next
+SIZE: Final = 96  # pixels
 
 
 class Verdict(NamedTuple):
@@ -29,6 +33,8 @@ class Verdict(NamedTuple):
     """The same actions lead to the same score."""
     exact: bool
     """The same actions lead through the same states, bit by bit; so on the machine and versions of the recording."""
+    pictures: bool
+    """The replay looks like the pictures that are drawn from the states, pixel by pixel."""
 
     @property
     def good(self) -> bool:
@@ -38,18 +44,22 @@ class Verdict(NamedTuple):
 
 def verify(demo: Demonstration) -> Verdict:
     """Check a demonstration against this version of the world."""
+    drawn = [pictures["allo"] for pictures in itertools.islice(see(demo), 0, None, GLANCE)]
     with _world(demo) as env:
-        recorder = Recorder(env)
-        for action in demo.actions.tolist():
+        recorder, seen = Recorder(env), [env.render("allo", SIZE)]
+        for step, action in enumerate(demo.actions.tolist(), start=1):
             recorder.step(action)
+            if step % GLANCE == 0:
+                seen.append(env.render("allo", SIZE))
         positions, velocities = recorder.states()
         score = env.score()
     same_scene = sample_scene(demo.task, demo.variant, demo.scene_seed) == demo.scene
     same_states = np.array_equal(positions, demo.qpos) and np.array_equal(velocities, demo.qvel)
-    return Verdict(same_scene, demo.rescored() == demo.score, score == demo.score, same_states)
+    same_pictures = np.array_equal(seen, drawn)
+    return Verdict(same_scene, demo.rescored() == demo.score, score == demo.score, same_states, same_pictures)
 
 
-def see(demo: Demonstration, views: Sequence[str] = ("allo",), size: int = 96) -> Iterator[dict[str, Picture]]:
+def see(demo: Demonstration, views: Sequence[str] = ("allo",), size: int = SIZE) -> Iterator[dict[str, Picture]]:
     """The pictures before the first action and after each, drawn from the states: as they were, in any size.
 
     Args:
