@@ -33,23 +33,23 @@ FOOT_RADIUS, FOOT_DEPTH = 0.02, 0.01
 class Settings:
     """What the original does not dictate: how stiff, how round, how soft. `tools/fit_physics.py` finds them."""
 
-    contact_impedance: float = 0.997
+    contact_impedance: float = 0.9973
     """Share of the relative velocity that a contact removes; below 1 it gives way a little."""
-    contact_damping: float = 1.0
+    contact_damping: float = 1.03
     """Approach speed removed per substep; 1 is all of it (inelastic)."""
-    contact_stiffness: float = 1500.0
+    contact_stiffness: float = 1320.0
     """1/s^2: how fast overlap is pushed out; the original hardly does so below 0.01."""
-    impratio: float = 0.0863
+    impratio: float = 0.0813
     """How stiff friction is against the normal direction; the original's gives way under load."""
-    friction_finger_block: float = 1.27
+    friction_finger_block: float = 1.34
     friction_finger_wall: float = 4.0
-    friction_block: float = 0.195
+    friction_block: float = 0.19
     """Block with block, and block with robot."""
     friction_wall: float = 0.4
     """Block or robot with wall."""
-    finger_impedance: float = 0.99339
-    finger_damping: float = 1.15
-    finger_stiffness: float = 1760.0
+    finger_impedance: float = 0.9939
+    finger_damping: float = 1.16
+    finger_stiffness: float = 1740.0
     """The three for whatever a finger touches."""
     foot_impedance: float = 0.9999
     vertex_radius: float = 0.001
@@ -60,26 +60,26 @@ class Settings:
     star_tip_radius: float = 0.00955
     """Blunt: a tip that starts inside a finger must leave on the star's side of it."""
     star_tip_depth: float = 0.002
-    finger_overlap: float = 0.00341
+    finger_overlap: float = 0.00351
     """Surfaces lie this far inside the drawn ones: the overlap that the original tolerates."""
-    block_overlap: float = 0.00071
-    body_overlap: float = 0.0026
+    block_overlap: float = 0.0
+    body_overlap: float = 0.00241
     dry_impedance: float = 0.99
     """Of dry friction: turning, and the spin of blocks."""
-    motor_impedance: float = 0.93
+    motor_impedance: float = 0.928
     """Of the dry friction between a finger and its motor."""
     limit_impedance: float = 0.9999
     limit_stiffness: float = 5000.0
-    finger_armature: float = 0.015
+    finger_armature: float = 0.0142
     """Inertia that a finger's joint has besides the finger's."""
-    loaded_share: float = 0.219
+    loaded_share: float = 0.251
     """A closed gripper that drags a block slows the original's servos, though their caps are not reached. So this
     share of the drive, while the gripper is told to close, pulls towards a lower speed only; without load the larger
     share still reaches full speed."""
-    loaded_turn_share: float = 0.25
-    loaded_forward: float = 0.74
-    loaded_backward: float = 0.455
-    loaded_turn: float = 2.2
+    loaded_turn_share: float = 0.224
+    loaded_forward: float = 0.733
+    loaded_backward: float = 0.446
+    loaded_turn: float = 2.16
     iterations: int = 20
     tolerance: float = 1e-8
 
