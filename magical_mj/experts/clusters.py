@@ -21,7 +21,9 @@ MOVE_COST: Final = 16.0  # actions, and then as many for each unit:
 CARRY_COST: Final = 13.0
 WRONG_COST: Final = 60.0  # actions that a block among the wrong kind counts as
 SAFE: Final = 0.6  # a block is safe if its squared distance to its kind is below this share of what is allowed
+DOUBTFUL, HOPELESS = 0.7, 2.2  # shares of that, between which a block counts as more and more wrong
 APART: Final = 0.28  # between the centres of blocks
+CROWDED_COST: Final = 1000.0  # actions for each unit by which two are nearer
 PITCH: Final = 0.14  # of the places
 LIMIT: Final = 0.78  # places are within this square
 STARTS: Final = 3
@@ -87,8 +89,9 @@ def _costs(layouts: Floats, here: Floats, members: Floats) -> Floats:
     own = (squares * members.T).sum(axis=-1)
     nearest = np.where(members.T > 0, np.inf, squares).min(axis=-1)
     share = 3 * own / np.maximum(nearest, 1e-9)
-    cost += WRONG_COST * (np.clip(share / SAFE - 0.7, 0, 1.5) + (share > SAFE)).sum(axis=-1)
+    doubt = np.clip(share / SAFE, DOUBTFUL, HOPELESS) - DOUBTFUL  # shows the way to layouts in which fewer are wrong
+    cost += WRONG_COST * (doubt + (share > SAFE)).sum(axis=-1)
     gaps = np.linalg.norm(layouts[:, :, None] - layouts[:, None], axis=-1)
     crowded = np.clip(APART - gaps, 0, None) * (moved[:, :, None] | moved[:, None, :])
     first = np.triu(np.ones(gaps.shape[1:]), 1)
-    return cost + 1000 * (crowded * first).sum(axis=(1, 2))
+    return cost + CROWDED_COST * (crowded * first).sum(axis=(1, 2))

@@ -25,6 +25,7 @@ CARRYING: Final = 11  # actions to carry it one unit
 SPREAD: Final = 8.0  # actions by which a whim makes a place better or worse
 CHOICE: Final = 20.0  # likewise for one of several blocks
 APART: Final = 0.27  # between the centres of blocks that do not touch
+CROWDED: Final = 1000.0  # actions for each unit by which they are nearer
 INSIDE, OUTSIDE = 0.08, 0.06  # from the border of a goal region
 REACHABLE: Final = 0.84  # blocks are left within this square
 GRID: Final = 0.06
@@ -108,7 +109,7 @@ def _nearest(scene: Scene, block: int, places: Iterable[Point], whim: Whim) -> E
             for number, other in enumerate(scene.blocks)
             if number != block
         )
-        return CARRYING * math.dist(place, (here.x, here.y)) + 1000 * crowding + whim(SPREAD)
+        return CARRYING * math.dist(place, (here.x, here.y)) + CROWDED * crowding + whim(SPREAD)
 
     return Errand(block, min(places, key=cost))
 

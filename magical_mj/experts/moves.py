@@ -17,15 +17,30 @@ from magical_mj.experts.navigation import GRIP, Ways, cells, explore, toll
 from magical_mj.scene import Pose, Scene
 
 BLOCK_RADIUS: Final = {"square": 0.125, "pentagon": 0.13, "star": 0.14, "circle": 0.12}
+
+# Choosing how to begin
 BEFORE: Final = (0.46, 0.68)  # how far ahead of the robot a block is before it is taken
 ASIDE: Final = 0.1  # and at most how far to the side
 SIDES: Final = 16  # from which a block can be taken
-TIGHT: Final = 1.5  # actions for each of toll on the way to a block
+STOPS: Final = (GRIP, GRIP + 0.07, GRIP + 0.14)  # on the way to the block, where there must be room for the fingers
+TIGHT: Final = 1.5  # actions for each of toll on this way
 WALLED: Final = 12  # toll where a finger is in a wall, by calculation: now and then it still works
-CENTRED: Final = 0.17  # rad, so straight ahead must a block be
-HELD: Final = 0.35  # so near must it come
-LOST: Final = 0.44  # so far away it is not held any more
-FREE: Final = 0.42
+DRIVES: Final = 4  # ways tried where only the robot has to go somewhere
+
+# Taking a block
+CENTRED: Final = 0.17  # rad, so straight ahead it must be before the robot stops turning
+BEARING: Final = 0.4  # rad, so straight ahead before the robot drives
+REACHED: Final = (0.35, 0.1)  # ahead, aside: it is between the fingers
+LOST: Final = (0.44, 0.12)  # it is not held any more
+PROGRESS, PATIENCE = 0.01, 8  # so much nearer must it come, or after so many actions the robot gives up
+
+# Carrying it, letting go
+REACH: Final = 80  # actions, the longest way
+CORRECTIONS: Final = 2  # ways driven, the second if the first did not end where it should
+MISSED: Final = 60.0  # actions that a unit of distance from the target counts as, within the tolerance
+MISSED_BY_FAR: Final = 1000.0  # and beyond it
+FREE: Final = 0.42  # ahead: so far off, the robot can turn
+BACKING: Final = 8  # actions
 
 
 @dataclass(frozen=True)
@@ -48,7 +63,7 @@ def manoeuvres(ways: Ways, scene: Scene, errand: Errand) -> list[Manoeuvre]:
     """The ways to begin an errand: for each side of the block the quickest."""
     if errand.block is None:
         nodes = np.flatnonzero(np.hypot(*(ways.poses[:, :2] - errand.target).T) <= errand.tolerance)
-        best = nodes[ways.steps[nodes].argsort()[:4]]
+        best = nodes[ways.steps[nodes].argsort()[:DRIVES]]
         return [Manoeuvre(errand, ways.to(node), float(ways.steps[node])) for node in best.tolist()]
     block = scene.blocks[errand.block]
     tolls = toll(obstacles(scene, errand.block), loaded=True)
@@ -62,7 +77,7 @@ def manoeuvres(ways: Ways, scene: Scene, errand: Errand) -> list[Manoeuvre]:
         nodes = near[sides == side]
         node = int(nodes[ways.steps[nodes].argmin()])
         heading = side * 2 * math.pi / SIDES
-        stops = [_behind(block.x, block.y, heading, ahead) for ahead in (GRIP, GRIP + 0.07, GRIP + 0.14)]
+        stops = [_behind(block.x, block.y, heading, ahead) for ahead in STOPS]
         tight = tolls[cells(np.array(stops))]
         tight[tight < 0] = WALLED
         estimate = ways.steps[node] + TIGHT * tight.sum() + _carrying(block.x, block.y, heading, errand)
@@ -99,39 +114,37 @@ def perform(world: Imagination, manoeuvre: Manoeuvre, limit: int) -> bool:
 
 def _take(world: Imagination, block: int, limit: int) -> bool:
     """Drive so that the block comes between the fingers, and close them; whether it is held."""
-    nearest, patience = math.inf, 0
-    while len(world.trace) < limit:
+    nearest, waited = math.inf, 0
+    while len(world.trace) < limit and not _within(world, block, REACHED):
         right, ahead = world.seen(block)
-        aside = math.atan2(-right, ahead)
-        if ahead < HELD and abs(right) < 0.1:
+        waited += ahead > nearest - PROGRESS
+        if waited > PATIENCE:
             break
-        if ahead > nearest - 0.01:
-            patience += 1
-            if patience > 8:
-                break
         nearest = min(nearest, ahead)
-        turn = Turn.NONE if abs(aside) < CENTRED else Turn.LEFT if aside > 0 else Turn.RIGHT
-        world.act(Gripper.OPEN, turn, Drive.FORWARD if abs(aside) < 0.4 else Drive.NONE)
+        bearing = math.atan2(-right, ahead)  # to the left
+        turn = Turn.NONE if abs(bearing) < CENTRED else Turn.LEFT if bearing > 0 else Turn.RIGHT
+        world.act(Gripper.OPEN, turn, Drive.FORWARD if abs(bearing) < BEARING else Drive.NONE)
     if len(world.trace) < limit:
         world.act(Gripper.CLOSE)
+    return _within(world, block, LOST)
+
+
+def _within(world: Imagination, block: int, box: tuple[float, float]) -> bool:
+    """Whether a block is at most so far ahead of the robot, and at most so far aside."""
     right, ahead = world.seen(block)
-    return ahead < LOST and abs(right) < 0.12
+    return ahead < box[0] and abs(right) < box[1]
 
 
 def _carry(world: Imagination, block: int, errand: Errand, limit: int) -> bool:
-    """Drive until the block is at its target."""
-    for _ in range(2):
+    """Drive until the block is at its target; whether it is."""
+    for _ in range(CORRECTIONS):
         left = limit - len(world.trace)
-        if left <= 0:
+        if left <= 0 or not _within(world, block, LOST):
             return False
-        scene = world.scene()
-        ahead = world.seen(block)[1]
-        if ahead > LOST:
-            return False
-        ways = explore(world.robot, toll(obstacles(scene, block), loaded=True), min(left, 80))
-        gaps = np.hypot(*(ways.places(ahead) - errand.target).T)
-        cost = ways.steps + 60 * gaps + 1000 * np.clip(gaps - errand.tolerance, 0, None)
-        follow(world, ways.to(int(cost.argmin())), Gripper.CLOSE, left)
+        ways = explore(world.robot, toll(obstacles(world.scene(), block), loaded=True), min(left, REACH))
+        gaps = np.hypot(*(ways.places(world.seen(block)[1]) - errand.target).T)
+        costs = ways.steps + MISSED * gaps + MISSED_BY_FAR * np.clip(gaps - errand.tolerance, 0, None)
+        follow(world, ways.to(int(costs.argmin())), Gripper.CLOSE, left)
         if math.dist(world.block(block), errand.target) <= errand.tolerance:
             return True
     return False
@@ -139,7 +152,7 @@ def _carry(world: Imagination, block: int, errand: Errand, limit: int) -> bool:
 
 def _let_go(world: Imagination, block: int, limit: int) -> None:
     """Open the fingers and back off."""
-    for _ in range(8):
-        if len(world.trace) >= limit or world.seen(block)[1] > FREE:
+    for _ in range(min(BACKING, limit - len(world.trace))):
+        if world.seen(block)[1] > FREE:
             return
         world.act(Gripper.OPEN, Turn.NONE, Drive.BACK)
