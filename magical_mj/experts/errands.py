@@ -19,11 +19,13 @@ from magical_mj.experts.lines import straightened
 from magical_mj.experts.whim import Whim
 from magical_mj.scene import GoalRegion, Scene
 from magical_mj.tasks import SPECS
+from magical_mj.tasks.move_to_corner import CORNER, FULL_SCORE_DISTANCE
 
 FETCHING: Final = 14  # actions to go to a block, take it and let go of it
 CARRYING: Final = 11  # actions to carry it one unit
 SPREAD: Final = 8.0  # actions by which a whim makes a place better or worse
 CHOICE: Final = 20.0  # likewise for one of several blocks
+TOLERANCE: Final = 0.06  # so near its target a block is there
 APART: Final = 0.27  # between the centres of blocks that do not touch
 CROWDED: Final = 1000.0  # actions for each unit by which they are nearer
 INSIDE, OUTSIDE = 0.08, 0.06  # from the border of a goal region
@@ -39,7 +41,7 @@ class Errand:
 
     block: int | None
     target: Point
-    tolerance: float = 0.06
+    tolerance: float = TOLERANCE
 
     def left(self, scene: Scene) -> float:
         """How far there still is to go; 0 if it is done."""
@@ -93,6 +95,11 @@ def _grid(x_min: float, y_min: float, x_max: float, y_max: float) -> list[Point]
     return [(float(x), float(y)) for x in xs for y in ys]
 
 
+def _everywhere() -> list[Point]:
+    """Places for a block anywhere in the arena."""
+    return _grid(-REACHABLE, -REACHABLE, REACHABLE, REACHABLE)
+
+
 def _inside(region: GoalRegion) -> list[Point]:
     """Places for a block in a region."""
     box = (region.x_min + INSIDE, region.y_min + INSIDE, region.x_max - INSIDE, region.y_max - INSIDE)
@@ -115,21 +122,19 @@ def _nearest(scene: Scene, block: int, places: Iterable[Point], whim: Whim) -> E
 
 
 def _move_to_corner(initial: Scene, now: Scene, whim: Whim) -> Errands:
-    places = [place for place in _grid(-REACHABLE, -REACHABLE, REACHABLE, REACHABLE) if math.dist(place, (-1, 1)) < 0.6]
-    del initial
+    near = FULL_SCORE_DISTANCE - 2 * TOLERANCE
+    places = [place for place in _everywhere() if math.dist(place, CORNER) < near]
     return (_nearest(now, 0, places, whim),)
 
 
 def _move_to_region(initial: Scene, now: Scene, whim: Whim) -> Errands:
-    del initial
     robot = now.robot
     places = _inside(now.regions[0])
     place = min(places, key=lambda at: CARRYING * math.dist(at, (robot.x, robot.y)) + whim(SPREAD))
-    return (Errand(None, place, 0.04),)
+    return (Errand(None, place, tolerance=0.04),)
 
 
 def _match_regions(initial: Scene, now: Scene, whim: Whim) -> Errands:
-    del initial
     (region,) = now.regions
     todo, scene = [], now
     for number, block in enumerate(now.blocks):
@@ -166,8 +171,7 @@ def _outside(scene: Scene) -> list[Point]:
         aside = max(region.x_min - place[0], place[0] - region.x_max, region.y_min - place[1], place[1] - region.y_max)
         return aside >= OUTSIDE
 
-    places = _grid(-REACHABLE, -REACHABLE, REACHABLE, REACHABLE)
-    return [place for place in places if all(clear(place, region) for region in scene.regions)]
+    return [place for place in _everywhere() if all(clear(place, region) for region in scene.regions)]
 
 
 def _fix_colour(initial: Scene, now: Scene, whim: Whim) -> Errands:
@@ -175,10 +179,9 @@ def _fix_colour(initial: Scene, now: Scene, whim: Whim) -> Errands:
     for region in now.regions:
         (home,) = (number for number, block in enumerate(initial.blocks) if region.contains(block))
         odd = initial.blocks[home].colour != region.colour
-        inside = region.contains(now.blocks[home])
-        if odd and inside:
+        if odd and any(other.contains(now.blocks[home]) for other in now.regions):
             todo.append(_nearest(scene, home, _outside(now), whim))
-        elif not odd and not inside:
+        elif not odd and not region.contains(now.blocks[home]):
             todo.append(_nearest(scene, home, _inside(region), whim))
         scene = done(scene, todo)
     return tuple(todo)
@@ -190,13 +193,11 @@ def _moves(targets: Sequence[Point | None], tolerance: float) -> Errands:
 
 
 def _make_line(initial: Scene, now: Scene, whim: Whim) -> Errands:
-    del initial
     return _moves(straightened([(block.x, block.y) for block in now.blocks], whim), 0.07)
 
 
 def _cluster_by(attribute: str) -> Callable[[Scene, Scene, Whim], Errands]:
     def plan(initial: Scene, now: Scene, whim: Whim) -> Errands:
-        del initial
         kinds = [getattr(block, attribute) for block in now.blocks]
         return _moves(rearranged([(block.x, block.y) for block in now.blocks], kinds, whim), 0.09)
 
