@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,12 +16,11 @@ from PIL import Image
 
 import magical_mj
 from magical_mj.cli import doctor, main
-from magical_mj.cli.demo import play_pair
 from magical_mj.cli.episodes import actions
 from magical_mj.errors import RenderingError
 from magical_mj.rendering.backend import osmesa_works
 
-TOP = ("list", "view", "rollout", "export", "doctor", "demo")
+TOP = ("list", "view", "rollout", "evaluate", "report", "compare", "export", "doctor", "demo")
 
 
 class Shell:
@@ -155,32 +155,20 @@ def test_export_loads_in_plain_mujoco(shell: Shell, tmp_path: Path) -> None:
 # demo
 
 
-def test_demo_worker(tmp_path: Path) -> None:
-    results = play_pair(("MoveToRegion", "Demo"), 0, tmp_path)
-    assert {key[2]: result.steps for key, result in results.items()} == {"expert": 40, "random": 40, "noop": 40}
-    assert (tmp_path / "MoveToRegion.mp4").stat().st_size > 0
-
-
 @pytest.mark.slow
 def test_demo(tmp_path: Path) -> None:
-    """The main job in processes of its own, on the two quickest tasks."""
-    (tmp_path / "MoveToRegion.mp4").write_text("old")
-    code = (
-        "import sys, magical_mj.cli.demo as demo, magical_mj.cli as cli\n"
-        "if __name__ == '__main__':\n"
-        "    demo.ENVIRONMENTS = [pair for pair in demo.ENVIRONMENTS if pair[0].startswith('MoveTo')]\n"
-        f"    sys.exit(cli.main(['demo', '--out', {str(tmp_path)!r}, '--jobs', '2']))\n"
-    )
-    script = tmp_path / "short_demo.py"
-    script.write_text(code)
-    result = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
-    assert (result.returncode, result.stderr) == (0, "")
-    assert "replacing 1 file" in result.stdout
-    assert "36 episodes" in result.stdout
-    rows = [line.split() for line in result.stdout.splitlines()]
-    assert next(row for row in rows if row[:2] == ["MoveToRegion", "expert"])[6] == "-"
-    assert (tmp_path / "environments.png").exists()
-    assert (tmp_path / "MoveToCorner.mp4").exists()
+    """The main job, on the quickest task; twice, the second time over what the first left."""
+    command = ("demo", "--tasks", "MoveToRegion", "--episodes", "1", "--jobs", "2", "--out", str(tmp_path))
+    for attempt in range(2):
+        result = process(*command)
+        assert (result.returncode, result.stderr) == (0, "")
+        assert ("replacing an earlier run" in result.stdout) == (attempt == 1)
+        assert "expert: mean score 1.000 over 6 environments" in result.stdout
+        page = Path(result.stdout.splitlines()[-1])
+        assert page == tmp_path / "report.md"
+        linked = re.findall(r"\]\(([^)]+)\)", page.read_text())
+        assert {"bars.png", "heat_map.png", "environments.png", "best-expert-MoveToRegion.mp4"} <= set(linked)
+        assert all((tmp_path / name).stat().st_size > 0 for name in linked)
 
 
 # doctor

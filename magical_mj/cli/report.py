@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -38,13 +39,21 @@ def make_report(
     screen = console()
     scores = gather(folders, mixed_presets)  # before anything is made
     out = claim_folder(out or folders[0] / "report")
-    if videos:
-        for which, score in extremes(scores):
-            path = out / f"{which}-{score.policy.replace('/', '-')}-{score.task}.mp4"
-            replay(score, path)
-            screen.print(f"{path}: {score.variant}, seed {score.seed}, score {score.score:.2f}", soft_wrap=True)
-    page = report(folders, out, with_published=published, mixed_presets=mixed_presets)
+    links = film_episodes(extremes(scores), out) if videos else {}
+    page = report(folders, out, with_published=published, mixed_presets=mixed_presets, links=links)
     screen.print(page, soft_wrap=True)
+
+
+def film_episodes(chosen: Sequence[tuple[str, Score]], out: Path) -> dict[str, str]:
+    """Films episodes, each with a word such as "best"; returns the files' names, by what they show."""
+    links = {}
+    for which, score in chosen:
+        name = f"{which}-{score.policy}-{score.task}.mp4".replace("/", "-")
+        replay(score, out / name)
+        links[
+            f"{score.policy}, {which} of {score.task}: {score.variant}, seed {score.seed}, score {score.score:.2f}"
+        ] = name
+    return links
 
 
 def replay(score: Score, path: Path) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
+from typing import Final
 
 from magical_mj.evaluation.extra import check_extra
 from magical_mj.evaluation.figures import bars, heat_map
@@ -11,12 +13,26 @@ from magical_mj.evaluation.results import Results, results
 from magical_mj.evaluation.scores import Score
 from magical_mj.evaluation.tables import csv, latex, markdown, result_tables
 
-PAGE = "report.md"
-DPI = 150
+PAGE: Final = "report.md"
+DPI: Final = 150
+FILES: Final = {
+    "Means over tasks as CSV": "variants.csv",
+    "All environments as CSV": "environments.csv",
+    "Means over tasks as LaTeX": "variants.tex",
+    "Interquartile means as LaTeX": "interquartile.tex",
+    "All environments as LaTeX": "environments.tex",
+    "Bars as PDF": "bars.pdf",
+    "Heat map as PDF": "heat_map.pdf",
+}
 
 
 def report(
-    folders: Sequence[Path | str], out: Path | str, *, with_published: bool = False, mixed_presets: bool = False
+    folders: Sequence[Path | str],
+    out: Path | str,
+    *,
+    with_published: bool = False,
+    mixed_presets: bool = False,
+    links: Mapping[str, str] = MappingProxyType({}),
 ) -> Path:
     """Writes the tables (Markdown, CSV, LaTeX) and figures of some evaluations.
 
@@ -25,6 +41,7 @@ def report(
         out: the folder for the report; files of an earlier one are replaced.
         with_published: show the paper's results as well.
         mixed_presets: show policies side by side that were given different observations.
+        links: files in `out` that the page shall point to, by what they show.
 
     Returns:
         The path of the page, in Markdown.
@@ -55,7 +72,8 @@ def report(
         "## Environments",
         "![Mean scores](heat_map.png)",
         *map(markdown, tables[2:]),
-        "The same as files: `variants.csv`, `environments.csv`, `*.tex`, `*.pdf`.",
+        "## Files",
+        "\n".join(f"- [{text}]({name})" for text, name in {**links, **FILES}.items()),
     ]
     page = out / PAGE
     page.write_text("\n\n".join(part.strip() for part in parts) + "\n", encoding="utf-8")
