@@ -10,7 +10,7 @@ from __future__ import annotations
 import secrets
 import weakref
 from collections import OrderedDict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import dm_env
@@ -97,7 +97,7 @@ class Environment(composer.Environment):
             dm_control.rl.control.PhysicsError: if the simulation becomes unstable.
         """
         physics = self._open_physics()
-        if self._reset_next_step or self._substeps_are_watched():
+        if self._reset_next_step or self._watched:
             return super().step(action)
         self._hooks.before_step(self._physics_proxy, action, self._random_state)
         physics.step(self._n_sub_steps)
@@ -118,6 +118,11 @@ class Environment(composer.Environment):
             return OrderedDict((name, entry.array_spec) for name, entry in self._enabled())
         return super().observation_spec()
 
+    def add_extra_hook(self, hook_name: str, hook_callable: Callable[..., Any]) -> None:
+        """Has `hook_callable` called at the moment of this name; see `composer.Environment`."""
+        super().add_extra_hook(hook_name, hook_callable)
+        self._watch()
+
     def close(self) -> None:
         """Frees the simulation. Closing twice is fine."""
         self._simulations.free()
@@ -134,8 +139,9 @@ class Environment(composer.Environment):
     def _sees_now(self) -> bool:
         return all(isinstance(entry, CurrentObservable) and entry.is_immediate for _, entry in self._enabled())
 
-    def _substeps_are_watched(self) -> bool:
-        return not self._plain or self._has_hooks(("before_substep", "after_substep"))
+    def _watch(self) -> None:
+        """Looks whether anybody listens to substeps."""
+        self._watched = not self._sees_now() or self._has_hooks(("before_substep", "after_substep"))
 
     def _has_hooks(self, names: Iterable[str]) -> bool:
         """Whether anybody but the task listens to one of these."""
@@ -157,7 +163,7 @@ class Environment(composer.Environment):
             (name, entry.observation_callable(self._physics_proxy, self._random_state))
             for name, entry in self._enabled()
         ]
-        self._plain = self._sees_now()
+        self._watch()
         return first
 
 

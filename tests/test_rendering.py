@@ -211,20 +211,30 @@ def test_things_that_users_add_are_drawn() -> None:
     assert tuple(picture[allo_pixel(-0.5, 0.5, 96)]) == (0, 0, 255)
 
 
-def test_drawing_beside_mujoco_and_dm_control_disturbs_nobody() -> None:
-    """Each has an OpenGL context of its own, expects it to stay current, and frees things in whichever is."""
+def test_drawing_beside_dm_control_disturbs_nobody() -> None:
+    """It expects its OpenGL context to stay current."""
+    env = magical_mj.load_scene(GALLERY, observations=("ego",), image_size=64)
+    ours, theirs = env.reset().observation["ego"], env.physics.render(64, 64, "ego")
+    for _ in range(3):
+        np.testing.assert_array_equal(env.render("ego", 64), ours)
+        np.testing.assert_array_equal(env.physics.render(64, 64, "ego"), theirs)
+    env.close()
+    np.testing.assert_array_equal(draw(GALLERY, "ego", 64), ours)
+
+
+def test_drawing_beside_mujocos_renderers_disturbs_nobody() -> None:
+    """They free their things in whichever OpenGL context is current, sometimes ours."""
     env = magical_mj.load_scene(GALLERY, observations=("ego",), image_size=64)
     ours = env.reset().observation["ego"]
-    renderer = mujoco.Renderer(env.physics.model.ptr, 64, 64)
-    pictures = []
-    for _ in range(3):
-        pictures.append(env.physics.render(64, 64, "ego"))
-        np.testing.assert_array_equal(env.render("ego", 64), ours)
+    renderers = [mujoco.Renderer(env.physics.model.ptr, 64, 64) for _ in range(3)]
+    for renderer in renderers:
         renderer.update_scene(env.physics.data.ptr, "ego")
-        np.testing.assert_array_equal(renderer.render(), pictures[0])
-        np.testing.assert_array_equal(pictures[-1], pictures[0])
-    renderer.close()
-    np.testing.assert_array_equal(env.render("ego", 64), ours)
+        theirs = renderer.render()
+        np.testing.assert_array_equal(env.render("ego", 64), ours)
+        np.testing.assert_array_equal(renderer.render(), theirs)
+    for renderer in reversed(renderers):
+        renderer.close()
+        np.testing.assert_array_equal(env.render("ego", 64), ours)
 
 
 def test_the_canvas_can_be_closed_and_opened_again() -> None:

@@ -11,6 +11,7 @@ import contextlib
 import os
 import threading
 import weakref
+from ctypes import c_void_p
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -21,8 +22,9 @@ from numpy.typing import NDArray
 from magical_mj.assets.style import DRAWN_GROUP
 from magical_mj.assets.world import world_mjcf
 from magical_mj.errors import RenderingError
+from magical_mj.rendering import gl
 from magical_mj.rendering.backend import REMEDY, new_gl_context
-from magical_mj.rendering.current import Handles, current, switch
+from magical_mj.rendering.current import Handles, current, make_current
 from magical_mj.scene import GoalRegion, Robot, Scene
 
 Picture = NDArray[np.uint8]
@@ -83,38 +85,47 @@ class Canvas(threading.local):
     contexts: list[Context] = field(default_factory=list)
     active: Context | None = None
     ours: Handles | None = None  # with EGL
-    others: Handles | None = None  # what was current before
+    others: Handles | None = None  # what of others was current before
     pixels: dict[tuple[int, int], Picture] = field(default_factory=dict)  # a buffer for each of the last few sizes
 
     def __enter__(self) -> None:
         """Make the OpenGL context current for a block; it is started if need be."""
         if self.gl is not None and self.process != os.getpid():
             raise RenderingError(FORKED)
-        self.others = current()
+        before = current()
+        others = None if before == self.ours else before
+        if self.gl is not None:
+            if self.ours is None:
+                self.gl.make_current()
+            elif before != self.ours:
+                make_current(self.ours)
+            if self._is_damaged():
+                self.close()
         if self.gl is None:
             self._start()
             self.ours = current()
-        elif self.ours is None:
-            self.gl.make_current()
-        else:
-            switch(self.ours, self.ours)
+        self.others = others
+
+    def _is_damaged(self) -> bool:
+        """Whether somebody freed in our context what they had made in theirs: what is ours has the same numbers."""
+        return self.active is not None and not gl.functions().is_framebuffer(self.active.mjr.offFBO)
 
     def __exit__(self, *error: object) -> None:
-        """Make current what was before. With other backends than EGL, ours stays."""
-        if self.ours is not None:
-            switch(self.ours, self.others)
+        """Make current whatever of others was before; with other backends than EGL, ours stays."""
+        if self.others is not None:
+            make_current(self.others)
 
     def _start(self) -> None:
         os.environ.setdefault("LP_NUM_THREADS", "0")
         library = mujoco.MjModel.from_xml_string(world_mjcf(_LIBRARY))
         try:
-            gl = new_gl_context()
-            gl.make_current()
+            made = new_gl_context()
+            made.make_current()
             context = _drawing_context(library)
         except Exception as error:  # each backend has its own kinds
             raise RenderingError(NO_OPENGL.format(backend=os.environ.get("MUJOCO_GL", "unset"), error=error)) from error
-        self.gl, self.process, self.contexts = gl, os.getpid(), [Context(context, library)]
-        _OPEN.add(gl)
+        self.gl, self.process, self.contexts = made, os.getpid(), [Context(context, library)]
+        _OPEN.add(made)
         atexit.unregister(_free_all)
         atexit.register(_free_all)  # now, so that it runs before the display is closed
 
@@ -130,12 +141,11 @@ class Canvas(threading.local):
 
     def draw(self, context: Context, scene: mujoco.MjvScene, height: int, width: int) -> Picture:
         """Red, green, blue and alpha, bottom row first; overwritten by the next. Shape (height, width, 4)."""
-        from OpenGL import GL  # its platform is settled only now
-
         if self.active is not context or context.size != (width, height):
             mujoco.mjr_resizeOffscreen(width, height, context.mjr)  # the whole buffer: clearing a part of it is slow
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context.mjr)
-            GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, GL.GL_DEPTH_STENCIL_ATTACHMENT, GL.GL_RENDERBUFFER, 0)
+            without_depth = gl.FRAMEBUFFER, gl.DEPTH_STENCIL_ATTACHMENT, gl.RENDERBUFFER, 0
+            gl.functions().framebuffer_renderbuffer(*without_depth)
             self.active, context.size = context, (width, height)
         if (height, width) not in self.pixels:
             if len(self.pixels) >= KEPT_SIZES:
@@ -143,17 +153,19 @@ class Canvas(threading.local):
             self.pixels[height, width] = np.empty((height, width, 4), np.uint8)
         pixels = self.pixels[height, width]
         mujoco.mjr_render(mujoco.MjrRect(0, 0, width, height), scene, context.mjr)
-        GL.glReadPixels(0, 0, width, height, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE, pixels)  # mjr_readPixels is slower
+        # mjr_readPixels is slower
+        gl.functions().read_pixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels.ctypes.data_as(c_void_p))
         return pixels
 
     def close(self) -> None:
         """Free everything; may be called twice."""
+        self.active = None
         if self.gl is not None and self.process == os.getpid():
             with self:
                 for context in self.contexts:
                     context.mjr.free()
                 self.gl.free()
-        self.gl, self.active, self.contexts = None, None, []
+        self.gl, self.ours, self.contexts = None, None, []
         self.pixels.clear()
 
 
@@ -166,10 +178,10 @@ def _free_all() -> None:
     contexts = list(_OPEN)
     with contextlib.suppress(Exception):
         CANVAS.close()
-    for gl in contexts:
+    for context in contexts:
         with contextlib.suppress(Exception):
-            gl.free()
-        gl._context = None  # or its finaliser would try again, and complain
+            context.free()
+        context._context = None  # or its finaliser would try again, and complain
 
 
 def _drawing_context(model: mujoco.MjModel) -> mujoco.MjrContext:

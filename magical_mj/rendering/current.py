@@ -1,7 +1,7 @@
-"""Whose OpenGL context is current: after our drawing, again whose it was before.
+"""Whose OpenGL context is current.
 
-Others draw in the same process, such as dm_control's `physics.render` and `mujoco.Renderer`. They rely on theirs
-staying current, and they free their things in whichever is, which had better not be ours.
+Others draw in the same process, such as dm_control's `physics.render` and `mujoco.Renderer`, and rely on theirs staying
+current. So after our drawing theirs is again; where none was, ours stays, for switching takes 5 % of a step.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ def current() -> Handles | None:
     return egl.eglGetCurrentDisplay(), *surfaces, context
 
 
-def switch(old: Handles, new: Handles | None) -> None:
-    """Make `new` current, or nothing, where `old` is."""
+def make_current(handles: Handles) -> None:
+    """Make current what was current once."""
     if (egl := _egl()) is not None:
-        egl.eglMakeCurrent(*(new or (old[0], None, None, None)))
+        egl.eglMakeCurrent(*handles)
 
 
 @cache

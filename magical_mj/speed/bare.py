@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import nullcontext
 
 import mujoco
 
@@ -23,35 +24,28 @@ class BareLoop:
     """
 
     def __init__(self, scene: Scene, preset: Preset) -> None:
-        self._simulation = Simulation.of(World(scene))
+        self.simulation = Simulation.of(World(scene))
         self._views = [view for view, _ in preset.frames]
         self._size = preset.image_size
-        self._renderer = Renderer(self._simulation.model.ptr)
-        self.run([0])  # the first frame starts OpenGL
+        self._renderer = Renderer(self.simulation.model.ptr)
+        self._canvas = CANVAS if self._views else nullcontext()
+        with self._canvas:
+            self._draw()  # the first picture takes preparations
 
     def run(self, actions: Iterable[int]) -> None:
         """Takes these actions."""
-        if not self._views:
-            self._simulate(actions)
-            return
-        with CANVAS:
-            self._simulate_and_draw(actions)
+        model, data = self.simulation.model.ptr, self.simulation.data.ptr
+        with self._canvas:
+            for action in actions:
+                data.ctrl[:] = control_signal(action)
+                mujoco.mj_step(model, data, SUBSTEPS)
+                self._draw()
+
+    def _draw(self) -> None:
+        for view in self._views:
+            on_paper(self._renderer.paint(self.simulation.data.ptr, view, self._size))
 
     def close(self) -> None:
         """Frees the simulation."""
         self._renderer.close()
-        self._simulation.free()
-
-    def _simulate(self, actions: Iterable[int]) -> None:
-        model, data = self._simulation.model.ptr, self._simulation.data.ptr
-        for action in actions:
-            data.ctrl[:] = control_signal(action)
-            mujoco.mj_step(model, data, SUBSTEPS)
-
-    def _simulate_and_draw(self, actions: Iterable[int]) -> None:
-        model, data = self._simulation.model.ptr, self._simulation.data.ptr
-        for action in actions:
-            data.ctrl[:] = control_signal(action)
-            mujoco.mj_step(model, data, SUBSTEPS)
-            for view in self._views:
-                on_paper(self._renderer.paint(data, view, self._size))
+        self.simulation.free()
