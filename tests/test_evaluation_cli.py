@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -122,3 +123,18 @@ def test_a_report_needs_a_folder_it_can_write_to(shell: Shell) -> None:
     code, _, error = shell("report", "o", "--out", "/dev/null/folder")
     assert code == 1
     assert "cannot write into /dev/null/folder" in error
+
+
+PAGE = (Path(__file__).parent.parent / "docs" / "evaluation.md").read_text()
+
+
+@pytest.mark.parametrize("code", re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL))
+def test_code_on_the_page_runs(code: str) -> None:
+    exec(compile(code, "evaluation.md", "exec"), {"__name__": "page"})
+
+
+def test_options_on_the_page_exist(shell: Shell) -> None:
+    known = "".join(shell(name, "--help")[1] for name in ("evaluate", "report", "compare"))
+    named = set(re.findall(r"--[a-z][a-z-]+", PAGE))
+    assert len(named) > 10
+    assert {option for option in named if option not in known} == set()
