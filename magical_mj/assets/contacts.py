@@ -54,7 +54,7 @@ class Settings:
     foot_impedance: float = 0.9999
     vertex_radius: float = 0.001
     """Of the sphere at a corner, world units."""
-    edge_radius: float = 0.02
+    edge_radius: float = 0.013
     """Of the capsule behind an edge, world units."""
     star_edge_radius: float = 0.015
     star_tip_radius: float = 0.00955
