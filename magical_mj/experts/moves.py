@@ -13,7 +13,7 @@ from magical_mj.actions import Drive, Gripper, Turn
 from magical_mj.experts.driving import follow
 from magical_mj.experts.errands import CARRYING, Errand
 from magical_mj.experts.imagination import Imagination
-from magical_mj.experts.navigation import GRIP, Ways, cells, explore, toll
+from magical_mj.experts.navigation import GRIP, Goal, Ways, cells, explore, places, toll
 from magical_mj.scene import Pose, Scene
 
 BLOCK_RADIUS: Final = {"square": 0.125, "pentagon": 0.13, "star": 0.14, "circle": 0.12}
@@ -141,8 +141,9 @@ def _carry(world: Imagination, block: int, errand: Errand, limit: int) -> bool:
         left = limit - len(world.trace)
         if left <= 0 or not _within(world, block, LOST):
             return False
-        ways = explore(world.robot, toll(obstacles(world.scene(), block), loaded=True), min(left, REACH))
-        gaps = np.hypot(*(ways.places(world.seen(block)[1]) - errand.target).T)
+        tolls, ahead = toll(obstacles(world.scene(), block), loaded=True), world.seen(block)[1]
+        ways = explore(world.robot, tolls, min(left, REACH), Goal(ahead, *errand.target, errand.tolerance / 2))
+        gaps = np.hypot(*(places(ways.poses, ahead) - errand.target).T)
         costs = ways.steps + MISSED * gaps + MISSED_BY_FAR * np.clip(gaps - errand.tolerance, 0, None)
         follow(world, ways.to(int(costs.argmin())), Gripper.CLOSE, left)
         if math.dist(world.block(block), errand.target) <= errand.tolerance:

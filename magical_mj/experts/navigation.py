@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ FINE_SIDE: Final = round(2 * FINE_REACH / FINE)
 
 GRIP: Final = 0.32  # from the robot's centre to that of a block between its fingers
 TURN_STEP: Final = c.SPEED_TURN / c.CONTROL_RATE
+AFTERWARDS: Final = 4  # actions that are explored after a goal was reached, for a better way to it
 SWITCH_COST: Final = 2  # actions lost when the robot brakes and drives the other way
 
 EMPTY: Final = ((0.0, 0.0, 0.2), (0.0, 0.18, 0.13), (0.0, 0.27, 0.1))
@@ -52,6 +53,19 @@ _TURN: Final = np.array([_SPIN[turn] for turn, _ in MOTIONS])
 _GEAR: Final = np.array([0 if step > 0 else 1 if step < 0 else -1 for step in _STEP])
 
 
+class Goal(NamedTuple):
+    """Something at a distance ahead of the robot is to be within some distance of a point."""
+
+    ahead: float
+    x: float
+    y: float
+    within: float
+
+    def reached(self, poses: Floats) -> NDArray[np.bool_]:
+        """For which poses it is. Shape (n,)."""
+        return np.hypot(*(places(poses, self.ahead) - (self.x, self.y)).T) <= self.within
+
+
 @dataclass(frozen=True)
 class Ways:
     """Where the robot can go from one pose: a tree of poses, each one action after its parent."""
@@ -70,10 +84,11 @@ class Ways:
             node = int(self.parents[node])
         return way[::-1]
 
-    def places(self, ahead: float) -> Floats:
-        """The points so far ahead of the robot's centre at each node. Shape (n, 2)."""
-        angles = self.poses[:, 2]
-        return self.poses[:, :2] + ahead * np.stack([-np.sin(angles), np.cos(angles)], axis=1)
+
+def places(poses: Floats, ahead: float) -> Floats:
+    """The points so far ahead of the robot's centre in each pose. Shape (n, 2)."""
+    angles = poses[:, 2]
+    return poses[:, :2] + ahead * np.stack([-np.sin(angles), np.cos(angles)], axis=1)
 
 
 def toll(obstacles: Floats, loaded: bool) -> Ints:
@@ -129,13 +144,14 @@ def cells(poses: Floats) -> Ints:
     return np.where(((place >= 0) & (place < SIDE)).all(axis=1), numbers, -1)
 
 
-def explore(start: Pose, tolls: Ints, limit: int) -> Ways:
+def explore(start: Pose, tolls: Ints, limit: int, goal: Goal | None = None) -> Ways:
     """All ways from `start` that take at most `limit` actions, the shortest to each cell.
 
     Args:
         start: the robot's pose.
         tolls: what `toll` gave.
         limit: in actions, tolls included.
+        goal: once it is reached, only a few actions more are explored.
     """
     seen = np.zeros(2 * len(tolls), bool)  # a cell is twice there: reached forwards, reached backwards
     owner = np.empty(2 * len(tolls), np.int64)
@@ -143,6 +159,8 @@ def explore(start: Pose, tolls: Ints, limit: int) -> Ways:
     waiting[0] = [(np.array([start]), np.array([-1]), np.array([0]))]
     poses, parents, steps, count = [], [], [], 0
     for level in range(limit + 1):
+        if level > limit:
+            break
         if not waiting[level]:
             continue
         here, above, gear = (np.concatenate(part) for part in zip(*waiting[level], strict=True))
@@ -152,6 +170,8 @@ def explore(start: Pose, tolls: Ints, limit: int) -> Ways:
         new = new[owner[slots[new]] == new]  # one for each cell
         here, above, gear = here[new], above[new], gear[new]
         seen[slots[new]] = True
+        if goal is not None and goal.reached(here).any():
+            limit, goal = min(limit, level + AFTERWARDS), None
         poses.append(here)
         parents.append(above)
         steps.append(np.full(len(new), level))
