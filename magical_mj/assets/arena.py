@@ -35,7 +35,7 @@ def options(settings: Settings = SETTINGS) -> str:
     mid-phase; sparse matrices make heaps of blocks cheaper.
     """
     return (
-        '<compiler angle="radian" autolimits="true"/>'
+        '<compiler angle="radian" autolimits="true" usethread="false"/>'
         f'<option timestep="{numbers(TIMESTEP)}" gravity="0 0 0" integrator="Euler" cone="elliptic" solver="Newton" '
         f'jacobian="sparse" iterations="{settings.iterations}" tolerance="{settings.tolerance}" '
         f'impratio="{numbers(settings.impratio)}"><flag eulerdamp="disable" midphase="disable"/></option>'

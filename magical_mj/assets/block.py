@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final
 
 import mujoco
@@ -32,7 +33,7 @@ def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: Settings 
         f'<inertial pos="0 0 0" mass="{c.BLOCK_MASS}" diaginertia="{numbers(inertia, inertia, inertia)}"/>'
         + style.visual_geom(f"{block.shape}_outline", BLOCK_OUTLINE[block.colour], Z_BLOCK)
         + style.visual_geom(f"{block.shape}_fill", BLOCK_FILL[block.colour], Z_BLOCK + FILL_ABOVE_OUTLINE)
-        + "".join(collision_geoms(block.shape, settings))
+        + collision_geoms(block.shape, settings)
         + foot(f"{name}_foot", dynamics.block_friction_force, c.BLOCK_MASS, settings)
     )
     spin = softness("friction", 1, settings.dry_impedance)
@@ -51,31 +52,32 @@ def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dyn
     model.dof_frictionloss[body.dofadr[0] + 2] = dynamics.block_friction_torque
 
 
-def collision_geoms(shape: Shape, settings: Settings = SETTINGS) -> list[str]:
+@lru_cache(32)
+def collision_geoms(shape: Shape, settings: Settings = SETTINGS) -> str:
     """A disc, or edges and the vertices that stick out."""
     if shape == "circle":
-        return [f'<geom class="disc" size="{numbers(c.BLOCK_SIZE - settings.block_overlap)}"/>']
+        return f'<geom class="disc" size="{numbers(c.BLOCK_SIZE - settings.block_overlap)}"/>'
     if shape == "square":
         core = c.SQUARE_SIDE / 2 - settings.block_overlap
         half = core + c.SQUARE_MARGIN
         box = f'<geom class="edge" type="box" size="{numbers(half, half, 0.1)}"/>'
         corners = ((core * x, core * y) for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1)))
-        return [box, *(vertex(x, y, c.SQUARE_MARGIN) for x, y in corners)]
+        return box + "".join(vertex(x, y, c.SQUARE_MARGIN) for x, y in corners)
     outline = inset(block_outline(shape), settings.block_overlap)
     if shape == "star":
         radius = settings.star_tip_radius
         tips = regular_polygon(5, c.STAR_OUTER_RADIUS - settings.star_tip_depth - radius)
         edges = _edges(outline, settings.star_edge_radius)
-        return [*edges, *(vertex(x, y, radius, "disc") for x, y in tips)]  # blunt tips also meet other corners
+        return edges + "".join(vertex(x, y, radius, "disc") for x, y in tips)  # blunt tips also meet other corners
     radius = settings.vertex_radius
     corners = inset(outline, radius)
-    return [*_edges(outline, settings.edge_radius), *(vertex(x, y, radius) for x, y in corners)]
+    return _edges(outline, settings.edge_radius) + "".join(vertex(x, y, radius) for x, y in corners)
 
 
-def _edges(outline: Points, radius: float) -> list[str]:
+def _edges(outline: Points, radius: float) -> str:
     """Capsules whose outer sides are the edges of the outline."""
     ends = inset(outline, radius)
-    return [
+    return "".join(
         f'<geom class="edge" type="capsule" size="{numbers(radius)}" fromto="{numbers(*ends[k - 1], 0, *ends[k], 0)}"/>'
         for k in range(len(ends))
-    ]
+    )
