@@ -18,7 +18,7 @@ from magical_mj.tasks import TaskSpec
 
 TRIES: Final = 8  # manoeuvres tried in one situation
 SPREAD: Final = 16.0  # actions by which a whim makes a manoeuvre more or less promising
-TASTE: Final = 6.0  # and better or worse, once tried
+TASTE: Final = 30.0  # and better or worse, once tried
 CALMING: Final = 0.6  # of a whim's strength remains after each plan that failed
 LOSS: Final = 300.0  # actions that a score of 1 is worth
 FAILURE: Final = 60.0  # actions that an errand begun in vain costs
@@ -96,10 +96,11 @@ class Planner:
         options.sort(key=lambda option: option.estimate - option.errand.cost(scene) + whim(SPREAD))
         best, best_cost = None, math.inf
         for option in options[:TRIES]:
+            handicap = whim(TASTE)
             world.restore(start)
-            perform(world, option, int(min(left, best_cost)))
-            cost = len(world.trace) + self._rest(todo) + FAILURE * (option.errand.left(world.scene()) > 0)
-            cost += whim(TASTE)
+            perform(world, option, int(min(left, best_cost - handicap)))
+            failed = option.errand.left(world.scene()) > 0
+            cost = handicap + len(world.trace) + self._rest(todo) + FAILURE * failed
             if cost < best_cost and world.trace:
                 best, best_cost = world.memory(), cost
         if best is not None:
