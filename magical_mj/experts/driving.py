@@ -15,11 +15,12 @@ from magical_mj.experts.imagination import Imagination
 from magical_mj.scene import Pose
 
 ARM: Final = 0.2  # world units that an error of a radian counts as
-NEAR: Final = 0.03  # world units from the end of a way
+NEAR: Final = 0.03  # world units from the end of a way: there
+CLOSE: Final = 0.09  # near enough when time is up
 LOOK_AHEAD: Final = 5  # poses of the way among which the nearest is sought
 PATIENCE: Final = 6  # actions more than expected
 STEP: Final = 1 / c.CONTROL_RATE
-GAIN: Final = {Gripper.OPEN: 0.3, Gripper.CLOSE: 0.3}  # units/s that the robot gains in an action
+GAIN: Final = 0.3  # units/s that the robot gains in an action
 SPIN_LAG: Final = 0.045  # s
 
 _CHOICES: Final = tuple(itertools.product(Turn, Drive))
@@ -48,13 +49,13 @@ def follow(world: Imagination, way: Sequence[Pose], gripper: Gripper, limit: int
         if passed == last and distances[nearest] < NEAR:
             return True
         aims = poses[np.minimum(passed + np.arange(1, 4), last)]
-        turn, drive = _choose(world.robot, world.speed, aims, GAIN[gripper])
+        turn, drive = _choose(world.robot, world.speed, aims)
         world.act(gripper, turn, drive)
     x, y, angle = world.robot
-    return math.hypot(x - way[-1][0], y - way[-1][1]) + ARM * abs(angle - way[-1][2]) < 3 * NEAR
+    return math.hypot(x - way[-1][0], y - way[-1][1]) + ARM * abs(angle - way[-1][2]) < CLOSE
 
 
-def _choose(pose: Pose, speeds: tuple[float, float], aims: np.ndarray, gain: float) -> tuple[Turn, Drive]:
+def _choose(pose: Pose, speeds: tuple[float, float], aims: np.ndarray) -> tuple[Turn, Drive]:
     """The first of the two choices that bring the robot nearest to the next three poses of the way."""
     x, y, angle = (np.full(len(_PAIRS), value) for value in pose)
     speed, spin = (np.full(len(_PAIRS), value) for value in speeds)
@@ -62,7 +63,7 @@ def _choose(pose: Pose, speeds: tuple[float, float], aims: np.ndarray, gain: flo
     for number, (aim_x, aim_y, aim_angle) in enumerate(aims.tolist()):
         which = min(number, 1)
         turned = _SPINS[which] * STEP + (spin - _SPINS[which]) * SPIN_LAG
-        change = np.clip(_SPEEDS[which] - speed, -gain, gain)
+        change = np.clip(_SPEEDS[which] - speed, -GAIN, GAIN)
         advance = (speed + change / 2) * STEP
         middle = angle + turned / 2
         x, y, angle = x - advance * np.sin(middle), y + advance * np.cos(middle), angle + turned
