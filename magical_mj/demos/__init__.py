@@ -7,8 +7,8 @@ Example:
 
 from __future__ import annotations
 
-from importlib.resources import as_file, files
 from pathlib import Path
+from typing import Final
 
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.export import to_minari, to_npz
@@ -40,26 +40,19 @@ __all__ = [
     "write",
 ]
 
-DATA = "data"
-"""The folder of the shipped demonstrations, in this package."""
+SHIPPED: Final = Path(__file__).parent / "data"
+"""The folder of the shipped demonstrations."""
 
 
 def load(task: str, folder: Path | str | None = None) -> list[Demonstration]:
-    """The shipped demonstrations of a task, or all of a folder that are of this task.
+    """The shipped demonstrations of a task, or those in a folder: its files ``<Task>-<anything>.npz``.
 
     Raises:
         UnknownNameError: if there is no such task.
         DemonstrationError: if there are none, or a file is damaged.
     """
     task_spec(task)
-    if folder is None:
-        with as_file(files(__name__) / DATA) as shipped:
-            return _of_task(task, shipped)
-    return _of_task(task, Path(folder))
-
-
-def _of_task(task: str, folder: Path) -> list[Demonstration]:
-    """What lies in a folder; files are named ``<Task>-<Variant>-<number>.npz``."""
+    folder = SHIPPED if folder is None else Path(folder)
     paths = sorted(folder.glob(f"{task}-*{SUFFIX}"))
     if not paths:
         raise DemonstrationError(f"there are no demonstrations of {task} in {folder}; magical-mj demos generate {task}")
