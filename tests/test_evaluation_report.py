@@ -117,16 +117,23 @@ def test_unfinished_evaluations_say_so(tmp_path: Path) -> None:
     assert "Unfinished: noop, run 0, MoveToRegion All has 2 of 4 episodes" in page
 
 
-def test_published_results_are_marked(tmp_path: Path) -> None:
-    page = report([write(tmp_path, example())], tmp_path / "out", with_published=True).read_text()
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of the example beside the paper's results."""
+    folder = tmp_path_factory.mktemp("published")
+    return report([write(folder / "scores", example())], folder / "out", with_published=True).parent
+
+
+def test_published_results_are_marked(published: Path) -> None:
+    page = (published / "report.md").read_text()
     assert "| BC (ST)† | 0.64 ± 0.29 | 0.56 ± 0.27 |" in page
     assert "scored by the rules 'released', and all others by the rules 'paper'" in page
-    tables = (tmp_path / "out" / "environments.tex").read_text()
+    tables = (published / "environments.tex").read_text()
     assert tables.count(r"\begin{table}") == tables.count(r"\end{table}") > 1
-    with (tmp_path / "out" / "environments.csv").open() as file:
-        published = [row for row in csv.DictReader(file) if row["published"] == "True"]
-    assert len(published) == 660
-    assert {row["rules"] for row in published} == {"released"}
+    with (published / "environments.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["published"] == "True"]
+    assert len(rows) == 660
+    assert {row["rules"] for row in rows} == {"released"}
 
 
 def test_figures_are_drawn(made: Path) -> None:
@@ -138,9 +145,9 @@ def test_figures_are_drawn(made: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="pdflatex is not installed")
-@pytest.mark.parametrize("published", [False, True])
-def test_latex_compiles(tmp_path: Path, published: bool) -> None:
-    out = report([write(tmp_path, example())], tmp_path / "out", with_published=published).parent
+@pytest.mark.parametrize("which", ["made", "published"])
+def test_latex_compiles(which: str, request: pytest.FixtureRequest) -> None:
+    out: Path = request.getfixturevalue(which)
     inputs = "".join(rf"\input{{{name}}}" for name in TABLES if name.endswith(".tex"))
     (out / "paper.tex").write_text(
         rf"\documentclass{{article}}\usepackage{{booktabs}}\begin{{document}}{inputs}\end{{document}}"

@@ -85,6 +85,11 @@ def test_episodes_side_by_side_give_the_same(policy: Any, vectorization: str) ->
     pd.testing.assert_frame_equal(side_by_side, evaluate(policy))
 
 
+def test_side_by_side_in_each_of_several_processes() -> None:
+    crowd = evaluate("agents:Counting", envs=2, vectorization="async", jobs=2, variants="Demo")
+    pd.testing.assert_frame_equal(crowd, evaluate("agents:Counting", variants="Demo"))
+
+
 @pytest.mark.parametrize("mode", AutoresetMode)
 @pytest.mark.parametrize("kind", ["sync", "async"])
 def test_vector_environments_in_every_autoreset_mode(kind: str, mode: AutoresetMode) -> None:

@@ -18,7 +18,12 @@ from magical_mj.cli.console import console
 from magical_mj.rendering.backend import REMEDY
 
 CORE: Final = ("magical-mj", "mujoco", "dm_control", "dm-env", "gymnasium", "numpy", "shapely", "pillow")
-EXTRAS: Final = {"cli": ("typer", "rich"), "video": ("imageio-ffmpeg",), "window": ("pygame-ce",)}
+EXTRAS: Final = {
+    "cli": ("typer", "rich"),
+    "eval": ("joblib", "matplotlib", "pandas", "scipy"),
+    "video": ("imageio-ffmpeg",),
+    "window": ("pygame-ce",),
+}
 BACKENDS: Final = ("egl", "osmesa", "glfw")  # only the last needs a display
 TIMEOUT: Final = 60  # seconds for one backend
 

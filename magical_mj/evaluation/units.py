@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import multiprocessing
 import os
 import threading
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -174,6 +175,8 @@ def _vector_env(unit: Unit) -> Envs:
     kwargs: dict[str, Any] = {"autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
     if unit.vectorization == "async":
         kwargs["context"] = "spawn"  # OpenGL does not survive a fork
+        if multiprocessing.get_start_method(allow_none=True) == "loky":  # in joblib's workers; it means nothing to ours
+            multiprocessing.set_start_method("spawn", force=True)
     name = f"magical_mj:{env_id(unit.task, unit.variant, unit.preset)}"
     return gymnasium.make_vec(name, unit.envs, unit.vectorization, vector_kwargs=kwargs, rules=unit.rules)
 
