@@ -11,6 +11,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from fit_physics import SPACE, SPACE_SOFT, coded, decoded
 from hostile import together, worst
 from rollouts import (
     AIMS,
@@ -205,3 +206,12 @@ def test_the_model_alone_holds_the_dynamics(tmp_path: Path) -> None:
         ends.append(world.roll(actions)[0][-1])
         np.testing.assert_allclose(ends[-1], world.world.poses(env.physics.data.qpos), atol=1e-9)
     assert np.abs(ends[0] - ends[1]).max() > 0.01
+
+
+def test_the_search_can_start_from_the_settings() -> None:
+    """They lie within its bounds, and what is not searched stays."""
+    again = decoded(coded(SETTINGS))
+    for entry in dataclasses.fields(SETTINGS):
+        searched = entry.name in {*SPACE, *SPACE_SOFT}
+        expected = getattr(SETTINGS, entry.name)
+        assert getattr(again, entry.name) == (pytest.approx(expected) if searched else expected)

@@ -168,6 +168,8 @@ def search(folder: Path, minutes: float, seed: int) -> Settings:
         loss = sum(found.values())
         optimiser.tell(candidate, loss if np.isfinite(loss) else 99.0)
         count += 1
+        left = (end - time.monotonic()) / 60
+        print(f"{count} tried, {left:.1f} minutes left ", end="\r", file=sys.stderr, flush=True)
         if loss < least:
             best, least = candidate.value, loss
             print(f"{count:5d}  {loss:.3f}  {words(found)}", flush=True)

@@ -42,9 +42,10 @@ class Settings:
     impratio: float = 0.0813
     """How stiff friction is against the normal direction; the original's gives way under load."""
     friction_finger_block: float = 1.34
+    """2.5 in the original."""
     friction_finger_wall: float = 4.0
     friction_block: float = 0.19
-    """Block with block, and block with robot."""
+    """Block with block, and block with robot; 0.25 in the original."""
     friction_wall: float = 0.4
     """Block or robot with wall."""
     finger_impedance: float = 0.9939
@@ -52,6 +53,7 @@ class Settings:
     finger_stiffness: float = 1740.0
     """The three for whatever a finger touches."""
     foot_impedance: float = 0.9999
+    """Of what stands on the floor: the nearer to 1, the less it creeps below its force cap."""
     vertex_radius: float = 0.001
     """Of the sphere at a corner, world units."""
     edge_radius: float = 0.013
@@ -60,16 +62,19 @@ class Settings:
     star_tip_radius: float = 0.00955
     """Blunt: a tip that starts inside a finger must leave on the star's side of it."""
     star_tip_depth: float = 0.002
+    """World units by which a tip is shorter than drawn."""
     finger_overlap: float = 0.00351
     """Surfaces lie this far inside the drawn ones: the overlap that the original tolerates."""
     block_overlap: float = 0.0
     body_overlap: float = 0.00241
+    """The same for blocks, and for the robot's body."""
     dry_impedance: float = 0.99
     """Of dry friction: turning, and the spin of blocks."""
     motor_impedance: float = 0.928
     """Of the dry friction between a finger and its motor."""
     limit_impedance: float = 0.9999
     limit_stiffness: float = 5000.0
+    """Both of the fingers' joint limits."""
     finger_armature: float = 0.0142
     """Inertia that a finger's joint has besides the finger's."""
     loaded_share: float = 0.251
@@ -80,8 +85,10 @@ class Settings:
     loaded_forward: float = 0.733
     loaded_backward: float = 0.446
     loaded_turn: float = 2.16
+    """The lower speeds, in units/s and rad/s."""
     iterations: int = 20
     tolerance: float = 1e-8
+    """Newton steps: as many as contacts need, which is about five in a heap."""
 
 
 SETTINGS: Final = Settings()
