@@ -29,6 +29,7 @@ format: $(VENV)/.installed-dev  ## format, and fix what can be fixed
 docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the README
 	$(BIN)/magical-mj view --grid --size 112 --out docs/environments.png --force
 	$(BIN)/magical-mj view FindDupe --size 288 --out docs/views.png --force
+	$(BIN)/python tools/physics_picture.py
 	$(BIN)/python tools/readme_tables.py
 
 constraints:  ## write constraints.txt: the newest versions that a fresh environment gets today
