@@ -73,11 +73,14 @@ class Environment(composer.Environment):
         """The score in [0, 1] if the episode ended now; an `InvalidSceneError` for plain scenes."""
         return self.task.score(self._open_physics())
 
-    def render(self, view: str = "allo", size: int = 384) -> NDArray[np.uint8]:
-        """A picture of the world as it is now. Shape (size, size, 3), RGB, top row first."""
+    def render(self, view: str = "allo", size: int = 384, *, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
+        """A picture of the world as it is now, in a fresh array or in `out`.
+
+        Shape (size, size, 3), RGB, top row first.
+        """
         if view not in VIEWS:
             raise unknown_name("view", view, VIEWS)
-        return self._open_physics().draw(view, check_size(size))
+        return self._open_physics().draw(view, check_size(size), out)
 
     def reset(self, *, seed: int | None = None, scene: Scene | None = None) -> dm_env.TimeStep:
         """Starts an episode in `scene`, or in the scene of `seed`, or else in the next one that is drawn."""

@@ -77,7 +77,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             task,
             variant,
             seed=0,
-            observations=[view for view, _ in self._preset.frames] or ["state"],
+            observations=["state"] if self._preset.layout == "state" else [],  # pictures are drawn into the stacks
             image_size=size,
             reward=reward,
             rules=rules,
@@ -112,7 +112,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         else:
             first = self._env.reset(seed=int(self.np_random.integers(2**63)) if seed is None else seed)
         self._running = True
-        stacks = {name: stack.start(first.observation) for name, stack in self._stacks.items()}
+        stacks = {name: stack.start(self._see) for name, stack in self._stacks.items()}
         return self._observation(first.observation, stacks), {"eval_score": 0.0, "is_success": False}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -125,7 +125,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         if not self._running:
             raise ResetNeeded("the episode has ended; call reset() before the next step")
         now = self._env.step(action)
-        stacks = {name: stack.push(now.observation) for name, stack in self._stacks.items()}
+        stacks = {name: stack.push(self._see) for name, stack in self._stacks.items()}
         self._running = not now.last()
         score = self._env.score() if now.last() else 0.0
         info = {"eval_score": score, "is_success": score == 1.0}
@@ -142,6 +142,9 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """Frees the simulation; closing twice is fine."""
         self._env.close()
         super().close()
+
+    def _see(self, view: str, place: Images) -> None:
+        self._env.render(view, len(place), out=place)
 
     def _observation(self, seen: Mapping[str, NDArray[Any]], stacks: dict[str, Images]) -> Observation:
         if self._preset.layout == "state":

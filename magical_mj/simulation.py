@@ -72,11 +72,11 @@ class Simulation(mjcf.Physics):
             with self.check_invalid_state():  # complains, or only logs
                 self._warnings[:] = np.frombuffer(after, self._warnings.dtype)
 
-    def draw(self, view: str, size: int) -> Picture:
-        """A picture of the present state. Shape (size, size, 3), RGB, top row first."""
+    def draw(self, view: str, size: int, out: Picture | None = None) -> Picture:
+        """A picture of the present state, fresh or in `out`. Shape (size, size, 3), RGB, top row first."""
         if self._renderer is None:
             self._renderer = Renderer(self.model.ptr)
-        return self._renderer.draw(self.data.ptr, view, size)
+        return self._renderer.draw(self.data.ptr, view, size, out)
 
     def free(self) -> None:
         """Frees the simulation and what it drew with."""
@@ -92,7 +92,7 @@ class SimulationCache:
     Compiling takes fifty times as long as rewriting a model, and most episodes differ in numbers only.
     """
 
-    KEPT: Final = 8
+    KEPT: Final = 4
 
     def __init__(self) -> None:
         self._kept: OrderedDict[Hashable, Simulation] = OrderedDict()

@@ -13,7 +13,7 @@ from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.replay import see
 from magical_mj.errors import DemonstrationError
-from magical_mj.frames import FrameStack
+from magical_mj.frames import FrameStack, seen
 from magical_mj.observations import StateEncoder
 from magical_mj.presets import Preset, preset
 
@@ -83,5 +83,5 @@ def _stacked(demo: Demonstration, made: Preset, frames: tuple[tuple[str, int], .
     stack = FrameStack(frames, made.image_size, channels_first=made.layout == "chw")
     rows = np.empty((len(demo.qpos), *stack.shape), np.uint8)
     for number, pictures in enumerate(see(demo, [view for view, _ in frames], made.image_size)):
-        rows[number] = stack.push(pictures) if number else stack.start(pictures)
+        rows[number] = stack.push(seen(pictures)) if number else stack.start(seen(pictures))
     return rows

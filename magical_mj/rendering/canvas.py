@@ -24,7 +24,7 @@ from magical_mj.assets.world import world_mjcf
 from magical_mj.errors import RenderingError
 from magical_mj.rendering import gl
 from magical_mj.rendering.backend import REMEDY, new_gl_context
-from magical_mj.rendering.current import Handles, current, make_current
+from magical_mj.rendering.current import Handles, current, is_current, make_current
 from magical_mj.scene import GoalRegion, Robot, Scene
 
 Picture = NDArray[np.uint8]
@@ -92,23 +92,17 @@ class Canvas(threading.local):
         """Make the OpenGL context current for a block; it is started if need be."""
         if self.gl is not None and self.process != os.getpid():
             raise RenderingError(FORKED)
-        before = current()
-        others = None if before == self.ours else before
-        if self.gl is not None:
-            if self.ours is None:
-                self.gl.make_current()
-            elif before != self.ours:
-                make_current(self.ours)
-            if self._is_damaged():
-                self.close()
+        if is_current(self.ours):
+            self.others = None
+            return
+        self.others = current()
         if self.gl is None:
             self._start()
             self.ours = current()
-        self.others = others
-
-    def _is_damaged(self) -> bool:
-        """Whether somebody freed in our context what they had made in theirs: what is ours has the same numbers."""
-        return self.active is not None and not gl.functions().is_framebuffer(self.active.mjr.offFBO)
+        elif self.ours is None:
+            self.gl.make_current()
+        else:
+            make_current(self.ours)
 
     def __exit__(self, *error: object) -> None:
         """Make current whatever of others was before; with other backends than EGL, ours stays."""
@@ -157,15 +151,21 @@ class Canvas(threading.local):
         gl.functions().read_pixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels.ctypes.data_as(c_void_p))
         return pixels
 
+    def restart(self) -> None:
+        """Begin afresh, in a block: somebody freed in our context what they had in theirs, under the same numbers."""
+        others = self.others
+        self.close()
+        self._start()
+        self.ours, self.others = current(), others
+
     def close(self) -> None:
         """Free everything; may be called twice."""
-        self.active = None
         if self.gl is not None and self.process == os.getpid():
             with self:
                 for context in self.contexts:
                     context.mjr.free()
                 self.gl.free()
-        self.gl, self.ours, self.contexts = None, None, []
+        self.gl, self.ours, self.active, self.contexts = None, None, None, []
         self.pixels.clear()
 
 

@@ -19,6 +19,12 @@ Handles = tuple[int | None, int | None, int | None, int | None]
 """EGL's display, surfaces to draw to and to read from, and context."""
 
 
+def is_current(handles: Handles | None) -> bool:
+    """Whether this is current, at little cost."""
+    egl = _egl()
+    return egl is not None and handles is not None and egl.eglGetCurrentContext() == handles[-1]
+
+
 def current() -> Handles | None:
     """What is current on this thread; None if nothing is, or if EGL is not what we draw with."""
     egl = _egl()

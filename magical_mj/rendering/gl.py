@@ -19,16 +19,17 @@ DEPTH_STENCIL_ATTACHMENT: Final = 0x821A
 
 
 class Functions(NamedTuple):
-    """As OpenGL names them, without its prefix."""
+    """As OpenGL names them, without its prefix, and the error that they raise."""
 
     read_pixels: Callable[[int, int, int, int, int, int, ctypes.c_void_p], None]
     framebuffer_renderbuffer: Callable[[int, int, int, int], None]
-    is_framebuffer: Callable[[int], bool]
+    error: type[Exception]
 
 
 @cache
 def functions() -> Functions:
     """Of the platform that PyOpenGL settles on when it is first imported: only once an OpenGL context exists."""
+    from OpenGL.error import GLError
     from OpenGL.raw.GL.VERSION import GL_1_0, GL_3_0
 
-    return Functions(GL_1_0.glReadPixels, GL_3_0.glFramebufferRenderbuffer, GL_3_0.glIsFramebuffer)
+    return Functions(GL_1_0.glReadPixels, GL_3_0.glFramebufferRenderbuffer, GLError)

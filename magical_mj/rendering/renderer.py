@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 from PIL import Image
 
+from magical_mj.rendering import gl
 from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS, Context, Picture, drawn
 
 OVERSAMPLING: Final = 2
@@ -37,19 +38,20 @@ def check_size(image_size: Any) -> int:
     return size
 
 
-def on_paper(pixels: Picture) -> Picture:
+def on_paper(pixels: Picture, out: Picture | None = None) -> Picture:
     """The picture of a drawing: averaged 2 x 2, on white paper, top row first.
 
     Args:
         pixels: red, green, blue (all 0 where nothing was drawn) and alpha (0 there, else 255), bottom row first.
             Shape (2 * height, 2 * width, 4).
+        out: where to write it, shape (height, width, 3); None: into a fresh array.
     """
     height, width = pixels.shape[0] // OVERSAMPLING, pixels.shape[1] // OVERSAMPLING
     drawing = Image.frombuffer("RGBX", (pixels.shape[1], pixels.shape[0]), pixels, "raw", "RGBX", 0, 1)
     rows = drawing.reduce(OVERSAMPLING).tobytes("raw", "RGBX", 0, -1)  # exact averages, rounded; turned upside down
     mixed = np.frombuffer(rows, np.uint8).reshape(height, width, 4)
     paper = ~mixed[..., 3]  # the white that shows through; colour + paper is at most 255
-    picture = np.empty((height, width, 3), np.uint8)
+    picture = np.empty((height, width, 3), np.uint8) if out is None else out
     for channel in range(3):
         np.add(mixed[..., channel], paper, out=picture[..., channel])
     return picture
@@ -68,19 +70,25 @@ class Renderer:
         self._option.geomgroup[:] = self._option.skingroup[:] = [group in DRAWN_GROUPS for group in range(6)]
         self._option.sitegroup[:] = self._option.tendongroup[:] = 0
 
-    def draw(self, data: mujoco.MjData, camera: str, size: int) -> Picture:
-        """A fresh picture of the present state: RGB, top row first. Shape (size, size, 3).
+    def draw(self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None) -> Picture:
+        """A picture of the present state: RGB, top row first. Shape (size, size, 3).
 
         Args:
             data: the state; its positions must be current (as after `mj_forward`).
             camera: the name of a camera of the model.
             size: pixels per side.
+            out: where to write it; None: into a fresh array.
 
         Raises:
             RenderingError: if OpenGL does not work here; it says what to do.
         """
         with CANVAS:
-            return on_paper(self.paint(data, camera, size))
+            try:
+                pixels = self.paint(data, camera, size)
+            except gl.functions().error:
+                CANVAS.restart()
+                pixels = self.paint(data, camera, size)
+        return on_paper(pixels, out)
 
     def paint(self, data: mujoco.MjData, camera: str, size: int) -> Picture:
         """What `on_paper` makes the picture of; the canvas must be current, and the next painting overwrites it."""
