@@ -23,8 +23,8 @@ import magical_mj
 from magical_mj.errors import EvaluationError, SettingsError, UnknownNameError
 from magical_mj.evaluation import Episode, Score, rollouts
 from magical_mj.evaluation.episodes import LETTERS, actions_of
-from magical_mj.evaluation.run import environments
 from magical_mj.evaluation.scores import SCORES, ScoreFile, read
+from magical_mj.evaluation.selection import environments
 
 SMALL: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo,Layout", "episodes": 3}
 TESTS = Path(__file__).parent

@@ -13,8 +13,9 @@ from magical_mj.cli.evaluate import Jobs, Tasks, show_progress, summary
 from magical_mj.cli.report import film_episodes
 from magical_mj.cli.sheet import contact_sheet
 from magical_mj.evaluation.extra import check_extra
+from magical_mj.evaluation.folders import SETTINGS
 from magical_mj.evaluation.report import extremes, report
-from magical_mj.evaluation.run import SETTINGS, Evaluation
+from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES
 
 AGENTS: Final = ("expert", "random", "noop")

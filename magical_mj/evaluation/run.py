@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,23 +13,22 @@ from magical_mj._version import __version__
 from magical_mj.errors import EvaluationError, SettingsError, unknown_name
 from magical_mj.evaluation.backends import check_backend, play_units
 from magical_mj.evaluation.extra import check_extra
-from magical_mj.evaluation.scores import SCORES, Score, ScoreFile, frame, read
+from magical_mj.evaluation.folders import prepare
+from magical_mj.evaluation.scores import Score, ScoreFile, frame
+from magical_mj.evaluation.selection import Names, environments
 from magical_mj.evaluation.sources import sources
 from magical_mj.evaluation.units import plan
 from magical_mj.presets import preset as check_preset
-from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS, check_rules, environment_axes, task_spec, variant_name
+from magical_mj.registry import check_rules
 from magical_mj.tasks.spec import Rules
 
 if TYPE_CHECKING:
     import pandas as pd
 
-SETTINGS: Final = "run.json"
 EPISODES: Final = 100
 """As many as the paper's."""
 TIME_LIMIT: Final = 300.0
 """Seconds for one episode: many times what any episode takes with a policy that answers at all."""
-
-Names = str | Iterable[str]
 
 
 def evaluate(
@@ -155,7 +153,7 @@ class Evaluation:
             "mujoco": mujoco.__version__,
             "gl": os.environ.get("MUJOCO_GL", ""),
         }
-        self.scores = [] if self._out is None else _prepare(self._out, self._settings, resume)
+        self.scores = [] if self._out is None else prepare(self._out, self._settings, resume)
         self.units = plan(
             listed,
             pairs,
@@ -188,62 +186,3 @@ class Evaluation:
                 file.add(found)
             self.scores += found
             yield from found
-
-
-def environments(tasks: Names = "all", variants: Names = "all") -> list[tuple[str, str]]:
-    """The pairs of these tasks and variants that exist, in the benchmark's order.
-
-    Raises:
-        UnknownNameError: if a name is unknown, or none of the pairs exists.
-    """
-    wanted_tasks = [task for task in listed(tasks, TASKS) if task_spec(task)]
-    wanted_variants = [variant_name(variant) for variant in listed(variants, VARIANTS)]
-    pairs = [(task, variant) for task, variant in ENVIRONMENTS if task in wanted_tasks and variant in wanted_variants]
-    if not pairs:
-        environment_axes(wanted_tasks[0], wanted_variants[0])  # says which variants the task has
-    return pairs
-
-
-def listed(names: Names, every: Iterable[str]) -> list[str]:
-    """Names that were given as a list or separated by commas; "all" is every one."""
-    found = [name.strip() for name in (names.split(",") if isinstance(names, str) else names)]
-    if not any(found):
-        raise SettingsError(f"give at least one of {', '.join(every)}, or all")
-    return list(every) if found == ["all"] else found
-
-
-def _prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[Score]:
-    """Makes the folder, or reads what is in it."""
-    started = (folder / SETTINGS).exists() or (folder / SCORES).exists()
-    if started and not resume:
-        raise EvaluationError(f"{folder} holds an evaluation already; --resume goes on with it (resume=True)")
-    if not started:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            (folder / SETTINGS).write_text(json.dumps(settings, indent=2) + "\n")
-        except OSError as error:
-            raise EvaluationError(f"cannot write into {folder}: {error.strerror}") from error
-        return []
-    _compare(folder, settings)
-    with ScoreFile(folder):  # which mends its end
-        return read(folder) if (folder / SCORES).stat().st_size else []
-
-
-def _compare(folder: Path, settings: dict[str, Any]) -> None:
-    """Raises a `SettingsError` that names what differs from the settings that the folder was started with."""
-    try:
-        before = json.loads((folder / SETTINGS).read_text())
-    except (OSError, ValueError) as error:
-        raise EvaluationError(f"{folder / SETTINGS} cannot be read ({error}); start again in another folder") from error
-    differences = [
-        f"{name} was {_short(before.get(name))} and is {_short(now)}"
-        for name, now in settings.items()
-        if before.get(name) != now
-    ]
-    if differences:
-        raise SettingsError(f"{folder} was started with other settings: {'; '.join(differences)}")
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= 300 else f"{text[:140]} ... {text[-140:]}"
