@@ -15,7 +15,7 @@ from rich.progress import track
 from rich.table import Table
 
 from magical_mj.cli.console import console
-from magical_mj.evaluation.run import environments, listed
+from magical_mj.evaluation.selection import environments, listed
 from magical_mj.presets import PRESETS, preset
 from magical_mj.speed import report
 from magical_mj.speed.measure import Measurement, measure
