@@ -85,7 +85,11 @@ def evaluate(
     screen = console()
     if evaluation.scores:
         screen.print(f"{len(evaluation.scores)} episodes are done already")
-    show_progress(screen, evaluation, jobs, backend, address)
+    try:
+        show_progress(screen, evaluation, jobs, backend, address)
+    except KeyboardInterrupt:
+        screen.print("stopped; the same command with --resume goes on")
+        raise
     for line in summary(evaluation.scores):
         screen.print(line, soft_wrap=True)
     screen.print(f"{out / SCORES}; tables and figures: magical-mj report {out}", soft_wrap=True)
