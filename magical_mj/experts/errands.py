@@ -86,24 +86,28 @@ def done(scene: Scene, todo: Iterable[Errand]) -> Scene:
     return scene.moved(robot, poses)
 
 
-def _grid(x_min: float, y_min: float, x_max: float, y_max: float) -> list[Point]:
-    """Points that fill a box, borders included; its middle if it is empty."""
-    xs, ys = (
-        np.linspace(low, high, max(2, math.ceil((high - low) / GRID))) if low < high else [(low + high) / 2]
-        for low, high in ((x_min, x_max), (y_min, y_max))
+def _scattered(x_min: float, y_min: float, x_max: float, y_max: float, whim: Whim) -> list[Point]:
+    """Points that fill a box, one in each cell of a grid and nowhere exactly; its middle if the box is empty."""
+    if x_min >= x_max or y_min >= y_max:
+        return [((x_min + x_max) / 2, (y_min + y_max) / 2)]
+    columns, rows = (math.ceil((high - low) / GRID) for low, high in ((x_min, x_max), (y_min, y_max)))
+    at = np.stack(np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"), axis=-1) + whim.rng.random(
+        (columns, rows, 2)
     )
-    return [(float(x), float(y)) for x in xs for y in ys]
+    points = at / (columns, rows) * (x_max - x_min, y_max - y_min) + (x_min, y_min)
+    return [(x, y) for x, y in points.reshape(-1, 2).tolist()]
 
 
-def _everywhere() -> list[Point]:
+def _everywhere(whim: Whim) -> list[Point]:
     """Places for a block anywhere in the arena."""
-    return _grid(-REACHABLE, -REACHABLE, REACHABLE, REACHABLE)
+    return _scattered(-REACHABLE, -REACHABLE, REACHABLE, REACHABLE, whim)
 
 
-def _inside(region: GoalRegion) -> list[Point]:
+def _inside(region: GoalRegion, whim: Whim) -> list[Point]:
     """Places for a block in a region."""
     box = (region.x_min + INSIDE, region.y_min + INSIDE, region.x_max - INSIDE, region.y_max - INSIDE)
-    return _grid(*(max(-REACHABLE, min(REACHABLE, side)) for side in box))
+    x_min, y_min, x_max, y_max = (max(-REACHABLE, min(REACHABLE, side)) for side in box)
+    return _scattered(x_min, y_min, x_max, y_max, whim)
 
 
 def _nearest(scene: Scene, block: int, places: Iterable[Point], whim: Whim) -> Errand:
@@ -123,13 +127,13 @@ def _nearest(scene: Scene, block: int, places: Iterable[Point], whim: Whim) -> E
 
 def _move_to_corner(initial: Scene, now: Scene, whim: Whim) -> Errands:
     near = FULL_SCORE_DISTANCE - 2 * TOLERANCE
-    places = [place for place in _everywhere() if math.dist(place, CORNER) < near]
+    places = [place for place in _everywhere(whim) if math.dist(place, CORNER) < near]
     return (_nearest(now, 0, places, whim),)
 
 
 def _move_to_region(initial: Scene, now: Scene, whim: Whim) -> Errands:
     robot = now.robot
-    places = _inside(now.regions[0])
+    places = _inside(now.regions[0], whim)
     place = min(places, key=lambda at: CARRYING * math.dist(at, (robot.x, robot.y)) + whim(SPREAD))
     return (Errand(None, place, tolerance=0.04),)
 
@@ -139,9 +143,9 @@ def _match_regions(initial: Scene, now: Scene, whim: Whim) -> Errands:
     todo, scene = [], now
     for number, block in enumerate(now.blocks):
         if block.colour == region.colour and not region.contains(block):
-            todo.append(_nearest(scene, number, _inside(region), whim))
+            todo.append(_nearest(scene, number, _inside(region, whim), whim))
         elif block.colour != region.colour and region.contains(block):
-            todo.append(_nearest(scene, number, _outside(now), whim))
+            todo.append(_nearest(scene, number, _outside(now, whim), whim))
         scene = done(scene, todo)
     return tuple(todo)
 
@@ -152,26 +156,26 @@ def _find_dupe(initial: Scene, now: Scene, whim: Whim) -> Errands:
     kind = now.blocks[query].shape, now.blocks[query].colour
     alike = [n for n, block in enumerate(now.blocks) if (block.shape, block.colour) == kind and n != query]
     todo = [
-        _nearest(now, number, _outside(now), whim)
+        _nearest(now, number, _outside(now, whim), whim)
         for number, block in enumerate(now.blocks)
         if region.contains(block) and number != query and number not in alike
     ]
     if not region.contains(now.blocks[query]):
-        todo.append(_nearest(now, query, _inside(region), whim))
+        todo.append(_nearest(now, query, _inside(region, whim), whim))
     if not any(region.contains(now.blocks[number]) for number in alike):
-        choices = [_nearest(now, number, _inside(region), whim) for number in alike]
+        choices = [_nearest(now, number, _inside(region, whim), whim) for number in alike]
         todo.append(min(choices, key=lambda errand: errand.cost(now) + whim(CHOICE)))
     return tuple(todo)
 
 
-def _outside(scene: Scene) -> list[Point]:
+def _outside(scene: Scene, whim: Whim) -> list[Point]:
     """Places for a block outside of all regions."""
 
     def clear(place: Point, region: GoalRegion) -> bool:
         aside = max(region.x_min - place[0], place[0] - region.x_max, region.y_min - place[1], place[1] - region.y_max)
         return aside >= OUTSIDE
 
-    return [place for place in _everywhere() if all(clear(place, region) for region in scene.regions)]
+    return [place for place in _everywhere(whim) if all(clear(place, region) for region in scene.regions)]
 
 
 def _fix_colour(initial: Scene, now: Scene, whim: Whim) -> Errands:
@@ -180,9 +184,9 @@ def _fix_colour(initial: Scene, now: Scene, whim: Whim) -> Errands:
         (home,) = (number for number, block in enumerate(initial.blocks) if region.contains(block))
         odd = initial.blocks[home].colour != region.colour
         if odd and any(other.contains(now.blocks[home]) for other in now.regions):
-            todo.append(_nearest(scene, home, _outside(now), whim))
+            todo.append(_nearest(scene, home, _outside(now, whim), whim))
         elif not odd and not region.contains(now.blocks[home]):
-            todo.append(_nearest(scene, home, _inside(region), whim))
+            todo.append(_nearest(scene, home, _inside(region, whim), whim))
         scene = done(scene, todo)
     return tuple(todo)
 

@@ -14,6 +14,7 @@ from magical_mj.experts.driving import follow
 from magical_mj.experts.errands import CARRYING, Errand
 from magical_mj.experts.imagination import Imagination
 from magical_mj.experts.navigation import GRIP, Goal, Ways, cells, explore, places, toll
+from magical_mj.experts.whim import Whim
 from magical_mj.scene import Pose, Scene
 
 BLOCK_RADIUS: Final = {"square": 0.125, "pentagon": 0.13, "star": 0.14, "circle": 0.12}
@@ -25,6 +26,7 @@ SIDES: Final = 16  # from which a block can be taken
 STOPS: Final = (GRIP, GRIP + 0.07, GRIP + 0.14)  # on the way to the block, where there must be room for the fingers
 TIGHT: Final = 1.5  # actions for each of toll on this way
 WALLED: Final = 12  # toll where a finger is in a wall, by calculation: now and then it still works
+DETOUR: Final = 4.0  # actions by which a whim makes a way longer or shorter
 DRIVES: Final = 4  # ways tried where only the robot has to go somewhere
 
 # Taking a block
@@ -59,11 +61,11 @@ def obstacles(scene: Scene, without: int | None = None) -> NDArray[np.float64]:
     return np.array(found).reshape(-1, 3)
 
 
-def manoeuvres(ways: Ways, scene: Scene, errand: Errand) -> list[Manoeuvre]:
-    """The ways to begin an errand: for each side of the block the quickest."""
+def manoeuvres(ways: Ways, scene: Scene, errand: Errand, whim: Whim) -> list[Manoeuvre]:
+    """The ways to begin an errand: for each side of the block one of the quickest."""
     if errand.block is None:
         nodes = np.flatnonzero(np.hypot(*(ways.poses[:, :2] - errand.target).T) <= errand.tolerance)
-        best = nodes[ways.steps[nodes].argsort()[:DRIVES]]
+        best = nodes[(ways.steps[nodes] + whim(DETOUR, nodes.shape)).argsort()[:DRIVES]]
         return [Manoeuvre(errand, ways.to(node), float(ways.steps[node])) for node in best.tolist()]
     block = scene.blocks[errand.block]
     tolls = toll(obstacles(scene, errand.block), loaded=True)
@@ -75,7 +77,7 @@ def manoeuvres(ways: Ways, scene: Scene, errand: Errand) -> list[Manoeuvre]:
     found = []
     for side in np.unique(sides).tolist():
         nodes = near[sides == side]
-        node = int(nodes[ways.steps[nodes].argmin()])
+        node = int(nodes[(ways.steps[nodes] + whim(DETOUR, nodes.shape)).argmin()])
         heading = side * 2 * math.pi / SIDES
         stops = [_behind(block.x, block.y, heading, ahead) for ahead in STOPS]
         tight = tolls[cells(np.array(stops))]

@@ -92,7 +92,7 @@ class Planner:
             return False
         world, start = self._world, self._world.save()
         ways = explore(scene.robot.pose, toll(obstacles(scene), loaded=False), min(left, REACH))
-        options = [option for errand in todo for option in manoeuvres(ways, scene, errand)]
+        options = [option for errand in todo for option in manoeuvres(ways, scene, errand, whim)]
         options.sort(key=lambda option: option.estimate - option.errand.cost(scene) + whim(SPREAD))
         best, best_cost = None, math.inf
         for option in options[:TRIES]:
