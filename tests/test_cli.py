@@ -20,7 +20,7 @@ from magical_mj.cli.episodes import actions
 from magical_mj.errors import RenderingError
 from magical_mj.rendering.backend import osmesa_works
 
-TOP = ("list", "view", "rollout", "evaluate", "report", "compare", "export", "doctor", "demo")
+TOP = ("list", "view", "rollout", "evaluate", "report", "compare", "export", "bench", "doctor", "demo")
 
 
 class Shell:
