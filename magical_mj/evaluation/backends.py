@@ -91,8 +91,8 @@ def _dask_client(address: str | None) -> Any:
 
 def _start_ray(address: str | None) -> None:
     try:
-        import ray
-        from ray.util.joblib import register_ray
+        import ray  # pyright: ignore[reportMissingImports]
+        from ray.util.joblib import register_ray  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError:
         raise EvaluationError('the ray backend needs its extra: pip install "magical-mj[ray]"') from None
     register_ray()
