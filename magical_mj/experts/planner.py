@@ -19,6 +19,7 @@ from magical_mj.tasks import TaskSpec
 TRIES: Final = 8  # manoeuvres tried in one situation
 SPREAD: Final = 16.0  # actions by which a whim makes a manoeuvre more or less promising
 TASTE: Final = 30.0  # and better or worse, once tried
+SMOOTH: Final = 0.8  # share of the cells of the ground that a whim leaves as easy as they are
 CALMING: Final = 0.6  # of a whim's strength remains after each plan that failed
 LOSS: Final = 300.0  # actions that a score of 1 is worth
 FAILURE: Final = 60.0  # actions that an errand begun in vain costs
@@ -91,7 +92,9 @@ class Planner:
         if not todo:
             return False
         world, start = self._world, self._world.save()
-        ways = explore(scene.robot.pose, toll(obstacles(scene), loaded=False), min(left, REACH))
+        tolls = toll(obstacles(scene), loaded=False)
+        tolls[(tolls >= 0) & (whim(1.0, tolls.shape) > SMOOTH)] += 1
+        ways = explore(scene.robot.pose, tolls, min(left, REACH))
         options = [option for errand in todo for option in manoeuvres(ways, scene, errand, whim)]
         options.sort(key=lambda option: option.estimate - option.errand.cost(scene) + whim(SPREAD))
         best, best_cost = None, math.inf
