@@ -9,7 +9,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
 
-.PHONY: demo test check format docs constraints system
+.PHONY: demo test check format docs demonstrations constraints system
 
 demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all 60 environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
@@ -29,8 +29,14 @@ format: $(VENV)/.installed-dev  ## format, and fix what can be fixed
 docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the README
 	$(BIN)/magical-mj view --grid --size 112 --out docs/environments.png --force
 	$(BIN)/magical-mj view FindDupe --size 288 --out docs/views.png --force
+	$(BIN)/python tools/experts_picture.py
 	$(BIN)/python tools/physics_picture.py
 	$(BIN)/python tools/readme_tables.py
+
+demonstrations: $(VENV)/.installed-dev  ## after a change of the physics: the shipped demonstrations and docs/experts.md, anew
+	rm -rf magical_mj/demos/data
+	$(BIN)/magical-mj demos generate all --count 25 --out magical_mj/demos/data
+	$(BIN)/magical-mj experts --seeds 20 --out docs/experts.md --force
 
 constraints:  ## write constraints.txt: the newest versions that a fresh environment gets today
 	$(PYTHON) -m venv $(VENV)-new

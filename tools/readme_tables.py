@@ -14,6 +14,7 @@ from magical_mj.registry import task_spec
 from magical_mj.variants import VARIANTS, Axis
 
 README: Final = Path(__file__).parent.parent / "README.md"
+EXPERTS: Final = README.parent / "docs" / "experts.md"
 
 AXES: Final[dict[Axis, str]] = {
     "jitter": f"small changes of every pose: ±{c.JITTER_POSITION} per axis, ±{c.JITTER_ANGLE:.3f} rad",
@@ -59,6 +60,11 @@ def presets() -> str:
     return table(("Preset", "Observation"), rows)
 
 
+def experts() -> str:
+    """The experts' mean scores, as `magical-mj experts` found them."""
+    return EXPERTS.read_text().split("\n\n")[2]
+
+
 def _sentence(words: str) -> str:
     return words[:1].upper() + words[1:]
 
@@ -69,7 +75,7 @@ def _but(missing: Sequence[str]) -> str:
 
 def filled(text: str) -> str:
     """The README's text with up-to-date tables."""
-    for name, body in (("tasks", tasks()), ("variants", variants()), ("presets", presets())):
+    for name, body in (("tasks", tasks()), ("variants", variants()), ("presets", presets()), ("experts", experts())):
         start, end = f"<!-- {name}: written by make docs -->", f"<!-- end of {name} -->"
         text, count = re.subn(f"{start}.*?{end}", f"{start}\n{body}\n{end}", text, flags=re.DOTALL)
         if count != 1:
