@@ -12,7 +12,7 @@ from magical_mj.experts.imagination import Imagination, State, state_of
 from magical_mj.experts.planner import Plan, Planner
 from magical_mj.registry import task_spec
 
-BUDGET: Final = 40  # imagined steps for each step of an episode, after which no new plan is begun
+BUDGET: Final = 150  # imagined steps for each step of an episode, after which no new plan is begun
 
 
 class Expert:

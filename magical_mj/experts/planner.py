@@ -24,7 +24,7 @@ CALMING: Final = 0.6  # of a whim's strength remains after each plan that failed
 LOSS: Final = 300.0  # actions that a score of 1 is worth
 FAILURE: Final = 60.0  # actions that an errand begun in vain costs
 REACH: Final = 90  # actions, the longest way to anything
-ATTEMPTS: Final = 8  # plans for an episode
+ATTEMPTS: Final = 20  # plans for an episode
 PAUSE: Final = 4  # actions of waiting when there is nothing to do
 
 
