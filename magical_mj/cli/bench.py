@@ -7,7 +7,7 @@ import json
 import pstats
 from collections.abc import Sequence
 from contextlib import nullcontext
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -17,9 +17,10 @@ from rich.table import Table
 from magical_mj.cli.console import console
 from magical_mj.evaluation.selection import environments, listed
 from magical_mj.presets import PRESETS, preset
-from magical_mj.speed import report
-from magical_mj.speed.measure import Measurement, measure
-from magical_mj.speed.yardstick import Yardstick
+from magical_mj.rendering.backend import check_backend
+
+if TYPE_CHECKING:
+    from magical_mj.speed.measure import Measurement
 
 PROFILED = 30  # functions shown
 
@@ -42,6 +43,9 @@ def bench(
     profile: Profile = False,
 ) -> None:
     """Measure steps per second with resets, the bare MuJoCo loop in turn with them, and resets alone."""
+    check_backend()  # before the simulator is loaded, which would not say why it fails
+    from magical_mj.speed import report
+
     names = listed(presets, PRESETS)
     for name in names:
         preset(name)  # or its error
@@ -60,6 +64,9 @@ def bench(
 
 def _measure(chosen: Sequence[tuple[str, str, str]], steps: int) -> tuple[list[Measurement], float | None]:
     """One after another, and the yardstick in turn with them; progress on standard error."""
+    from magical_mj.speed.measure import measure
+    from magical_mj.speed.yardstick import Yardstick
+
     screen, yardstick, measurements = Console(stderr=True), Yardstick(), []
     for task, variant, name in track(
         chosen, "measuring", console=screen, transient=True, disable=not screen.is_terminal
@@ -70,6 +77,8 @@ def _measure(chosen: Sequence[tuple[str, str, str]], steps: int) -> tuple[list[M
 
 
 def _print_table(measurements: Sequence[Measurement], yardstick: float | None) -> None:
+    from magical_mj.speed import report
+
     table = Table(box=None, header_style="bold", pad_edge=False)
     for column, title in enumerate(report.HEAD):
         table.add_column(title, justify="right" if column >= report.NAMES else "left")
