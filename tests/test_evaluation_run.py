@@ -2,13 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
-import random
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +13,10 @@ import pytest
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 import magical_mj
-from magical_mj.errors import EvaluationError, SettingsError, UnknownNameError
-from magical_mj.evaluation import Episode, Score, rollouts
+from magical_mj.errors import SettingsError, UnknownNameError
+from magical_mj.evaluation import Episode, rollouts
 from magical_mj.evaluation.episodes import LETTERS, actions_of
-from magical_mj.evaluation.scores import SCORES, ScoreFile, read
+from magical_mj.evaluation.scores import read
 from magical_mj.evaluation.selection import environments
 
 SMALL: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo,Layout", "episodes": 3}
@@ -219,151 +212,3 @@ def test_lists_of_environments() -> None:
 
 
 # scores.jsonl
-
-
-def test_file_holds_everything(tmp_path: Path) -> None:
-    frame = magical_mj.evaluate("random", out=tmp_path, **SMALL)
-    assert len(read(tmp_path)) == len(frame) == 6
-    entry = json.loads((tmp_path / SCORES).read_text().splitlines()[0])
-    assert set(entry) == set(frame.columns)
-    assert entry["version"] == magical_mj.__version__
-    assert entry["rules"] == "paper"
-    assert entry["preset"] is None  # random looks at nothing
-    assert entry["steps"] == len(entry["actions"]) == 40
-
-
-def test_resume_does_only_what_is_left(tmp_path: Path) -> None:
-    whole = magical_mj.evaluate("random", out=tmp_path / "whole", **SMALL)
-    magical_mj.evaluate("random", out=tmp_path / "part", **SMALL)
-    path = tmp_path / "part" / SCORES
-    lines = path.read_text().splitlines(keepends=True)
-    path.write_text("".join(lines[:3]))
-    played: list[Score] = []
-    again = magical_mj.evaluate("random", out=tmp_path / "part", resume=True, watch=played.append, **SMALL)
-    assert len(played) == 3
-    assert path.read_text().startswith("".join(lines[:3]))
-    pd.testing.assert_frame_equal(again.drop(columns="seconds"), whole.drop(columns="seconds"))
-    magical_mj.evaluate("random", out=tmp_path / "part", resume=True, watch=played.append, **SMALL)
-    assert len(played) == 3
-
-
-@pytest.mark.parametrize("cut", [1, 20, -2, -1])
-def test_a_half_written_last_line_is_repaired(tmp_path: Path, cut: int) -> None:
-    """At any place: what is whole but for its end is kept; all else is played again; the neighbours stay."""
-    magical_mj.evaluate("random", out=tmp_path, **SMALL)
-    before = rows(tmp_path)
-    path = tmp_path / SCORES
-    *kept, last = path.read_bytes().splitlines(keepends=True)
-    path.write_bytes(b"".join(kept) + last[:cut])
-    assert len(read(tmp_path)) == (6 if cut == -1 else 5)  # reports need no repair
-    played: list[Score] = []
-    magical_mj.evaluate("random", out=tmp_path, resume=True, watch=played.append, **SMALL)
-    assert len(played) == (0 if cut == -1 else 1)
-    assert rows(tmp_path) == before
-    assert path.read_bytes().startswith(b"".join(kept))
-
-
-@pytest.mark.parametrize(
-    ("line", "hint"),
-    [
-        ("{half", "line 3"),
-        ("[]", "line 3: it must be an object with the keys policy"),
-        ("same", "line 3: the same episode as line 2"),
-        ("score", "line 3: the score 1.5 is not in [0, 1]"),
-        ("steps", "line 3: steps must not be 'many'"),
-        ("\x00\x00", "line 3"),
-    ],
-)
-def test_corrupted_lines_are_named(tmp_path: Path, line: str, hint: str) -> None:
-    magical_mj.evaluate("noop", out=tmp_path, **SMALL)
-    path = tmp_path / SCORES
-    lines = path.read_text().splitlines()
-    changes: dict[str, dict[str, Any]] = {"score": {"score": 1.5}, "steps": {"steps": "many"}}
-    lines[2] = lines[1] if line == "same" else line
-    if line in changes:
-        lines[2] = json.dumps(json.loads(lines[1]) | changes[line])
-    path.write_text("\n".join(lines) + "\n")
-    with pytest.raises(EvaluationError) as caught:
-        read(tmp_path)
-    assert hint in str(caught.value)
-    with pytest.raises(EvaluationError, match="line 3"):
-        magical_mj.evaluate("noop", out=tmp_path, resume=True, **SMALL)
-
-
-@pytest.mark.parametrize(
-    ("policy", "change", "difference"),
-    [
-        ("noop", {"episodes": 4}, "episodes was 3 and is 4"),
-        ("noop", {"rules": "released"}, 'rules was "paper" and is "released"'),
-        ("noop", {"preset": "LoRes4A"}, 'preset was "LoRes4E" and is "LoRes4A"'),
-        ("noop", {"variants": "Demo"}, "environments was"),
-        ("random", {}, "policies was"),
-    ],
-)
-def test_changed_settings_are_refused(tmp_path: Path, policy: str, change: dict[str, Any], difference: str) -> None:
-    magical_mj.evaluate("noop", out=tmp_path, **SMALL)
-    before = (tmp_path / SCORES).read_bytes()
-    with pytest.raises(SettingsError) as caught:
-        magical_mj.evaluate(policy, out=tmp_path, resume=True, **{**SMALL, **change})
-    assert difference in str(caught.value)
-    assert (tmp_path / SCORES).read_bytes() == before
-
-
-def test_a_changed_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("magical_mj.evaluation.sources.LOADERS", {".toy": lambda path, trust: agents.look})
-    model = tmp_path / "model.toy"
-    model.write_text("one")
-    settings = {**SMALL, "episodes": 1, "variants": "Demo"}
-    magical_mj.evaluate(str(model), out=tmp_path / "out", **settings)
-    model.write_text("two")
-    with pytest.raises(SettingsError, match="sha256"):
-        magical_mj.evaluate(str(model), out=tmp_path / "out", resume=True, **settings)
-
-
-def test_folders_are_not_mixed_up(tmp_path: Path) -> None:
-    magical_mj.evaluate("noop", out=tmp_path, **SMALL)
-    with pytest.raises(EvaluationError, match="--resume"):
-        magical_mj.evaluate("noop", out=tmp_path, **SMALL)
-    with ScoreFile(tmp_path), pytest.raises(EvaluationError, match="another evaluation"):
-        magical_mj.evaluate("noop", out=tmp_path, resume=True, **SMALL)
-    with pytest.raises(EvaluationError, match="cannot write into /dev/null/folder"):
-        magical_mj.evaluate("noop", out="/dev/null/folder", **SMALL)
-
-
-def killed_and_resumed(folder: Path, kills: int, jobs: int) -> set[tuple[Any, ...]]:
-    """The rows of an evaluation that was killed so many times at random moments, each time with work left."""
-    command = [sys.executable, "-m", "magical_mj", "evaluate", "--policy", "random,agents:Slow", "--out", str(folder)]
-    command += [
-        "--tasks",
-        "MoveToRegion",
-        "--variants",
-        "Demo,Layout",
-        "--episodes",
-        "60",
-        "--jobs",
-        str(jobs),
-        "--resume",
-    ]
-    rng = random.Random(jobs)
-    for _ in range(kills):
-        process = subprocess.Popen(command, cwd=TESTS, stdout=subprocess.DEVNULL, start_new_session=True)
-        size = lambda: (folder / SCORES).stat().st_size if (folder / SCORES).exists() else 0  # noqa: E731
-        before, start = size(), time.monotonic()
-        while size() == before and time.monotonic() - start < 60:
-            time.sleep(0.01)
-        time.sleep(rng.uniform(0, 0.3))
-        assert process.poll() is None, "it ended before it could be killed"
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-    subprocess.run(command, cwd=TESTS, stdout=subprocess.DEVNULL, check=True)
-    return rows(folder)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_killed_runs_end_with_the_same_rows(tmp_path: Path, jobs: int) -> None:
-    settings = {"tasks": "MoveToRegion", "variants": "Demo,Layout", "episodes": 60}
-    whole = magical_mj.evaluate("random,agents:Slow", out=tmp_path / "whole", **settings)
-    found = killed_and_resumed(tmp_path / "killed", kills=2, jobs=jobs)
-    assert len(found) == len(whole) == 240
-    assert found == rows(tmp_path / "whole")

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import threading
 from pathlib import Path
 
@@ -17,7 +14,6 @@ import magical_mj
 from magical_mj import constants as c
 from magical_mj.assets import style
 from magical_mj.assets.world import World
-from magical_mj.rendering.backend import osmesa_works
 from magical_mj.rendering.canvas import CANVAS
 from magical_mj.rendering.renderer import LARGEST, Renderer, check_size, on_paper
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
@@ -264,96 +260,3 @@ def test_each_thread_has_a_canvas_of_its_own() -> None:
 
 
 # Processes
-
-FIRST_FRAME = """
-import magical_mj
-env = magical_mj.load("MoveToRegion", seed=0)
-env.reset()
-"""
-DAEMON = """
-import threading, time
-work = lambda: (magical_mj.load("MoveToRegion").reset(), started.set(), time.sleep(60))
-started = threading.Event()
-threading.Thread(target=work, daemon=True).start()
-assert started.wait(60)
-"""
-BARE = {name: value for name, value in os.environ.items() if name not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
-NO_DRIVER = {"__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent"}
-ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere MuJoCo has one backend")
-
-
-def python(program: str, **variables: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", program], env=BARE | variables, capture_output=True, text=True, timeout=120, check=False
-    )
-
-
-@pytest.mark.parametrize(
-    ("ending", "code", "last_line"),
-    [
-        ("", 0, ""),
-        ("raise SystemExit(3)", 3, ""),
-        ("raise KeyError('expected')", 1, "KeyError: 'expected'"),
-        (DAEMON, 0, ""),
-    ],
-    ids=["end", "exit", "exception", "daemon"],
-)
-def test_nothing_is_said_at_exit(ending: str, code: int, last_line: str) -> None:
-    result = python(f"{FIRST_FRAME}{ending}")
-    assert (result.returncode, result.stdout) == (code, "")
-    assert "ignored" not in result.stderr
-    assert (result.stderr.strip().splitlines() or [""])[-1] == last_line
-
-
-@ON_LINUX
-def test_drawing_after_a_fork_is_refused_and_spawning_suggested() -> None:
-    result = python(
-        f"{FIRST_FRAME}"
-        "import multiprocessing\n"
-        "worker = multiprocessing.get_context('fork').Process(target=env.step, args=(0,))\n"
-        "worker.start(); worker.join(60)\n"
-        "raise SystemExit(worker.exitcode)"
-    )
-    assert result.returncode == 1
-    assert "RenderingError" in result.stderr
-    assert "'spawn' or 'forkserver'" in result.stderr
-
-
-@ON_LINUX
-@pytest.mark.skipif(osmesa_works(), reason="OSMesa can draw without a driver")
-class TestWithoutOpenGL:
-    """No driver: EGL finds no device, and OSMesa is not installed."""
-
-    def test_states_work_and_pictures_say_what_is_missing(self) -> None:
-        program = (
-            "import magical_mj\n"
-            "env = magical_mj.load('FindDupe', observations=('state',))\n"
-            "env.reset(); env.step(1)\n"
-            "print('state')\n"
-            "env.render()"
-        )
-        result = python(program, **NO_DRIVER)
-        assert result.stdout == "state\n"
-        assert result.returncode == 1
-        self.check_message(result.stderr)
-
-    @pytest.mark.parametrize("backend", ["egl", "osmesa"])
-    def test_a_backend_that_was_asked_for_and_fails_is_named(self, backend: str) -> None:
-        result = python("import magical_mj; magical_mj.load('FindDupe')", MUJOCO_GL=backend, **NO_DRIVER)
-        assert result.returncode == 1
-        self.check_message(result.stderr)
-        assert f"MUJOCO_GL is {backend}" in result.stderr
-
-    def check_message(self, error: str) -> None:
-        """One error, which names the variable and the packages."""
-        last = error.strip().splitlines()[-1]
-        assert last.startswith("magical_mj.errors.RenderingError: ")
-        for word in ("MUJOCO_GL", "egl", "libegl1", "osmesa", "libosmesa6"):
-            assert word in last
-
-
-@ON_LINUX
-@pytest.mark.parametrize("wanted", ["egl", "glfw", "disable", "off"])
-def test_a_users_choice_of_backend_is_kept(wanted: str) -> None:
-    result = python("import magical_mj, os; print(os.environ['MUJOCO_GL'])", MUJOCO_GL=wanted)
-    assert result.stdout == f"{wanted}\n"
