@@ -84,7 +84,7 @@ def test_bench_prints_json(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_bench_prints_a_profile() -> None:
-    """In a process of its own: CPython 3.11 can spin for ever if it starts to profile after a thread was interrupted."""
+    """In a process of its own: CPython 3.11 can spin for ever if it profiles after a thread was interrupted."""
     command = [sys.executable, "-m", "magical_mj", *SHORT, "--profile"]
     result = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
     assert "tottime" in result.stdout
