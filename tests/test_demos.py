@@ -18,12 +18,11 @@ import numpy as np
 import pytest
 
 import magical_mj
-from magical_mj import TASKS, demos
+from magical_mj import demos
 from magical_mj.cli import main
 from magical_mj.demos import Demonstration
 from magical_mj.errors import DemonstrationError, MagicalError, UnknownNameError
 from magical_mj.presets import PRESETS
-from magical_mj.registry import task_spec
 
 
 @pytest.fixture(scope="module")
@@ -49,34 +48,6 @@ def damaged(path: Path, **changes: object) -> None:
     with np.load(path) as archive:
         parts = {name: archive[name] for name in archive}
     np.savez_compressed(path, **(parts | changes))
-
-
-# the shipped ones
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_25_demonstrations_of_each_task_are_shipped_and_differ(task: str) -> None:
-    shipped = demos.load(task)
-    assert len(shipped) == 25
-    assert {(d.task, d.variant, d.demonstrator, d.score) for d in shipped} == {(task, "Demo", "expert", 1.0)}
-    assert all(d.scene == magical_mj.sample_scene(task, "Demo", d.scene_seed) for d in shipped)
-    assert {len(d.actions) for d in shipped} == {task_spec(task).horizon()}
-    assert len({d.actions.tobytes() for d in shipped}) == 25
-    assert demos.diversity(shipped).ways > 0.05
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_shipped_demonstrations_replay(task: str) -> None:
-    first = demos.load(task)[0]
-    verdict = demos.verify(first)
-    assert verdict.good
-    assert verdict.scene
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("task", TASKS)
-def test_all_shipped_demonstrations_replay(task: str) -> None:
-    assert all(demos.verify(demo).good for demo in demos.load(task))
 
 
 # files

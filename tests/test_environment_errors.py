@@ -1,0 +1,71 @@
+"""What the dm_env environments refuse, and the clear errors for it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import magical_mj
+from magical_mj.actions import Action, Drive, Gripper, Turn
+from magical_mj.errors import InvalidActionError, InvalidSceneError, UnknownNameError
+from magical_mj.scene import Block, Robot, Scene
+
+
+@pytest.mark.parametrize("action", [18, -1, 1.5, None, "1", np.array([1]), np.float64(2), True])
+def test_bad_actions_are_refused_and_harmless(action: object) -> None:
+    env = magical_mj.load("MoveToRegion", observations=())
+    env.reset()
+    before = env.scene()
+    with pytest.raises(InvalidActionError, match=r"integers 0\.\.17"):
+        env.step(action)
+    assert env.scene() == before
+
+
+@pytest.mark.parametrize("action", [np.int64(4), np.array(4), Action(Gripper.OPEN, Turn.LEFT, Drive.FORWARD)])
+def test_actions_of_every_integer_kind(action: object) -> None:
+    env, twin = (magical_mj.load("MoveToRegion", observations=()) for _ in range(2))
+    for one, what in ((env, action), (twin, 4)):
+        one.reset()
+        one.step(what)
+    assert env.scene() == twin.scene()
+
+
+def test_bad_arguments_name_the_remedy() -> None:
+    with pytest.raises(UnknownNameError, match="Did you mean 'FindDupe'"):
+        magical_mj.load("FindDup")
+    with pytest.raises(UnknownNameError, match="Did you mean 'Layout'"):
+        magical_mj.load("FindDupe", "Layot")
+    with pytest.raises(UnknownNameError, match="Jitter"):
+        magical_mj.load("MoveToCorner", "Layout")
+    with pytest.raises(UnknownNameError, match="ego"):
+        magical_mj.load("FindDupe", observations=("egg",))
+    with pytest.raises(UnknownNameError, match="ego"):
+        magical_mj.load("FindDupe", observations="ego")
+    with pytest.raises(UnknownNameError, match="released"):
+        magical_mj.load("FindDupe", rules="old")
+    with pytest.raises(UnknownNameError, match="score"):
+        magical_mj.load("FindDupe", reward="dense")
+    for size in (0, -3, 1.5, 10**6):
+        with pytest.raises(ValueError, match="image_size"):
+            magical_mj.load("FindDupe", image_size=size)
+    for seed in (-1, 1.5, "7"):
+        with pytest.raises(ValueError, match="seed"):
+            magical_mj.load("FindDupe", seed=seed)
+
+
+def test_illegal_scenes_are_refused() -> None:
+    demo = magical_mj.sample_scene("FindDupe", "Demo", 0)
+    outside = demo.moved(robot=(1.5, 0, 0))
+    overlapping = demo.moved(robot=demo.blocks[0].pose)
+    for scene, message in ((outside, "walls"), (overlapping, "overlap")):
+        with pytest.raises(InvalidSceneError, match=message):
+            magical_mj.load("FindDupe", scene=scene)
+        with pytest.raises(InvalidSceneError, match=message):
+            magical_mj.load_scene(scene)
+    with pytest.raises(InvalidSceneError):
+        magical_mj.load("FindDupe", scene=magical_mj.sample_scene("MakeLine", "Demo", 0))
+    crowd = Scene(Robot(0, 0, 0), tuple(Block("circle", "red", 0.8, -0.9 + 0.25 * k, 0) for k in range(7)))
+    crowd = Scene(crowd.robot, crowd.blocks + tuple(Block("circle", "red", -0.8, b.y, 0) for b in crowd.blocks))
+    with pytest.raises(InvalidSceneError, match="holds 10 blocks"):
+        magical_mj.load_scene(crowd, observations=("state",))
+    magical_mj.load_scene(crowd, observations=()).reset()
