@@ -46,6 +46,10 @@ class EvaluationError(MagicalError, RuntimeError):
     """An evaluation, or the files of one, that cannot be used."""
 
 
+class TrainingError(MagicalError, RuntimeError):
+    """A training, or the files of one, that cannot go on."""
+
+
 def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownNameError:
     """The error for a `name` that is not among the `allowed`, offering the nearest one."""
     allowed = tuple(allowed)

@@ -22,6 +22,7 @@ from magical_mj.cli import (
     play,
     report,
     rollout,
+    train,
     view,
 )
 from magical_mj.cli.console import complain
@@ -39,6 +40,7 @@ app.command("rollout")(rollout.rollout)
 app.command("evaluate")(evaluate.evaluate)
 app.command("report")(report.make_report)
 app.command("compare")(compare.make_comparison)
+app.command("train")(train.train)
 app.command("experts")(experts.experts)
 app.add_typer(demos.app, name="demos")
 app.command("play")(play.play)

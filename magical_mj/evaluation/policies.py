@@ -43,7 +43,8 @@ class Policy(Protocol):
     """An agent. A plain function from observation to action will do as well.
 
     A class attribute `blind = True` says that the policy looks at no observations: none are made, which is much
-    faster, and `reset` gets the simulation instead.
+    faster, and `reset` gets the simulation instead. Attributes `preset` and `tasks` say which observations it was
+    trained on and in which tasks it can act; others are then refused before anything is played.
     """
 
     def reset(self, episode: Episode) -> None:
@@ -127,3 +128,14 @@ def begin(policy: Callable[[Any], Any], episode: Episode) -> None:
 def is_blind(policy: object) -> bool:
     """Whether the policy looks at no observations."""
     return bool(getattr(policy, "blind", False))
+
+
+def check_fit(policy: object, pairs: Sequence[tuple[str, str]], preset: str) -> None:
+    """Raises a `SettingsError` if the policy was made for other tasks than those of the pairs, or another preset."""
+    made_for = getattr(policy, "preset", preset)
+    if made_for != preset:
+        raise SettingsError(f"the policy was trained on the preset {made_for}, not {preset}: give --preset {made_for}")
+    tasks = getattr(policy, "tasks", None)
+    others = sorted({task for task, _ in pairs} - set(tasks)) if tasks is not None else []
+    if others:
+        raise SettingsError(f"the policy cannot act in {', '.join(others)}: give --tasks {','.join(tasks or ())}")

@@ -14,6 +14,7 @@ from magical_mj.errors import EvaluationError, SettingsError, unknown_name
 from magical_mj.evaluation.backends import check_backend, play_units
 from magical_mj.evaluation.extra import check_extra
 from magical_mj.evaluation.folders import prepare
+from magical_mj.evaluation.policies import check_fit
 from magical_mj.evaluation.scores import Score, ScoreFile, frame
 from magical_mj.evaluation.selection import Names, environments
 from magical_mj.evaluation.sources import sources
@@ -139,7 +140,7 @@ class Evaluation:
             raise unknown_name("vectorization", vectorization, ("sync", "async"))
         listed = sources(policy, run, trust)
         for source in listed:
-            source.load()  # so that what is wrong with it is said now
+            check_fit(source.load(), pairs, preset)  # so that what is wrong with it is said now
         self.rules: Rules = check_rules(rules)
         self._out = None if out is None else Path(out)
         self._settings = {

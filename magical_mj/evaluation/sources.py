@@ -1,4 +1,4 @@
-"""Where policies come from: names, ``module:object``, model files, or Python objects; with a name and a run each."""
+"""Where policies come from: names, ``module:object``, model files, runs' folders, or Python objects."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,7 +20,9 @@ from magical_mj.evaluation.policies import BUILT_IN
 Act = Callable[[Any], Any]
 """A policy, or a plain function from observation to action."""
 
-LEGEND: Final = f"{', '.join(BUILT_IN)}, module:object, or a file that ends in {' or '.join(LOADERS)}"
+LEGEND: Final = f"{', '.join(BUILT_IN)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
+FOLDERS: Final = "magical_mj.policy_folders"
+"""The group of entry points, of this package or another, that load the policy in a folder; see pyproject.toml."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +32,7 @@ class Source:
     Attributes:
         name: what tables call the method.
         run: which run of the method it is.
-        origin: a built-in's name, ``module:object``, a file, or the policy itself.
+        origin: a built-in's name, ``module:object``, a file, a folder, or the policy itself.
         trust: whether files that hold code may be loaded.
     """
 
@@ -53,6 +56,8 @@ class Source:
             if not Path(self.origin).is_file():
                 raise SettingsError(f"there is no file {self.origin}")
             return LOADERS[suffix](Path(self.origin), self.trust)
+        if Path(self.origin).is_dir():
+            return _folder_loader(self.origin).load()(self.origin)
         if ":" in self.origin:
             return _imported(self.origin)
         raise unknown_name("policy", self.origin, (*BUILT_IN, "module:object", *(f"FILE{s}" for s in LOADERS)))
@@ -61,16 +66,24 @@ class Source:
         """What must not change between a run and its continuation."""
         origin = self.origin if isinstance(self.origin, str) else f"a Python object: {type(self.origin).__qualname__}"
         described = {"name": self.name, "run": self.run, "origin": origin}
-        if isinstance(self.origin, str) and Path(self.origin).suffix in LOADERS:
-            described["sha256"] = hashlib.sha256(Path(self.origin).read_bytes()).hexdigest()
-        return described
+        file = self._file()
+        return described if file is None else {**described, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+
+    def _file(self) -> Path | None:
+        """The file that the policy is in, if it is in one."""
+        if not isinstance(self.origin, str) or self.origin in BUILT_IN:
+            return None
+        path = Path(self.origin)
+        if path.suffix in LOADERS:
+            return path
+        return path / _folder_loader(self.origin).name if path.is_dir() else None
 
 
 def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
     """The policies that were asked for; those with the same name are successive runs of one method.
 
     Args:
-        policies: a policy or a list of them; each a name, ``module:object``, a file, any of them as
+        policies: a policy or a list of them; each a name, ``module:object``, a file, a folder, any of them as
             ``NAME=...``, a mapping of such names to policies or lists of them, or a policy object.
         run: the number of the first run.
         trust: whether files that hold code may be loaded.
@@ -106,7 +119,19 @@ def _each(policies: Any) -> Iterator[Source]:
 
 
 def _short(origin: str) -> str:
-    return origin.rpartition(":")[2] if Path(origin).suffix not in LOADERS else Path(origin).stem
+    path = Path(origin)
+    if path.suffix in LOADERS:
+        return path.stem
+    return path.name if path.is_dir() else origin.rpartition(":")[2]
+
+
+def _folder_loader(folder: str) -> EntryPoint:
+    """What loads the policy in a folder: the entry point whose name is that of a file in it."""
+    known = list(entry_points(group=FOLDERS))
+    for loader in known:
+        if (Path(folder) / loader.name).is_file():
+            return loader
+    raise SettingsError(f"the folder {folder} holds no policy: no {' or '.join(loader.name for loader in known)}")
 
 
 def _imported(origin: str) -> Act:

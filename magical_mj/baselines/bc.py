@@ -1,0 +1,72 @@
+"""Behavioural cloning: the demonstrator's action is a class, to be predicted from what was seen (section 4.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import nn
+
+from magical_mj.baselines.augmentation import Augmentation
+from magical_mj.baselines.data import Dataset
+from magical_mj.baselines.learner import Learner, seeded
+from magical_mj.baselines.network import Actor, as_input
+from magical_mj.baselines.settings import Cloning, Settings
+from magical_mj.errors import SettingsError
+
+
+class BehaviouralCloning(Learner):
+    """Minimises -E log pi(a | s) over the demonstrations without their no-ops.
+
+    No-ops are dropped because the policy would else get stuck where the demonstrator waited (appendix). For several
+    tasks the loss is the mean of the tasks' losses: batches hold as many samples of each.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings)
+        self.updates = settings.bc.batches
+        self._data = Dataset(settings, drop_noop=True)
+        self._draw = torch.Generator().manual_seed(settings.seed)
+        self._noise = torch.Generator(self.device).manual_seed(settings.seed)
+        self._augment = Augmentation(settings.augment)
+        with seeded(settings.seed):
+            self._actor = Actor(settings.network, len(settings.tasks), batch_norm=True).to(self.device)
+        self._optimizer = _optimizer(settings.bc, self._actor)
+
+    @property
+    def actor(self) -> Actor:
+        """The policy as it is now."""
+        return self._actor
+
+    def update(self) -> Mapping[str, float]:
+        """One batch. Its log loss, and the share of actions that were the most probable ones."""
+        images, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._draw)
+        actions, tasks = actions.to(self.device), tasks.to(self.device)
+        self._actor.train()
+        logits = self._actor(self._augment(as_input(images, self.device), self._noise), tasks)
+        loss = nn.functional.cross_entropy(logits, actions)
+        self._optimizer.zero_grad()
+        loss.backward()
+        self._optimizer.step()
+        return {"loss": loss.item(), "accuracy": (logits.argmax(1) == actions).float().mean().item()}
+
+    def state(self) -> dict[str, Any]:
+        """Weights, the optimizer's memory, and the generators of batches and augmentations."""
+        kept = {"actor": self._actor.state_dict(), "optimizer": self._optimizer.state_dict()}
+        return {**kept, "draw": self._draw.get_state(), "noise": self._noise.get_state()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Takes up a `state`."""
+        self._actor.load_state_dict(state["actor"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self._draw.set_state(state["draw"])
+        self._noise.set_state(state["noise"])
+
+
+def _optimizer(bc: Cloning, actor: Actor) -> torch.optim.Optimizer:
+    if bc.optimizer == "sgd":
+        return torch.optim.SGD(actor.parameters(), bc.learning_rate, bc.momentum)
+    if bc.optimizer == "adam":
+        return torch.optim.Adam(actor.parameters(), bc.learning_rate)
+    raise SettingsError(f"bc.optimizer must be sgd or adam, not {bc.optimizer!r}")

@@ -1,0 +1,77 @@
+"""What a method is: something that improves a policy, one update after the other, and can be saved."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+
+from magical_mj.baselines.network import Actor
+from magical_mj.baselines.settings import Settings
+from magical_mj.errors import SettingsError
+
+
+class Learner(ABC):
+    """A method.
+
+    `magical_mj.baselines.train` calls `update` as often as `updates` says, logs what it returns, evaluates the policy
+    now and then, and saves and restores `state`.
+
+    Attributes:
+        settings: what it was made with.
+        device: where its networks are.
+        updates: how many make a training.
+    """
+
+    updates: int
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.device = device(settings.device)
+
+    @property
+    @abstractmethod
+    def actor(self) -> Actor:
+        """The policy as it is now."""
+
+    @abstractmethod
+    def update(self) -> Mapping[str, float]:
+        """Improves the policy a little; returns figures to be logged, such as losses, always under the same names."""
+
+    @abstractmethod
+    def state(self) -> dict[str, Any]:
+        """All that the updates to come depend on: nested dicts and lists of tensors, arrays and plain values."""
+
+    @abstractmethod
+    def restore(self, state: dict[str, Any]) -> None:
+        """Takes up a `state`."""
+
+    def close(self) -> None:  # noqa: B027  (most hold nothing)
+        """Frees what it holds, such as environments."""
+
+
+def device(name: str) -> torch.device:
+    """The device of that name; for "auto" an accelerator if there is one, else the CPU.
+
+    Raises:
+        SettingsError: if PyTorch has no such device here.
+    """
+    if name == "auto":
+        return torch.accelerator.current_accelerator(check_available=True) or torch.device("cpu")
+    try:
+        return torch.zeros(1, device=name).device
+    except (RuntimeError, AssertionError) as error:
+        raise SettingsError(
+            f"there is no device {name!r} here: {str(error).splitlines()[0]}; cpu always works"
+        ) from error
+
+
+@contextmanager
+def seeded(seed: int) -> Iterator[None]:
+    """Within it, weights are drawn by the seed; PyTorch's global generator is left as it was."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        yield

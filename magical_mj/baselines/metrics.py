@@ -1,0 +1,82 @@
+"""The figures of a run over time: metrics.csv, and the same for TensorBoard."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final, Self
+
+from torch.utils.tensorboard import SummaryWriter
+
+from magical_mj.errors import TrainingError
+
+METRICS: Final = "metrics.csv"
+TENSORBOARD: Final = "tensorboard"
+
+
+class Metrics:
+    """Appends rows to a run's metrics.csv: updates done, seconds, the learner's figures, the scores by task.
+
+    Args:
+        folder: of the run.
+        update: where the run goes on: rows after it belong to a past that did not last, and are dropped.
+    """
+
+    def __init__(self, folder: Path, update: int) -> None:
+        self._path = folder / METRICS
+        self._sums: dict[str, float] = {}
+        self._count = 0
+        self._rows = [row for row in read_metrics(folder) if int(row["update"]) <= update]
+        self._write()
+        self._board = SummaryWriter(str(folder / TENSORBOARD), purge_step=update + 1)
+
+    def add(self, figures: Mapping[str, float]) -> None:
+        """Takes in the figures of one update."""
+        for name, value in figures.items():
+            self._sums[name] = self._sums.get(name, 0.0) + value
+        self._count += 1
+
+    def write(self, update: int, seconds: float, scores: Mapping[str, float]) -> dict[str, float]:
+        """Writes a row, and returns the means of the figures since the last one."""
+        means = {name: total / self._count for name, total in self._sums.items()}
+        self._sums, self._count = {}, 0
+        figures = {**means, **{f"score {task}": score for task, score in scores.items()}}
+        for name, value in figures.items():
+            self._board.add_scalar(name, value, update)
+        row = {"update": str(update), "seconds": f"{seconds:.1f}"}
+        self._rows.append(row | {name: f"{value:.6g}" for name, value in figures.items()})
+        self._write()
+        return means
+
+    def __enter__(self) -> Self:
+        """For `with`, which closes it."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Writes what is left for TensorBoard."""
+        self._board.close()
+
+    def _write(self) -> None:
+        """The file as a whole: columns come when their first figure comes."""
+        columns = list(dict.fromkeys(name for row in self._rows for name in row)) or ["update", "seconds"]
+        beside = self._path.with_suffix(".part")
+        try:
+            with beside.open("w", newline="") as file:
+                writer = csv.DictWriter(file, columns)
+                writer.writeheader()
+                writer.writerows(self._rows)
+            beside.replace(self._path)
+        except OSError as error:
+            raise TrainingError(
+                f"cannot write {self._path}: {error.strerror}; what was saved before is kept"
+            ) from error
+
+
+def read_metrics(folder: Path) -> list[dict[str, str]]:
+    """The rows of a run's metrics.csv; none if there is no such file yet."""
+    try:
+        with (folder / METRICS).open(newline="") as file:
+            return list(csv.DictReader(file))
+    except FileNotFoundError:
+        return []

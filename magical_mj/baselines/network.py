@@ -1,0 +1,98 @@
+"""The paper's network (appendix, "Network architecture"): convolutions, two linear layers, and a head for each task."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from magical_mj.actions import ACTIONS
+from magical_mj.baselines.settings import Network
+
+SHAPE: Final = (96, 96, 12)
+"""Of what networks look at: four RGB frames, stacked along the channels."""
+ONE_HOT: Final = len(ACTIONS)
+
+
+def as_input(images: NDArray[np.uint8] | Tensor, device: torch.device) -> Tensor:
+    """Stacks as environments give them, shape (n, side, side, 3k) uint8, as networks want them.
+
+    Returns:
+        Shape (n, 3k, side, side), values in [0, 1]; in memory the channels stay last, which is what is fast.
+    """
+    return torch.as_tensor(images).to(device).permute(0, 3, 1, 2).float() / 255
+
+
+class Torso(nn.Module):
+    """What all tasks share: from stacks of frames to features.
+
+    Args:
+        network: the layers' sizes.
+        batch_norm: after each convolution; only BC's policy and the discriminator have it.
+        actions: join one-hot actions to the convolutions' output; only the discriminator does.
+        features: units of the last layer, instead of `network.hidden`.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        *,
+        batch_norm: bool = False,
+        actions: bool = False,
+        features: int | None = None,
+    ) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        side, _, channels = SHAPE
+        sizes = [(network.first_channels, network.first_kernel, network.first_stride)] + 4 * [(network.channels, 3, 2)]
+        for outputs, kernel, stride in sizes:
+            layers.append(nn.Conv2d(channels, outputs, kernel, stride, padding=kernel // 2, bias=not batch_norm))
+            layers += [nn.BatchNorm2d(outputs)] if batch_norm else []
+            layers.append(nn.ReLU())
+            channels, side = outputs, math.ceil(side / stride)
+        self.convolutions = nn.Sequential(*layers).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+        self.flat = channels * side * side
+        self.features = features or network.hidden
+        inputs = self.flat + (ONE_HOT if actions else 0)
+        self.linear = nn.Sequential(
+            nn.Linear(inputs, network.hidden), nn.ReLU(), nn.Linear(network.hidden, self.features), nn.ReLU()
+        )
+
+    def forward(self, stacks: Tensor, actions: Tensor | None = None) -> Tensor:
+        """Features, shape (n, features), of stacks (n, 3k, 96, 96) in [0, 1] and actions (n,), if it has any."""
+        flat = self.convolutions(stacks).flatten(1)
+        if actions is not None:
+            flat = torch.cat([flat, nn.functional.one_hot(actions, ONE_HOT).to(flat.dtype)], dim=1)
+        return self.linear(flat)
+
+
+class Heads(nn.Module):
+    """The last layer: a linear map of its own for each task."""
+
+    def __init__(self, tasks: int, inputs: int, outputs: int) -> None:
+        super().__init__()
+        bound = 1 / math.sqrt(inputs)  # as nn.Linear draws its weights
+        self.weight = nn.Parameter(torch.empty(tasks, outputs, inputs).uniform_(-bound, bound))
+        self.bias = nn.Parameter(torch.empty(tasks, outputs).uniform_(-bound, bound))
+
+    def forward(self, features: Tensor, tasks: Tensor) -> Tensor:
+        """Shape (n, outputs), for features (n, inputs) and the numbers of their tasks (n,)."""
+        return torch.einsum("ni,noi->no", features, self.weight[tasks]) + self.bias[tasks]
+
+
+class Actor(nn.Module):
+    """A policy: logits of the 18 actions."""
+
+    def __init__(self, network: Network, tasks: int, *, batch_norm: bool = False) -> None:
+        super().__init__()
+        self.batch_norm = batch_norm
+        self.torso = Torso(network, batch_norm=batch_norm)
+        self.head = Heads(tasks, self.torso.features, ONE_HOT)
+
+    def forward(self, stacks: Tensor, tasks: Tensor) -> Tensor:
+        """Logits, shape (n, 18), for stacks (n, 3k, 96, 96) in [0, 1] and the numbers of their tasks (n,)."""
+        return self.head(self.torso(stacks), tasks)

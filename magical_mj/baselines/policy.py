@@ -1,0 +1,109 @@
+"""Trained policies: what the evaluation plays, and the file they are kept in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from magical_mj.baselines import checkpoint
+from magical_mj.baselines.network import SHAPE, Actor, as_input
+from magical_mj.baselines.settings import Network, Settings
+from magical_mj.errors import SettingsError, TrainingError
+from magical_mj.evaluation.policies import Episode
+
+POLICY: Final = "policy.safetensors"
+"""In a run's folder."""
+
+
+class TrainedPolicy:
+    """Draws actions from what the network holds probable, as in training; the draws are the episode's own.
+
+    Args:
+        actor: the network.
+        tasks: that it was trained on, in the order of its heads.
+        preset: of the observations that it was trained on.
+    """
+
+    def __init__(self, actor: Actor, tasks: Sequence[str], preset: str) -> None:
+        self.tasks, self.preset = tuple(tasks), preset
+        self._actor = actor
+        self._device = next(actor.parameters()).device
+
+    def reset_batch(self, episodes: Sequence[Episode]) -> None:
+        """Episodes begin, side by side."""
+        unknown = sorted({episode.task for episode in episodes} - set(self.tasks))
+        if unknown:
+            raise SettingsError(f"this policy was trained on {', '.join(self.tasks)}, and cannot act in {unknown[0]}")
+        self._heads = torch.tensor([self.tasks.index(episode.task) for episode in episodes], device=self._device)
+        self._rngs = [episode.rng() for episode in episodes]
+
+    def act_batch(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """An action for each episode, shape (n,), for stacks of shape (n, 96, 96, 12)."""
+        if observations.shape[1:] != SHAPE:
+            raise SettingsError(
+                f"this policy looks at arrays of shape {SHAPE} (preset {self.preset}), not {observations.shape[1:]}"
+            )
+        self._actor.eval()
+        with torch.inference_mode():
+            logits = self._actor(as_input(observations, self._device), self._heads[: len(observations)])
+        shares = logits.double().softmax(dim=1).cumsum(dim=1).cpu().numpy()
+        points = np.array([rng.random() for rng in self._rngs[: len(observations)]])
+        return np.minimum((shares < points[:, None]).sum(axis=1), shares.shape[1] - 1)
+
+    def reset(self, episode: Episode) -> None:
+        """An episode begins."""
+        self.reset_batch([episode])
+
+    def __call__(self, observation: NDArray[np.uint8]) -> int:
+        """An action, for a stack of shape (96, 96, 12)."""
+        return int(self.act_batch(observation[None])[0])
+
+
+def save_policy(folder: Path, actor: Actor, settings: Settings, progress: tuple[int, int]) -> None:
+    """Writes the policy into a run's folder, with all that is needed to use it.
+
+    Args:
+        folder: of the run.
+        actor: the network.
+        settings: of the run.
+        progress: how many updates it has had, and how many a training is.
+    """
+    kept = {
+        "weights": actor.state_dict(),
+        "batch_norm": actor.batch_norm,
+        "network": asdict(settings.network),
+        "tasks": list(settings.tasks),
+        "preset": settings.preset,
+        "progress": list(progress),
+    }
+    checkpoint.write(folder / POLICY, kept)
+
+
+def load_policy(folder: Path | str) -> TrainedPolicy:
+    """The policy in a run's folder, on the CPU and on one thread, for workers must not fight for cores.
+
+    Raises:
+        TrainingError: if there is none, or the file is damaged.
+    """
+    kept = checkpoint.read(Path(folder) / POLICY)
+    torch.set_num_threads(1)
+    try:
+        actor = Actor(Network(**kept["network"]), len(kept["tasks"]), batch_norm=kept["batch_norm"])
+        actor.load_state_dict(kept["weights"])
+        return TrainedPolicy(actor, kept["tasks"], kept["preset"])
+    except (KeyError, TypeError, RuntimeError) as error:
+        raise TrainingError(f"{Path(folder) / POLICY} holds something else than a policy: {error}") from error
+
+
+def is_done(folder: Path) -> bool:
+    """Whether the training in this folder has come to its end."""
+    if not (folder / POLICY).is_file():
+        return False
+    update, updates = checkpoint.read(folder / POLICY)["progress"]
+    return update == updates

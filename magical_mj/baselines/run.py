@@ -1,0 +1,160 @@
+"""One training run, in a folder of its own: config.toml, metrics.csv, tensorboard/, checkpoint and policy."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from magical_mj.baselines import checkpoint
+from magical_mj.baselines.config import from_toml, to_toml
+from magical_mj.baselines.learner import Learner
+from magical_mj.baselines.methods import METHODS
+from magical_mj.baselines.metrics import Metrics
+from magical_mj.baselines.policy import TrainedPolicy, save_policy
+from magical_mj.baselines.settings import Settings
+from magical_mj.errors import SettingsError, TrainingError, unknown_name
+from magical_mj.evaluation.run import evaluate
+
+CONFIG: Final = "config.toml"
+CHECKPOINT: Final = "checkpoint.safetensors"
+ROWS: Final = 200
+"""Of metrics.csv for a whole training."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a training is.
+
+    Attributes:
+        update: updates done.
+        updates: of a whole training.
+        figures: the learner's, means over the updates since the last report; none between reports.
+        scores: mean score in the demo variant by task, where they have just been measured.
+    """
+
+    update: int
+    updates: int
+    figures: Mapping[str, float]
+    scores: Mapping[str, float]
+
+
+def train(
+    settings: Settings,
+    out: Path | str,
+    *,
+    resume: bool = False,
+    learner: Callable[[Settings], Learner] | None = None,
+    watch: Callable[[Progress], None] = lambda _: None,
+) -> TrainedPolicy:
+    """Trains a policy and returns it; everything is in the folder, where `evaluate` finds it too.
+
+    Args:
+        settings: all of them; see `load_settings`.
+        out: the run's folder.
+        resume: go on with what is in it, if there is something: exactly as if there had been no break.
+        learner: makes the method, for a method of the user's own; None: the one that the settings name.
+        watch: called after each update.
+
+    Raises:
+        SettingsError, UnknownNameError: if the settings cannot be, or are not those that the folder was started with.
+        TrainingError: if the folder cannot be used, or a loss is no number any more.
+    """
+    folder = Path(out)
+    if learner is None and settings.method not in METHODS:
+        raise unknown_name("method", settings.method, METHODS)
+    _prepare(folder, settings, resume)
+    made = (learner or METHODS[settings.method])(settings)
+    try:
+        return _Run(folder, settings, made).play(watch)
+    finally:
+        made.close()
+
+
+def _prepare(folder: Path, settings: Settings, resume: bool) -> None:
+    config = folder / CONFIG
+    if config.exists():
+        if not resume:
+            raise TrainingError(f"{folder} holds a training already; --resume goes on with it (resume=True)")
+        before, now = to_toml(from_toml(config)).splitlines(), to_toml(settings).splitlines()
+        differences = [f"{was} there, {line} now" for was, line in zip(before, now, strict=True) if was != line]
+        if differences:
+            raise SettingsError(f"{folder} was started with other settings: {'; '.join(differences)}")
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise TrainingError(f"{folder} holds something else; give a new folder")
+        config.write_text(to_toml(settings))
+    except OSError as error:
+        raise TrainingError(f"cannot write into {folder}: {error.strerror}") from error
+
+
+class _Run:
+    def __init__(self, folder: Path, settings: Settings, learner: Learner) -> None:
+        self._folder, self._settings, self._learner = folder, settings, learner
+        self._update, self._seconds = 0, 0.0
+        if (folder / CHECKPOINT).exists():
+            kept = checkpoint.read(folder / CHECKPOINT)
+            self._update, self._seconds = kept["update"], kept["seconds"]
+            learner.restore(kept["learner"])
+        self._saved = self._update
+
+    def play(self, watch: Callable[[Progress], None]) -> TrainedPolicy:
+        updates, settings = self._learner.updates, self._settings
+        policy = TrainedPolicy(self._learner.actor, settings.tasks, settings.preset)
+        started = time.monotonic() - self._seconds
+        with Metrics(self._folder, self._update) as metrics:
+            while self._update < updates:
+                figures = self._learner.update()
+                self._update += 1
+                self._check(figures)
+                metrics.add(figures)
+                save = _due(self._update, updates, settings.checkpoints)
+                scores = self._scores(policy) if _due(self._update, updates, settings.evaluations) else {}
+                means: Mapping[str, float] = {}
+                if save or scores or _due(self._update, updates, ROWS):
+                    self._seconds = time.monotonic() - started
+                    means = metrics.write(self._update, self._seconds, scores)
+                if save:
+                    self._save()
+                watch(Progress(self._update, updates, means, scores))
+        return policy
+
+    def _scores(self, policy: TrainedPolicy) -> dict[str, float]:
+        """Mean scores in the demo variant by task."""
+        episodes = self._settings.episodes
+        frame = evaluate(
+            policy,
+            tasks=self._settings.tasks,
+            variants="Demo",
+            episodes=episodes,
+            preset=self._settings.preset,
+            envs=min(episodes, 10),
+        )
+        return {str(task): float(score) for task, score in frame.groupby("task")["score"].mean().items()}
+
+    def _check(self, figures: Mapping[str, float]) -> None:
+        wrong = [name for name, value in figures.items() if not math.isfinite(value)]
+        if wrong:
+            self._give_up(f"{wrong[0]} is {figures[wrong[0]]}")
+
+    def _save(self) -> None:
+        if not all(weights.isfinite().all() for weights in self._learner.actor.parameters()):
+            self._give_up("a weight is not finite any more")
+        kept: dict[str, Any] = {"update": self._update, "seconds": self._seconds, "learner": self._learner.state()}
+        checkpoint.write(self._folder / CHECKPOINT, kept)
+        save_policy(self._folder, self._learner.actor, self._settings, (self._update, self._learner.updates))
+        self._saved = self._update
+
+    def _give_up(self, reason: str) -> None:
+        kept = f"the checkpoint of update {self._saved} is kept" if self._saved else "there is no checkpoint yet"
+        raise TrainingError(f"{reason} at update {self._update}; {kept} in {self._folder}; try a lower learning rate")
+
+
+def _due(update: int, updates: int, times: int) -> bool:
+    """Whether something that is done so many times in a training, the last time at its end, is due now."""
+    return update * times // updates > (update - 1) * times // updates

@@ -1,0 +1,222 @@
+"""Every number of a training, with the paper's values (its tables of hyperparameters) as defaults."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from types import MappingProxyType
+from typing import Any, Final, TypeVar, get_type_hints
+
+from magical_mj.errors import SettingsError, unknown_name
+from magical_mj.presets import PRESETS, preset
+from magical_mj.registry import TASKS
+
+PICTURES: Final = tuple(name for name, made in PRESETS.items() if made.layout == "hwc")
+"""The presets that learners can look at: one stack of frames, the channels last."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """The layers that all networks share (appendix, "Network architecture")."""
+
+    first_kernel: int = 5
+    first_stride: int = 1
+    first_channels: int = 64
+    channels: int = 128  # of each of the four 3 x 3 convolutions of stride 2 that follow
+    hidden: int = 256  # units of each of the two linear layers
+
+
+@dataclass(frozen=True)
+class Cloning:
+    """Behavioural cloning (appendix, table "Hyperparameters for BC experiments")."""
+
+    batches: int = 20_000
+    batch_size: int = 32
+    optimizer: str = "sgd"
+    learning_rate: float = 1e-3
+    momentum: float = 0.1  # of SGD
+
+
+@dataclass(frozen=True)
+class PPO:
+    """The policy's side of GAIL, WGAIL-GP and AL (appendix, table "Hyperparameters for GAIL experiments")."""
+
+    total_steps: int = 1_000_000  # environment steps
+    environments: int = 32
+    steps: int = 8  # in each environment, between two updates
+    epochs: int = 12
+    minibatch: int = 64
+    learning_rate: float = 6e-5  # of Adam at first; it falls linearly to 0
+    discount: float = 0.8
+    gae_lambda: float = 0.8
+    entropy: float = 1e-5
+    clip: float = 0.01
+    gradient_norm: float = 1.0
+    reward_deviation: float = 0.1  # standard deviation to which rewards are normalised
+
+
+@dataclass(frozen=True)
+class Discriminator:
+    """The discriminator's side of GAIL and WGAIL-GP (the same table)."""
+
+    steps: int = 12  # for each update of the policy
+    batch_size: int = 24  # half of them the policy's, half the expert's
+    learning_rate: float = 2.5e-5  # of Adam
+    gradient_penalty: float = 100.0  # of WGAIL-GP
+
+
+@dataclass(frozen=True)
+class Features:
+    """The feature function of AL (appendix, "Apprenticeship learning baseline")."""
+
+    batches: int = 8_192  # of the autoencoder's training
+    batch_size: int = 24
+    learning_rate: float = 1e-4  # of Adam; the paper does not say
+    size: int = 32
+    samples: int = 512  # of each side, for the weight vector
+
+
+@dataclass(frozen=True)
+class Settings:
+    """One training run, completely.
+
+    Attributes:
+        method: one of `magical_mj.baselines.METHODS`, or the name of a method of the user's own.
+        tasks: of the demonstrations; more than one is multi-task learning.
+        seed: decides everything that is drawn: the demonstrations, the weights, the batches.
+        demonstrations: how many of each task's are drawn.
+        preset: what is looked at, one of `PICTURES`.
+        augment: one of `magical_mj.baselines.augmentation.AUGMENTATIONS`, for BC's policy and the discriminator.
+        device: "auto", "cpu", or another device's name in PyTorch, such as "cuda".
+        evaluations: how often during the training the policy is evaluated on the demo variant.
+        episodes: in each of these evaluations, for each task.
+        checkpoints: how often during the training everything is saved.
+    """
+
+    method: str
+    tasks: tuple[str, ...]
+    seed: int = 0
+    demonstrations: int = 10
+    preset: str = "LoRes4E"
+    augment: str = "all"
+    device: str = "auto"
+    evaluations: int = 10
+    episodes: int = 10
+    checkpoints: int = 50
+    network: Network = field(default_factory=Network)
+    bc: Cloning = field(default_factory=Cloning)
+    ppo: PPO = field(default_factory=PPO)
+    discriminator: Discriminator = field(default_factory=Discriminator)
+    features: Features = field(default_factory=Features)
+
+    def __post_init__(self) -> None:
+        """Raises a `SettingsError` or an `UnknownNameError` for what cannot be."""
+        for task in self.tasks:
+            if task not in TASKS:
+                raise unknown_name("task", task, TASKS)
+        if not self.tasks or len(set(self.tasks)) < len(self.tasks):
+            raise SettingsError(f"give one or several different tasks, not {list(self.tasks)}")
+        if preset(self.preset).layout != "hwc":
+            raise SettingsError(f"learners look at one stack of frames: preset must be one of {', '.join(PICTURES)}")
+        if self.ppo.environments % len(self.tasks):
+            raise SettingsError(
+                f"environments are split evenly between tasks: ppo.environments={self.ppo.environments} "
+                f"must be a multiple of {len(self.tasks)}"
+            )
+        _check_positive(self, "")
+
+
+MAY_BE_ZERO: Final = {
+    "seed", "evaluations",
+    "bc.momentum", "ppo.discount", "ppo.gae_lambda", "ppo.entropy", "discriminator.gradient_penalty",
+}  # fmt: skip
+
+QUICK: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        "network.first_stride": 4,
+        "network.first_channels": 32,
+        "network.channels": 64,
+        "bc.batches": 4_000,
+        "bc.optimizer": "adam",
+        "ppo.total_steps": 150_000,
+        "ppo.steps": 32,
+        "ppo.epochs": 4,
+        "ppo.minibatch": 128,
+        "ppo.learning_rate": 5e-4,
+        "ppo.entropy": 0.01,
+        "ppo.clip": 0.2,
+        "discriminator.learning_rate": 3e-4,
+        "features.batches": 1_000,
+        "features.learning_rate": 1e-3,
+    }
+)
+"""What `quick` changes: a smaller network and shorter training, for two cores without an accelerator."""
+
+S = TypeVar("S")
+
+
+def load_settings(method: str, tasks: str | tuple[str, ...], *, quick: bool = False, **changes: Any) -> Settings:
+    """The settings of a method: the paper's, those of `quick`, and then the `changes`.
+
+    Args:
+        method: one of `magical_mj.baselines.METHODS`, or the name of a method of the user's own.
+        tasks: the tasks, as a tuple or separated by commas; "all" is all eight.
+        quick: use a smaller network and a shorter training.
+        changes: by field; those of parts with dots, as in ``**{"ppo.clip": 0.02}``.
+    """
+    if isinstance(tasks, str):
+        tasks = TASKS if tasks == "all" else tuple(filter(None, (task.strip() for task in tasks.split(","))))
+    return changed(Settings(method, tasks), {**(QUICK if quick else {}), **changes})
+
+
+def changed(settings: S, changes: Mapping[str, Any]) -> S:
+    """The settings with other values; values given as text are read as what the field holds.
+
+    Raises:
+        UnknownNameError: if there is no such field.
+        SettingsError: if a value does not fit.
+    """
+    flat: dict[str, Any] = {}
+    parts: dict[str, dict[str, Any]] = {}
+    hints = get_type_hints(type(settings))
+    for name, value in changes.items():
+        first, _, rest = name.partition(".")
+        if first not in hints or is_dataclass(hints[first]) != bool(rest):
+            raise unknown_name("setting", name, names(settings))
+        if rest:
+            parts.setdefault(first, {})[rest] = value
+        else:
+            flat[first] = _fitting(name, value, hints[first])
+    for first, inner in parts.items():
+        flat[first] = changed(getattr(settings, first), inner)
+    return replace(settings, **flat)  # pyright: ignore[reportArgumentType]
+
+
+def names(settings: Any, prefix: str = "") -> list[str]:
+    """The names of all fields, those of parts with dots."""
+    found = []
+    for item in fields(settings):
+        value = getattr(settings, item.name)
+        found += names(value, f"{prefix}{item.name}.") if is_dataclass(value) else [f"{prefix}{item.name}"]
+    return found
+
+
+def _fitting(name: str, value: Any, kind: Any) -> Any:
+    if kind == tuple[str, ...]:
+        return tuple(value.split(",")) if isinstance(value, str) else tuple(value)
+    try:
+        made = kind(value)
+    except (TypeError, ValueError):
+        made = None
+    if made is None or isinstance(value, bool) or (kind is int and isinstance(value, float) and made != value):
+        raise SettingsError(f"{name} must be a number ({kind.__name__}), not {value!r}")
+    return made
+
+
+def _check_positive(part: Any, prefix: str) -> None:
+    for item in fields(part):
+        value, name = getattr(part, item.name), f"{prefix}{item.name}"
+        if is_dataclass(value):
+            _check_positive(value, f"{name}.")
+        elif isinstance(value, int | float) and (value < 0 or (value == 0 and name not in MAY_BE_ZERO)):
+            raise SettingsError(f"{name} must be {'0 or more' if name in MAY_BE_ZERO else 'positive'}, not {value}")

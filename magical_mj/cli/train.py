@@ -1,0 +1,102 @@
+"""`magical-mj train`: one of the paper's learners, on our demonstrations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.text import Text
+
+from magical_mj.cli.console import console
+from magical_mj.errors import SettingsError, unknown_name
+
+if TYPE_CHECKING:
+    from magical_mj.baselines import Progress as Trained
+
+Method = Annotated[str, typer.Argument(help="bc, gail, wgail-gp or al.", show_default=False)]
+Tasks = Annotated[str, typer.Option(help="A task; with --multi-task several, separated by commas, or all.")]
+Out = Annotated[Path, typer.Option(help="The run's folder.", show_default=False)]
+Seed = Annotated[int, typer.Option(min=0, help="Decides which demonstrations are learnt from, and all else.")]
+MultiTask = Annotated[bool, typer.Option("--multi-task", help="One policy for all the tasks.")]
+Augment = Annotated[str, typer.Option(help="all, none, or no-trans-rot.")]
+Preset = Annotated[str, typer.Option(help="What is looked at, such as LoRes4A.")]
+Device = Annotated[str, typer.Option(help="auto, cpu, cuda, ...")]
+Quick = Annotated[bool, typer.Option("--quick", help="A smaller network and a shorter training, for two cores.")]
+Change = Annotated[
+    list[str] | None, typer.Option("--set", help="Any setting, such as ppo.clip=0.02.", show_default=False)
+]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on with what is in the folder.")]
+
+
+def train(
+    method: Method,
+    tasks: Tasks,
+    out: Out,
+    seed: Seed = 0,
+    multi_task: MultiTask = False,
+    augment: Augment = "all",
+    preset: Preset = "LoRes4E",
+    device: Device = "auto",
+    quick: Quick = False,
+    change: Change = None,
+    resume: Resume = False,
+) -> None:
+    """Train a policy; OUT then holds it, for `magical-mj evaluate --policy OUT`, with the settings and the figures."""
+    from magical_mj import baselines
+
+    if method not in baselines.METHODS:
+        raise unknown_name("method", method, baselines.METHODS)
+    given = {"seed": seed, "augment": augment, "preset": preset, "device": device}
+    changes = given | dict(_change(text) for text in change or [])
+    settings = baselines.load_settings(method, tasks, quick=quick, **changes)
+    if len(settings.tasks) > 1 and not multi_task:
+        raise SettingsError(
+            "one policy for several tasks needs --multi-task; magical-mj experiment trains one for each"
+        )
+    screen = console()
+    columns = TextColumn("{task.description}"), BarColumn(), Rate(), TimeElapsedColumn(), TimeRemainingColumn()
+    try:
+        with Progress(*columns, console=screen, speed_estimate_period=120) as progress:
+            baselines.train(settings, out, resume=resume, watch=Watch(screen, progress, method))
+    except KeyboardInterrupt:
+        screen.print("stopped; the same command with --resume goes on")
+        raise
+    again = f"magical-mj evaluate --policy {out} --tasks {','.join(settings.tasks)} --preset {preset} --out ..."
+    screen.print(f"the policy is in {out}; to evaluate it: {again}", soft_wrap=True)
+
+
+def _change(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise SettingsError(f"--set wants NAME=VALUE, such as ppo.clip=0.02, not {text!r}")
+    return name, value
+
+
+class Rate(ProgressColumn):
+    """Updates done, of how many, how many per second, and the latest figures."""
+
+    def render(self, task: Task) -> Text:
+        """As text."""
+        speed = f"{task.speed:.1f}/s" if task.speed else ""
+        return Text(f"{task.completed:.0f}/{task.total or 0:.0f} updates, {speed} {task.fields['figures']}")
+
+
+class Watch:
+    """Shows a training: a bar with the latest figures, and a line for each evaluation."""
+
+    def __init__(self, screen: Console, progress: Progress, method: str) -> None:
+        self._screen, self._progress = screen, progress
+        self._bar = progress.add_task(method, total=None, figures="")
+
+    def __call__(self, trained: Trained) -> None:
+        """Called after each update."""
+        self._progress.update(self._bar, completed=trained.update, total=trained.updates)
+        if trained.figures:
+            shown = "  ".join(f"{name} {value:.3g}" for name, value in trained.figures.items())
+            self._progress.update(self._bar, figures=shown)
+        if trained.scores:
+            shown = ", ".join(f"{task} {score:.2f}" for task, score in trained.scores.items())
+            self._screen.print(f"after {trained.update} updates: mean score on Demo: {shown}", soft_wrap=True)
