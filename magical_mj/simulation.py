@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import threading
+import weakref
 from collections import OrderedDict
 from collections.abc import Hashable
-from typing import Final
+from typing import ClassVar, Final
 
 import mujoco
 import numpy as np
@@ -20,8 +22,8 @@ from magical_mj.rendering.renderer import Renderer
 class Simulation(mjcf.Physics):
     """The simulation of a world, at rest in its scene after each reset."""
 
-    is_changed: bool = False
-    """Whether it was compiled from composer's tree, to which anything may have been added."""
+    is_ours: bool = False
+    """Whether it was compiled from our own text; to composer's tree anything may have been added."""
     _renderer: Renderer | None = None
     _named: engine.NamedIndexStructs | None = None
 
@@ -29,10 +31,11 @@ class Simulation(mjcf.Physics):
     def of(cls, world: World) -> Simulation:
         """Compiles a world: its text, or composer's tree where somebody asked for it."""
         if world.tree is not None:
-            simulation = cls.from_mjcf_model(world.tree)
-            simulation.is_changed = True
-            return simulation
-        return cls.from_xml_string(world.mjcf())
+            return cls.from_mjcf_model(world.tree)
+        simulation = cls.from_xml_string(world.mjcf_without_regions())
+        world.rewrite_regions(simulation.model.ptr)
+        simulation.is_ours = True
+        return simulation
 
     def _reload_from_data(self, data: wrapper.MjData) -> None:
         """As dm_control's, but names are indexed only when somebody asks for them: that takes as long as compiling."""
@@ -42,6 +45,7 @@ class Simulation(mjcf.Physics):
         self._new_warnings = np.empty(len(self._warnings), bool)
         self._bindings = {(): _EMPTY_BINDING}
         self._named = self._renderer = None
+        self.is_ours = False
         if self._contexts:
             self._free_rendering_contexts()
         self.after_reset()
@@ -75,7 +79,7 @@ class Simulation(mjcf.Physics):
     def draw(self, view: str, size: int, out: Picture | None = None) -> Picture:
         """A picture of the present state, fresh or in `out`. Shape (size, size, 3), RGB, top row first."""
         if self._renderer is None:
-            self._renderer = Renderer(self.model.ptr)
+            self._renderer = Renderer(self.model.ptr, ours=self.is_ours)
         return self._renderer.draw(self.data.ptr, view, size, out)
 
     def free(self) -> None:
@@ -87,15 +91,22 @@ class Simulation(mjcf.Physics):
 
 
 class SimulationCache:
-    """The simulations of the last few structures of world, least recently used first.
+    """The simulations of an environment: the one in use, and others of the last few structures of world.
 
-    Compiling takes fifty times as long as rewriting a model, and most episodes differ in numbers only.
+    Compiling takes twenty times as long as rewriting a model, and most episodes differ in numbers only. How many idle
+    ones are kept is bounded for all environments of the process together; the least recently used go first.
     """
 
     KEPT: Final = 4
+    """Idle ones; each takes 0.8 MB."""
+
+    _idle: ClassVar[OrderedDict[tuple[weakref.ref[SimulationCache], Hashable], None]] = OrderedDict()
+    _lock: ClassVar = threading.Lock()
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[Hashable, Simulation] = OrderedDict()
+        self._me: weakref.ref[SimulationCache] = weakref.ref(self)
+        self._kept: dict[Hashable, Simulation] = {}
+        self._current: Hashable = None
         self.compiled = 0
         """How many were compiled so far."""
 
@@ -107,8 +118,8 @@ class SimulationCache:
             fresh: compile in any case, so that nothing that was done to an earlier model stays.
         """
         structure = world.structure
-        simulation = self._kept.pop(structure, None)
-        if simulation is not None and (fresh or world.tree is not None or simulation.is_changed):
+        simulation = self._take(structure)
+        if simulation is not None and (fresh or world.tree is not None or not simulation.is_ours):
             simulation.free()
             simulation = None
         if simulation is None:
@@ -116,12 +127,34 @@ class SimulationCache:
             self.compiled += 1
         else:
             world.rewrite(simulation.model.ptr, simulation.data.ptr)
-        self._kept[structure] = simulation
-        while len(self._kept) > self.KEPT:
-            self._kept.popitem(last=False)[1].free()
+        self._use(structure, simulation)
         return simulation
+
+    def _take(self, structure: Hashable) -> Simulation | None:
+        """The simulation of this structure, if it is kept; it is kept no longer."""
+        with self._lock:
+            self._idle.pop((self._me, structure), None)
+            return self._kept.pop(structure, None)
+
+    def _use(self, structure: Hashable, simulation: Simulation) -> None:
+        """Keeps this one, now in use; the one before becomes idle."""
+        surplus = []
+        with self._lock:
+            if self._current in self._kept:
+                self._idle[self._me, self._current] = None
+            self._kept[structure] = simulation
+            self._current = structure
+            while len(self._idle) > self.KEPT:
+                owner, oldest = self._idle.popitem(last=False)[0]
+                cache = owner()
+                if cache is not None:  # or they went with their environment
+                    surplus.append(cache._kept.pop(oldest))
+        for idle in surplus:
+            idle.free()
 
     def free(self) -> None:
         """Frees them all."""
-        while self._kept:
-            self._kept.popitem()[1].free()
+        for structure in list(self._kept):
+            simulation = self._take(structure)
+            if simulation is not None:
+                simulation.free()

@@ -55,11 +55,12 @@ def test_rewriting_equals_compiling(task: str, variant: str) -> None:
     pairs = repeats(task, variant)
     assert pairs or variant in ("Demo", "Shape", "CountPlus", "All")
     for before, after in pairs:
-        used, fresh = Simulation.of(before), Simulation.of(after)
+        used, fresh = Simulation.of(before), mujoco.MjModel.from_xml_string(after.mjcf())
+        assert_same_model(Simulation.of(after).model.ptr, fresh)
         for _ in range(3):
             used.step(10)  # a simulation that ran is no different
         after.rewrite(used.model.ptr, used.data.ptr)
-        assert_same_model(used.model.ptr, fresh.model.ptr)
+        assert_same_model(used.model.ptr, fresh)
 
 
 def test_rewriting_changes_everything_that_a_scene_holds() -> None:
@@ -74,7 +75,7 @@ def test_rewriting_changes_everything_that_a_scene_holds() -> None:
     )
     used = Simulation.of(World(first))
     World(other).rewrite(used.model.ptr, used.data.ptr)
-    assert_same_model(used.model.ptr, Simulation.of(World(other)).model.ptr)
+    assert_same_model(used.model.ptr, mujoco.MjModel.from_xml_string(World(other).mjcf()))
 
 
 def test_regions_that_outgrow_a_model_are_not_squeezed_in() -> None:
@@ -94,13 +95,29 @@ def scenes_of_all_structures(count: int) -> list[World]:
 
 def test_the_cache_compiles_each_structure_once_and_forgets_the_oldest() -> None:
     cache = SimulationCache()
-    worlds = scenes_of_all_structures(SimulationCache.KEPT + 1)
+    worlds = scenes_of_all_structures(SimulationCache.KEPT + 2)  # one more is in use
     first = [cache.simulation(world) for world in worlds[:-1]]
     assert [cache.simulation(world) for world in worlds[:-1]] == first
     cache.simulation(worlds[-1])
     assert cache.simulation(worlds[1]) is first[1]
     assert cache.simulation(worlds[0]) is not first[0]
     cache.free()
+
+
+def test_idle_models_are_bounded_for_all_environments_together() -> None:
+    caches = [SimulationCache() for _ in range(3)]
+    worlds = scenes_of_all_structures(SimulationCache.KEPT + 1)
+    for cache in caches:
+        in_use = [cache.simulation(world) for world in worlds][-1]
+        assert cache.simulation(worlds[-1]) is in_use
+    oldest, *_, latest = caches
+    for world in worlds:
+        oldest.simulation(world)
+    latest.simulation(worlds[-1])
+    assert oldest.compiled == 2 * len(worlds) - 1
+    assert latest.compiled == len(worlds)
+    for cache in caches:
+        cache.free()
 
 
 def test_models_that_somebody_may_have_changed_are_not_used_again() -> None:

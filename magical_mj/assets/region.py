@@ -63,17 +63,28 @@ def regions_mjcf(regions: tuple[GoalRegion, ...]) -> str:
     """The skins of all regions."""
     text = ""
     for index, region in enumerate(regions):
-        dashes = dash_count(region)
-        for name, colour, count in (
-            (f"region{index}_fill", REGION_FILL[region.colour], 1),
-            (f"region{index}_border", REGION_BORDER[region.colour], dashes),
-        ):
-            corners = _corners(region, index, count).ravel().tolist()
-            text += (
-                f'<skin name="{name}" rgba="{rgba(colour)}" group="{style.DRAWN_GROUP}" '
-                f'vertex="{single(corners)}" {_connection(count)}</skin>'
-            )
+        for name, palette, count in (("fill", REGION_FILL, 1), ("border", REGION_BORDER, dash_count(region))):
+            corners = single(_corners(region, index, count).ravel().tolist())
+            text += _skin(f"region{index}_{name}", palette[region.colour], corners, count)
     return text
+
+
+@lru_cache(16)
+def blank_regions_mjcf(dashes: tuple[int, ...]) -> str:
+    """The skins of regions with so many dashes, without their corners and colours, which `rewrite_region` writes.
+
+    Writing thousands of numbers as text, and reading them, is a sixth of compiling.
+    """
+    parts = ((index, *part) for index, count in enumerate(dashes) for part in (("fill", 1), ("border", count)))
+    return "".join(
+        _skin(f"region{index}_{name}", style.WHITE, "0 " * 12 * count, count) for index, name, count in parts
+    )
+
+
+def _skin(name: str, rgb: style.Rgb, corners: str, count: int) -> str:
+    """A flat skin of so many quads."""
+    look = f'rgba="{rgba(rgb)}" group="{style.DRAWN_GROUP}"'
+    return f'<skin name="{name}" {look} vertex="{corners}" {_connection(count)}</skin>'
 
 
 def rewrite_region(model: mujoco.MjModel, index: int, region: GoalRegion) -> None:

@@ -17,20 +17,29 @@ from magical_mj.assets.block import block_mjcf, rewrite_block
 from magical_mj.assets.contacts import SETTINGS, Settings, geom_classes
 from magical_mj.assets.markup import numbers
 from magical_mj.assets.meshes import library
-from magical_mj.assets.region import dash_count, regions_mjcf, rewrite_region
+from magical_mj.assets.region import blank_regions_mjcf, dash_count, regions_mjcf, rewrite_region
 from magical_mj.assets.robot import JOINTS, actuators_mjcf, rewrite_robot, robot_mjcf, tendons_mjcf
 from magical_mj.scene import Scene
 
 
-def world_mjcf(scene: Scene, keyframe: str = "", settings: Settings = SETTINGS) -> str:
-    """The whole model as MJCF text: the scene is its reference pose. Blocks come before the robot, which hides them."""
+def world_mjcf(scene: Scene, keyframe: str = "", settings: Settings = SETTINGS, regions: str | None = None) -> str:
+    """The whole model as MJCF text: the scene is its reference pose. Blocks come before the robot, which hides them.
+
+    Args:
+        scene: what is where.
+        keyframe: as MJCF.
+        settings: of the simulation.
+        regions: the skins of the regions, as MJCF, instead of the scene's.
+    """
+    if regions is None:
+        regions = regions_mjcf(scene.regions)
     dynamics = scene.dynamics
     blocks = "".join(block_mjcf(index, block, dynamics, settings) for index, block in enumerate(scene.blocks))
     return (
         f'<mujoco model="magical_mj">{options(settings)}{LOOK}<size memory="4M"/>'
         f"<default>{geom_classes(settings)}</default><asset>{library()}</asset>"
         f"<worldbody>{arena_mjcf()}{blocks}{robot_mjcf(scene.robot, dynamics, settings)}</worldbody>"
-        f"<deformable>{regions_mjcf(scene.regions)}</deformable>"
+        f"<deformable>{regions}</deformable>"
         '<contact><exclude body1="left_finger" body2="right_finger"/></contact>'
         f"<tendon>{tendons_mjcf(dynamics, settings)}</tendon><actuator>{actuators_mjcf()}</actuator>"
         f"<keyframe>{keyframe}</keyframe></mujoco>"
@@ -55,6 +64,7 @@ class World(composer.Entity):
     def _build(self, scene: Scene) -> None:
         self.scene = scene
         self.tree: mjcf.RootElement | None = None
+        self._dashes = tuple(map(dash_count, scene.regions))
         first = 3 * len(scene.blocks)
         self._planar = np.array([range(start, start + 3) for start in (first, *range(0, first, 3))])
         self._fingers = first + JOINTS.index("left_finger")
@@ -73,10 +83,14 @@ class World(composer.Entity):
         """The model as text."""
         return world_mjcf(self.scene)
 
+    def mjcf_without_regions(self) -> str:
+        """The text of a model that becomes this world's by `rewrite_regions`: shorter, and faster to compile."""
+        return world_mjcf(self.scene, regions=blank_regions_mjcf(self._dashes))
+
     @property
     def structure(self) -> Hashable:
         """Worlds of equal structure differ in numbers only, so that one model serves them all; see `rewrite`."""
-        return tuple(block.shape for block in self.scene.blocks), tuple(map(dash_count, self.scene.regions))
+        return tuple(block.shape for block in self.scene.blocks), self._dashes
 
     def rewrite(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Turn the compiled model of a world of equal structure into that of this one.
@@ -86,9 +100,13 @@ class World(composer.Entity):
         rewrite_robot(model, self.scene.robot, self.scene.dynamics)
         for index, block in enumerate(self.scene.blocks):
             rewrite_block(model, index, block, self.scene.dynamics)
+        self.rewrite_regions(model)
+        mujoco.mj_setConst(model, data)
+
+    def rewrite_regions(self, model: mujoco.MjModel) -> None:
+        """The same for the regions alone."""
         for index, region in enumerate(self.scene.regions):
             rewrite_region(model, index, region)
-        mujoco.mj_setConst(model, data)
 
     def poses(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """The planar coordinates (or velocities) of the robot and then of each block. Shape (1 + blocks, 3).

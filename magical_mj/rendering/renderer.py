@@ -18,7 +18,7 @@ import numpy as np
 from PIL import Image
 
 from magical_mj.rendering import gl
-from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS, Context, Picture, drawn
+from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS, Context, Picture
 
 OVERSAMPLING: Final = 2
 """Drawn pixels per side of a picture's pixel."""
@@ -58,10 +58,16 @@ def on_paper(pixels: Picture, out: Picture | None = None) -> Picture:
 
 
 class Renderer:
-    """Draws the states of one model. Cheap to make (0.2 ms); OpenGL starts at the first frame."""
+    """Draws the states of one model. Cheap to make; OpenGL starts at the first frame.
 
-    def __init__(self, model: mujoco.MjModel) -> None:
+    Args:
+        model: what to draw.
+        ours: it was compiled from our text, so the canvas need not look whether it has the library's meshes.
+    """
+
+    def __init__(self, model: mujoco.MjModel, *, ours: bool = False) -> None:
         self._model = model
+        self._ours = ours
         self._context: Context | None = None
         self._scene: mujoco.MjvScene | None = None
         self._cameras: dict[str, mujoco.MjvCamera] = {}
@@ -92,24 +98,17 @@ class Renderer:
 
     def paint(self, data: mujoco.MjData, camera: str, size: int) -> Picture:
         """What `on_paper` makes the picture of; the canvas must be current, and the next painting overwrites it."""
-        if self._context not in CANVAS.contexts:
-            self._context = CANVAS.context_for(self._model)
-        context, scene, option = self._context, self._get_scene(), self._option
+        if self._context is None or self._scene is None or self._context not in CANVAS.contexts:
+            self._context = CANVAS.contexts[0] if self._ours else CANVAS.context_for(self._model)
+            self._scene = self._context.scene_for(self._model)
+        context, scene, option = self._context, self._scene, self._option
         mujoco.mjv_updateScene(self._model, data, option, None, self._get_camera(camera), _STILL, scene)
         mujoco.mjv_addGeoms(self._model, data, option, self._perturbation, _MOVING, scene)
         return CANVAS.draw(context, scene, OVERSAMPLING * size, OVERSAMPLING * size)
 
     def close(self) -> None:
-        """Let go of the scene; the process's canvas stays for others. May be called twice."""
+        """Let go of the canvas, which stays for others. May be called twice."""
         self._scene = self._context = None
-
-    def _get_scene(self) -> mujoco.MjvScene:
-        if self._scene is None:
-            model = self._model
-            scene = mujoco.MjvScene(model, int(drawn(model.geom_group).sum()) + model.nskin + 1)
-            scene.flags[:] = 0  # no shadows, reflections, haze or sky
-            self._scene = scene
-        return self._scene
 
     def _get_camera(self, name: str) -> mujoco.MjvCamera:
         if name not in self._cameras:
