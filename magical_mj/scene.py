@@ -175,15 +175,15 @@ class Scene:
         Raises:
             InvalidSceneError: if the number of poses is not the number of blocks.
         """
-        new_robot = self.robot if robot is None else dataclasses.replace(self.robot, **_pose_fields(robot))
+        new_robot = self.robot if robot is None else Robot(*_pose(robot), self.robot.fingers)
         if blocks is None:
             return dataclasses.replace(self, robot=new_robot)
         if len(blocks) != len(self.blocks):
             raise InvalidSceneError(f"{len(blocks)} poses were given for {len(self.blocks)} blocks")
         moved = tuple(
-            dataclasses.replace(block, **_pose_fields(pose)) for block, pose in zip(self.blocks, blocks, strict=True)
+            Block(block.shape, block.colour, *_pose(pose)) for block, pose in zip(self.blocks, blocks, strict=True)
         )
-        return dataclasses.replace(self, robot=new_robot, blocks=moved)
+        return Scene(new_robot, moved, self.regions, self.dynamics)
 
     def to_json(self) -> str:
         """The scene as one line of JSON; floats are exact, so `from_json` gives an equal scene."""
@@ -220,10 +220,11 @@ class Scene:
         return hashlib.sha256(self.to_json().encode()).hexdigest()[:16]
 
 
-def _pose_fields(pose: Sequence[float]) -> dict[str, Any]:
+def _pose(pose: Sequence[float]) -> Pose:
     if len(pose) != 3:
         raise InvalidSceneError(f"a pose is (x, y, angle), not {pose!r}")
-    return dict(zip(("x", "y", "angle"), pose, strict=True))
+    x, y, angle = pose
+    return x, y, angle
 
 
 def _check_type(part: object, kind: type) -> None:

@@ -47,7 +47,7 @@ def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dyn
     body = model.body(f"block{index}")
     outline = body.geomadr[0]
     for geom, palette in ((outline, BLOCK_OUTLINE), (outline + 1, BLOCK_FILL)):
-        model.geom_rgba[geom] = [float(level) for level in style.rgba(palette[block.colour]).split()]
+        model.geom_rgba[geom] = style.levels(palette[block.colour])
     model.geom_friction[outline + body.geomnum[0] - 1, 0] = dynamics.block_friction_force / PRESS
     model.dof_frictionloss[body.dofadr[0] + 2] = dynamics.block_friction_torque
 

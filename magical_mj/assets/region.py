@@ -94,11 +94,12 @@ def rewrite_region(model: mujoco.MjModel, index: int, region: GoalRegion) -> Non
         ValueError: if the model was compiled for fewer dashes than the region needs.
     """
     for skin, palette in ((2 * index, REGION_FILL), (2 * index + 1, REGION_BORDER)):
-        model.skin_rgba[skin] = [float(level) for level in rgba(palette[region.colour]).split()]
+        model.skin_rgba[skin] = style.levels(palette[region.colour])
         first, count = model.skin_vertadr[skin], model.skin_vertnum[skin]
         model.skin_vert[first : first + count] = _corners(region, index, count // 4)
 
 
+@lru_cache(16)
 def _corners(region: GoalRegion, index: int, count: int) -> NDArray[np.float32]:
     """Corners of the fill (one quad) or of the border; quads that are not needed lie in one point.
 
@@ -114,7 +115,10 @@ def _corners(region: GoalRegion, index: int, count: int) -> NDArray[np.float32]:
             raise ValueError(f"{region} needs {len(flat) // 4} dashes; this model has {count}, so compile it afresh")
         flat = np.vstack([flat, np.repeat(flat[-1:], 4 * count - len(flat), axis=0)])
         z += style.BORDER_ABOVE_FILL
-    return np.column_stack([flat, np.full(len(flat), z)]).astype(np.float32)
+    corners = np.empty((len(flat), 3), np.float32)
+    corners[:, :2], corners[:, 2] = flat, z
+    corners.setflags(write=False)
+    return corners
 
 
 @cache

@@ -7,6 +7,7 @@ above. RGB values are those of the original's pictures.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from types import MappingProxyType
 from typing import Final
 
@@ -50,9 +51,16 @@ DRAWN_GROUP: Final = 2
 COLLISION_GROUP: Final = 3
 
 
+@cache
 def rgba(rgb: Rgb) -> str:
     """An opaque colour as an MJCF attribute."""
     return " ".join(f"{level / 255:.6g}" for level in rgb) + " 1"
+
+
+@cache
+def levels(rgb: Rgb) -> tuple[float, ...]:
+    """The same colour as a compiled model holds it: red, green, blue and alpha in [0, 1]."""
+    return tuple(map(float, rgba(rgb).split()))
 
 
 def visual_geom(mesh: str, rgb: Rgb, z: float, group: int = DRAWN_GROUP) -> str:
