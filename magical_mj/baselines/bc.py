@@ -33,6 +33,9 @@ class BehaviouralCloning(Learner):
         with seeded(settings.seed):
             self._actor = Actor(settings.network, len(settings.tasks), batch_norm=True).to(self.device)
         self._optimizer = _optimizer(settings.bc, self._actor)
+        self._rate = torch.optim.lr_scheduler.LinearLR(
+            self._optimizer, 1.0, settings.bc.final_learning_rate / settings.bc.learning_rate, self.updates
+        )
 
     @property
     def actor(self) -> Actor:
@@ -49,17 +52,24 @@ class BehaviouralCloning(Learner):
         self._optimizer.zero_grad()
         loss.backward()
         self._optimizer.step()
+        self._rate.step()
         return {"loss": loss.item(), "accuracy": (logits.argmax(1) == actions).float().mean().item()}
 
     def state(self) -> dict[str, Any]:
-        """Weights, the optimizer's memory, and the generators of batches and augmentations."""
+        """Weights, the optimizer's memory, where the learning rate is, and the generators of batches and augmentations."""
         kept = {"actor": self._actor.state_dict(), "optimizer": self._optimizer.state_dict()}
-        return {**kept, "draw": self._draw.get_state(), "noise": self._noise.get_state()}
+        return {
+            **kept,
+            "rate": self._rate.state_dict(),
+            "draw": self._draw.get_state(),
+            "noise": self._noise.get_state(),
+        }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Takes up a `state`."""
         self._actor.load_state_dict(state["actor"])
         self._optimizer.load_state_dict(state["optimizer"])
+        self._rate.load_state_dict(state["rate"])
         self._draw.set_state(state["draw"])
         self._noise.set_state(state["noise"])
 

@@ -60,10 +60,10 @@ def _packed(value: Any, name: str, tensors: dict[str, torch.Tensor]) -> Any:
     if isinstance(value, list | tuple):
         return [_packed(item, f"{name}/{number}", tensors) for number, item in enumerate(value)]
     if isinstance(value, torch.Tensor):
-        tensors[name] = value.detach().cpu().contiguous()
+        tensors[name] = value.detach().cpu().clone(memory_format=torch.contiguous_format)  # none may share memory
         return TENSOR + name
     if isinstance(value, np.ndarray):
-        tensors[name] = torch.as_tensor(value).contiguous()
+        tensors[name] = torch.as_tensor(value).clone(memory_format=torch.contiguous_format)
         return ARRAY + name
     if isinstance(value, str) and value.startswith((TENSOR, ARRAY)):
         raise ValueError(f"no text may begin with {TENSOR} or {ARRAY}")

@@ -66,29 +66,34 @@ def train(
     folder = Path(out)
     if learner is None and settings.method not in METHODS:
         raise unknown_name("method", settings.method, METHODS)
-    _prepare(folder, settings, resume)
+    _check(folder, settings, resume)
     made = (learner or METHODS[settings.method])(settings)
     try:
+        _start(folder, settings)
         return _Run(folder, settings, made).play(watch)
     finally:
         made.close()
 
 
-def _prepare(folder: Path, settings: Settings, resume: bool) -> None:
+def _check(folder: Path, settings: Settings, resume: bool) -> None:
+    """Raises an error unless the folder is new, or holds this very training and is to be resumed."""
     config = folder / CONFIG
-    if config.exists():
-        if not resume:
-            raise TrainingError(f"{folder} holds a training already; --resume goes on with it (resume=True)")
-        before, now = to_toml(from_toml(config)).splitlines(), to_toml(settings).splitlines()
-        differences = [f"{was} there, {line} now" for was, line in zip(before, now, strict=True) if was != line]
-        if differences:
-            raise SettingsError(f"{folder} was started with other settings: {'; '.join(differences)}")
+    if not config.exists():
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise TrainingError(f"{folder} holds something else than a training; give a new folder")
         return
+    if not resume:
+        raise TrainingError(f"{folder} holds a training already; --resume goes on with it (resume=True)")
+    before, now = to_toml(from_toml(config)).splitlines(), to_toml(settings).splitlines()
+    differences = [f"{was} there, {line} now" for was, line in zip(before, now, strict=True) if was != line]
+    if differences:
+        raise SettingsError(f"{folder} was started with other settings: {'; '.join(differences)}")
+
+
+def _start(folder: Path, settings: Settings) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
-            raise TrainingError(f"{folder} holds something else; give a new folder")
-        config.write_text(to_toml(settings))
+        (folder / CONFIG).write_text(to_toml(settings))
     except OSError as error:
         raise TrainingError(f"cannot write into {folder}: {error.strerror}") from error
 

@@ -33,7 +33,8 @@ class Cloning:
     batches: int = 20_000
     batch_size: int = 32
     optimizer: str = "sgd"
-    learning_rate: float = 1e-3
+    learning_rate: float = 1e-3  # at first; from batch to batch it moves linearly to
+    final_learning_rate: float = 1e-3  # at the end
     momentum: float = 0.1  # of SGD
 
 
@@ -124,6 +125,8 @@ class Settings:
                 f"must be a multiple of {len(self.tasks)}"
             )
         _check_positive(self, "")
+        if self.bc.final_learning_rate > self.bc.learning_rate:
+            raise SettingsError("learning rates fall: bc.final_learning_rate must be at most bc.learning_rate")
 
 
 MAY_BE_ZERO: Final = {
@@ -138,6 +141,7 @@ QUICK: Final[Mapping[str, Any]] = MappingProxyType(
         "network.channels": 64,
         "bc.batches": 4_000,
         "bc.optimizer": "adam",
+        "bc.final_learning_rate": 1e-5,  # batch norm's averages must catch up with weights that Adam moves fast
         "ppo.total_steps": 150_000,
         "ppo.steps": 32,
         "ppo.epochs": 4,
@@ -152,7 +156,7 @@ QUICK: Final[Mapping[str, Any]] = MappingProxyType(
 )
 """What `quick` changes: a smaller network and shorter training, for two cores without an accelerator."""
 
-S = TypeVar("S")
+T = TypeVar("T")
 
 
 def load_settings(method: str, tasks: str | tuple[str, ...], *, quick: bool = False, **changes: Any) -> Settings:
@@ -169,27 +173,29 @@ def load_settings(method: str, tasks: str | tuple[str, ...], *, quick: bool = Fa
     return changed(Settings(method, tasks), {**(QUICK if quick else {}), **changes})
 
 
-def changed(settings: S, changes: Mapping[str, Any]) -> S:
+def changed(settings: Settings, changes: Mapping[str, Any]) -> Settings:
     """The settings with other values; values given as text are read as what the field holds.
 
     Raises:
         UnknownNameError: if there is no such field.
         SettingsError: if a value does not fit.
     """
-    flat: dict[str, Any] = {}
-    parts: dict[str, dict[str, Any]] = {}
-    hints = get_type_hints(type(settings))
-    for name, value in changes.items():
-        first, _, rest = name.partition(".")
-        if first not in hints or is_dataclass(hints[first]) != bool(rest):
-            raise unknown_name("setting", name, names(settings))
-        if rest:
-            parts.setdefault(first, {})[rest] = value
-        else:
-            flat[first] = _fitting(name, value, hints[first])
-    for first, inner in parts.items():
-        flat[first] = changed(getattr(settings, first), inner)
-    return replace(settings, **flat)  # pyright: ignore[reportArgumentType]
+    known = names(settings)
+    for name in changes:
+        if name not in known:
+            raise unknown_name("setting", name, known)
+    return _changed(settings, changes, "")
+
+
+def _changed(part: T, changes: Mapping[str, Any], prefix: str) -> T:
+    values = {}
+    for name, kind in get_type_hints(type(part)).items():
+        path = prefix + name
+        if is_dataclass(kind):
+            values[name] = _changed(getattr(part, name), changes, f"{path}.")
+        elif path in changes:
+            values[name] = _fitting(path, changes[path], kind)
+    return replace(part, **values)  # pyright: ignore[reportArgumentType]
 
 
 def names(settings: Any, prefix: str = "") -> list[str]:
@@ -218,5 +224,5 @@ def _check_positive(part: Any, prefix: str) -> None:
         value, name = getattr(part, item.name), f"{prefix}{item.name}"
         if is_dataclass(value):
             _check_positive(value, f"{name}.")
-        elif isinstance(value, int | float) and (value < 0 or (value == 0 and name not in MAY_BE_ZERO)):
+        elif isinstance(value, int | float) and not (value > 0 or (value == 0 and name in MAY_BE_ZERO)):
             raise SettingsError(f"{name} must be {'0 or more' if name in MAY_BE_ZERO else 'positive'}, not {value}")

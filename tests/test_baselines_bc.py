@@ -1,0 +1,155 @@
+"""Behavioural cloning: its data, its network, its loss."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+
+import numpy as np
+import pytest
+import torch
+from learners import tiny
+
+from magical_mj import demos
+from magical_mj.actions import NOOP
+from magical_mj.baselines.bc import BehaviouralCloning
+from magical_mj.baselines.data import Dataset, drawn
+from magical_mj.baselines.network import Actor, Heads, Torso, as_input
+from magical_mj.baselines.settings import Network
+from magical_mj.errors import DemonstrationError, UnknownNameError
+
+
+def test_the_seed_draws_ten_of_twenty_five() -> None:
+    draws = {tuple(drawn("FindDupe", seed, 10, 25)) for seed in range(5)}
+    assert len(draws) == 5
+    assert all(len(set(draw)) == 10 and set(draw) <= set(range(25)) for draw in draws)
+    assert drawn("FindDupe", 0, 10, 25) != drawn("MakeLine", 0, 10, 25)
+    assert drawn("FindDupe", 3, 25, 25) == list(range(25))
+    with pytest.raises(DemonstrationError, match="26 demonstrations of FindDupe are asked for, and there are 25"):
+        drawn("FindDupe", 0, 26, 25)
+
+
+def test_every_method_learns_from_the_same_demonstrations() -> None:
+    """The transitions are those of the drawn demonstrations, with or without the no-ops."""
+    settings = tiny(seed=3)
+    chosen = [demos.load("MoveToRegion")[number] for number in drawn("MoveToRegion", 3, 2, 25)]
+    for drop_noop in (True, False):
+        images, actions = demos.transitions(chosen, drop_noop=drop_noop)
+        data = Dataset(settings, drop_noop=drop_noop)
+        assert data.sizes == [len(actions)]
+        batch = data.rows([torch.arange(len(actions))])
+        np.testing.assert_array_equal(batch.images, images)
+        np.testing.assert_array_equal(batch.actions, actions)
+        assert (NOOP in actions) != drop_noop
+
+
+def test_every_task_counts_equally() -> None:
+    data = Dataset(tiny(tasks="MoveToRegion,FixColour"), drop_noop=True)
+    assert data.sizes[0] != data.sizes[1]
+    generator = torch.Generator().manual_seed(0)
+    batches = [data.sample(5, generator) for _ in range(200)]
+    shares = torch.stack([batch.tasks.bincount(minlength=2) for batch in batches])
+    assert set(shares[:, 0].tolist()) == {2, 3}
+    assert shares[:, 0].sum() == pytest.approx(500, abs=30)  # the odd one goes to either task alike
+    first = data.rows([torch.arange(data.sizes[0]), torch.arange(0)])
+    seen = {image.tobytes() for image in first.images}
+    assert all((image.tobytes() in seen) == (task == 0) for image, task in zip(batches[0].images, batches[0].tasks))
+
+
+def test_the_network_is_the_papers() -> None:
+    """Figure "Base architecture": 4,608 activations after five convolutions, then 256 and 256."""
+    torso = Torso(Network(), batch_norm=True, actions=True)
+    assert torso.flat == 4608
+    kinds = [type(layer).__name__ for layer in torso.convolutions]
+    assert kinds == 5 * ["Conv2d", "BatchNorm2d", "ReLU"]
+    shapes = [tuple(layer.weight.shape) for layer in torso.convolutions if isinstance(layer, torch.nn.Conv2d)]
+    assert shapes == [(64, 12, 5, 5), (128, 64, 3, 3), *3 * [(128, 128, 3, 3)]]
+    assert [tuple(p.shape) for p in torso.linear.parameters()] == [(256, 4608 + 18), (256,), (256, 256), (256,)]
+    assert not any(isinstance(layer, torch.nn.BatchNorm2d) for layer in Torso(Network()).convolutions)
+    assert torso(torch.zeros(2, 12, 96, 96), torch.tensor([0, 17])).shape == (2, 256)
+
+
+def test_pixels_become_small_numbers() -> None:
+    images = np.random.default_rng(0).integers(0, 256, (2, 96, 96, 12)).astype(np.uint8)
+    stacks = as_input(images, torch.device("cpu"))
+    assert stacks.shape == (2, 12, 96, 96)
+    assert stacks[1, 5, 7, 9] == pytest.approx(images[1, 7, 9, 5] / 255)
+    assert stacks.is_contiguous(memory_format=torch.channels_last)
+
+
+def test_a_head_is_a_linear_map_of_its_own() -> None:
+    heads = Heads(3, 4, 2)
+    features = torch.randn(5, 4, generator=torch.Generator().manual_seed(0))
+    tasks = torch.tensor([0, 2, 2, 1, 0])
+    expected = torch.stack([heads.weight[t] @ x + heads.bias[t] for x, t in zip(features, tasks, strict=True)])
+    torch.testing.assert_close(heads(features, tasks), expected)
+
+
+def test_heads_touch_only_their_task() -> None:
+    actor = Actor(tiny().network, 3)
+    actor(torch.rand(4, 12, 96, 96), torch.tensor([1, 1, 2, 1])).square().sum().backward()
+    gradient = actor.head.weight.grad
+    assert gradient is not None
+    assert gradient.abs().sum((1, 2))[0] == 0
+    assert (gradient.abs().sum((1, 2))[1:] > 0).all()
+    assert all(p.grad is not None and p.grad.abs().sum() > 0 for p in actor.torso.linear.parameters())
+
+
+def test_the_loss_is_the_log_loss() -> None:
+    """With a head of zeros all actions are equally probable; with a bias the softmax is known by hand."""
+    learner = BehaviouralCloning(tiny(**{"bc.learning_rate": 1e-12, "bc.final_learning_rate": 1e-12}))
+    with torch.no_grad():
+        learner.actor.head.weight.zero_()
+        learner.actor.head.bias.zero_()
+    assert learner.update()["loss"] == pytest.approx(math.log(18), rel=1e-5)
+    with torch.no_grad():
+        learner.actor.head.bias[0, 7] = 100.0
+    _, actions, _ = Dataset(learner.settings, drop_noop=True).sample(4, _after_one_draw(learner))
+    expected = 100.0 * (actions != 7).float().mean().item()
+    assert learner.update()["loss"] == pytest.approx(expected, rel=1e-5)
+
+
+def _after_one_draw(learner: BehaviouralCloning) -> torch.Generator:
+    generator = torch.Generator()
+    generator.set_state(learner.state()["draw"])
+    return generator
+
+
+def test_equal_seeds_give_equal_weights() -> None:
+    def trained(seed: int) -> torch.Tensor:
+        learner = BehaviouralCloning(tiny(seed=seed))
+        for _ in range(5):
+            learner.update()
+        return torch.cat([weights.flatten() for weights in learner.actor.parameters()])
+
+    before = torch.get_rng_state()
+    first = trained(0)
+    assert torch.equal(torch.get_rng_state(), before)
+    assert torch.equal(first, trained(0))
+    assert not torch.equal(first, trained(1))
+
+
+@pytest.mark.slow
+def test_it_can_learn_five_demonstrations_by_heart() -> None:
+    """99 % of what anybody can know: demonstrators did different things where they saw the very same."""
+    changes = {"demonstrations": 5, "augment": "none", "network.hidden": 64, "network.channels": 32}
+    changes |= {"network.first_channels": 16, "bc.batch_size": 32, "bc.batches": 400}
+    learner = BehaviouralCloning(tiny(**changes))
+    for _ in range(learner.updates):
+        learner.update()
+    data = learner._data
+    images, actions, tasks = data.rows([torch.arange(data.sizes[0])])
+    learner.actor.eval()
+    with torch.no_grad():
+        predicted = learner.actor(as_input(images, learner.device), tasks).argmax(1)
+    done: dict[bytes, Counter[int]] = defaultdict(Counter)
+    for image, action in zip(images, actions.tolist(), strict=True):
+        done[image.tobytes()][action] += 1
+    known = sum(max(counter.values()) for counter in done.values())
+    assert 0.9 * len(actions) < known < len(actions)
+    assert (predicted == actions).sum() >= 0.99 * known
+
+
+def test_unknown_augmentations_are_refused() -> None:
+    with pytest.raises(UnknownNameError, match="no-trans-rot"):
+        BehaviouralCloning(tiny(augment="no-trans"))

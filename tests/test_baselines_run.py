@@ -1,0 +1,193 @@
+"""A run's folder: what it holds, that it goes on exactly where it was, and what is refused."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from learners import tiny
+
+from magical_mj.baselines import checkpoint, load_policy, train
+from magical_mj.baselines.config import from_toml
+from magical_mj.baselines.metrics import read_metrics
+from magical_mj.baselines.policy import POLICY, is_done
+from magical_mj.baselines.run import CHECKPOINT, CONFIG
+from magical_mj.errors import MagicalError, SettingsError, TrainingError, UnknownNameError
+from magical_mj.evaluation import evaluate
+from magical_mj.evaluation.policies import Episode
+
+START = "import sys; sys.path.insert(0, 'tests'); from learners import tiny; from magical_mj.baselines import train; "
+
+
+def test_a_folder_holds_everything(tmp_path: Path) -> None:
+    settings = tiny(evaluations=2, episodes=2)
+    seen = []
+    train(settings, tmp_path / "run", watch=seen.append)
+    names = {path.name for path in (tmp_path / "run").iterdir()}
+    assert names == {CONFIG, "metrics.csv", CHECKPOINT, POLICY, "tensorboard"}
+    assert from_toml(tmp_path / "run" / CONFIG) == settings
+    rows = read_metrics(tmp_path / "run")
+    assert [int(row["update"]) for row in rows] == list(range(1, 13))
+    assert all(float(row["loss"]) > 0 and 0 <= float(row["accuracy"]) <= 1 for row in rows)
+    assert [bool(row["score MoveToRegion"]) for row in rows] == [update in (6, 12) for update in range(1, 13)]
+    assert [progress.update for progress in seen] == list(range(1, 13))
+    assert [bool(progress.scores) for progress in seen] == [update in (6, 12) for update in range(1, 13)]
+    assert any((tmp_path / "run" / "tensorboard").iterdir())
+    assert is_done(tmp_path / "run")
+
+
+def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
+    """Kill -9 in the middle; then the same weights, to the bit, and the same figures as without a break."""
+    settings = "tiny(**{'bc.batches': 400, 'checkpoints': 100})"
+    train(eval(settings), tmp_path / "whole")
+    process = subprocess.Popen([sys.executable, "-c", f"{START}train({settings}, {str(tmp_path / 'cut')!r})"])
+    deadline = time.monotonic() + 120
+    while not (tmp_path / "cut" / CHECKPOINT).exists():
+        assert process.poll() is None, "it ended before it could be killed"
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not is_done(tmp_path / "cut")
+    updates: list[int] = []
+    train(eval(settings), tmp_path / "cut", resume=True, watch=lambda progress: updates.append(progress.update))
+    assert 1 < updates[0] <= updates[-1] == 400
+    whole, cut = (checkpoint.read(tmp_path / name / POLICY)["weights"] for name in ("whole", "cut"))
+    assert all(torch.equal(whole[name], cut[name]) for name in whole)
+    rows = [[row | {"seconds": ""} for row in read_metrics(tmp_path / name)] for name in ("whole", "cut")]
+    assert rows[0] == rows[1]
+
+
+def test_a_finished_run_resumes_to_itself(tmp_path: Path) -> None:
+    train(tiny(), tmp_path / "run")
+    before = (tmp_path / "run" / POLICY).read_bytes()
+    train(tiny(), tmp_path / "run", resume=True, watch=lambda progress: pytest.fail("there is nothing left to do"))
+    assert (tmp_path / "run" / POLICY).read_bytes() == before
+
+
+def test_what_is_there_is_never_overwritten(tmp_path: Path) -> None:
+    train(tiny(), tmp_path / "run")
+    with pytest.raises(TrainingError, match="holds a training already; --resume"):
+        train(tiny(), tmp_path / "run")
+    with pytest.raises(SettingsError, match=r"seed = 0 there, seed = 1 now"):
+        train(tiny(seed=1), tmp_path / "run", resume=True)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").touch()
+    with pytest.raises(TrainingError, match="something else"):
+        train(tiny(), tmp_path / "mine")
+    with pytest.raises(TrainingError, match="something else|cannot write"):
+        train(tiny(), tmp_path / "mine" / "thesis.tex")
+    with pytest.raises(TrainingError, match="cannot write into"):
+        train(tiny(), tmp_path / "mine" / "thesis.tex" / "run")
+
+
+@pytest.mark.parametrize("changes", [{"augment": "nope"}, {"device": "abacus"}, {"bc.optimizer": "sgdd"}])
+def test_what_cannot_be_leaves_no_folder(changes: dict[str, str], tmp_path: Path) -> None:
+    with pytest.raises(MagicalError):
+        train(tiny(**changes), tmp_path / "run")
+    with pytest.raises(UnknownNameError, match="bc"):
+        train(tiny("bd"), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_loss_that_is_no_number_stops_and_keeps_the_checkpoint(tmp_path: Path) -> None:
+    wild = {"bc.optimizer": "sgd", "bc.learning_rate": 1e20, "bc.final_learning_rate": 1e20}
+    with pytest.raises(TrainingError, match="at update 2; the checkpoint of update 1 is kept .*lower learning rate"):
+        train(tiny(**wild, checkpoints=12), tmp_path / "run")
+    kept = checkpoint.read(tmp_path / "run" / POLICY)
+    assert kept["progress"] == [1, 12]
+    assert all(tensor.isfinite().all() for tensor in kept["weights"].values())
+
+
+def _small_files() -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+
+def test_a_full_disk_is_one_error(tmp_path: Path) -> None:
+    """No file may grow beyond 3 kB: the settings fit, and the first checkpoint does not."""
+    train(tiny(), tmp_path / "big")
+    assert (tmp_path / "big" / CHECKPOINT).stat().st_size > 3000
+    code = f"{START}train(tiny(), {str(tmp_path / 'run')!r})"
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], preexec_fn=_small_files, capture_output=True, text=True, env=environment
+    )
+    assert done.returncode == 1
+    assert "TrainingError: cannot write" in done.stderr
+    assert not list((tmp_path / "run").glob("*.part"))
+
+
+def test_the_policy_plays_in_evaluations(tmp_path: Path) -> None:
+    """Given as a folder, to one process or two, one by one or side by side, it plays the same."""
+    train(tiny(tasks="MoveToRegion,FixColour"), tmp_path / "run")
+    path = str(tmp_path / "run")
+    frames = [
+        evaluate(path, tasks=["FixColour"], variants="Demo,Layout", episodes=2, **how)
+        for how in ({}, {"envs": 2}, {"jobs": 2})
+    ]
+    keys = ["task", "variant", "seed"]
+    scores = [frame.sort_values(keys)["score"].to_list() for frame in frames]
+    assert len(scores[0]) == 4
+    assert scores[0] == scores[1] == scores[2]
+    with pytest.raises(SettingsError, match="trained on the preset LoRes4E, not LoRes4A: give --preset LoRes4E"):
+        evaluate(path, tasks=["FixColour"], episodes=1, preset="LoRes4A")
+    with pytest.raises(SettingsError, match=r"cannot act in MakeLine: give --tasks MoveToRegion,FixColour"):
+        evaluate(path, tasks=["MakeLine"], episodes=1)
+
+
+def test_a_policy_draws_by_the_episode(tmp_path: Path) -> None:
+    policy = train(tiny(), tmp_path / "run")
+    loaded = load_policy(tmp_path / "run")
+    picture = np.random.default_rng(0).integers(0, 256, (96, 96, 12)).astype(np.uint8)
+
+    def actions(agent: object, seed: int) -> list[int]:
+        agent.reset(Episode("MoveToRegion", "Demo", seed))
+        return [agent(picture) for _ in range(30)]
+
+    assert actions(policy, 0) == actions(loaded, 0) != actions(loaded, 1)
+    assert len(set(actions(loaded, 0))) > 5  # two seconds of training leave it undecided
+    with pytest.raises(SettingsError, match=r"arrays of shape \(96, 96, 12\)"):
+        loaded(picture[:, :, :3])
+    with pytest.raises(SettingsError, match="trained on MoveToRegion, and cannot act in FindDupe"):
+        loaded.reset(Episode("FindDupe", "Demo", 0))
+
+
+@pytest.mark.parametrize("spoil", ["missing", "cut", "text", "other"])
+def test_damaged_policies_are_refused(spoil: str, tmp_path: Path) -> None:
+    path = tmp_path / POLICY
+    if spoil == "cut":
+        train(tiny(), tmp_path / "run")
+        path.write_bytes((tmp_path / "run" / POLICY).read_bytes()[:-1000])
+    elif spoil == "text":
+        path.write_text("not a safetensors file at all")
+    elif spoil == "other":
+        checkpoint.write(path, {"weights": {"a": torch.zeros(2)}})
+    with pytest.raises(TrainingError, match="policy.safetensors"):
+        load_policy(tmp_path)
+
+
+def test_checkpoints_keep_everything(tmp_path: Path) -> None:
+    state = {
+        "a": [1, 2.5, None, True, "text", [torch.arange(3), {"x": np.arange(4.0)}]],
+        "numbers as keys": {0: {"step": torch.tensor(7.0)}, "0": 3},
+        "large": 2**100,
+        "same": (tensor := torch.ones(2)),
+        "again": tensor,
+        "part": torch.arange(10)[::3],
+    }
+    checkpoint.write(tmp_path / "x.safetensors", state)
+    back = checkpoint.read(tmp_path / "x.safetensors")
+    assert repr(back) == repr(state)
+    assert b"pickle" not in (tmp_path / "x.safetensors").read_bytes()
+    with pytest.raises(ValueError, match="no text may begin with tensor:"):
+        checkpoint.write(tmp_path / "x.safetensors", {"a": "tensor:b"})
+    assert repr(checkpoint.read(tmp_path / "x.safetensors")) == repr(state)

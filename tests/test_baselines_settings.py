@@ -1,0 +1,95 @@
+"""The learners' settings: the paper's numbers, TOML there and back, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from learners import tiny
+
+from magical_mj import TASKS
+from magical_mj.baselines import load_settings
+from magical_mj.baselines.config import from_toml, to_toml
+from magical_mj.baselines.settings import QUICK, Settings, changed, names
+from magical_mj.errors import SettingsError, UnknownNameError
+
+
+def test_defaults_are_the_papers() -> None:
+    """Appendix, tables of hyperparameters for BC and GAIL."""
+    settings = load_settings("gail", "FindDupe")
+    assert (settings.bc.batches, settings.bc.batch_size, settings.bc.learning_rate, settings.bc.momentum) == (
+        20_000, 32, 1e-3, 0.1
+    )  # fmt: skip
+    ppo = settings.ppo
+    assert (ppo.environments, ppo.steps, ppo.epochs, ppo.minibatch, ppo.learning_rate) == (32, 8, 12, 64, 6e-5)
+    assert (ppo.discount, ppo.gae_lambda, ppo.entropy, ppo.clip, ppo.gradient_norm) == (0.8, 0.8, 1e-5, 0.01, 1.0)
+    assert (ppo.total_steps, ppo.reward_deviation) == (10**6, 0.1)
+    judge = settings.discriminator
+    assert (judge.steps, judge.batch_size, judge.learning_rate, judge.gradient_penalty) == (12, 24, 2.5e-5, 100)
+    assert (settings.features.batches, settings.features.size, settings.features.samples) == (8192, 32, 512)
+    assert settings.demonstrations == 10
+
+
+def test_quick_changes_only_what_it_says() -> None:
+    full, quick = load_settings("bc", "all"), load_settings("bc", "all", quick=True)
+    assert quick == changed(full, QUICK) != full
+    assert quick.tasks == TASKS
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        load_settings("gail", "all"),
+        load_settings("bc", "FindDupe,MakeLine", quick=True, seed=7, **{"ppo.clip": 0.02, "features.size": 5}),
+        Settings('odd "name" \\ é', ("MakeLine",)),
+    ],
+)
+def test_toml_there_and_back(settings: Settings, tmp_path: Path) -> None:
+    path = tmp_path / "config.toml"
+    path.write_text(to_toml(settings))
+    assert from_toml(path) == settings
+
+
+def test_toml_is_complete() -> None:
+    text = to_toml(tiny())
+    for name in names(tiny()):
+        assert f"{name.rpartition('.')[2]} = " in text
+
+
+def test_text_values_are_read_as_the_fields_kind() -> None:
+    settings = changed(tiny(), {"ppo.clip": "0.02", "seed": "3", "preset": "LoRes4A"})
+    assert (settings.ppo.clip, settings.seed, settings.preset) == (0.02, 3, "LoRes4A")
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"ppo.clp": 1}, "ppo.clip"),
+        ({"ppo": 1}, "unknown setting"),
+        ({"seed": "one"}, "seed must be a number"),
+        ({"seed": 0.5}, "seed must be a number"),
+        ({"bc.batches": 0}, "bc.batches must be positive"),
+        ({"bc.batches": True}, "bc.batches must be a number"),
+        ({"ppo.entropy": -1}, "ppo.entropy must be 0 or more"),
+        ({"ppo.learning_rate": float("nan")}, "ppo.learning_rate must be positive"),
+        ({"bc.final_learning_rate": 1}, "learning rates fall"),
+        ({"preset": "State"}, "one stack of frames"),
+        ({"preset": "LoRes5E"}, "LoRes4E"),
+        ({"tasks": "FindDupes"}, "FindDupe"),
+        ({"tasks": "FindDupe,FindDupe"}, "several different tasks"),
+        ({"tasks": ()}, "several different tasks"),
+        ({"tasks": "FindDupe,MakeLine,FixColour"}, "ppo.environments=32 must be a multiple of 3"),
+    ],
+)
+def test_wrong_settings_are_refused(changes: dict[str, Any], says: str) -> None:
+    with pytest.raises((SettingsError, UnknownNameError), match=says):
+        changed(tiny(), changes)
+
+
+@pytest.mark.parametrize("text", ["method = ", "seed = 3", "method = 'bc'\ntasks = ['Nope']", "\xff"])
+def test_files_that_are_no_settings_are_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "config.toml"
+    path.write_text(text, "latin-1")
+    with pytest.raises((SettingsError, UnknownNameError)):
+        from_toml(path)
