@@ -53,7 +53,7 @@ def test_every_task_counts_equally() -> None:
     assert shares[:, 0].sum() == pytest.approx(500, abs=30)  # the odd one goes to either task alike
     first = data.rows([torch.arange(data.sizes[0]), torch.arange(0)])
     seen = {image.tobytes() for image in first.images}
-    assert all((image.tobytes() in seen) == (task == 0) for image, task in zip(batches[0].images, batches[0].tasks))
+    assert [image.tobytes() in seen for image in batches[0].images] == (batches[0].tasks == 0).tolist()
 
 
 def test_the_network_is_the_papers() -> None:

@@ -83,7 +83,7 @@ def test_what_is_there_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "mine" / "thesis.tex").touch()
     with pytest.raises(TrainingError, match="something else"):
         train(tiny(), tmp_path / "mine")
-    with pytest.raises(TrainingError, match="something else|cannot write"):
+    with pytest.raises(TrainingError, match="something else"):
         train(tiny(), tmp_path / "mine" / "thesis.tex")
     with pytest.raises(TrainingError, match="cannot write into"):
         train(tiny(), tmp_path / "mine" / "thesis.tex" / "run")
@@ -100,7 +100,7 @@ def test_what_cannot_be_leaves_no_folder(changes: dict[str, str], tmp_path: Path
 
 def test_a_loss_that_is_no_number_stops_and_keeps_the_checkpoint(tmp_path: Path) -> None:
     wild = {"bc.optimizer": "sgd", "bc.learning_rate": 1e20, "bc.final_learning_rate": 1e20}
-    with pytest.raises(TrainingError, match="at update 2; the checkpoint of update 1 is kept .*lower learning rate"):
+    with pytest.raises(TrainingError, match=r"at update 2; the checkpoint of update 1 is kept .*lower learning rate"):
         train(tiny(**wild, checkpoints=12), tmp_path / "run")
     kept = checkpoint.read(tmp_path / "run" / POLICY)
     assert kept["progress"] == [1, 12]
@@ -119,7 +119,12 @@ def test_a_full_disk_is_one_error(tmp_path: Path) -> None:
     code = f"{START}train(tiny(), {str(tmp_path / 'run')!r})"
     environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(
-        [sys.executable, "-c", code], preexec_fn=_small_files, capture_output=True, text=True, env=environment
+        [sys.executable, "-c", code],
+        preexec_fn=_small_files,
+        check=False,
+        capture_output=True,
+        text=True,
+        env=environment,
     )
     assert done.returncode == 1
     assert "TrainingError: cannot write" in done.stderr
@@ -171,7 +176,7 @@ def test_damaged_policies_are_refused(spoil: str, tmp_path: Path) -> None:
         path.write_text("not a safetensors file at all")
     elif spoil == "other":
         checkpoint.write(path, {"weights": {"a": torch.zeros(2)}})
-    with pytest.raises(TrainingError, match="policy.safetensors"):
+    with pytest.raises(TrainingError, match=r"policy\.safetensors"):
         load_policy(tmp_path)
 
 

@@ -56,10 +56,10 @@ class BehaviouralCloning(Learner):
         return {"loss": loss.item(), "accuracy": (logits.argmax(1) == actions).float().mean().item()}
 
     def state(self) -> dict[str, Any]:
-        """Weights, the optimizer's memory, where the learning rate is, and the generators of batches and augmentations."""
-        kept = {"actor": self._actor.state_dict(), "optimizer": self._optimizer.state_dict()}
+        """Weights, the optimizer's memory, where the learning rate is, and where the generators are."""
         return {
-            **kept,
+            "actor": self._actor.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
             "rate": self._rate.state_dict(),
             "draw": self._draw.get_state(),
             "noise": self._noise.get_state(),
