@@ -12,10 +12,22 @@ from magical_mj.baselines.extra import check_extra
 
 check_extra()
 
+from magical_mj.baselines.experiment import conduct, runs  # noqa: E402
 from magical_mj.baselines.learner import Learner  # noqa: E402
 from magical_mj.baselines.methods import METHODS  # noqa: E402
 from magical_mj.baselines.policy import TrainedPolicy, load_policy  # noqa: E402
 from magical_mj.baselines.run import Progress, train  # noqa: E402
 from magical_mj.baselines.settings import Settings, load_settings  # noqa: E402
 
-__all__ = ["METHODS", "Learner", "Progress", "Settings", "TrainedPolicy", "load_policy", "load_settings", "train"]
+__all__ = [
+    "METHODS",
+    "Learner",
+    "Progress",
+    "Settings",
+    "TrainedPolicy",
+    "conduct",
+    "load_policy",
+    "load_settings",
+    "runs",
+    "train",
+]

@@ -16,6 +16,7 @@ from magical_mj.cli import (
     demos,
     doctor,
     evaluate,
+    experiment,
     experts,
     export,
     listing,
@@ -41,6 +42,7 @@ app.command("evaluate")(evaluate.evaluate)
 app.command("report")(report.make_report)
 app.command("compare")(compare.make_comparison)
 app.command("train")(train.train)
+app.command("experiment")(experiment.experiment)
 app.command("experts")(experts.experts)
 app.add_typer(demos.app, name="demos")
 app.command("play")(play.play)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import logging
 import pickle
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal, TypeVar, get_args
 
 from magical_mj.errors import EvaluationError, SettingsError, unknown_name
 from magical_mj.evaluation.scores import Score
@@ -15,8 +15,11 @@ from magical_mj.evaluation.units import Unit, play_unit, player
 Backend = Literal["local", "dask", "ray"]
 BACKENDS: Final[tuple[str, ...]] = get_args(Backend)
 
+Piece = TypeVar("Piece")
+Result = TypeVar("Result")
+
 ROUND: Final = 4
-"""Units for each worker between two looks at the results, where results cannot be had one by one (ray)."""
+"""Pieces for each worker between two looks at the results, where results cannot be had one by one (ray)."""
 
 
 def check_backend(backend: str, jobs: int | None, address: str | None) -> None:
@@ -43,17 +46,33 @@ def play_units(
         for unit in units:
             yield from ([score] for score in player().play(unit))
         return
+    try:
+        yield from spread(play_unit, units, backend, jobs, address)
+    except pickle.PicklingError as error:
+        raise SettingsError(f"the policy cannot be sent to workers ({error}); give it as module:object") from error
+
+
+def spread(
+    function: Callable[[Piece], Result],
+    pieces: Sequence[Piece],
+    backend: str = "local",
+    jobs: int | None = None,
+    address: str | None = None,
+) -> Iterator[Result]:
+    """The function's result for each piece of work, done by worker processes, in any order.
+
+    Raises:
+        EvaluationError: if a worker dies, the cluster is not there, or an extra is missing.
+    """
     with _parallel(backend, jobs, address) as (joblib, kwargs):
-        task = joblib.delayed(play_unit)
+        task = joblib.delayed(function)
         try:
             if backend == "ray":
-                workers = joblib.effective_n_jobs(kwargs["n_jobs"])
-                for start in range(0, len(units), ROUND * workers):
-                    yield from joblib.Parallel(**kwargs)(task(unit) for unit in units[start : start + ROUND * workers])
+                size = ROUND * joblib.effective_n_jobs(kwargs["n_jobs"])
+                for start in range(0, len(pieces), size):
+                    yield from joblib.Parallel(**kwargs)(task(piece) for piece in pieces[start : start + size])
             else:
-                yield from joblib.Parallel(return_as="generator_unordered", **kwargs)(task(unit) for unit in units)
-        except pickle.PicklingError as error:
-            raise SettingsError(f"the policy cannot be sent to workers ({error}); give it as module:object") from error
+                yield from joblib.Parallel(return_as="generator_unordered", **kwargs)(task(piece) for piece in pieces)
         except joblib.externals.loky.process_executor.TerminatedWorkerError as error:
             raise EvaluationError("a worker process died, perhaps for want of memory; --resume goes on") from error
 
