@@ -91,14 +91,16 @@ class Simulation(mjcf.Physics):
 
 
 class SimulationCache:
-    """The simulations of an environment: the one in use, and others of the last few structures of world.
+    """The simulations of an environment: the one in use, and idle ones of the last few structures of world.
 
-    Compiling takes twenty times as long as rewriting a model, and most episodes differ in numbers only. How many idle
-    ones are kept is bounded for all environments of the process together; the least recently used go first.
+    Compiling takes twenty times as long as rewriting a model, and most episodes differ in numbers only. Each takes
+    0.8 MB, so how many are idle is bounded for all environments of the process too. The least recently used go first.
     """
 
     KEPT: Final = 4
-    """Idle ones; each takes 0.8 MB."""
+    """For an environment, with the one in use."""
+    IDLE: Final = 8
+    """In the process."""
 
     _idle: ClassVar[OrderedDict[tuple[weakref.ref[SimulationCache], Hashable], None]] = OrderedDict()
     _lock: ClassVar = threading.Lock()
@@ -144,7 +146,9 @@ class SimulationCache:
                 self._idle[self._me, self._current] = None
             self._kept[structure] = simulation
             self._current = structure
-            while len(self._idle) > self.KEPT:
+            if len(self._kept) > self.KEPT:
+                self._idle.move_to_end((self._me, next(iter(self._kept))), last=False)
+            while len(self._kept) > self.KEPT or len(self._idle) > self.IDLE:
                 owner, oldest = self._idle.popitem(last=False)[0]
                 cache = owner()
                 if cache is not None:  # or they went with their environment

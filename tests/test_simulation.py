@@ -95,7 +95,7 @@ def scenes_of_all_structures(count: int) -> list[World]:
 
 def test_the_cache_compiles_each_structure_once_and_forgets_the_oldest() -> None:
     cache = SimulationCache()
-    worlds = scenes_of_all_structures(SimulationCache.KEPT + 2)  # one more is in use
+    worlds = scenes_of_all_structures(SimulationCache.KEPT + 1)
     first = [cache.simulation(world) for world in worlds[:-1]]
     assert [cache.simulation(world) for world in worlds[:-1]] == first
     cache.simulation(worlds[-1])
@@ -105,17 +105,18 @@ def test_the_cache_compiles_each_structure_once_and_forgets_the_oldest() -> None
 
 
 def test_idle_models_are_bounded_for_all_environments_together() -> None:
-    caches = [SimulationCache() for _ in range(3)]
-    worlds = scenes_of_all_structures(SimulationCache.KEPT + 1)
+    worlds = scenes_of_all_structures(SimulationCache.KEPT)
+    idle = len(worlds) - 1
+    caches = [SimulationCache() for _ in range(SimulationCache.IDLE // idle + 1)]
     for cache in caches:
-        in_use = [cache.simulation(world) for world in worlds][-1]
-        assert cache.simulation(worlds[-1]) is in_use
+        for world in worlds:
+            cache.simulation(world)
     oldest, *_, latest = caches
-    for world in worlds:
+    for world in reversed(worlds):
+        latest.simulation(world)
         oldest.simulation(world)
-    latest.simulation(worlds[-1])
-    assert oldest.compiled == 2 * len(worlds) - 1
     assert latest.compiled == len(worlds)
+    assert oldest.compiled > len(worlds)
     for cache in caches:
         cache.free()
 
