@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 import magical_mj
-from magical_mj.cli import doctor, main
+from magical_mj.cli import main
 from magical_mj.cli.episodes import actions
 from magical_mj.errors import RenderingError
 from magical_mj.rendering.backend import osmesa_works
@@ -168,32 +168,6 @@ def test_demo(tmp_path: Path) -> None:
     linked = re.findall(r"\]\(([^)]+)\)", page.read_text())
     assert {"bars.png", "heat_map.png", "environments.png", "best-expert-MoveToRegion.mp4"} <= set(linked)
     assert all((tmp_path / name).stat().st_size > 0 for name in linked)
-
-
-# doctor
-
-
-def test_doctor_finds_a_backend() -> None:
-    result = process("doctor", MUJOCO_GL="")
-    assert result.returncode == 0, result.stdout
-    assert "works" in result.stdout
-    assert mujoco.__version__ in result.stdout
-
-
-def test_doctor_without_opengl_says_what_to_do(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "_probe", lambda backend: {"error": "no such library"})
-    code, out, _ = shell("doctor")
-    assert code == 1
-    assert "libegl1" in out
-
-
-def test_doctor_names_a_wrong_setting(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    works = {"renderer": "x", "first": 1.0, "typical": 1.0}
-    monkeypatch.setattr(doctor, "_probe", lambda backend: works if backend == "egl" else {"error": "broken"})
-    monkeypatch.setenv("MUJOCO_GL", "glfw")
-    code, out, _ = shell("doctor")
-    assert code == 1
-    assert "MUJOCO_GL=egl" in out
 
 
 # wrong use: exit code 2
