@@ -1,0 +1,122 @@
+"""The command line of the learners, and experiments: many runs into one report."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from learners import TINY
+
+from magical_mj.baselines import conduct, runs
+from magical_mj.baselines.policy import POLICY
+from magical_mj.cli.app import run
+from magical_mj.errors import SettingsError, UnknownNameError
+
+SET = [part for name, value in {**TINY, "bc.batches": 8}.items() for part in ("--set", f"{name}={value}")]
+TRAIN = ["train", "bc", "--tasks", "MoveToRegion", "--quick", *SET]
+EXPERIMENT = """
+methods = ["bc"]
+tasks = ["MoveToRegion", "FixColour"]
+seeds = [0, 1]
+quick = true
+[settings]
+evaluations = 0
+demonstrations = 2
+bc.batches = 4
+network.channels = 4
+[evaluation]
+variants = "Demo"
+episodes = 2
+"""
+
+
+def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out = str(tmp_path / "run")
+    assert run([*TRAIN, "--out", out]) == 0
+    assert f"magical-mj evaluate --policy {out} --tasks MoveToRegion" in capfd.readouterr().out
+    assert run([*TRAIN, "--out", out]) == 1
+    assert "holds a training already; --resume goes on with it" in capfd.readouterr().err
+    assert run([*TRAIN, "--out", out, "--resume"]) == 0
+    scores = ["--episodes", "2", "--jobs", "1", "--out", str(tmp_path / "scores")]
+    assert run(["evaluate", "--policy", out, "--tasks", "MoveToRegion", "--variants", "Demo", *scores]) == 0
+    assert "run: mean score" in capfd.readouterr().out
+    (tmp_path / "run" / POLICY).unlink()
+    assert run(["evaluate", "--policy", out, "--out", str(tmp_path / "none")]) == 2
+    assert "holds no policy: no policy.safetensors" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["train", "bd", "--tasks", "FindDupe"], "unknown method 'bd'. Did you mean 'bc'?"),
+        (["train", "bc", "--tasks", "FindDupe,MakeLine"], "needs --multi-task"),
+        (["train", "bc", "--tasks", "FindDupe", "--set", "ppo.clip"], "--set wants NAME=VALUE"),
+        (["train", "bc", "--tasks", "FindDupe", "--set", "bc.batch=3"], "Did you mean 'bc.batches'?"),
+        (["train", "bc", "--tasks", "FindDupe", "--preset", "State"], "one stack of frames"),
+        (["train", "bc", "--tasks", "FindDupe", "--device", "abacus"], "no device 'abacus' here"),
+        (["train", "bc", "--tasks", "FindDupe", "--set", "demonstrations=26"], "there are 25"),
+    ],
+)
+def test_mistakes_are_one_line(
+    arguments: list[str], says: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run([*arguments, "--out", str(tmp_path / "run")]) == 2
+    error = capfd.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("package", ["torch", "kornia"])
+def test_a_missing_extra_is_one_line(package: str, tmp_path: Path) -> None:
+    hide = f"import sys; sys.modules[{package!r}] = None; from magical_mj.cli import main; sys.exit(main(sys.argv[1:]))"
+    arguments = [sys.executable, "-c", hide, *TRAIN, "--out", str(tmp_path / "run")]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr == f'magical-mj: learners need {package}: pip install "magical-mj[il]"\n'
+
+
+def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
+    """Two processes; done again, with one run damaged, only that is trained anew."""
+    file = tmp_path / "experiment.toml"
+    file.write_text(EXPERIMENT)
+    out = tmp_path / "out"
+    lines = list(conduct(runs(file, out), out, jobs=2))
+    assert len(lines) == 5
+    assert sorted(line.partition(":")[0] for line in lines[:4]) == [
+        f"bc-{task}-{seed}" for task in ("FixColour", "MoveToRegion") for seed in (0, 1)
+    ]
+    page = Path(lines[4]).read_text()
+    assert "BC (ST), ours, quick" in page
+    assert "GAIL (ST)†" in page
+    before = (out / "runs" / "bc-FixColour-1" / POLICY).read_bytes()
+    for path in (out / "runs" / "bc-FixColour-1").glob("*.safetensors"):
+        path.unlink()
+    again = list(conduct(runs(file, out), out))
+    assert [line.split(":")[0] for line in again[:4] if ": trained;" in line] == ["bc-FixColour-1"]
+    assert sum("was trained before" in line for line in again) == 3
+    assert (out / "runs" / "bc-FixColour-1" / POLICY).read_bytes() == before  # in another process
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('["bc"]', '["bd"]', "unknown method"),
+        ('["bc"]', "[]", "must give methods"),
+        ("seeds = [0, 1]", "", "must give seeds"),
+        ("quick = true", "quik = true", "quick"),
+        ("FixColour", "FixColor", "FixColour"),
+        ("bc.batches = 4", "bc.batch = 4", "bc.batches"),
+        ('"Demo"', '"Demos"', "Demo"),
+        ("episodes = 2", "runs = 2", "episodes"),
+    ],
+)
+def test_wrong_experiments_are_refused(old: str, new: str, says: str, tmp_path: Path) -> None:
+    file = tmp_path / "experiment.toml"
+    file.write_text(EXPERIMENT.replace(old, new))
+    with pytest.raises((SettingsError, UnknownNameError), match=says):
+        runs(file, tmp_path / "out")
+    with pytest.raises(SettingsError, match="cannot be read"):
+        runs(tmp_path / "none.toml", tmp_path / "out")

@@ -1,0 +1,37 @@
+"""The page about the learners: its method of one's own runs, and its experiment can be read."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from magical_mj.baselines import runs
+from magical_mj.baselines.policy import is_done
+
+TEXT = (Path(__file__).parent.parent / "docs" / "learners.md").read_text()
+
+
+def block(language: str) -> str:
+    (found,) = re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL)
+    return found
+
+
+def test_a_method_of_ones_own_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = block("python")
+    assert len(code.splitlines()) <= 60
+    monkeypatch.chdir(tmp_path)
+    shown: dict[str, object] = {"__name__": "page"}
+    exec(compile(code, "learners.md", "exec"), shown)
+    assert is_done(tmp_path / "runs" / "forgetful-0")
+    assert len(shown["scores"]) == 4
+
+
+def test_the_experiment_can_be_read(tmp_path: Path) -> None:
+    file = tmp_path / "experiment.toml"
+    file.write_text(block("toml"))
+    planned = runs(file, tmp_path)
+    assert len({run.name for run in planned}) == len(planned) == 2 * 2 * 5
+    assert {run.method for run in planned} == {"BC (ST), ours, quick", "GAIL (ST), ours, quick"}
+    assert {run.settings.ppo.clip for run in planned} == {0.2}
