@@ -184,6 +184,8 @@ def _find(
     """
     for _ in range(MAX_TRIES):
         pose = box.draw(rng)
+        if isinstance(thing, Robot) and max(abs(pose[0]), abs(pose[1])) + c.ROBOT_RADIUS > c.ARENA_HALF_WIDTH:
+            continue  # the disc alone shows it, without the outlines of the fingers
         solid = _solid(thing, pose)
         if inside_walls(solid) and not any(touch(solid, other) for other in obstacles):
             return pose, solid
