@@ -84,7 +84,7 @@ def test_text_values_are_read_as_the_fields_kind() -> None:
 )
 def test_wrong_settings_are_refused(changes: dict[str, Any], says: str) -> None:
     with pytest.raises((SettingsError, UnknownNameError), match=says):
-        changed(tiny(), changes)
+        changed(tiny("gail"), changes)
 
 
 @pytest.mark.parametrize("text", ["method = ", "seed = 3", "method = 'bc'\ntasks = ['Nope']", "\xff"])

@@ -36,6 +36,14 @@ def drawn(task: str, seed: int, count: int, of: int) -> list[int]:
     return sorted(rng.choice(of, count, replace=False).tolist())
 
 
+def shares(size: int, tasks: int, generator: torch.Generator) -> list[int]:
+    """How many samples of each task make a batch: they differ by one at most, and those that get one more are drawn."""
+    found = [size // tasks] * tasks
+    for extra in torch.randperm(tasks, generator=generator)[: size % tasks].tolist():
+        found[extra] += 1
+    return found
+
+
 class Dataset:
     """All transitions of a run's demonstrations, and batches in which every task counts equally.
 
@@ -61,11 +69,8 @@ class Dataset:
         return [len(actions) for actions in self._actions]
 
     def sample(self, size: int, generator: torch.Generator) -> Batch:
-        """Draws with replacement; the tasks' shares differ by one at most, and those that get one more are drawn."""
-        shares = [size // len(self.sizes)] * len(self.sizes)
-        for extra in torch.randperm(len(self.sizes), generator=generator)[: size % len(self.sizes)].tolist():
-            shares[extra] += 1
-        draws = zip(self.sizes, shares, strict=True)
+        """Draws with replacement, evenly over the tasks."""
+        draws = zip(self.sizes, shares(size, len(self.sizes), generator), strict=True)
         return self.rows([torch.randint(total, (share,), generator=generator) for total, share in draws])
 
     def rows(self, numbers: Sequence[Tensor]) -> Batch:

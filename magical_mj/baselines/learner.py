@@ -75,3 +75,12 @@ def seeded(seed: int) -> Iterator[None]:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         yield
+
+
+def restore_optimizer(optimizer: torch.optim.Optimizer, state: dict[str, Any]) -> None:
+    """Takes up an optimizer's state, laid out in memory as its weights are: sums come out the same, and as fast."""
+    optimizer.load_state_dict(state)
+    for weights, memory in optimizer.state.items():
+        for name, value in memory.items():
+            if isinstance(value, torch.Tensor) and value.shape == weights.shape:
+                memory[name] = torch.empty_like(weights).copy_(value)

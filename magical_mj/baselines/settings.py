@@ -119,14 +119,36 @@ class Settings:
             raise SettingsError(f"give one or several different tasks, not {list(self.tasks)}")
         if preset(self.preset).layout != "hwc":
             raise SettingsError(f"learners look at one stack of frames: preset must be one of {', '.join(PICTURES)}")
-        if self.ppo.environments % len(self.tasks):
-            raise SettingsError(
-                f"environments are split evenly between tasks: ppo.environments={self.ppo.environments} "
-                f"must be a multiple of {len(self.tasks)}"
-            )
         _check_positive(self, "")
         if self.bc.final_learning_rate > self.bc.learning_rate:
             raise SettingsError("learning rates fall: bc.final_learning_rate must be at most bc.learning_rate")
+        if self.method != "bc":
+            self._check_reinforcement()
+
+    def _check_reinforcement(self) -> None:
+        """Of all methods but BC, whatever the user's own may be: most of them play."""
+        ppo, tasks = self.ppo, len(self.tasks)
+        rollout = ppo.environments * ppo.steps
+        if ppo.environments % tasks:
+            raise SettingsError(
+                f"environments are split evenly between tasks: ppo.environments={ppo.environments} "
+                f"must be a multiple of {tasks}"
+            )
+        if ppo.minibatch == 1 or rollout % ppo.minibatch:
+            raise SettingsError(
+                f"minibatches must be of the same size, and of more than one sample: ppo.minibatch={ppo.minibatch} "
+                f"does not divide ppo.environments x ppo.steps = {rollout}"
+            )
+        if ppo.total_steps < rollout:
+            raise SettingsError(f"ppo.total_steps={ppo.total_steps} are too few for one rollout of {rollout} steps")
+        if max(ppo.discount, ppo.gae_lambda) > 1:
+            raise SettingsError("ppo.discount and ppo.gae_lambda must be at most 1")
+        if self.discriminator.batch_size % 2:
+            raise SettingsError("half of discriminator.batch_size are the policy's samples: it must be even")
+        if self.features.samples < tasks:
+            raise SettingsError(
+                f"features.samples={self.features.samples} must be at least one for each of {tasks} tasks"
+            )
 
 
 MAY_BE_ZERO: Final = {

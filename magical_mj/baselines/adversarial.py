@@ -1,0 +1,136 @@
+"""GAIL and WGAIL-GP: the policy is paid for what a discriminator takes for the demonstrator's (section 4.1).
+
+The discriminator D is near 1 for the policy's samples and near 0 for the demonstrator's, as in the paper.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from magical_mj.baselines.augmentation import Augmentation
+from magical_mj.baselines.learner import restore_optimizer, seeded
+from magical_mj.baselines.network import Heads, Torso
+from magical_mj.baselines.reinforced import RewardLearner, Samples
+from magical_mj.baselines.rollout import Rollout
+from magical_mj.baselines.settings import Network, Settings
+
+Judge = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""From stacks (n, 12, 96, 96), actions (n,) and tasks (n,) to one number for each, (n,)."""
+
+
+class Discriminator(nn.Module):
+    """The paper's network with batch norm, the actions joined, and a head with one output for each task."""
+
+    def __init__(self, network: Network, tasks: int) -> None:
+        super().__init__()
+        self.torso = Torso(network, batch_norm=True, actions=True)
+        self.head = Heads(tasks, self.torso.features, 1)
+
+    def forward(self, stacks: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        """Logits (GAIL) or values (WGAIL-GP) of D, shape (n,)."""
+        return self.head(self.torso(stacks, actions), tasks)[:, 0]
+
+
+class Adversarial(RewardLearner):
+    """Trains the discriminator on the last rollout and the demonstrations, and PPO on its rewards."""
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings)
+        self._noise = torch.Generator(self.device).manual_seed(settings.seed)
+        self._augment = Augmentation(settings.augment)
+        with seeded(settings.seed + 1):
+            self._judge = Discriminator(settings.network, len(settings.tasks)).to(self.device)
+        self._optimizer = torch.optim.Adam(self._judge.parameters(), settings.discriminator.learning_rate)
+
+    def update(self) -> Mapping[str, float]:
+        """A rollout, the discriminator's steps, and PPO's update on the new discriminator's rewards."""
+        return self.play()
+
+    def study(self, rollout: Rollout) -> Mapping[str, float]:
+        """The discriminator's steps. Means of their figures."""
+        steps = self.settings.discriminator.steps
+        figures = [self._step(rollout) for _ in range(steps)]
+        return {name: sum(one[name] for one in figures) / steps for name in figures[0]}
+
+    @abstractmethod
+    def loss(self, samples: Samples) -> tuple[Tensor, Mapping[str, float]]:
+        """The discriminator's loss for samples of which the first half are the policy's, and figures about it."""
+
+    def state(self) -> dict[str, Any]:
+        """Of all that plays, of the discriminator and of the augmentations."""
+        kept = {"judge": self._judge.state_dict(), "judge optimizer": self._optimizer.state_dict()}
+        return {**super().state(), **kept, "noise": self._noise.get_state()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Takes up a `state`."""
+        super().restore(state)
+        self._judge.load_state_dict(state["judge"])
+        restore_optimizer(self._optimizer, state["judge optimizer"])
+        self._noise.set_state(state["noise"])
+
+    def _step(self, rollout: Rollout) -> Mapping[str, float]:
+        half = self.settings.discriminator.batch_size // 2
+        sides = [self.on_device(side.sample(half, self._draw)) for side in (rollout, self._expert)]
+        stacks, actions, tasks = (torch.cat(pair) for pair in zip(*sides, strict=True))
+        self._judge.train()
+        loss, figures = self.loss((self._augment(stacks, self._noise), actions, tasks))
+        self._optimizer.zero_grad()
+        loss.backward()
+        self._optimizer.step()
+        return {"loss": loss.item(), **figures}
+
+
+class GAIL(Adversarial):
+    """Minimises -E_policy log D - E_demonstrations log(1 - D); the policy's reward is -log D."""
+
+    def loss(self, samples: Samples) -> tuple[Tensor, Mapping[str, float]]:
+        """The loss, and the share of samples that are told apart rightly."""
+        policy, expert = self._judge(*samples).chunk(2)
+        right = torch.cat([policy > 0, expert < 0]).float().mean().item()
+        return gail_loss(policy, expert), {"accuracy": right}
+
+    def reward(self, stacks: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        """-log D, shape (n,)."""
+        return nn.functional.softplus(-self._judge.eval()(stacks, actions, tasks))
+
+
+class WGAILGP(Adversarial):
+    """Minimises E_demonstrations D - E_policy D and a penalty on gradients; the policy's reward is -D.
+
+    The penalty's samples are those of the batch, half the policy's and half the demonstrator's, as the paper's formula
+    says (WGAN-GP draws points between them). Nothing flows into the policy: its samples are pictures and actions.
+    """
+
+    def loss(self, samples: Samples) -> tuple[Tensor, Mapping[str, float]]:
+        """The loss, how far apart the two sides are, and the penalty without its weight."""
+        policy, expert = self._judge(*samples).chunk(2)
+        distance = policy.mean() - expert.mean()
+        penalty = gradient_penalty(self._judge.eval(), *samples)
+        figures = {"distance": distance.item(), "penalty": penalty.item()}
+        return self.settings.discriminator.gradient_penalty * penalty - distance, figures
+
+    def reward(self, stacks: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        """-D, shape (n,)."""
+        return -self._judge.eval()(stacks, actions, tasks)
+
+
+def gail_loss(policy: Tensor, expert: Tensor) -> Tensor:
+    """-mean log D(policy) - mean log(1 - D(expert)), for logits of D."""
+    return nn.functional.softplus(-policy).mean() + nn.functional.softplus(expert).mean()
+
+
+def gradient_penalty(judge: Judge, stacks: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+    """Mean of (||gradient of D with respect to the stack||_2 - 1)^2.
+
+    The gradient is that of each sample's D with respect to its own stack. So `judge` must treat each sample for
+    itself: where it has batch norm, with the running statistics (eval), which is also how it makes the rewards.
+    With a batch's statistics, all of its samples would be in each D, and there were no gradient of one sample.
+    """
+    stacks = stacks.detach().requires_grad_()
+    (gradient,) = torch.autograd.grad(judge(stacks, actions, tasks).sum(), stacks, create_graph=True)
+    return (gradient.flatten(1).norm(dim=1) - 1).square().mean()
