@@ -8,7 +8,8 @@
 | 3 | registry, environment, observations, rendering, export | 0-2, mujoco, dm_control |
 | 4 | Gymnasium, experts, demonstrations | 0-3, gymnasium |
 | 5 | evaluation, speed | 0-4 |
-| 6 | baselines, cli | anything; nobody imports them |
+| 6 | cli | 0-5 |
+| 7 | baselines | anything; nobody imports them: commands and loaders of policies are plug-ins, by their entry points |
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ FLOORS: dict[str, int] = {
     **dict.fromkeys(["registry", "environment", "scene_task", "simulation", "observations", "rendering", "export"], 3),
     **dict.fromkeys(["presets", "registration", "frames", "gym_env", "experts", "demos"], 4),
     **dict.fromkeys(["evaluation", "speed"], 5),
-    **dict.fromkeys(["baselines", "cli", "__main__"], 6),
+    **dict.fromkeys(["cli", "__main__"], 6),
+    **dict.fromkeys(["baselines"], 7),
 }
 FACADE = "__init__"
 """``magical_mj/__init__.py`` gathers the public names from floors 0 to 4, so only higher floors may use it."""

@@ -8,16 +8,33 @@ Example:
     >>> magical_mj.evaluation.evaluate("runs/bc-mtr-0", tasks="MoveToRegion")
 """
 
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from magical_mj.baselines.extra import check_extra
 
-check_extra()
+if TYPE_CHECKING:
+    from magical_mj.baselines.experiment import conduct, runs
+    from magical_mj.baselines.learner import Learner
+    from magical_mj.baselines.methods import METHODS
+    from magical_mj.baselines.policy import TrainedPolicy, load_policy
+    from magical_mj.baselines.run import Progress, train
+    from magical_mj.baselines.settings import Settings, load_settings
 
-from magical_mj.baselines.experiment import conduct, runs  # noqa: E402
-from magical_mj.baselines.learner import Learner  # noqa: E402
-from magical_mj.baselines.methods import METHODS  # noqa: E402
-from magical_mj.baselines.policy import TrainedPolicy, load_policy  # noqa: E402
-from magical_mj.baselines.run import Progress, train  # noqa: E402
-from magical_mj.baselines.settings import Settings, load_settings  # noqa: E402
+_LAZY = {  # loaded at first use: the command line knows these commands before anybody needs PyTorch
+    "METHODS": "methods",
+    "Learner": "learner",
+    "Progress": "run",
+    "Settings": "settings",
+    "TrainedPolicy": "policy",
+    "conduct": "experiment",
+    "load_policy": "policy",
+    "load_settings": "settings",
+    "runs": "experiment",
+    "train": "run",
+}
 
 __all__ = [
     "METHODS",
@@ -31,3 +48,10 @@ __all__ = [
     "runs",
     "train",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    check_extra()
+    return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)

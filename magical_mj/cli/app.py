@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from importlib.metadata import entry_points
 from typing import Annotated
 
 import typer
@@ -16,14 +17,12 @@ from magical_mj.cli import (
     demos,
     doctor,
     evaluate,
-    experiment,
     experts,
     export,
     listing,
     play,
     report,
     rollout,
-    train,
     view,
 )
 from magical_mj.cli.console import complain
@@ -41,8 +40,6 @@ app.command("rollout")(rollout.rollout)
 app.command("evaluate")(evaluate.evaluate)
 app.command("report")(report.make_report)
 app.command("compare")(compare.make_comparison)
-app.command("train")(train.train)
-app.command("experiment")(experiment.experiment)
 app.command("experts")(experts.experts)
 app.add_typer(demos.app, name="demos")
 app.command("play")(play.play)
@@ -50,6 +47,8 @@ app.command("export")(export.export)
 app.command("bench")(bench.bench)
 app.command("doctor")(doctor.doctor)
 app.command("demo")(demo.demo)
+for plugin in entry_points(group="magical_mj.commands"):  # of the learners, and of other packages
+    app.command(plugin.name)(plugin.load())
 
 
 @app.callback(invoke_without_command=True)

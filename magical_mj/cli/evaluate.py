@@ -24,8 +24,8 @@ Policies = Annotated[
     str,
     typer.Option(
         "--policy",
-        help="expert, random, noop, module:object, or a file (.zip of stable-baselines3, .onnx); several with commas. "
-        "NAME=... names a method; those of the same name are its runs.",
+        help="expert, random, noop, module:object, the folder of a training, or a file (.zip of stable-baselines3, "
+        ".onnx); several with commas. NAME=... names a method; those of the same name are its runs.",
         show_default=False,
     ),
 ]

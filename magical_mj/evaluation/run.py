@@ -55,9 +55,9 @@ def evaluate(
     """Plays a policy's episodes in the evaluation scenes of some environments, and returns all scores.
 
     Args:
-        policy: "expert", "random", "noop", "module:object", a model file (.zip of stable-baselines3, .onnx), a
-            `Policy`, or a function from observation to action; or several, as a list or as a mapping of names to
-            them. Those of the same name are successive runs of one method.
+        policy: "expert", "random", "noop", "module:object", the folder of a training, a model file (.zip of
+            stable-baselines3, .onnx), a `Policy`, or a function from observation to action; or several, as a list or
+            as a mapping of names to them. Those of the same name are successive runs of one method.
         tasks: the tasks, as a list or separated by commas; "all" is all 8.
         variants: the variants, likewise; pairs that do not exist are left out.
         episodes: how many in each environment: those of the scenes of seeds 0, 1, ...

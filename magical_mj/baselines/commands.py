@@ -1,4 +1,4 @@
-"""`magical-mj train`: one of the paper's learners, on our demonstrations."""
+"""`magical-mj train` and `magical-mj experiment`: plug-ins of the command line (see pyproject.toml)."""
 
 from __future__ import annotations
 
@@ -7,11 +7,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.text import Text
 
+from magical_mj import baselines
 from magical_mj.cli.console import console
 from magical_mj.errors import SettingsError, unknown_name
+from magical_mj.evaluation.backends import Backend
 
 if TYPE_CHECKING:
     from magical_mj.baselines import Progress as Trained
@@ -29,6 +40,25 @@ Change = Annotated[
     list[str] | None, typer.Option("--set", help="Any setting, such as ppo.clip=0.02.", show_default=False)
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with what is in the folder.")]
+File = Annotated[
+    Path, typer.Argument(help="TOML: methods, tasks, seeds ...; see docs/learners.md.", show_default=False)
+]
+Folder = Annotated[Path, typer.Option(help="The folder for runs, evaluations and the report.", show_default=False)]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Runs at once, each on one core. One alone uses all cores.")]
+Where = Annotated[Backend, typer.Option(help="Where they run: on this machine or on a cluster.")]
+Address = Annotated[str | None, typer.Option(help="Of the cluster, such as tcp://host:8786.", show_default=False)]
+
+
+def experiment(file: File, out: Folder, jobs: Jobs = 1, backend: Where = "local", address: Address = None) -> None:
+    """Train and evaluate methods x tasks x seeds. Called again, it goes on with what is left."""
+    planned = baselines.runs(file, out)
+    screen = console()
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=screen) as progress:
+        bar = progress.add_task("runs, and the report", total=len(planned) + 1)
+        for line in baselines.conduct(planned, out, jobs=jobs, backend=backend, address=address):
+            screen.print(line, soft_wrap=True)
+            progress.advance(bar)
 
 
 def train(
@@ -45,8 +75,6 @@ def train(
     resume: Resume = False,
 ) -> None:
     """Train a policy; OUT then holds it, for `magical-mj evaluate --policy OUT`, with the settings and the figures."""
-    from magical_mj import baselines
-
     if method not in baselines.METHODS:
         raise unknown_name("method", method, baselines.METHODS)
     given = {"seed": seed, "augment": augment, "preset": preset, "device": device}
