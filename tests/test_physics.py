@@ -36,7 +36,7 @@ from magical_mj.scene import Block, Dynamics, Robot, Scene
 
 PROBES = recordings(Path(__file__).parent / "data" / "probes.npz")
 HUMANS = Path(__file__).parents[2] / "shared" / "reference" / "human_replays.npz"
-REACHED = REPLAY_AIMS | {"MatchRegions": 0.4, "MakeLine": 0.1}
+REACHED = REPLAY_AIMS | {"MatchRegions": 0.5, "MakeLine": 0.1}
 """What replayed human actions must score. The last two fall short of the aim, and of each other from fit to fit."""
 FORWARD = Action(Gripper.OPEN, Turn.NONE, Drive.FORWARD).number
 LEFT = Action(Gripper.OPEN, Turn.LEFT, Drive.NONE).number
@@ -127,12 +127,12 @@ def test_nothing_moves_when_nothing_acts(task: str) -> None:
         assert np.abs(fingers - fingers[0]).max() < 1e-4
 
 
-def check_bounds(numbers: range, overlap: float = 0.01) -> None:
+def check_bounds(numbers: range) -> None:
     found = together(map(worst, numbers))
     assert found["broken"] == 0
     assert found["warnings"] == 0
     assert found["outside"] <= 0.01
-    assert found["overlap"] <= overlap
+    assert found["overlap"] <= 0.01
 
 
 def test_rough_hands_break_nothing() -> None:
@@ -142,8 +142,7 @@ def test_rough_hands_break_nothing() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("part", range(9))
 def test_rough_hands_break_nothing_in_2000_episodes(part: int) -> None:
-    """The aim is 0.01 here too; one of them shows two blocks in the very substep in which they met at 1 unit/s."""
-    check_bounds(range(200 + 200 * part, 400 + 200 * part), overlap=0.0105)
+    check_bounds(range(200 + 200 * part, 400 + 200 * part))
 
 
 def with_caps(**caps: float) -> Scene:
@@ -161,6 +160,14 @@ def test_turn_torque_is_what_turns() -> None:
     torques = (0.02, 0.04)  # too weak to reach full speed within one action
     ways = [Rollouts(with_caps(turn_torque=torque)).roll([LEFT])[0][-1, 0, 2] for torque in torques]
     assert ways[1] == pytest.approx(2 * ways[0], rel=0.05)
+
+
+def test_a_turn_that_ends_swings_a_held_block_as_far_as_in_the_original() -> None:
+    """The fingers swing on with it: by 0.087 rad, on average over the sequences in which a human held a circle."""
+    turn = Action(Gripper.CLOSE, Turn.LEFT, Drive.NONE).number
+    world = Rollouts(Scene(Robot(0, 0, 0), (Block("circle", "red", 0, 0.32, 0),)))
+    _, fingers = world.roll([CLOSE] * 6 + [turn] * 8 + [CLOSE] * 4)
+    assert fingers[-1].mean() - fingers[-5].mean() == pytest.approx(0.087, abs=0.015)
 
 
 def test_a_finger_closes_against_less_than_its_torque() -> None:

@@ -52,7 +52,8 @@ def arena_mjcf() -> str:
         f'<geom name="floor" class="floor" type="plane" size="0 0 1" pos="0 0 {numbers(FOOT_DEPTH - FOOT_RADIUS)}"/>',
     ]
     for side, (x, y) in {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}.items():
-        plane = f'type="plane" size="0 0 1" pos="{numbers(half * x, half * y, 0)}" zaxis="{-x} {-y} 0"'
-        parts.append(f'<geom name="{side}_wall" class="wall" {plane}/>')
-        parts.append(f'<geom name="{side}_finger_wall" class="finger_wall" {plane}/>')
+        pos, size = numbers((half + 1) * x, (half + 1) * y, 0), f"{1 + 2 * abs(y)} {1 + 2 * abs(x)} 1"
+        for kind in ("wall", "finger_wall"):  # bodies of their own: what is not near them is then not tested
+            geom = f'<geom name="{side}_{kind}" class="{kind}" type="box" size="{size}"/>'
+            parts.append(f'<body name="{side}_{kind}" pos="{pos}">{geom}</body>')
     return "".join(parts) + ALLO_CAMERA + f'<body name="{BONE}"/>'

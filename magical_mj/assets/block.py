@@ -9,7 +9,7 @@ import mujoco
 
 from magical_mj import constants as c
 from magical_mj.assets import style
-from magical_mj.assets.contacts import PRESS, SETTINGS, Settings, foot, softness, vertex
+from magical_mj.assets.contacts import PRESS, SETTINGS, Settings, floor_pair, foot, softness, vertex
 from magical_mj.assets.markup import move_body, numbers, planar_body
 from magical_mj.assets.meshes import Points, inset
 from magical_mj.assets.style import BLOCK_FILL, BLOCK_OUTLINE, FILL_ABOVE_OUTLINE, Z_BLOCK
@@ -33,12 +33,17 @@ def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: Settings 
         f'<inertial pos="0 0 0" mass="{c.BLOCK_MASS}" diaginertia="{numbers(inertia, inertia, inertia)}"/>'
         + style.visual_geom(f"{block.shape}_outline", BLOCK_OUTLINE[block.colour], Z_BLOCK)
         + style.visual_geom(f"{block.shape}_fill", BLOCK_FILL[block.colour], Z_BLOCK + FILL_ABOVE_OUTLINE)
-        + collision_geoms(block.shape, settings)
-        + foot(f"{name}_foot", dynamics.block_friction_force, c.BLOCK_MASS, settings)
+        + foot(f"{name}_foot")
+        + f"<body>{collision_geoms(block.shape, settings)}</body>"  # collision tests then skip what is only drawn
     )
     spin = softness("friction", 1, settings.dry_impedance)
     hinge = f'frictionloss="{numbers(dynamics.block_friction_torque)}" {spin}'
     return planar_body(name, block.pose, content, hinge)
+
+
+def block_pair(index: int, dynamics: Dynamics, settings: Settings = SETTINGS) -> str:
+    """The contact of the block's foot with the floor."""
+    return floor_pair(f"block{index}_foot", dynamics.block_friction_force, c.BLOCK_MASS, settings)
 
 
 def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dynamics) -> None:
@@ -48,7 +53,7 @@ def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dyn
     outline = body.geomadr[0]
     for geom, palette in ((outline, BLOCK_OUTLINE), (outline + 1, BLOCK_FILL)):
         model.geom_rgba[geom] = style.levels(palette[block.colour])
-    model.geom_friction[outline + body.geomnum[0] - 1, 0] = dynamics.block_friction_force / PRESS
+    model.pair_friction[model.pair(f"block{index}_foot").id, :2] = dynamics.block_friction_force / PRESS
     model.dof_frictionloss[body.dofadr[0] + 2] = dynamics.block_friction_torque
 
 

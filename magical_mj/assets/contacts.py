@@ -22,7 +22,6 @@ TIMESTEP: Final = 1 / c.CONTROL_RATE / SUBSTEPS
 # Collision bits: two geoms meet if the contype of one has a bit of the other's conaffinity.
 TOUCHES: Final = 1  # vertices and discs
 FINGER_TOUCHES: Final = 2  # vertices of the fingers
-STANDS: Final = 4  # feet, on the floor
 
 # A foot cannot move vertically, so it presses on the floor with this force whatever happens: friction = cap / PRESS.
 PRESS: Final = 1e4
@@ -77,6 +76,9 @@ class Settings:
     """Both of the fingers' joint limits."""
     finger_armature: float = 0.0142
     """Inertia that a finger's joint has besides the finger's."""
+    sway_damping: float = 0.15
+    """N m s: holds back fingers that move to the same side, as a block between them makes them do when the robot stops
+    turning. Both motors push alike, so nothing else does, and without it the block swings up to twice too far."""
     loaded_share: float = 0.251
     """A closed gripper that drags a block slows the original's servos, though their caps are not reached. So this
     share of the drive, while the gripper is told to close, pulls towards a lower speed only; without load the larger
@@ -100,15 +102,22 @@ def softness(kind: str, stiffness: float, impedance: float, damping: float = 1.0
     return f'solref{kind}="{solref}" solimp{kind}="{numbers(impedance, impedance, 0.001)}"'
 
 
-def foot(name: str, friction_force: float, mass: float, settings: Settings = SETTINGS) -> str:
-    """A sphere that presses on the floor with `PRESS` and so resists sliding with at most `friction_force`.
+def foot(name: str) -> str:
+    """A sphere that stands on the floor; `floor_pair` says how."""
+    return f'<geom name="{name}" class="foot"/>'
 
-    Its friction is that of a disc, the same in all directions. `mass` is what it carries: MuJoCo's inverse mass
-    of a body is the mean of three directions, and vertically this one cannot move.
+
+def floor_pair(name: str, friction_force: float, mass: float, settings: Settings = SETTINGS) -> str:
+    """Lets a foot press on the floor with `PRESS` and so resist sliding with at most `friction_force`.
+
+    Its friction is that of a disc, the same in all directions. A pair that is named costs no search for what the foot
+    might touch. `mass` is what it carries: MuJoCo's inverse mass of a body is the mean of three directions, and
+    vertically this one cannot move.
     """
     stiffness = PRESS * (1 - settings.foot_impedance) * 2 / 3 / mass / FOOT_DEPTH
     soft = softness("", stiffness, settings.foot_impedance)
-    return f'<geom name="{name}" class="foot" friction="{numbers(friction_force / PRESS)}" {soft}/>'
+    friction = numbers(friction_force / PRESS, friction_force / PRESS)
+    return f'<pair name="{name}" geom1="floor" geom2="{name}" condim="3" friction="{friction}" {soft}/>'
 
 
 def vertex(x: float, y: float, radius: float, kind: str = "vertex") -> str:
@@ -126,13 +135,13 @@ def geom_classes(settings: Settings = SETTINGS) -> str:
     def kind(name: str, friction: float, contype: int, conaffinity: int, more: str = "") -> str:
         return (
             f'<default class="{name}"><geom friction="{numbers(friction)}" contype="{contype}" '
-            f'conaffinity="{conaffinity}" {more}/></default>'
+            f'conaffinity="{conaffinity}" mass="0" {more}/></default>'
         )
 
     return (
         f'<geom condim="3" group="{style.COLLISION_GROUP}" {soft}/>'
-        + kind("visual", 0, 0, 0, f'group="{style.DRAWN_GROUP}" mass="0"')
-        + kind("floor", 0, 0, STANDS)
+        + kind("visual", 0, 0, 0, f'group="{style.DRAWN_GROUP}"')
+        + kind("floor", 0, 0, 0)
         + kind("disc", settings.friction_block, TOUCHES, meets_all, sphere)
         + kind("vertex", settings.friction_block, TOUCHES, 0, sphere)
         + kind("edge", settings.friction_block, 0, meets_all)
@@ -140,5 +149,5 @@ def geom_classes(settings: Settings = SETTINGS) -> str:
         + kind("finger_edge", settings.friction_finger_block, 0, TOUCHES, f'priority="1" {finger}')
         + kind("wall", settings.friction_wall, 0, TOUCHES)
         + kind("finger_wall", settings.friction_finger_wall, 0, FINGER_TOUCHES, f'priority="2" {finger}')
-        + kind("foot", 0, STANDS, 0, f'{sphere} size="{FOOT_RADIUS}" priority="1"')
+        + kind("foot", 0, 0, 0, f'{sphere} size="{FOOT_RADIUS}"')
     )

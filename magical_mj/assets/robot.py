@@ -33,6 +33,7 @@ from magical_mj.assets.contacts import (
     SETTINGS,
     TIMESTEP,
     Settings,
+    floor_pair,
     foot,
     softness,
     vertex,
@@ -57,14 +58,10 @@ CASTOR_INERTIA: Final = 1e-5  # so light that nobody feels it
 LIGHT: Final = '<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-7 1e-7 1e-7"/>'
 
 
-def robot_mjcf(robot: Robot, dynamics: Dynamics, settings: Settings = SETTINGS) -> str:
+def robot_mjcf(robot: Robot, settings: Settings = SETTINGS) -> str:
     """The body `robot` with its motors, fingers, face and the ego camera."""
     castor = f'armature="{numbers(CASTOR_INERTIA)}" stiffness="{numbers(CASTOR_INERTIA / TIMESTEP**2)}"'
-    mass = c.ROBOT_MASS + 2 * c.FINGER_MASS
-    wheels = "".join(
-        _spinner(name, "-1 0 0", foot(name, share * dynamics.drive_force, mass, settings))
-        for name, share in zip(WHEELS, _shares(settings.loaded_share), strict=True)
-    )
+    wheels = "".join(_spinner(name, "-1 0 0", foot(name)) for name in WHEELS)
     content = (
         f'<inertial pos="0 0 0" mass="{c.ROBOT_MASS}" diaginertia="{numbers(*[c.ROBOT_INERTIA] * 3)}"/>'
         f'<geom name="robot" class="disc" size="{numbers(c.ROBOT_RADIUS - settings.body_overlap)}"/>{EGO_CAMERA}'
@@ -132,10 +129,19 @@ def _finger(side: Side, angle: float, settings: Settings) -> str:
     )
 
 
-def tendons_mjcf(dynamics: Dynamics, settings: Settings = SETTINGS) -> str:
-    """Dry friction of the turning servo and of the finger motors, and the drag that turns the castor.
+def robot_pairs(dynamics: Dynamics, settings: Settings = SETTINGS) -> str:
+    """The contacts of the wheels with the floor."""
+    mass = c.ROBOT_MASS + 2 * c.FINGER_MASS
+    return "".join(
+        floor_pair(name, share * dynamics.drive_force, mass, settings)
+        for name, share in zip(WHEELS, _shares(settings.loaded_share), strict=True)
+    )
 
-    The drag turns the castor back by what the robot turned in a substep.
+
+def tendons_mjcf(dynamics: Dynamics, settings: Settings = SETTINGS) -> str:
+    """Dry friction of the turning servo and of the finger motors, and drags on fingers that sway and on the castor.
+
+    The latter turns the castor back by what the robot turned in a substep.
     """
     soft = softness("friction", 1, settings.dry_impedance)
     turns = "".join(
@@ -150,7 +156,9 @@ def tendons_mjcf(dynamics: Dynamics, settings: Settings = SETTINGS) -> str:
         for side, motor in MOTORS.items()
     )
     return (
-        f'{turns}{grips}<fixed name="castor" damping="{numbers(CASTOR_INERTIA / TIMESTEP)}">'
+        f'{turns}{grips}<fixed name="sway" damping="{numbers(settings.sway_damping)}">'
+        '<joint joint="left_finger" coef="1"/><joint joint="right_finger" coef="1"/></fixed>'
+        f'<fixed name="castor" damping="{numbers(CASTOR_INERTIA / TIMESTEP)}">'
         '<joint joint="robot_angle" coef="1"/><joint joint="castor" coef="1"/></fixed>'
     )
 
@@ -172,7 +180,7 @@ def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics) -> No
     """Give the robot of a compiled model another pose and other force caps, as if compiled with them."""
     move_body(model, "robot", robot.pose)
     for wheel, share in zip(WHEELS, _shares(SETTINGS.loaded_share), strict=True):
-        model.geom_friction[model.geom(wheel).id, 0] = share * dynamics.drive_force / PRESS
+        model.pair_friction[model.pair(wheel).id, :2] = share * dynamics.drive_force / PRESS
     for rotor, share in zip(ROTORS, _shares(SETTINGS.loaded_turn_share), strict=True):
         model.tendon_frictionloss[model.tendon(rotor).id] = share * dynamics.turn_torque
     for (side, motor), angle in zip(MOTORS.items(), robot.fingers, strict=True):

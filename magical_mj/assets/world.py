@@ -13,12 +13,12 @@ from dm_control import composer, mjcf
 from numpy.typing import NDArray
 
 from magical_mj.assets.arena import LOOK, arena_mjcf, options
-from magical_mj.assets.block import block_mjcf, rewrite_block
+from magical_mj.assets.block import block_mjcf, block_pair, rewrite_block
 from magical_mj.assets.contacts import SETTINGS, Settings, geom_classes
 from magical_mj.assets.markup import numbers
 from magical_mj.assets.meshes import library
 from magical_mj.assets.region import blank_regions_mjcf, dash_count, regions_mjcf, rewrite_region
-from magical_mj.assets.robot import JOINTS, actuators_mjcf, rewrite_robot, robot_mjcf, tendons_mjcf
+from magical_mj.assets.robot import JOINTS, actuators_mjcf, rewrite_robot, robot_mjcf, robot_pairs, tendons_mjcf
 from magical_mj.scene import Scene
 
 MEMORY: Final = '<size memory="33M"/>'
@@ -39,12 +39,14 @@ def world_mjcf(scene: Scene, keyframe: str = "", settings: Settings = SETTINGS, 
         regions = regions_mjcf(scene.regions)
     dynamics = scene.dynamics
     blocks = "".join(block_mjcf(index, block, dynamics, settings) for index, block in enumerate(scene.blocks))
+    feet = "".join(block_pair(index, dynamics, settings) for index in range(len(scene.blocks)))
     return (
         f'<mujoco model="magical_mj">{options(settings)}{LOOK}{MEMORY}'
         f"<default>{geom_classes(settings)}</default><asset>{library()}</asset>"
-        f"<worldbody>{arena_mjcf()}{blocks}{robot_mjcf(scene.robot, dynamics, settings)}</worldbody>"
+        f"<worldbody>{arena_mjcf()}{blocks}{robot_mjcf(scene.robot, settings)}</worldbody>"
         f"<deformable>{regions}</deformable>"
-        '<contact><exclude body1="left_finger" body2="right_finger"/></contact>'
+        f"<contact>{feet}{robot_pairs(dynamics, settings)}"
+        '<exclude body1="left_finger" body2="right_finger"/></contact>'
         f"<tendon>{tendons_mjcf(dynamics, settings)}</tendon><actuator>{actuators_mjcf()}</actuator>"
         f"<keyframe>{keyframe}</keyframe></mujoco>"
     )
