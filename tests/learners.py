@@ -21,3 +21,22 @@ TINY = {
 def tiny(method: str = "bc", tasks: str = "MoveToRegion", **changes: Any) -> Settings:
     """Settings with a network of a few weights."""
     return load_settings(method, tasks, quick=True, **{**TINY, "bc.batches": 12, "bc.batch_size": 4, **changes})
+
+
+PLAYING = {
+    "ppo.environments": 4,
+    "ppo.steps": 4,
+    "ppo.minibatch": 8,
+    "ppo.epochs": 2,
+    "ppo.total_steps": 64,
+    "discriminator.steps": 2,
+    "discriminator.batch_size": 8,
+    "features.batches": 2,
+    "features.batch_size": 4,
+    "features.samples": 24,
+}
+
+
+def playing(method: str = "gail", tasks: str = "MoveToRegion", **changes: Any) -> Settings:
+    """Settings of a method that plays: four updates of 4 x 4 steps."""
+    return tiny(method, tasks, **{**PLAYING, **changes})

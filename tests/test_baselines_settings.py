@@ -80,11 +80,23 @@ def test_text_values_are_read_as_the_fields_kind() -> None:
         ({"tasks": "FindDupe,FindDupe"}, "several different tasks"),
         ({"tasks": ()}, "several different tasks"),
         ({"tasks": "FindDupe,MakeLine,FixColour"}, "ppo.environments=32 must be a multiple of 3"),
+        ({"ppo.minibatch": 100}, "ppo.minibatch=100 does not divide"),
+        ({"ppo.minibatch": 1}, "more than one sample"),
+        ({"ppo.total_steps": 100}, "too few for one rollout"),
+        ({"ppo.discount": 1.5}, "at most 1"),
+        ({"discriminator.batch_size": 25}, "must be even"),
+        ({"features.samples": 1, "tasks": "FindDupe,MakeLine"}, "at least one for each of 2 tasks"),
     ],
 )
 def test_wrong_settings_are_refused(changes: dict[str, Any], says: str) -> None:
     with pytest.raises((SettingsError, UnknownNameError), match=says):
         changed(tiny("gail"), changes)
+
+
+def test_cloning_does_not_mind_what_playing_needs() -> None:
+    assert tiny("bc", "FindDupe,MakeLine,FixColour", **{"ppo.minibatch": 100}).tasks == (
+        "FindDupe", "MakeLine", "FixColour"
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("text", ["method = ", "seed = 3", "method = 'bc'\ntasks = ['Nope']", "\xff"])

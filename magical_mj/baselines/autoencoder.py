@@ -19,8 +19,8 @@ class Autoencoder(nn.Module):
     """The discriminator's network without its last layer, and its mirror image.
 
     The paper removes the layer of logits and narrows the one before it; that one keeps its ReLU, as nothing is said of
-    removing it. The mirror image puts transposed convolutions for convolutions, and gives pictures without a bound.
-    It is not told the action, for the paper reconstructs pictures.
+    removing it. The mirror image puts transposed convolutions for convolutions, and ends in a sigmoid, as pixels
+    are in [0, 1]. It is not told the action, for the paper reconstructs pictures.
 
     Args:
         network: the layers' sizes.
@@ -46,6 +46,7 @@ class Autoencoder(nn.Module):
             nn.ReLU(),
             nn.Unflatten(1, (channels, side, side)),
             *reversed(mirror),
+            nn.Sigmoid(),
         )
 
     def forward(self, stacks: Tensor, actions: Tensor) -> Tensor:
