@@ -14,7 +14,7 @@ from stable_baselines3.common.type_aliases import Schedule
 from torch import Tensor, nn
 
 from magical_mj.baselines.environments import IMAGES, TASK
-from magical_mj.baselines.network import Actor, Heads, Torso
+from magical_mj.baselines.network import Actor, Heads, Torso, scaled
 
 
 class Features(BaseFeaturesExtractor):
@@ -26,8 +26,9 @@ class Features(BaseFeaturesExtractor):
         self.torso = torso
 
     def forward(self, observations: Mapping[str, Tensor]) -> Tensor:
-        """Shape (n, features + tasks). Pictures come with the channels last, already scaled to [0, 1]."""
-        return torch.cat([self.torso(observations[IMAGES].permute(0, 3, 1, 2)), observations[TASK]], dim=1)
+        """Shape (n, features + tasks). Pictures come as floats from 0 to 255 made for this, the channels last."""
+        stacks = scaled(observations[IMAGES]).permute(0, 3, 1, 2)
+        return torch.cat([self.torso(stacks), observations[TASK]], dim=1)
 
 
 class ForTasks(nn.Module):
@@ -65,7 +66,16 @@ class ActorCritic(ActorCriticPolicy):
         **others: Any,
     ) -> None:
         parts = {"features_extractor_class": Features, "features_extractor_kwargs": {"torso": actor.torso}}
-        super().__init__(observation_space, action_space, lr_schedule, net_arch=[], ortho_init=False, **parts, **others)
+        super().__init__(
+            observation_space,
+            action_space,
+            lr_schedule,
+            net_arch=[],
+            ortho_init=False,
+            normalize_images=False,  # `Features` does it, in place
+            **parts,
+            **others,
+        )
         self.action_net, self.value_net = ForTasks(actor.head), ForTasks(critic)
         self.optimizer = torch.optim.Adam(
             self.parameters(), lr_schedule(1), eps=1e-5
