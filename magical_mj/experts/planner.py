@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from magical_mj.actions import Gripper
+from magical_mj.actions import ACTIONS, Gripper
 from magical_mj.experts.errands import Errands, done, errands
 from magical_mj.experts.imagination import Imagination, State
 from magical_mj.experts.moves import manoeuvres, obstacles, perform
@@ -82,7 +83,7 @@ class Planner:
             if not self._do_best(scene, todo, left, whim):
                 world.restore(states[-1])
                 for _ in range(min(PAUSE, left)):
-                    world.act(Gripper.OPEN)
+                    world.act(gripper_of(actions))
             actions += world.trace
             states += world.states
         return Plan(self._score(world.scene()), actions, states)
@@ -114,3 +115,12 @@ class Planner:
         """About how many actions are left after the present state."""
         scene = self._world.scene()
         return sum(errand.cost(scene) for errand in todo) + LOSS * (1 - self._score(done(scene, todo)))
+
+
+def gripper_of(actions: Sequence[int]) -> Gripper:
+    """How the fingers are after these actions.
+
+    Whoever waits keeps them so: opened fingers might push something away. And learners who leave out the no-ops would
+    never see a robot wait that has closed them.
+    """
+    return ACTIONS[actions[-1]].gripper if actions else Gripper.OPEN
