@@ -16,6 +16,7 @@ from magical_mj.baselines.adversarial import GAIL, WGAILGP, Discriminator, gail_
 from magical_mj.baselines.apprenticeship import Apprenticeship, best_weights
 from magical_mj.baselines.autoencoder import Autoencoder
 from magical_mj.baselines.settings import Network
+from magical_mj.errors import UnknownNameError
 
 PLAYERS = ("gail", "wgail-gp", "al")
 
@@ -169,6 +170,11 @@ def test_the_autoencoder_learns_and_then_stays() -> None:
     assert all(torch.equal(coder[name], value) for name, value in learner._coder.state_dict().items())
     assert not all(map(torch.equal, policy, learner.actor.parameters()))
     learner.close()
+
+
+def test_unknown_augmentations_are_refused() -> None:
+    with pytest.raises(UnknownNameError, match="no-trans-rot"):
+        GAIL(playing(augment="no-trans"))
 
 
 def test_batches_are_half_and_half() -> None:

@@ -40,9 +40,9 @@ class Adversarial(RewardLearner):
     """Trains the discriminator on the last rollout and the demonstrations, and PPO on its rewards."""
 
     def __init__(self, settings: Settings) -> None:
+        self._augment = Augmentation(settings.augment)  # an unknown one is refused before environments are made
         super().__init__(settings)
         self._noise = torch.Generator(self.device).manual_seed(settings.seed)
-        self._augment = Augmentation(settings.augment)
         with seeded(settings.seed + 1):
             self._judge = Discriminator(settings.network, len(settings.tasks)).to(self.device)
         self._optimizer = torch.optim.Adam(self._judge.parameters(), settings.discriminator.learning_rate)
