@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -47,6 +48,9 @@ class ForTasks(nn.Module):
 class ActorCritic(ActorCriticPolicy):
     """Stable-baselines3's policy around an `Actor`: action and value share all but the last layer (appendix).
 
+    Weights are drawn as stable-baselines3 draws them, orthogonal and for actions near zero: PyTorch's own are so small
+    that without batch norm, what is seen hardly reaches the heads at first. The paper does not say how it draws them.
+
     Args:
         observation_space: of the environments.
         action_space: of the environments.
@@ -77,6 +81,21 @@ class ActorCritic(ActorCriticPolicy):
             **others,
         )
         self.action_net, self.value_net = ForTasks(actor.head), ForTasks(critic)
+        for layer in actor.torso.modules():
+            if isinstance(layer, nn.Conv2d | nn.Linear):
+                _draw(layer.weight, layer.bias, math.sqrt(2))
+        for heads, gain in ((actor.head, 0.01), (critic, 1.0)):
+            for weight, bias in zip(heads.weight, heads.bias, strict=True):
+                _draw(weight, bias, gain)
         self.optimizer = torch.optim.Adam(
             self.parameters(), lr_schedule(1), eps=1e-5
         )  # eps as stable-baselines3 has it
+
+
+@torch.no_grad()
+def _draw(weight: Tensor, bias: Tensor | None, gain: float) -> None:
+    weight.copy_(
+        nn.init.orthogonal_(torch.empty(weight.shape, device=weight.device), gain)
+    )  # PyTorch wants it contiguous
+    if bias is not None:
+        bias.zero_()
