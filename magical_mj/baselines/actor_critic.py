@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -48,9 +47,6 @@ class ForTasks(nn.Module):
 class ActorCritic(ActorCriticPolicy):
     """Stable-baselines3's policy around an `Actor`: action and value share all but the last layer (appendix).
 
-    Weights are drawn as stable-baselines3 draws them, orthogonal and for actions near zero: PyTorch's own are so small
-    that without batch norm, what is seen hardly reaches the heads at first. The paper does not say how it draws them.
-
     Args:
         observation_space: of the environments.
         action_space: of the environments.
@@ -81,21 +77,25 @@ class ActorCritic(ActorCriticPolicy):
             **others,
         )
         self.action_net, self.value_net = ForTasks(actor.head), ForTasks(critic)
-        for layer in actor.torso.modules():
-            if isinstance(layer, nn.Conv2d | nn.Linear):
-                _draw(layer.weight, layer.bias, math.sqrt(2))
-        for heads, gain in ((actor.head, 0.01), (critic, 1.0)):
-            for weight, bias in zip(heads.weight, heads.bias, strict=True):
-                _draw(weight, bias, gain)
-        self.optimizer = torch.optim.Adam(
-            self.parameters(), lr_schedule(1), eps=1e-5
-        )  # eps as stable-baselines3 has it
+        self.optimizer = torch.optim.Adam(self.parameters(), lr_schedule(1), eps=1e-5)  # stable-baselines3's eps
 
 
 @torch.no_grad()
-def _draw(weight: Tensor, bias: Tensor | None, gain: float) -> None:
-    weight.copy_(
-        nn.init.orthogonal_(torch.empty(weight.shape, device=weight.device), gain)
-    )  # PyTorch wants it contiguous
-    if bias is not None:
-        bias.zero_()
+def standardise(torso: Torso, stacks: Tensor) -> None:
+    """Scales the weights of a new torso so that each unit has mean 0 and deviation 1 over the stacks, before its ReLU.
+
+    Pictures are mostly background. As they are drawn, weights without batch norm answer to that and hardly to the rest:
+    policies then act alike wherever they are for tens of thousands of steps. Here each layer begins as if it had batch
+    norm (the data-dependent initialisation of Salimans and Kingma, 2016), and has none from then on. The paper does not
+    say how weights are drawn.
+    """
+    values = stacks
+    for layer in (*torso.convolutions, nn.Flatten(), *torso.linear):
+        if isinstance(layer, nn.Conv2d | nn.Linear):
+            answers = layer(values)
+            over = [axis for axis in range(answers.dim()) if axis != 1]
+            deviation = answers.std(over).clamp(min=1e-6)  # some unit may see nothing
+            weight, bias = layer.parameters()
+            weight.div_(deviation.reshape(-1, *[1] * (weight.dim() - 1)))
+            bias.sub_(answers.mean(over)).div_(deviation)
+        values = layer(values)

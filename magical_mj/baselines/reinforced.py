@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from magical_mj.baselines.actor_critic import standardise
 from magical_mj.baselines.data import Batch, Dataset
 from magical_mj.baselines.environments import Environments
 from magical_mj.baselines.learner import Learner, seeded
@@ -37,6 +38,8 @@ class RewardLearner(Learner):
         tasks = len(settings.tasks)
         with seeded(settings.seed):
             actor = Actor(settings.network, tasks).to(self.device)
+            first = self._expert.sample(256 // tasks * tasks, torch.Generator().manual_seed(settings.seed))
+            standardise(actor.torso, self.on_device(first)[0])
             critic = Heads(tasks, actor.torso.features, 1).to(self.device)
             self._actor = actor
             self._ppo = Improver(settings, self._environments, actor, critic, self._draw, self.device)
