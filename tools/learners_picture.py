@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from magical_mj.baselines.metrics import read_metrics
 
+PALE = "#a9cbe8"
 COLOURS = ("#1f6fb4", "#d62728", "#2a9d5c", "#e08a1e")
 
 
@@ -25,7 +26,10 @@ def draw(runs: dict[str, Path]) -> Figure:
             points = [(float(row["seconds"]) / 60, float(row[name])) for row in rows if row.get(name)]
             axes.plot(*zip(*points, strict=True), marker="o", markersize=4, color=colour, label=name)
         axes.set(title=label, xlabel="minutes", ylim=(-0.03, 1.03), ylabel="mean score on Demo")
-        losses = next(name for name in ("loss", "discriminator loss") if name in rows[-1])
+        if "score" in rows[-1]:  # of the episodes played for training
+            points = [(float(row["seconds"]) / 60, float(row["score"])) for row in rows]
+            axes.plot(*zip(*points, strict=True), color=PALE, linewidth=0.8)
+        losses = next(name for name in ("loss", "reconstruction") if name in rows[-1])
         other = axes.twinx()
         times = [float(row["seconds"]) / 60 for row in rows if row[losses]]
         other.plot(times, [float(row[losses]) for row in rows if row[losses]], color="#999999", linewidth=0.8)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Final
@@ -50,7 +51,7 @@ class TrainedPolicy:
                 f"this policy looks at arrays of shape {SHAPE} (preset {self.preset}), not {observations.shape[1:]}"
             )
         self._actor.eval()
-        with torch.inference_mode():
+        with torch.inference_mode(), one_thread():
             logits = self._actor(as_input(observations, self._device), self._heads[: len(observations)])
         shares = logits.double().softmax(dim=1).cumsum(dim=1).cpu().numpy()
         points = np.array([rng.random() for rng in self._rngs[: len(observations)]])
@@ -63,6 +64,17 @@ class TrainedPolicy:
     def __call__(self, observation: NDArray[np.uint8]) -> int:
         """An action, for a stack of shape (96, 96, 12)."""
         return int(self.act_batch(observation[None])[0])
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Within it, PyTorch uses one thread: sums depend on how they are split, and workers must not fight for cores."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def save_policy(folder: Path, actor: Actor, settings: Settings, progress: tuple[int, int]) -> None:
@@ -86,13 +98,12 @@ def save_policy(folder: Path, actor: Actor, settings: Settings, progress: tuple[
 
 
 def load_policy(folder: Path | str) -> TrainedPolicy:
-    """The policy in a run's folder, on the CPU and on one thread, for workers must not fight for cores.
+    """The policy in a run's folder, on the CPU.
 
     Raises:
         TrainingError: if there is none, or the file is damaged.
     """
     kept = checkpoint.read(Path(folder) / POLICY)
-    torch.set_num_threads(1)
     try:
         actor = Actor(Network(**kept["network"]), len(kept["tasks"]), batch_norm=kept["batch_norm"])
         actor.load_state_dict(kept["weights"])
