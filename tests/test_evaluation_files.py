@@ -15,25 +15,14 @@ from typing import Any
 import agents
 import pandas as pd
 import pytest
+from evaluations import SMALL, rows
 
 import magical_mj
 from magical_mj.errors import EvaluationError, SettingsError
 from magical_mj.evaluation import Score
 from magical_mj.evaluation.scores import SCORES, ScoreFile, read
 
-SMALL: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo,Layout", "episodes": 3}
-
-
 TESTS = Path(__file__).parent
-
-
-def evaluate(policy: Any, **settings: Any) -> pd.DataFrame:
-    """All that must not depend on how the episodes were played."""
-    return magical_mj.evaluate(policy, **{**SMALL, **settings}).drop(columns="seconds")
-
-
-def rows(folder: Path) -> set[tuple[Any, ...]]:
-    return {(score.key, score.score, score.actions, score.failure) for score in read(folder)}
 
 
 def test_file_holds_everything(tmp_path: Path) -> None:

@@ -10,26 +10,16 @@ import gymnasium
 import numpy as np
 import pandas as pd
 import pytest
+from evaluations import evaluate
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 import magical_mj
 from magical_mj.errors import SettingsError, UnknownNameError
 from magical_mj.evaluation import Episode, rollouts
 from magical_mj.evaluation.episodes import LETTERS, actions_of
-from magical_mj.evaluation.scores import read
 from magical_mj.evaluation.selection import environments
 
-SMALL: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo,Layout", "episodes": 3}
 TESTS = Path(__file__).parent
-
-
-def evaluate(policy: Any, **settings: Any) -> pd.DataFrame:
-    """All that must not depend on how the episodes were played."""
-    return magical_mj.evaluate(policy, **{**SMALL, **settings}).drop(columns="seconds")
-
-
-def rows(folder: Path) -> set[tuple[Any, ...]]:
-    return {(score.key, score.score, score.actions, score.failure) for score in read(folder)}
 
 
 # equal scores

@@ -8,7 +8,7 @@ from typing import Final
 import torch
 from torch import Tensor, nn
 
-from magical_mj.baselines.network import SHAPE, Torso
+from magical_mj.baselines.network import SHAPE, Torso, convolutions
 from magical_mj.baselines.settings import Network
 
 CHUNK: Final = 64
@@ -30,10 +30,9 @@ class Autoencoder(nn.Module):
     def __init__(self, network: Network, size: int) -> None:
         super().__init__()
         self.encoder = Torso(network, batch_norm=True, actions=True, features=size)
-        steps = [(network.first_channels, network.first_kernel, network.first_stride)] + 4 * [(network.channels, 3, 2)]
         side, _, channels = SHAPE
         mirror: list[nn.Module] = []  # from the pictures inwards
-        for outputs, kernel, stride in steps:
+        for outputs, kernel, stride in convolutions(network):
             inner = math.ceil(side / stride)
             extra = side - ((inner - 1) * stride - 2 * (kernel // 2) + kernel)
             grow = nn.ConvTranspose2d(outputs, channels, kernel, stride, kernel // 2, extra)

@@ -92,7 +92,9 @@ def train(
     except KeyboardInterrupt:
         screen.print("stopped; the same command with --resume goes on")
         raise
-    again = f"magical-mj evaluate --policy {out} --tasks {','.join(settings.tasks)} --preset {preset} --out ..."
+    again = (
+        f"magical-mj evaluate --policy {out} --tasks {','.join(settings.tasks)} --preset {settings.preset} --out ..."
+    )
     screen.print(f"the policy is in {out}; to evaluate it: {again}", soft_wrap=True)
 
 

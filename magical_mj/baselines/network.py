@@ -32,6 +32,11 @@ def scaled(pixels: Tensor) -> Tensor:
     return pixels.div_(255)
 
 
+def convolutions(network: Network) -> list[tuple[int, int, int]]:
+    """Channels, kernel and stride of each convolution, from the pictures inwards."""
+    return [(network.first_channels, network.first_kernel, network.first_stride)] + 4 * [(network.channels, 3, 2)]
+
+
 class Torso(nn.Module):
     """What all tasks share: from stacks of frames to features.
 
@@ -53,8 +58,7 @@ class Torso(nn.Module):
         super().__init__()
         layers: list[nn.Module] = []
         side, _, channels = SHAPE
-        sizes = [(network.first_channels, network.first_kernel, network.first_stride)] + 4 * [(network.channels, 3, 2)]
-        for outputs, kernel, stride in sizes:
+        for outputs, kernel, stride in convolutions(network):
             layers.append(nn.Conv2d(channels, outputs, kernel, stride, padding=kernel // 2, bias=not batch_norm))
             layers += [nn.BatchNorm2d(outputs)] if batch_norm else []
             layers.append(nn.ReLU())
