@@ -11,7 +11,7 @@ import pytest
 
 import magical_mj
 from magical_mj import ENVIRONMENTS, TASKS, Block, Robot, Scene
-from magical_mj.actions import NOOP, Drive, Gripper, Turn
+from magical_mj.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.cli import main
 from magical_mj.errors import InvalidSceneError, UnknownNameError
 from magical_mj.experts import Expert, make_expert, run_episode
@@ -146,8 +146,29 @@ def test_what_is_imagined_is_what_happens() -> None:
         gripper, turn, drive = Gripper(rng.integers(2)), Turn(rng.integers(3)), Drive(rng.integers(3))
         world.act(gripper, turn, drive)
         env.step(world.trace[-1])
-        assert np.array_equal(world.save(), state_of(env))
+        assert np.array_equal(world.state, state_of(env))
     assert world.scene() == env.scene()
+
+
+def test_what_is_remembered_happens_again() -> None:
+    """To the bit, though some blocks sleep at that moment, and others push one another."""
+    env = env_of("ClusterColour", "All", 3)
+    for _ in range(20):
+        env.step(Action(Gripper.CLOSE, Turn.NONE, Drive.FORWARD).number)
+    world = Imagination(env)
+    asleep = env.physics.data.ptr.tree_asleep >= 0
+    assert asleep.any()
+    assert not asleep.all()
+    here = world.save()
+    ends = []
+    for detour in (0, 25):
+        for _ in range(detour):
+            world.act(Gripper.OPEN, Turn.LEFT, Drive.BACK)
+        world.restore(here)
+        for _ in range(40):
+            world.act(Gripper.CLOSE, Turn.RIGHT, Drive.FORWARD)
+        ends.append(np.array(world.states))
+    assert np.array_equal(*ends)
 
 
 def test_imagining_leaves_the_environment_alone() -> None:

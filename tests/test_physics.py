@@ -30,7 +30,7 @@ from rollouts import (
 
 import magical_mj
 from magical_mj import constants as c
-from magical_mj.actions import Action, Drive, Gripper, Turn
+from magical_mj.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.assets.contacts import SETTINGS, TIMESTEP
 from magical_mj.scene import Block, Dynamics, Robot, Scene
 
@@ -137,6 +137,18 @@ def check_bounds(numbers: range) -> None:
 
 def test_rough_hands_break_nothing() -> None:
     check_bounds(range(200))
+
+
+def test_blocks_at_rest_sleep_until_they_are_pushed() -> None:
+    near, far = Block("square", "red", 0.0, 0.1, 0.0), Block("circle", "blue", 0.7, 0.7, 0.0)
+    world = Rollouts(Scene(Robot(0.0, -0.4, 0.0), (near, far)))
+    forward, back = (Action(Gripper.OPEN, Turn.NONE, drive).number for drive in (Drive.FORWARD, Drive.BACK))
+    asleep = []
+    for action in [NOOP] * 3 + [forward] * 10 + [back] * 8:
+        world.act(action)
+        asleep.append((world.data.tree_asleep >= 0).tolist())  # near, far, robot
+    assert asleep[2] == asleep[20] == [True, True, False]
+    assert asleep[12] == [False, True, False]
 
 
 @pytest.mark.slow

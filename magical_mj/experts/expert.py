@@ -8,7 +8,7 @@ import numpy as np
 
 from magical_mj.actions import NOOP
 from magical_mj.environment import Environment
-from magical_mj.experts.imagination import Imagination, State, state_of
+from magical_mj.experts.imagination import Imagination, state_of
 from magical_mj.experts.planner import Plan, Planner
 from magical_mj.registry import task_spec
 
@@ -49,12 +49,12 @@ class Expert:
             return NOOP
         state = state_of(self._env)
         if self._step >= len(self._plan.actions) or not np.array_equal(state, self._plan.states[self._step]):
-            self._think(state, left)
+            self._think(left)
         self._step += 1
         return self._plan.actions[self._step - 1]
 
-    def _think(self, state: State, left: int) -> None:
+    def _think(self, left: int) -> None:
         planner = Planner(self._spec, self._env.initial_scene, Imagination(self._env))
         rng = np.random.default_rng(self._seed)
-        self._plan = planner.plan(state, left, BUDGET * self._spec.horizon(), rng)
+        self._plan = planner.plan(left, BUDGET * self._spec.horizon(), rng)
         self._step = 0

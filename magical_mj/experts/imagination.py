@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -17,10 +19,19 @@ from magical_mj.scene import Pose, Scene
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 State = NDArray[np.float64]
-"""Everything on which the future of a simulation depends."""
-Memory = tuple[list[int], list[State]]
-"""Actions, and the state after each."""
+"""Where everything is and how it moves."""
 Point = tuple[float, float]
+
+
+class Memory(NamedTuple):
+    """What happened since some moment, and where it led."""
+
+    data: mujoco.MjData
+    """The end. A `State` would not do: which blocks sleep is not part of it."""
+    trace: tuple[int, ...]
+    """The actions."""
+    states: tuple[State, ...]
+    """The state after each."""
 
 
 class Imagination:
@@ -32,7 +43,7 @@ class Imagination:
 
     def __init__(self, env: Environment) -> None:
         self._model = env.physics.model.ptr
-        self._data = mujoco.MjData(self._model)
+        self._data = copy.copy(env.physics.data.ptr)
         self._world = env.task.world
         self.trace: list[int] = []
         """The actions since the last `restore`."""
@@ -40,26 +51,20 @@ class Imagination:
         """The state after each of them."""
         self.count = 0
         """How many steps were imagined, ever."""
-        self.restore(state_of(env))
 
-    def save(self) -> State:
-        """The present state."""
-        return _state(self._model, self._data)
+    def save(self) -> Memory:
+        """What happened since the last `restore`, and the present."""
+        return Memory(copy.copy(self._data), tuple(self.trace), tuple(self.states))
 
-    def restore(self, state: State) -> None:
-        """Be in a state again, with an empty trace."""
-        mujoco.mj_setState(self._model, self._data, state, _STATE)
-        mujoco.mj_forward(self._model, self._data)
+    def restore(self, memory: Memory) -> None:
+        """Be where something ended, with an empty trace."""
+        mujoco.mj_copyData(self._data, self._model, memory.data)
         self.trace, self.states = [], []
 
-    def memory(self) -> Memory:
-        """What happened since the last `restore`."""
-        return self.trace, self.states
-
     def remember(self, memory: Memory) -> None:
-        """Be where something ended that happened before."""
-        self.restore(memory[1][-1])
-        self.trace, self.states = memory
+        """Be where something ended, with what led there."""
+        self.restore(memory)
+        self.trace, self.states = list(memory.trace), list(memory.states)
 
     def act(self, gripper: Gripper, turn: Turn = Turn.NONE, drive: Drive = Drive.NONE) -> None:
         """One control step."""
@@ -67,8 +72,13 @@ class Imagination:
         self._data.ctrl[:] = control_signal(action)
         mujoco.mj_step(self._model, self._data, SUBSTEPS)
         self.trace.append(action)
-        self.states.append(self.save())
+        self.states.append(self.state)
         self.count += 1
+
+    @property
+    def state(self) -> State:
+        """The present state."""
+        return _state(self._model, self._data)
 
     @property
     def robot(self) -> Pose:

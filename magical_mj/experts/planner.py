@@ -10,7 +10,7 @@ import numpy as np
 
 from magical_mj.actions import ACTIONS, Gripper
 from magical_mj.experts.errands import Errands, done, errands
-from magical_mj.experts.imagination import Imagination, State
+from magical_mj.experts.imagination import Imagination, Memory, State
 from magical_mj.experts.moves import manoeuvres, obstacles, perform
 from magical_mj.experts.navigation import explore, toll
 from magical_mj.experts.whim import Whim
@@ -53,16 +53,15 @@ class Planner:
     def _score(self, scene: Scene) -> float:
         return self._spec.score(self._initial, scene, "paper")
 
-    def plan(self, start: State, steps: int, budget: int, rng: np.random.Generator) -> Plan:
+    def plan(self, steps: int, budget: int, rng: np.random.Generator) -> Plan:
         """The best of several plans for the next `steps` actions: the first that gives the full score, if any does.
 
         Args:
-            start: the state to start from.
             steps: how many actions are left.
             budget: no new plan is begun after so many imagined steps.
             rng: varies the plans; the less, the more have failed.
         """
-        end = self._world.count + budget
+        start, end = self._world.save(), self._world.count + budget
         best = self._attempt(start, steps, Whim(rng, 1.0))
         for failed in range(1, ATTEMPTS):
             if best.score == 1.0 or self._world.count > end:
@@ -70,29 +69,28 @@ class Planner:
             best = max(best, self._attempt(start, steps, Whim(rng, CALMING**failed)), key=lambda plan: plan.score)
         return best
 
-    def _attempt(self, start: State, steps: int, whim: Whim) -> Plan:
+    def _attempt(self, start: Memory, steps: int, whim: Whim) -> Plan:
         world, todo = self._world, ()
         world.restore(start)
         actions: list[int] = []
-        states = [start]
+        states = [world.state]
         while len(actions) < steps:
             scene, left = world.scene(), steps - len(actions)
             todo = tuple(errand for errand in todo if errand.left(scene))
             if not todo or self._score(done(scene, todo)) < 1.0:
                 todo = errands(self._spec.name, self._initial, scene, whim)
-            if not self._do_best(scene, todo, left, whim):
-                world.restore(states[-1])
+            here = world.save()
+            if not todo or not self._do_best(here, scene, todo, left, whim):
+                world.restore(here)
                 for _ in range(min(PAUSE, left)):
                     world.act(gripper_of(actions))
             actions += world.trace
             states += world.states
         return Plan(self._score(world.scene()), actions, states)
 
-    def _do_best(self, scene: Scene, todo: Errands, left: int, whim: Whim) -> bool:
+    def _do_best(self, here: Memory, scene: Scene, todo: Errands, left: int, whim: Whim) -> bool:
         """Tries the most promising manoeuvres and leaves the world after the best; whether there is one."""
-        if not todo:
-            return False
-        world, start = self._world, self._world.save()
+        world = self._world
         tolls = toll(obstacles(scene), loaded=False)
         tolls[(tolls >= 0) & (whim(1.0, tolls.shape) > SMOOTH)] += 1
         ways = explore(scene.robot.pose, tolls, min(left, REACH))
@@ -101,12 +99,12 @@ class Planner:
         best, best_cost = None, math.inf
         for option in options[:TRIES]:
             handicap = whim(TASTE)
-            world.restore(start)
+            world.restore(here)
             perform(world, option, int(min(left, best_cost - handicap)))
             failed = option.errand.left(world.scene()) > 0
             cost = handicap + len(world.trace) + self._rest(todo) + FAILURE * failed
             if cost < best_cost and world.trace:
-                best, best_cost = world.memory(), cost
+                best, best_cost = world.save(), cost
         if best is not None:
             world.remember(best)
         return best is not None
