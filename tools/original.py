@@ -1,0 +1,195 @@
+"""The original's world, rebuilt on the 2-D engine that it ran on: how much of a difference to it is chance?
+
+    pip install pymunk==5.6.0
+    python tools/original.py FOLDER
+
+FOLDER holds the recordings, `probes.npz` and `human_replays.npz`. Printed is how far the rebuilt world is from the
+probes, and what the recorded human actions score in it and in ours: from the very start that was recorded, and from
+`COPIES` starts that differ from it by `NUDGE`.
+
+The measures are those of `magical_mj.constants`. One was not written down anywhere and was found by comparing
+roll-outs: a finger hangs on a pin joint of length zero that puts its error right within one step. Such a joint only
+acts along the line between its two points, and these coincide; so where it pulls is decided by rounding.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pymunk  # type: ignore[import-not-found]
+from rollouts import Array, Case, Rollouts, demo_scene, final_score, probe_poses, probe_scene, recordings
+
+from magical_mj import constants as c
+from magical_mj.actions import ACTIONS, Drive, Gripper, Turn
+from magical_mj.assets.block import INERTIA
+from magical_mj.assets.contacts import SUBSTEPS, TIMESTEP
+from magical_mj.assets.robot import FINGER_INERTIA, SIGN
+from magical_mj.geometry import block_outline, finger_outlines, mirrored
+from magical_mj.scene import Block, Robot, Scene
+
+COPIES: Final = 8
+NUDGE: Final = 1e-7
+"""Standard deviation of the changes of a start, in world units and radians."""
+TASKS: Final = ("FindDupe", "MatchRegions", "MakeLine")
+"""Those in which chance has a say."""
+BLOCK, BODY, FINGER, WALL = 0.5, 0.5, 5.0, 0.8  # friction; of two shapes that touch, the product counts
+ROBOT_GROUP: Final = 1  # shapes of one group pass through each other
+
+
+class Original:
+    """A scene at rest, of which action sequences can be rolled out once."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._space = pymunk.Space()
+        self._space.iterations, self._space.collision_slop = 10, 0.01
+        corners = [(-2, -2), (-2, 2), (2, 2), (2, -2), (-2, -2)]
+        for start, end in pairwise(corners):
+            self._shape(pymunk.Segment(self._space.static_body, start, end, 1.0), WALL)
+        self._add_robot(scene.robot)
+        self._bodies = [self._robot, *map(self._add_block, scene.blocks)]
+
+    def _shape(self, shape: pymunk.Shape, friction: float, group: int = 0) -> None:
+        shape.friction, shape.filter = friction, pymunk.ShapeFilter(group=group)
+        self._space.add(shape)
+
+    def _body(self, mass: float, inertia: float, position: tuple[float, float], angle: float) -> pymunk.Body:
+        body = pymunk.Body(mass, inertia)
+        body.position, body.angle = position, angle
+        self._space.add(body)
+        return body
+
+    def _servo(self, master: pymunk.Body, body: pymunk.Body, force: float, torque: float, turn: float) -> None:
+        """Forces of any direction up to a cap, and torques, that give `body` the velocity of `master`."""
+        slide, gear = pymunk.PivotJoint(master, body, (0, 0), (0, 0)), pymunk.GearJoint(master, body, 0, 1)
+        slide.max_bias, slide.max_force = 0, force
+        gear.error_bias, gear.max_bias, gear.max_force = 0, turn, torque
+        self._space.add(slide, gear)
+
+    def _add_block(self, block: Block) -> pymunk.Body:
+        body = self._body(c.BLOCK_MASS, INERTIA[block.shape], (block.x, block.y), block.angle)
+        self._servo(self._space.static_body, body, c.BLOCK_FRICTION_FORCE, c.BLOCK_FRICTION_TORQUE, 0)
+        outline = block_outline(block.shape).tolist()
+        if block.shape == "circle":
+            self._shape(pymunk.Circle(body, c.BLOCK_SIZE), BLOCK)
+        elif block.shape == "star":
+            for tip in range(0, 10, 2):
+                self._shape(pymunk.Poly(body, [outline[tip - 1], outline[tip], outline[tip + 1], (0, 0)]), BLOCK)
+        else:
+            self._shape(pymunk.Poly(body, outline, radius=c.SQUARE_MARGIN * (block.shape == "square")), BLOCK)
+        return body
+
+    def _add_robot(self, robot: Robot) -> None:
+        self._robot = self._body(c.ROBOT_MASS, c.ROBOT_INERTIA, (robot.x, robot.y), robot.angle)
+        self._master = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
+        self._space.add(self._master)
+        self._servo(self._master, self._robot, c.DRIVE_FORCE, c.TURN_TORQUE, c.SPEED_TURN)
+        for _ in range(2):  # the pupils, which hang on weak springs
+            pupil = self._body(0.1, 0.002, (robot.x, robot.y), robot.angle)
+            spring = pymunk.DampedRotarySpring(self._robot, pupil, 0, 0.1, 0.003)
+            spring.max_force = 0.001
+            self._space.add(spring)
+        self._fingers = [self._add_finger(sign, FINGER_INERTIA[side], robot) for side, sign in SIGN.items()]
+        self._shape(pymunk.Circle(self._robot, c.ROBOT_RADIUS), BODY, ROBOT_GROUP)
+
+    def _add_finger(self, sign: int, inertia: float, robot: Robot) -> tuple[pymunk.Body, pymunk.SimpleMotor]:
+        root = sign * c.FINGER_ROOT[0], c.FINGER_ROOT[1]
+        place, angle = self._robot.local_to_world(root), robot.fingers[sign > 0]
+        finger = self._body(c.FINGER_MASS, inertia, place, robot.angle + angle)
+        pin = pymunk.PinJoint(self._robot, finger, root, (0, 0))
+        limit = pymunk.RotaryLimitJoint(self._robot, finger, *sorted((0.0, -sign * c.FINGER_OPEN)))
+        pin.distance = pin.error_bias = limit.error_bias = 0
+        motor = pymunk.SimpleMotor(self._robot, finger, 0)
+        motor.max_force = c.FINGER_TORQUE
+        self._space.add(pin, limit, motor)
+        for outline in finger_outlines():
+            corners = (outline if sign > 0 else mirrored(outline)).tolist()
+            self._shape(pymunk.Poly(finger, corners), FINGER, ROBOT_GROUP)
+        return finger, motor
+
+    def _act(self, number: int) -> None:
+        action, robot = ACTIONS[number], self._robot
+        speed = {Drive.NONE: 0.0, Drive.FORWARD: c.SPEED_FORWARD, Drive.BACK: -c.SPEED_BACKWARD}[action.drive]
+        ahead = {Turn.NONE: 0.0, Turn.LEFT: 1.5, Turn.RIGHT: -1.5}[action.turn]
+        for _ in range(SUBSTEPS):
+            self._master.velocity = pymunk.Vec2d(0, speed).rotated(robot.angle)
+            self._master.angle = robot.angle + ahead
+            for sign, (finger, motor) in zip(SIGN.values(), self._fingers, strict=True):
+                target = 0.0 if action.gripper is Gripper.CLOSE else -sign * c.FINGER_OPEN
+                rate = 10 * (finger.angle - robot.angle - target)
+                motor.rate = float(np.clip(rate, -c.SPEED_FINGER, c.SPEED_FINGER)) if abs(rate) > 1e-4 else 0.0
+            self._space.step(TIMESTEP)
+
+    def roll(self, actions: Iterable[int]) -> tuple[Array, Array]:
+        """Poses (steps + 1, 1 + blocks, 3), the robot first, and finger angles (steps + 1, 2)."""
+        states = [self._state()]
+        for action in actions:
+            self._act(action)
+            states.append(self._state())
+        poses, fingers = zip(*states, strict=True)
+        return np.array(poses), np.array(fingers)
+
+    def _state(self) -> tuple[list[tuple[float, float, float]], list[float]]:
+        fingers = [finger.angle - self._robot.angle for finger, _ in self._fingers]
+        return [(body.position.x, body.position.y, body.angle) for body in self._bodies], fingers
+
+
+def nudged(scene: Scene, seed: int) -> Scene:
+    """A start that differs by `NUDGE`; seed 0: not at all."""
+    size = NUDGE if seed else 0.0
+    change = np.random.default_rng(seed).normal(0, size, (1 + len(scene.blocks), 3))
+    poses = (np.array([scene.robot.pose, *(block.pose for block in scene.blocks)]) + change).tolist()
+    return scene.moved(poses[0], poses[1:])
+
+
+def probes(cases: Mapping[str, Case]) -> Iterator[str]:
+    """A table of the families: how far off the body is that is furthest off."""
+    rows: dict[str, list[tuple[int, float, float]]] = {}
+    for name, case in cases.items():
+        poses, _ = Original(probe_scene(case)).roll(case["actions"].tolist())
+        apart = np.hypot(*np.moveaxis((poses - probe_poses(case))[..., :2], -1, 0)).max(axis=1)
+        same = int(np.argmax(apart > 1e-4)) if (apart > 1e-4).any() else len(apart)
+        rows.setdefault(name.split("/")[0], []).append((same, float(apart.mean()), float(apart[-1])))
+    yield "| Family | actions until 0.0001 off | mean | end |\n| --- | --- | --- | --- |"
+    for family, values in rows.items():
+        same, mean, end = np.mean(values, axis=0)
+        yield f"| {family} ({len(values)}) | {same:.1f} | {mean:.4f} | {end:.4f} |"
+
+
+def scores(cases: Mapping[str, Case]) -> Iterator[str]:
+    """A table of the tasks: mean final scores."""
+    yield "| Task | recorded | rebuilt | nudged | kept | ours | nudged | kept |\n|" + " --- |" * 8
+    for task in TASKS:
+        names = [name for name in cases if name.startswith(task + "/")]
+        recorded = np.mean([final_score(name, cases[name]["poses"][-1]) for name in names])
+        cells = [f"{recorded:.2f}"]
+        for world in (Original, Rollouts):
+            table = np.array([[_score(world, name, cases[name], seed) for name in names] for seed in range(COPIES + 1)])
+            solved = table[1:] == 1
+            both = [np.mean(one[other]) for one in solved for other in solved if one is not other and other.any()]
+            cells += [f"{table[0].mean():.2f}", f"{table[1:].mean():.2f}", f"{np.mean(both):.2f}"]
+        yield f"| {task} ({len(names)}) | " + " | ".join(cells) + " |"
+
+
+def _score(world: type[Original | Rollouts], name: str, case: Case, seed: int) -> float:
+    poses, _ = world(nudged(demo_scene(name.split("/", maxsplit=1)[0]), seed)).roll(case["actions"].tolist())
+    return final_score(name, poses[-1])
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, help="where probes.npz and human_replays.npz are")
+    folder = parser.parse_args().folder
+    for table in (probes(recordings(folder / "probes.npz")), scores(recordings(folder / "human_replays.npz"))):
+        for line in table:
+            print(line, flush=True)
+        print()
+
+
+if __name__ == "__main__":
+    main()
