@@ -4,8 +4,8 @@
     python tools/original.py FOLDER
 
 FOLDER holds the recordings, `probes.npz` and `human_replays.npz`. Printed is how far the rebuilt world is from the
-probes, and what the recorded human actions score in it and in ours: from the very start that was recorded, and from
-`COPIES` starts that differ from it by `NUDGE`.
+probes; how far ours is from it in roll-outs that nobody recorded; and what the recorded human actions score in it and
+in ours: from the very start that was recorded, and from `COPIES` starts that differ from it by `NUDGE`.
 
 The measures are those of `magical_mj.constants`. One was not written down anywhere and was found by comparing
 roll-outs: a finger hangs on a pin joint of length zero that puts its error right within one step. Such a joint only
@@ -35,6 +35,8 @@ from magical_mj.scene import Block, Robot, Scene
 COPIES: Final = 8
 NUDGE: Final = 1e-7
 """Standard deviation of the changes of a start, in world units and radians."""
+UNSEEN: Final = 60
+"""Roll-outs of each kind that nobody recorded."""
 TASKS: Final = ("FindDupe", "MatchRegions", "MakeLine")
 """Those in which chance has a say."""
 BLOCK, BODY, FINGER, WALL = 0.5, 0.5, 5.0, 0.8  # friction; of two shapes that touch, the product counts
@@ -146,6 +148,37 @@ def nudged(scene: Scene, seed: int) -> Scene:
     return scene.moved(poses[0], poses[1:])
 
 
+def gripping(rng: np.random.Generator) -> tuple[Scene, list[int]]:
+    """A block between the fingers, which close and drag it back and forth, or turn with it both ways."""
+    x, ahead, y = rng.uniform(-0.015, 0.015), 0.33 + rng.uniform(-0.015, 0.015), rng.uniform(-0.6, -0.2)
+    block = Block(rng.choice(c.SHAPES), "red", x, y + ahead, rng.choice([0.0, rng.uniform(-0.5, 0.5)]))
+    pairs = [((10, 11, 2), (6, 8, 3)), ((12, 15, 0), (7, 7, 3)), ((15, 12, 0), (7, 7, 3))]
+    actions, lengths = pairs[rng.integers(len(pairs))]
+    counts = [4, *(np.array(lengths) + rng.integers(-1, 2, 3)).tolist()]
+    return Scene(Robot(0.0, y, 0.0), (block,)), np.repeat([9, *actions], counts).tolist()
+
+
+def pushing(rng: np.random.Generator) -> tuple[Scene, list[int]]:
+    """A block somewhere ahead, into which the robot drives."""
+    place = rng.uniform(-0.14, 0.14), -0.2 + rng.uniform(-0.02, 0.02), rng.uniform(-0.6, 0.6)
+    return Scene(Robot(0.0, -0.7, 0.0), (Block(rng.choice(c.SHAPES), "red", *place),)), [1] * 12 + [0] * 4
+
+
+def unseen() -> Iterator[str]:
+    """A table of how far bodies are from where they are in the rebuilt world: there, but nudged, and in ours."""
+    yield "| Roll-outs | rebuilt, nudged | ours |\n| --- | --- | --- |"
+    for draw in (gripping, pushing):
+        rng, rows = np.random.default_rng(0), []
+        for _ in range(UNSEEN):
+            scene, actions = draw(rng)
+            truth, _ = Original(scene).roll(actions)
+            for world in (Original(nudged(scene, 1)), Rollouts(scene)):
+                apart = np.hypot(*np.moveaxis((world.roll(actions)[0] - truth)[..., :2], -1, 0)).max(axis=1)
+                rows.append((apart.mean(), apart[-1]))
+        means = np.mean(np.reshape(rows, (UNSEEN, 2, 2)), axis=0)
+        yield f"| {draw.__name__} ({UNSEEN}) | " + " | ".join(f"{mean:.3f} / {end:.3f}" for mean, end in means) + " |"
+
+
 def probes(cases: Mapping[str, Case]) -> Iterator[str]:
     """A table of the families: how far off the body is that is furthest off."""
     rows: dict[str, list[tuple[int, float, float]]] = {}
@@ -185,7 +218,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="where probes.npz and human_replays.npz are")
     folder = parser.parse_args().folder
-    for table in (probes(recordings(folder / "probes.npz")), scores(recordings(folder / "human_replays.npz"))):
+    for table in (
+        probes(recordings(folder / "probes.npz")),
+        unseen(),
+        scores(recordings(folder / "human_replays.npz")),
+    ):
         for line in table:
             print(line, flush=True)
         print()
