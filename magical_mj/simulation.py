@@ -14,6 +14,7 @@ from dm_control import mjcf
 from dm_control.mjcf.physics import _EMPTY_BINDING
 from dm_control.mujoco import engine, index, wrapper
 
+from magical_mj.assets.spec import world_spec
 from magical_mj.assets.world import World
 from magical_mj.rendering.canvas import Picture
 from magical_mj.rendering.renderer import Renderer
@@ -23,17 +24,20 @@ class Simulation(mjcf.Physics):
     """The simulation of a world, at rest in its scene after each reset."""
 
     is_ours: bool = False
-    """Whether it was compiled from our own text; to composer's tree anything may have been added."""
+    """Whether it was compiled from our own spec; to composer's tree anything may have been added."""
     _renderer: Renderer | None = None
     _named: engine.NamedIndexStructs | None = None
 
     @classmethod
     def of(cls, world: World) -> Simulation:
-        """Compiles a world: its text, or composer's tree where somebody asked for it."""
+        """Compiles a world: its spec, or composer's tree where somebody asked for it."""
         if world.tree is not None:
             return cls.from_mjcf_model(world.tree)
-        simulation = cls.from_xml_string(world.mjcf_without_regions())
-        world.rewrite_regions(simulation.model.ptr)
+        model = wrapper.MjModel(world_spec(world.structure).compile())
+        data = wrapper.MjData(model)
+        world.rewrite(model.ptr, data.ptr)
+        mujoco.mj_resetData(model.ptr, data.ptr)  # to the scene
+        simulation = cls(data)
         simulation.is_ours = True
         return simulation
 

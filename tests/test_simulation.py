@@ -12,6 +12,7 @@ import pytest
 
 import magical_mj
 from magical_mj.assets.region import DASHES, dash_count, rewrite_region
+from magical_mj.assets.spec import world_spec
 from magical_mj.assets.world import World
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.simulation import Simulation, SimulationCache
@@ -85,6 +86,18 @@ def test_regions_that_outgrow_a_model_are_not_squeezed_in() -> None:
     assert worlds[0].structure != worlds[1].structure
     with pytest.raises(ValueError, match="compile it afresh"):
         rewrite_region(Simulation.of(worlds[0]).model.ptr, 0, large)
+
+
+def test_a_spec_that_was_changed_leaves_the_next_one_as_it_should_be() -> None:
+    world = World(magical_mj.sample_scene("FixColour", "All", 3))
+    changed = world_spec(world.structure)
+    changed.worldbody.add_site()
+    block = changed.body("block0")
+    block.first_body().add_geom(size=[0.1] * 3)
+    block.first_geom().meshname = "star_fill"
+    fresh = mujoco.MjModel.from_xml_string(world.mjcf())
+    assert changed.compile().ngeom == fresh.ngeom + 1
+    assert_same_model(Simulation.of(world).model.ptr, fresh)
 
 
 def scenes_of_all_structures(count: int) -> list[World]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import OrderedDict
-from collections.abc import Hashable
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -17,8 +16,9 @@ from magical_mj.assets.block import block_mjcf, block_pair, rewrite_block
 from magical_mj.assets.contacts import SETTINGS, Settings, geom_classes
 from magical_mj.assets.markup import numbers
 from magical_mj.assets.meshes import library
-from magical_mj.assets.region import blank_regions_mjcf, dash_count, regions_mjcf, rewrite_region
+from magical_mj.assets.region import dash_count, regions_mjcf, rewrite_region
 from magical_mj.assets.robot import JOINTS, actuators_mjcf, rewrite_robot, robot_mjcf, robot_pairs, tendons_mjcf
+from magical_mj.constants import Shape
 from magical_mj.scene import Scene
 
 MEMORY: Final = '<size memory="33M"/>'
@@ -59,6 +59,15 @@ def keyframe_mjcf(data: mujoco.MjData) -> str:
     return f'<key name="now" {" ".join(attributes)}/>'
 
 
+class Structure(NamedTuple):
+    """What worlds have in common that differ in numbers only."""
+
+    shapes: tuple[Shape, ...]
+    """Of the blocks."""
+    dashes: tuple[int, ...]
+    """How many quads the model keeps for the border of each region."""
+
+
 class World(composer.Entity):
     """The composer entity of one scene: arena, robot, blocks and goal regions in one MJCF model.
 
@@ -70,7 +79,6 @@ class World(composer.Entity):
     def _build(self, scene: Scene) -> None:
         self.scene = scene
         self.tree: mjcf.RootElement | None = None
-        self._dashes = tuple(map(dash_count, scene.regions))
         first = 3 * len(scene.blocks)
         self._planar = np.array([range(start, start + 3) for start in (first, *range(0, first, 3))])
         self._fingers = first + JOINTS.index("left_finger")
@@ -89,14 +97,10 @@ class World(composer.Entity):
         """The model as text."""
         return world_mjcf(self.scene)
 
-    def mjcf_without_regions(self) -> str:
-        """The text of a model that becomes this world's by `rewrite_regions`: shorter, and faster to compile."""
-        return world_mjcf(self.scene, regions=blank_regions_mjcf(self._dashes))
-
     @property
-    def structure(self) -> Hashable:
+    def structure(self) -> Structure:
         """Worlds of equal structure differ in numbers only, so that one model serves them all; see `rewrite`."""
-        return tuple(block.shape for block in self.scene.blocks), self._dashes
+        return Structure(tuple(block.shape for block in self.scene.blocks), tuple(map(dash_count, self.scene.regions)))
 
     def rewrite(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Turn the compiled model of a world of equal structure into that of this one.
@@ -106,13 +110,9 @@ class World(composer.Entity):
         rewrite_robot(model, self.scene.robot, self.scene.dynamics)
         for index, block in enumerate(self.scene.blocks):
             rewrite_block(model, index, block, self.scene.dynamics)
-        self.rewrite_regions(model)
-        mujoco.mj_setConst(model, data)
-
-    def rewrite_regions(self, model: mujoco.MjModel) -> None:
-        """The same for the regions alone."""
         for index, region in enumerate(self.scene.regions):
             rewrite_region(model, index, region)
+        mujoco.mj_setConst(model, data)
 
     def poses(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """The planar coordinates (or velocities) of the robot and then of each block. Shape (1 + blocks, 3).
