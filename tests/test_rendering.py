@@ -15,7 +15,8 @@ from magical_mj import constants as c
 from magical_mj.assets import style
 from magical_mj.assets.world import World
 from magical_mj.rendering.canvas import CANVAS
-from magical_mj.rendering.renderer import LARGEST, Renderer, check_size, on_paper
+from magical_mj.rendering.paper import on_paper
+from magical_mj.rendering.renderer import LARGEST, Renderer, check_size
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.simulation import Simulation
 
@@ -125,11 +126,15 @@ def test_averaging_is_exact_on_white_paper() -> None:
     pixels = rng.integers(0, 256, (24, 16, 4), np.uint8)
     pixels[..., 3] = 255 * rng.integers(0, 2, (24, 16))
     pixels[pixels[..., 3] == 0] = 0
-    opaque = np.where(pixels[..., 3:] == 0, 255.0, pixels[..., :3])
-    expected = opaque[::-1].reshape(12, 2, 8, 2, 3).mean(axis=(1, 3))
-    found = on_paper(pixels)
+    sums = pixels[::-1].reshape(12, 2, 8, 2, 4).sum(axis=(1, 3))
+    averages = (sums + 2) // 4  # rounded
+    expected = averages[..., :3] + 255 - averages[..., 3:]
+    found, places = on_paper(pixels), np.zeros((12, 8, 7), np.uint8)
     assert found.dtype == np.uint8
-    assert difference(found, expected).max() <= 1.0
+    np.testing.assert_array_equal(found, expected)
+    on_paper(pixels, places[..., 2:5])
+    np.testing.assert_array_equal(places[..., 2:5], expected)
+    assert not places[..., [0, 1, 5, 6]].any()
 
 
 @pytest.mark.parametrize("size", [1, 3, 97, LARGEST])

@@ -14,14 +14,11 @@ import operator
 from typing import Any, Final
 
 import mujoco
-import numpy as np
-from PIL import Image
 
 from magical_mj.rendering import gl
 from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS, Context, Picture
+from magical_mj.rendering.paper import OVERSAMPLING, on_paper
 
-OVERSAMPLING: Final = 2
-"""Drawn pixels per side of a picture's pixel."""
 _STILL, _MOVING = mujoco.mjtCatBit.mjCAT_STATIC.value, mujoco.mjtCatBit.mjCAT_DYNAMIC.value
 LARGEST: Final = 2048
 """Side of the largest picture, in pixels."""
@@ -38,31 +35,12 @@ def check_size(image_size: Any) -> int:
     return size
 
 
-def on_paper(pixels: Picture, out: Picture | None = None) -> Picture:
-    """The picture of a drawing: averaged 2 x 2, on white paper, top row first.
-
-    Args:
-        pixels: red, green, blue (all 0 where nothing was drawn) and alpha (0 there, else 255), bottom row first.
-            Shape (2 * height, 2 * width, 4).
-        out: where to write it, shape (height, width, 3); None: into a fresh array.
-    """
-    height, width = pixels.shape[0] // OVERSAMPLING, pixels.shape[1] // OVERSAMPLING
-    drawing = Image.frombuffer("RGBX", (pixels.shape[1], pixels.shape[0]), pixels, "raw", "RGBX", 0, 1)
-    rows = drawing.reduce(OVERSAMPLING).tobytes("raw", "RGBX", 0, -1)  # exact averages, rounded; turned upside down
-    mixed = np.frombuffer(rows, np.uint8).reshape(height, width, 4)
-    paper = ~mixed[..., 3]  # the white that shows through; colour + paper is at most 255
-    picture = np.empty((height, width, 3), np.uint8) if out is None else out
-    for channel in range(3):
-        np.add(mixed[..., channel], paper, out=picture[..., channel])
-    return picture
-
-
 class Renderer:
     """Draws the states of one model. Cheap to make; OpenGL starts at the first frame.
 
     Args:
         model: what to draw.
-        ours: it was compiled from our text, so the canvas need not look whether it has the library's meshes.
+        ours: it was compiled from our spec, so the canvas need not look whether it has the library's meshes.
     """
 
     def __init__(self, model: mujoco.MjModel, *, ours: bool = False) -> None:
