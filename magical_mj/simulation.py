@@ -19,6 +19,8 @@ from magical_mj.assets.world import World
 from magical_mj.rendering.canvas import Picture
 from magical_mj.rendering.renderer import Renderer
 
+_RK4: Final = mujoco.mjtIntegrator.mjINT_RK4.value
+
 
 class Simulation(mjcf.Physics):
     """The simulation of a world, at rest in its scene after each reset."""
@@ -64,16 +66,19 @@ class Simulation(mjcf.Physics):
         return self._named
 
     def step(self, nstep: int = 1) -> None:
-        """As dm_control's, with its check for new warnings in a fifth of the time.
+        """As dm_control's, with less Python around the same physics.
 
         Raises:
             dm_control.rl.control.PhysicsError: if the simulation has become unstable.
         """
-        before = self._warnings.tobytes()
-        if self.legacy_step:
-            self._step_with_up_to_date_position_velocity(nstep)
+        model, data, before = self.model.ptr, self.data.ptr, self._warnings.tobytes()
+        if self.legacy_step and model.opt.integrator != _RK4:
+            mujoco.mj_step2(model, data)  # what comes before was done at the end of the last step
+            mujoco.mj_step(model, data, nstep - 1)
         else:
-            mujoco.mj_step(self.model.ptr, self.data.ptr, nstep)
+            mujoco.mj_step(model, data, nstep)
+        if self.legacy_step:
+            mujoco.mj_step1(model, data)
         after = self._warnings.tobytes()
         if after != before:
             self._warnings[:] = np.frombuffer(before, self._warnings.dtype)
