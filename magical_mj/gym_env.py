@@ -126,10 +126,11 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             raise ResetNeeded("the episode has ended; call reset() before the next step")
         now = self._env.step(action)
         stacks = {name: stack.push(self._see) for name, stack in self._stacks.items()}
-        self._running = not now.last()
-        score = self._env.score() if now.last() else 0.0
+        last = now.last()
+        self._running = not last
+        score = self._env.score() if last else 0.0
         info = {"eval_score": score, "is_success": score == 1.0}
-        return self._observation(now.observation, stacks), float(now.reward or 0.0), False, now.last(), info
+        return self._observation(now.observation, stacks), float(now.reward or 0.0), False, last, info
 
     def render(self) -> Images | None:
         """The allo view, shape (384, 384, 3), if `render_mode` is "rgb_array"."""

@@ -7,6 +7,7 @@ to know whose it holds. A skin's corners travel with every frame, so new corners
 from __future__ import annotations
 
 from functools import cache, lru_cache
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -25,6 +26,13 @@ DASHES = 42
 """Quads kept for the border of one region: enough for 0.8 x 0.8 world units."""
 
 
+_AHEAD: Final = np.array([[1.0, 0], [0, -1], [-1, 0], [0, 1]])
+"""Along the top, right, bottom and left side."""
+_OUTWARD: Final = REGION_BORDER_WIDTH / 2 * np.array([[0, 1.0], [1, 0], [0, -1], [-1, 0]])
+"""From the middle of each side's line to its outer edge."""
+_ACROSS: Final = np.stack([-_OUTWARD, -_OUTWARD, _OUTWARD, _OUTWARD], axis=1)
+
+
 @lru_cache(16)
 def dash_quads(region: GoalRegion) -> NDArray[np.float64]:
     """The dashes along a region's edge, clockwise from its top-left corner.
@@ -34,22 +42,24 @@ def dash_quads(region: GoalRegion) -> NDArray[np.float64]:
     """
     x0, y0, x1, y1 = region.x_min, region.y_min, region.x_max, region.y_max
     corners = np.array([[x0, y1], [x1, y1], [x1, y0], [x0, y0]])
-    ahead = np.array([[1.0, 0], [0, -1], [-1, 0], [0, 1]])  # along the top, right, bottom and left side
     length = np.array([x1 - x0, y1 - y0, x1 - x0, y1 - y0])
-    end_of_side = np.cumsum(length)
+    end_of_side = length.cumsum()
     start_of_side = end_of_side - length
     start = 2 * DASH_LENGTH * np.arange(np.ceil(end_of_side[-1] / (2 * DASH_LENGTH)))[:, None]  # of each dash
     end = start + DASH_LENGTH
     first, last = np.maximum(start, start_of_side), np.minimum(end, end_of_side)  # its part on each side
+    dash, side = (last > first).nonzero()
+    first, last, start_of_side, end_of_side = (
+        first[dash, side],
+        last[dash, side],
+        start_of_side[side],
+        end_of_side[side],
+    )
     half = REGION_BORDER_WIDTH / 2
-    first = np.where(start < start_of_side, start_of_side - half, first)  # a dash that bends round a corner is mitred
-    bends = (end > end_of_side) & (np.arange(4) < 3)
-    dash, side = np.nonzero(np.minimum(end, end_of_side) > np.maximum(start, start_of_side))
-    last = np.where(bends, end_of_side + half, last)
-    along = np.stack([first, last], axis=-1)[dash, side] - start_of_side[side, None]
-    outward = half * np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)[side]
-    a, b = (corners[side] + along[:, [k]] * ahead[side] for k in (0, 1))
-    quads = np.stack([a - outward, b - outward, b + outward, a + outward], axis=1)
+    first -= half * (start[dash, 0] < start_of_side)  # a dash that bends round a corner is mitred
+    last += half * ((end[dash, 0] > end_of_side) & (side < 3))
+    along = np.stack([first, last, last, first], axis=1) - start_of_side[:, None]
+    quads = corners[side, None] + along[..., None] * _AHEAD[side, None] + _ACROSS[side]
     quads.setflags(write=False)
     return quads
 
@@ -69,12 +79,8 @@ def regions_mjcf(regions: tuple[GoalRegion, ...]) -> str:
     return text
 
 
-@lru_cache(16)
 def blank_regions_mjcf(dashes: tuple[int, ...]) -> str:
-    """The skins of regions with so many dashes, without their corners and colours, which `rewrite_region` writes.
-
-    Writing thousands of numbers as text, and reading them, is a sixth of compiling.
-    """
+    """The skins of regions with so many dashes, without their corners and colours, which `rewrite_region` writes."""
     parts = ((index, *part) for index, count in enumerate(dashes) for part in (("fill", 1), ("border", count)))
     return "".join(
         _skin(f"region{index}_{name}", style.WHITE, "0 " * 12 * count, count) for index, name, count in parts
@@ -113,10 +119,9 @@ def _corners(region: GoalRegion, index: int, count: int) -> NDArray[np.float32]:
         flat = dash_quads(region).reshape(-1, 2)
         if len(flat) > 4 * count:
             raise ValueError(f"{region} needs {len(flat) // 4} dashes; this model has {count}, so compile it afresh")
-        flat = np.vstack([flat, np.repeat(flat[-1:], 4 * count - len(flat), axis=0)])
         z += style.BORDER_ABOVE_FILL
-    corners = np.empty((len(flat), 3), np.float32)
-    corners[:, :2], corners[:, 2] = flat, z
+    corners = np.empty((4 * count, 3), np.float32)
+    corners[: len(flat), :2], corners[len(flat) :, :2], corners[:, 2] = flat, flat[-1], z
     corners.setflags(write=False)
     return corners
 
