@@ -6,11 +6,11 @@ in little but numbers, which `World.rewrite` writes into the compiled model, and
 
 from __future__ import annotations
 
+from copy import copy
 from functools import cache, lru_cache
 from typing import Any, Final
 
 import mujoco
-import numpy as np
 
 from magical_mj.assets.block import INERTIA, collision_geoms
 from magical_mj.assets.contacts import geom_classes
@@ -33,7 +33,9 @@ def world_spec(structure: Structure) -> mujoco.MjSpec:
         outline.meshname, block.next_geom(outline).meshname = f"{shape}_outline", f"{shape}_fill"
         solid = block.first_body()
         for kind, attributes in _solid_geoms(shape):
-            solid.add_geom(spec.find_default(kind), **attributes)
+            geom = solid.add_geom(spec.find_default(kind))
+            for name, value in attributes:  # twice as fast as naming them to `add_geom`
+                setattr(geom, name, value)
     return spec
 
 
@@ -49,9 +51,11 @@ def _unshaped(blocks: int, dashes: tuple[int, ...]) -> mujoco.MjSpec:
 
 
 @cache
-def _solid_geoms(shape: Shape) -> tuple[tuple[str, dict[str, Any]], ...]:
+def _solid_geoms(shape: Shape) -> tuple[tuple[str, tuple[tuple[str, Any], ...]], ...]:
     """The geoms of a block of this shape that collide: class and attributes."""
     spec = mujoco.MjSpec.from_string(
         f"<mujoco><default>{geom_classes()}</default><worldbody>{collision_geoms(shape)}</worldbody></mujoco>"
     )
-    return tuple((geom.classname.name, {name: np.copy(getattr(geom, name)) for name in _GEOM}) for geom in spec.geoms)
+    return tuple(
+        (geom.classname.name, tuple((name, copy(getattr(geom, name))) for name in _GEOM)) for geom in spec.geoms
+    )
