@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Final, Literal
@@ -11,7 +11,7 @@ import numpy as np
 
 from magical_mj.actions import ACTIONS
 from magical_mj.gym_env import MagicalEnv
-from magical_mj.presets import preset
+from magical_mj.presets import Preset, preset
 from magical_mj.speed.bare import BareLoop
 
 Cause = Literal["rewritten", "compiled"]
@@ -70,24 +70,43 @@ def measure(task: str, variant: str, preset_name: str, steps: int) -> Measuremen
     for seed, plan in enumerate(plans(env)):
         if done >= steps:
             break
-        start = perf_counter()
-        env.reset(seed=seed)
-        seconds += perf_counter() - start
-        bare = BareLoop(env.scene, preset(preset_name))
-        for first in range(0, len(plan), TURN):
-            actions = plan[first : first + TURN]
-            start = perf_counter()
-            for action in actions:
-                env.step(action)
-            middle = perf_counter()
-            bare.run(actions)
-            bare_seconds += perf_counter() - middle
-            seconds += middle - start
+        taken, bare_taken = episode(env, seed, plan, preset(preset_name))
+        seconds += taken
+        bare_seconds += bare_taken
         done += len(plan)
-        bare.close()
     resets = reset_times(task, variant, preset_name)
     env.close()
     return Measurement(task, variant, preset_name, done, seconds, bare_seconds, resets)
+
+
+def episode(env: MagicalEnv, seed: int, plan: list[int], shown: Preset) -> tuple[float, float]:
+    """Seconds of an episode with its reset, and of its steps in the bare loop.
+
+    The bare loop is made after the first turn: in use, too, nothing comes between a reset and the steps after it.
+    """
+
+    def play(actions: list[int]) -> None:
+        for action in actions:
+            env.step(action)
+
+    first, *others = (plan[begin : begin + TURN] for begin in range(0, len(plan), TURN))
+    start = perf_counter()
+    env.reset(seed=seed)
+    seconds = perf_counter() - start + _seconds(play, first)
+    bare = BareLoop(env.dm_env.initial_scene, shown)
+    bare_seconds = _seconds(bare.run, first)
+    for actions in others:
+        seconds += _seconds(play, actions)
+        bare_seconds += _seconds(bare.run, actions)
+    bare.close()
+    return seconds, bare_seconds
+
+
+def _seconds(take: Callable[[list[int]], None], actions: list[int]) -> float:
+    """How long it takes to take these actions."""
+    start = perf_counter()
+    take(actions)
+    return perf_counter() - start
 
 
 def plans(env: MagicalEnv) -> Iterator[list[int]]:
