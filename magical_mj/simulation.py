@@ -102,8 +102,9 @@ class Simulation(mjcf.Physics):
 class SimulationCache:
     """The simulations of an environment: the one in use, and idle ones of the last few structures of world.
 
-    Compiling takes twenty times as long as rewriting a model, and most episodes differ in numbers only. Each takes
-    0.8 MB, so how many are idle is bounded for all environments of the process too. The least recently used go first.
+    Compiling takes more than ten times as long as rewriting a model, and most episodes differ in numbers only. Each
+    takes 0.8 MB, so how many are idle is bounded for all environments of the process too. The least recently used go
+    first.
     """
 
     KEPT: Final = 4

@@ -71,9 +71,9 @@ class Structure(NamedTuple):
 class World(composer.Entity):
     """The composer entity of one scene: arena, robot, blocks and goal regions in one MJCF model.
 
-    The model is written as text, which is forty times faster than building composer's tree of elements. The tree is
-    there for those who want it: it is parsed when `mjcf_model` is first asked for, and from then on it is what is
-    compiled, with whatever was added to it.
+    The model is written as text, which is forty times faster than building composer's tree of elements, and is compiled
+    from a spec that parts of the text were parsed into. The tree is there for those who want it: it is parsed when
+    `mjcf_model` is first asked for, and from then on it is what is compiled, with whatever was added to it.
     """
 
     def _build(self, scene: Scene) -> None:
@@ -105,7 +105,7 @@ class World(composer.Entity):
     def rewrite(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Turn the compiled model of a world of equal structure into that of this one.
 
-        Compiling takes fifty times as long. What the compiler derives from the numbers is derived anew.
+        Compiling takes more than ten times as long. What the compiler derives from the numbers is derived anew.
         """
         rewrite_robot(model, self.scene.robot, self.scene.dynamics)
         for index, block in enumerate(self.scene.blocks):
