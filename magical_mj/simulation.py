@@ -109,7 +109,7 @@ class SimulationCache:
 
     KEPT: Final = 4
     """For an environment, with the one in use."""
-    IDLE: Final = 8
+    IDLE: Final = 4
     """In the process."""
 
     _idle: ClassVar[OrderedDict[tuple[weakref.ref[SimulationCache], Hashable], None]] = OrderedDict()

@@ -125,9 +125,9 @@ def test_idle_models_are_bounded_for_all_environments_together() -> None:
         for world in worlds:
             cache.simulation(world)
     oldest, *_, latest = caches
-    for world in reversed(worlds):
-        latest.simulation(world)
-        oldest.simulation(world)
+    for cache in (latest, oldest):
+        for world in reversed(worlds):
+            cache.simulation(world)
     assert latest.compiled == len(worlds)
     assert oldest.compiled > len(worlds)
     for cache in caches:
