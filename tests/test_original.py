@@ -25,10 +25,12 @@ def test_free_roll_outs_are_the_recorded_ones(name: str) -> None:
 def test_a_gripped_block_slows_the_robot_as_recorded(shape: str) -> None:
     """Backwards to less than 0.6 units/s, which hinges would reach; chance decides how much less."""
     case = PROBES[f"grip/{shape}_forward_back"]
-    poses, _ = Original(probe_scene(case)).roll(case["actions"].tolist())
-    speed, recorded = (np.diff(track[16:20, 0, 1]).mean() * 8 for track in (poses, probe_poses(case)))
+    pins, hinges = (Original(probe_scene(case), hinged=hinged) for hinged in (False, True))
+    tracks = probe_poses(case), *(world.roll(case["actions"].tolist())[0] for world in (pins, hinges))
+    recorded, pinned, hinged = (np.diff(track[17:20, 0, 1]).mean() * 8 for track in tracks)
     assert recorded > -0.57
-    assert speed == pytest.approx(recorded, abs=0.05)
+    assert pinned == pytest.approx(recorded, abs=0.05)
+    assert hinged == pytest.approx(-0.6, abs=0.02)
 
 
 def test_nudges_are_small_and_seed_0_is_none() -> None:

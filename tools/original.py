@@ -4,8 +4,9 @@
     python tools/original.py FOLDER
 
 FOLDER holds the recordings, `probes.npz` and `human_replays.npz`. Printed is how far the rebuilt world is from the
-probes; how far ours is from it in roll-outs that nobody recorded; and what the recorded human actions score in it and
-in ours: from the very start that was recorded, and from `COPIES` starts that differ from it by `NUDGE`.
+probes, as it is and with hinges for the pins of its fingers; how far ours is from it in roll-outs that nobody
+recorded; and what the recorded human actions score in it and in ours: from the very start that was recorded, and from
+`COPIES` starts that differ from it by `NUDGE`.
 
 The measures are those of `magical_mj.constants`. One was not written down anywhere and was found by comparing
 roll-outs: a finger hangs on a pin joint of length zero that puts its error right within one step. Such a joint only
@@ -22,7 +23,7 @@ from typing import Final
 
 import numpy as np
 import pymunk  # type: ignore[import-not-found]
-from rollouts import Array, Case, Rollouts, demo_scene, final_score, probe_poses, probe_scene, recordings
+from rollouts import Array, Case, Rollouts, demo_scene, distances, final_score, probe_poses, probe_scene, recordings
 
 from magical_mj import constants as c
 from magical_mj.actions import ACTIONS, Drive, Gripper, Turn
@@ -35,6 +36,8 @@ from magical_mj.scene import Block, Robot, Scene
 COPIES: Final = 8
 NUDGE: Final = 1e-7
 """Standard deviation of the changes of a start, in world units and radians."""
+SAME: Final = 1e-4
+"""World units by which roll-outs may differ and still be called the same."""
 UNSEEN: Final = 60
 """Roll-outs of each kind that nobody recorded."""
 TASKS: Final = ("FindDupe", "MatchRegions", "MakeLine")
@@ -44,9 +47,15 @@ ROBOT_GROUP: Final = 1  # shapes of one group pass through each other
 
 
 class Original:
-    """A scene at rest, of which action sequences can be rolled out once."""
+    """A scene at rest, of which one action sequence can be rolled out.
 
-    def __init__(self, scene: Scene) -> None:
+    Args:
+        scene: the start.
+        hinged: hang the fingers on hinges instead of pins.
+    """
+
+    def __init__(self, scene: Scene, *, hinged: bool = False) -> None:
+        self._hinged = hinged
         self._space = pymunk.Space()
         self._space.iterations, self._space.collision_slop = 10, 0.01
         corners = [(-2, -2), (-2, 2), (2, 2), (2, -2), (-2, -2)]
@@ -79,8 +88,10 @@ class Original:
         if block.shape == "circle":
             self._shape(pymunk.Circle(body, c.BLOCK_SIZE), BLOCK)
         elif block.shape == "star":
-            for tip in range(0, 10, 2):
-                self._shape(pymunk.Poly(body, [outline[tip - 1], outline[tip], outline[tip + 1], (0, 0)]), BLOCK)
+            ends = [(-1, 0), (0, 1), *((tip - 1, tip + 1) for tip in range(2, 10, 2))]  # the top tip in two halves
+            for first, last in ends:
+                corners = [outline[index] for index in range(first, last + 1)]
+                self._shape(pymunk.Poly(body, [*corners, (0, 0)]), BLOCK)
         else:
             self._shape(pymunk.Poly(body, outline, radius=c.SQUARE_MARGIN * (block.shape == "square")), BLOCK)
         return body
@@ -102,9 +113,11 @@ class Original:
         root = sign * c.FINGER_ROOT[0], c.FINGER_ROOT[1]
         place, angle = self._robot.local_to_world(root), robot.fingers[sign > 0]
         finger = self._body(c.FINGER_MASS, inertia, place, robot.angle + angle)
-        pin = pymunk.PinJoint(self._robot, finger, root, (0, 0))
+        pin = (pymunk.PivotJoint if self._hinged else pymunk.PinJoint)(self._robot, finger, root, (0, 0))
         limit = pymunk.RotaryLimitJoint(self._robot, finger, *sorted((0.0, -sign * c.FINGER_OPEN)))
-        pin.distance = pin.error_bias = limit.error_bias = 0
+        pin.error_bias = limit.error_bias = 0
+        if not self._hinged:
+            pin.distance = 0
         motor = pymunk.SimpleMotor(self._robot, finger, 0)
         motor.max_force = c.FINGER_TORQUE
         self._space.add(pin, limit, motor)
@@ -173,7 +186,7 @@ def unseen() -> Iterator[str]:
             scene, actions = draw(rng)
             truth, _ = Original(scene).roll(actions)
             for world in (Original(nudged(scene, 1)), Rollouts(scene)):
-                apart = np.hypot(*np.moveaxis((world.roll(actions)[0] - truth)[..., :2], -1, 0)).max(axis=1)
+                apart = distances(world.roll(actions)[0], truth)
                 rows.append((apart.mean(), apart[-1]))
         means = np.mean(np.reshape(rows, (UNSEEN, 2, 2)), axis=0)
         yield f"| {draw.__name__} ({UNSEEN}) | " + " | ".join(f"{mean:.3f} / {end:.3f}" for mean, end in means) + " |"
@@ -181,16 +194,20 @@ def unseen() -> Iterator[str]:
 
 def probes(cases: Mapping[str, Case]) -> Iterator[str]:
     """A table of the families: how far off the body is that is furthest off."""
-    rows: dict[str, list[tuple[int, float, float]]] = {}
+    rows: dict[str, list[tuple[float, ...]]] = {}
     for name, case in cases.items():
-        poses, _ = Original(probe_scene(case)).roll(case["actions"].tolist())
-        apart = np.hypot(*np.moveaxis((poses - probe_poses(case))[..., :2], -1, 0)).max(axis=1)
-        same = int(np.argmax(apart > 1e-4)) if (apart > 1e-4).any() else len(apart)
-        rows.setdefault(name.split("/")[0], []).append((same, float(apart.mean()), float(apart[-1])))
-    yield "| Family | actions until 0.0001 off | mean | end |\n| --- | --- | --- | --- |"
+        pinned, hinged = (
+            distances(Original(probe_scene(case), hinged=hinged).roll(case["actions"].tolist())[0], probe_poses(case))
+            for hinged in (False, True)
+        )
+        same = int(np.argmax(pinned > SAME)) if (pinned > SAME).any() else len(pinned)
+        row = same, float(pinned.mean()), float(pinned[-1]), float(hinged.mean()), float(hinged[-1])
+        rows.setdefault(name.split("/")[0], []).append(row)
+    yield f"| Family | actions until {SAME} off | error | with hinges |\n| --- | --- | --- | --- |"
     for family, values in rows.items():
-        same, mean, end = np.mean(values, axis=0)
-        yield f"| {family} ({len(values)}) | {same:.1f} | {mean:.4f} | {end:.4f} |"
+        same, mean, end, hinged_mean, hinged_end = np.mean(values, axis=0)
+        errors = f"{mean:.4f} / {end:.4f} | {hinged_mean:.4f} / {hinged_end:.4f}"
+        yield f"| {family} ({len(values)}) | {same:.1f} | {errors} |"
 
 
 def scores(cases: Mapping[str, Case]) -> Iterator[str]:

@@ -106,12 +106,18 @@ def probe_poses(case: Case) -> Array:
     return np.concatenate([case["robot"][:, None], *([case["blocks"]] if "blocks" in case else [])], axis=1)
 
 
+def distances(one: Array, other: Array) -> Array:
+    """Of the body that is furthest off, at each step of two roll-outs."""
+    apart = one - other
+    return np.hypot(apart[..., 0], apart[..., 1]).max(axis=1)
+
+
 def probe_errors(case: Case, settings: Settings = SETTINGS) -> tuple[float, float, float]:
     """Of the body that is furthest off: mean distance, distance at the end, and mean error of the angle."""
     track, _ = Rollouts(probe_scene(case), settings).roll(case["actions"].tolist())
-    apart = track - probe_poses(case)
-    distance = np.hypot(apart[..., 0], apart[..., 1]).max(axis=1)
-    turn = np.abs((apart[..., 2] + np.pi) % (2 * np.pi) - np.pi).max(axis=1)
+    recorded = probe_poses(case)
+    distance = distances(track, recorded)
+    turn = np.abs(((track - recorded)[..., 2] + np.pi) % (2 * np.pi) - np.pi).max(axis=1)
     return float(distance.mean()), float(distance[-1]), float(turn.mean())
 
 
