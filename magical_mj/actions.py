@@ -1,7 +1,7 @@
 """The 18 discrete actions: gripper (open, close) x turn (none, left, right) x drive (none, forward, back).
 
 The number of an action is ``9 * gripper + 3 * turn + drive``, as in the original (Toyer et al. 2020,
-section 3 "Action space").
+section 3 "Action space"). Learners of continuous actions have the same 18 as vectors (drive, turn, grip).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from enum import IntEnum
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from magical_mj.errors import InvalidActionError
 
@@ -86,3 +87,60 @@ def action_number(action: Any) -> int:
             "(9 * gripper + 3 * turn + drive; see magical_mj.actions.ACTIONS)"
         )
     return number
+
+
+THRESHOLD: Final = 0.5
+"""A drive or turn entry of a vector commands motion when its magnitude is above this; grip closes above 0."""
+
+_VECTORS: Final = np.array(
+    [
+        ((0.0, 1.0, -1.0)[action.drive], (0.0, 1.0, -1.0)[action.turn], 1.0 if action.gripper else -1.0)
+        for action in ACTIONS
+    ],
+    np.float32,
+)
+
+
+def to_vector(numbers: ArrayLike) -> NDArray[np.float32]:
+    """Actions as vectors (drive, turn, grip) with entries in {-1, 0, 1}.
+
+    Drive: 1 forward, -1 back; turn: 1 left (counter-clockwise), -1 right; grip: 1 close, -1 open.
+
+    Args:
+        numbers: action numbers in 0..17, any shape.
+
+    Returns:
+        Fresh vectors, shape (*numbers.shape, 3). `to_discrete` is the inverse.
+
+    Raises:
+        InvalidActionError: if any of them is not an action.
+    """
+    array = np.asarray(numbers)
+    wrong = array.dtype.kind not in "iu" or (array.size and not (array.min() >= 0 and array.max() < len(ACTIONS)))
+    if wrong:
+        raise InvalidActionError(f"actions are the integers 0..{len(ACTIONS) - 1}, not {numbers!r}")
+    return _VECTORS[array]
+
+
+def to_discrete(vector: ArrayLike) -> int:
+    """The action that a vector (drive, turn, grip) commands: the inverse of `to_vector` on all 18 actions.
+
+    Drive and turn command motion above 0.5 and below -0.5, grip closes above 0. Entries are meant to be in [-1, 1];
+    a policy's small overshoot is understood as the border.
+
+    Args:
+        vector: shape (3,).
+
+    Raises:
+        InvalidActionError: for another shape, or entries that are not finite numbers.
+    """
+    try:
+        entries = np.asarray(vector, np.float64)
+    except (TypeError, ValueError):
+        entries = np.empty(0)
+    if entries.shape != (3,) or not np.isfinite(entries).all():
+        raise InvalidActionError(
+            f"{vector!r} is not a continuous action: those are three finite numbers in [-1, 1] (drive, turn, grip)"
+        )
+    drive, turn = (1 if entry > THRESHOLD else 2 if entry < -THRESHOLD else 0 for entry in entries[:2])
+    return Action(Gripper(int(entries[2] > 0)), Turn(turn), Drive(drive)).number

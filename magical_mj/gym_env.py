@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, Literal, get_args
 
 import gymnasium
 import numpy as np
@@ -12,7 +12,7 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from magical_mj import constants as c
-from magical_mj.actions import ACTIONS
+from magical_mj.actions import ACTIONS, to_discrete
 from magical_mj.environment import Environment, load
 from magical_mj.errors import InvalidSceneError, unknown_name
 from magical_mj.frames import FrameStack, Images
@@ -22,7 +22,10 @@ from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
 from magical_mj.scene_task import Reward
 from magical_mj.tasks.spec import Rules
+from magical_mj.wrappers import CONTINUOUS_SPACE
 
+ActionForm = Literal["discrete", "continuous"]
+ACTION_FORMS: Final[tuple[str, ...]] = get_args(ActionForm)
 Observation = NDArray[Any] | dict[str, Images]
 
 RENDER_SIZE: Final = 384  # px, side of what `render` gives
@@ -33,7 +36,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     """One of the 60 environments; make it with `gymnasium.make("magical_mj/...")`.
 
     ## Actions
-    `Discrete(18)`: 9 * gripper + 3 * turn + drive; see `magical_mj.actions`. One action lasts 1/8 s.
+    `Discrete(18)`: 9 * gripper + 3 * turn + drive; see `magical_mj.actions`. One action lasts 1/8 s. With
+    `action="continuous"`, vectors (drive, turn, grip) in [-1, 1]; see `magical_mj.wrappers.ContinuousActions`.
 
     ## Observations
     What the preset says (`magical_mj.presets.PRESETS`): uint8 pictures stacked along the channels, oldest
@@ -52,6 +56,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         image_size: side of the pictures in pixels, instead of the preset's.
         reward: "none", or "score" for the score as reward at the last step.
         rules: "paper" or "released".
+        action: "discrete" or "continuous".
         render_mode: "rgb_array" (the allo view, 384 px); Gymnasium makes "human" (a window) from it.
     """
 
@@ -66,10 +71,13 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         image_size: int | None = None,
         reward: Reward = "none",
         rules: Rules = "paper",
+        action: ActionForm = "discrete",
         render_mode: str | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise unknown_name("render mode", render_mode, self.metadata["render_modes"])
+        if action not in ACTION_FORMS:
+            raise unknown_name("form of actions", action, ACTION_FORMS)
         self.render_mode = render_mode
         self._preset = _preset(preset)
         size = self._preset.image_size if image_size is None else check_size(image_size)
@@ -82,7 +90,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             reward=reward,
             rules=rules,
         )
-        self.action_space = spaces.Discrete(len(ACTIONS))
+        self._continuous = action == "continuous"
+        self.action_space = CONTINUOUS_SPACE if self._continuous else spaces.Discrete(len(ACTIONS))
         self._stacks = _stacks(self._preset, size)
         self.observation_space = _space(self._preset, self._stacks)
         self._running = False
@@ -124,7 +133,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """
         if not self._running:
             raise ResetNeeded("the episode has ended; call reset() before the next step")
-        now = self._env.step(action)
+        now = self._env.step(to_discrete(action) if self._continuous else action)
         stacks = {name: stack.push(self._see) for name, stack in self._stacks.items()}
         last = now.last()
         self._running = not last

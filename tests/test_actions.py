@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical_mj.actions import ACTIONS, NOOP, Action, Drive, Gripper, Turn, action_number
+from magical_mj.actions import ACTIONS, NOOP, Action, Drive, Gripper, Turn, action_number, to_discrete, to_vector
 from magical_mj.errors import InvalidActionError
 
 
@@ -43,3 +43,38 @@ def test_every_integer_type_and_the_triples_are_taken(action: Any) -> None:
 def test_anything_else_is_refused(action: Any) -> None:
     with pytest.raises(InvalidActionError, match=r"is not an action: actions are the integers 0\.\.17"):
         action_number(action)
+
+
+def test_vectors_are_the_inverse_of_numbers() -> None:
+    vectors = to_vector(np.arange(18))
+    assert vectors.shape == (18, 3)
+    assert len({tuple(vector) for vector in vectors.tolist()}) == 18
+    assert [to_discrete(vector) for vector in vectors] == list(range(18))
+    assert to_vector(Action(Gripper.CLOSE, Turn.RIGHT, Drive.FORWARD).number).tolist() == [1.0, -1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("vector", "action"),
+    [
+        ([0.5, -0.5, 0.0], Action()),  # at the thresholds nothing is commanded
+        ([0.51, 0.0, -1.0], Action(drive=Drive.FORWARD)),
+        ([-0.51, 0.51, 0.01], Action(Gripper.CLOSE, Turn.LEFT, Drive.BACK)),
+        ([1.3, -1.1, -0.2], Action(Gripper.OPEN, Turn.RIGHT, Drive.FORWARD)),
+    ],
+)
+def test_thresholds_of_vectors(vector: list[float], action: Action) -> None:
+    assert to_discrete(vector) == action.number
+
+
+@pytest.mark.parametrize(
+    "vector", [[0.0, np.nan, 0.0], [np.inf, 0.0, 0.0], [0.0, 0.0], [[0.0, 0.0, 0.0]], "abc", None, 3, [1, 2, "x"]]
+)
+def test_what_is_no_vector_is_refused(vector: object) -> None:
+    with pytest.raises(InvalidActionError, match="three finite numbers"):
+        to_discrete(vector)
+
+
+@pytest.mark.parametrize("numbers", [18, -1, 1.0, [0, 18], None, True])
+def test_what_is_no_number_has_no_vector(numbers: object) -> None:
+    with pytest.raises(InvalidActionError, match=r"0\.\.17"):
+        to_vector(numbers)

@@ -30,7 +30,7 @@ FLOORS: dict[str, int] = {
     **dict.fromkeys(["tasks"], 1),
     **dict.fromkeys(["variants", "assets"], 2),
     **dict.fromkeys(["registry", "environment", "scene_task", "simulation", "observations", "rendering", "export"], 3),
-    **dict.fromkeys(["presets", "registration", "frames", "gym_env", "experts", "demos"], 4),
+    **dict.fromkeys(["presets", "registration", "frames", "gym_env", "wrappers", "experts", "demos"], 4),
     **dict.fromkeys(["evaluation", "speed"], 5),
     **dict.fromkeys(["cli", "__main__"], 6),
     **dict.fromkeys(["baselines"], 7),
