@@ -14,8 +14,7 @@ from dm_control import mjcf
 from dm_control.mjcf.physics import _EMPTY_BINDING
 from dm_control.mujoco import engine, index, wrapper
 
-from magical_mj.assets.spec import world_spec
-from magical_mj.assets.world import World
+from magical_mj.assets.world import World, world_spec
 from magical_mj.rendering.canvas import Picture
 from magical_mj.rendering.renderer import Renderer
 

@@ -15,8 +15,7 @@ from magical_mj import constants as c
 from magical_mj.assets import style
 from magical_mj.assets.world import World
 from magical_mj.rendering.canvas import CANVAS
-from magical_mj.rendering.paper import on_paper
-from magical_mj.rendering.renderer import LARGEST, Renderer, check_size
+from magical_mj.rendering.renderer import LARGEST, Renderer, check_size, on_paper
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.simulation import Simulation
 

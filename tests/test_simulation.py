@@ -12,8 +12,7 @@ import pytest
 
 import magical_mj
 from magical_mj.assets.region import DASHES, dash_count, rewrite_region
-from magical_mj.assets.spec import world_spec
-from magical_mj.assets.world import World
+from magical_mj.assets.world import World, world_spec
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.simulation import Simulation, SimulationCache
 

@@ -7,7 +7,7 @@ from typing import Final
 from magical_mj import constants as c
 from magical_mj.assets import style
 from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, TIMESTEP, Settings
-from magical_mj.assets.markup import numbers
+from magical_mj.assets.mjcf import numbers
 from magical_mj.assets.region import BONE
 
 CAMERA_HEIGHT: Final = 2.0

@@ -10,8 +10,8 @@ import mujoco
 from magical_mj import constants as c
 from magical_mj.assets import style
 from magical_mj.assets.contacts import PRESS, SETTINGS, Settings, floor_pair, foot, softness, vertex
-from magical_mj.assets.markup import move_body, numbers, planar_body
 from magical_mj.assets.meshes import Points, inset
+from magical_mj.assets.mjcf import move_body, numbers, planar_body
 from magical_mj.assets.style import BLOCK_FILL, BLOCK_OUTLINE, FILL_ABOVE_OUTLINE, Z_BLOCK
 from magical_mj.constants import Shape
 from magical_mj.geometry import block_outline, regular_polygon

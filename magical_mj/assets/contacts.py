@@ -12,7 +12,7 @@ from typing import Final
 
 from magical_mj import constants as c
 from magical_mj.assets import style
-from magical_mj.assets.markup import numbers
+from magical_mj.assets.mjcf import numbers
 
 SUBSTEPS: Final = 10
 """Physics steps per action."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from magical_mj import constants as c
 from magical_mj.assets import style
-from magical_mj.assets.markup import single
+from magical_mj.assets.mjcf import single
 from magical_mj.constants import SHAPES, Shape
 from magical_mj.geometry import block_outline, finger_outlines, mirrored, regular_polygon
 

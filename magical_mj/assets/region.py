@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.assets import style
-from magical_mj.assets.markup import single
 from magical_mj.assets.meshes import Faces
+from magical_mj.assets.mjcf import single
 from magical_mj.assets.style import DASH_LENGTH, REGION_BORDER, REGION_BORDER_WIDTH, REGION_FILL, rgba
 from magical_mj.scene import GoalRegion
 

@@ -38,7 +38,7 @@ from magical_mj.assets.contacts import (
     softness,
     vertex,
 )
-from magical_mj.assets.markup import bend_body, move_body, numbers, planar_body, quaternion
+from magical_mj.assets.mjcf import bend_body, move_body, numbers, planar_body, quaternion
 from magical_mj.scene import Dynamics, Robot
 
 Side = Literal["left", "right"]

@@ -1,9 +1,16 @@
-"""The world of a scene: the composer entity that holds the whole MJCF model and reads scenes back from it."""
+"""The world of a scene: the whole MJCF model, what MuJoCo compiles, and the composer entity that holds both.
+
+Parsing the text of a world takes longer than compiling what was parsed. Worlds with as many blocks and regions differ
+in little but numbers, which `World.rewrite` writes into the compiled model, and the shapes of their blocks. So specs
+are put together from parts that were parsed once.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 from collections import OrderedDict
+from copy import copy
+from functools import cache, lru_cache
 from typing import Any, Final, NamedTuple
 
 import mujoco
@@ -12,14 +19,14 @@ from dm_control import composer, mjcf
 from numpy.typing import NDArray
 
 from magical_mj.assets.arena import LOOK, arena_mjcf, options
-from magical_mj.assets.block import block_mjcf, block_pair, rewrite_block
+from magical_mj.assets.block import INERTIA, block_mjcf, block_pair, collision_geoms, rewrite_block
 from magical_mj.assets.contacts import SETTINGS, Settings, geom_classes
-from magical_mj.assets.markup import numbers
 from magical_mj.assets.meshes import library
-from magical_mj.assets.region import dash_count, regions_mjcf, rewrite_region
+from magical_mj.assets.mjcf import numbers
+from magical_mj.assets.region import blank_regions_mjcf, dash_count, regions_mjcf, rewrite_region
 from magical_mj.assets.robot import JOINTS, actuators_mjcf, rewrite_robot, robot_mjcf, robot_pairs, tendons_mjcf
 from magical_mj.constants import Shape
-from magical_mj.scene import Scene
+from magical_mj.scene import Block, Robot, Scene
 
 MEMORY: Final = '<size memory="33M"/>'
 """Of which 50 kB are used, and only what is used takes memory. glibc keeps blocks of up to 32 MiB among the small ones,
@@ -66,6 +73,48 @@ class Structure(NamedTuple):
     """Of the blocks."""
     dashes: tuple[int, ...]
     """How many quads the model keeps for the border of each region."""
+
+
+_GEOM: Final = ("type", "size", "pos", "fromto")
+"""What the geoms of a block that collide say of themselves; their classes say the rest."""
+
+
+def world_spec(structure: Structure) -> mujoco.MjSpec:
+    """A spec of the worlds of this structure, whose numbers are still to be written."""
+    spec = _unshaped(len(structure.shapes), structure.dashes).copy()
+    for index, shape in enumerate(structure.shapes):
+        block = spec.body(f"block{index}")
+        block.inertia = [INERTIA[shape]] * 3
+        outline = block.first_geom()
+        outline.meshname, block.next_geom(outline).meshname = f"{shape}_outline", f"{shape}_fill"
+        solid = block.first_body()
+        for kind, attributes in _solid_geoms(shape):
+            geom = solid.add_geom(spec.find_default(kind))
+            for name, value in attributes:  # twice as fast as naming them to `add_geom`
+                setattr(geom, name, value)
+    return spec
+
+
+@lru_cache(16)
+def _unshaped(blocks: int, dashes: tuple[int, ...]) -> mujoco.MjSpec:
+    """A spec with so many blocks, which touch nothing, and with regions of so many dashes."""
+    apart = tuple(Block("circle", "red", index, 0, 0) for index in range(blocks))
+    spec = mujoco.MjSpec.from_string(world_mjcf(Scene(Robot(0, 0, 0), apart), regions=blank_regions_mjcf(dashes)))
+    for index in range(blocks):
+        for geom in spec.body(f"block{index}").first_body().geoms:
+            spec.delete(geom)
+    return spec
+
+
+@cache
+def _solid_geoms(shape: Shape) -> tuple[tuple[str, tuple[tuple[str, Any], ...]], ...]:
+    """The geoms of a block of this shape that collide: class and attributes."""
+    spec = mujoco.MjSpec.from_string(
+        f"<mujoco><default>{geom_classes()}</default><worldbody>{collision_geoms(shape)}</worldbody></mujoco>"
+    )
+    return tuple(
+        (geom.classname.name, tuple((name, copy(getattr(geom, name))) for name in _GEOM)) for geom in spec.geoms
+    )
 
 
 class World(composer.Entity):

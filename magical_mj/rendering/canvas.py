@@ -1,7 +1,7 @@
 """The canvas: one OpenGL context per process, shared by all models, environments and views.
 
 Every model of ours has the same meshes, and its regions are skins, which travel with each frame. So MuJoCo's drawing
-context, the dear part, is made once and serves them all.
+context, the expensive part, is made once and serves them all.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from magical_mj.assets.world import world_mjcf
 from magical_mj.errors import RenderingError
 from magical_mj.rendering import gl
 from magical_mj.rendering.backend import REMEDY, new_gl_context
-from magical_mj.rendering.current import Handles, current, is_current, make_current
 from magical_mj.scene import GoalRegion, Robot, Scene
 
 Picture = NDArray[np.uint8]
@@ -97,35 +96,35 @@ class Context:
 class Canvas(threading.local):
     """The OpenGL context of this thread, made at its first frame."""
 
-    gl: mujoco.GLContext | None = None
+    opengl: mujoco.GLContext | None = None
     process: int = 0
     contexts: list[Context] = field(default_factory=list)
     active: Context | None = None
-    ours: Handles | None = None  # with EGL
-    others: Handles | None = None  # what of others was current before
+    ours: gl.Handles | None = None  # with EGL
+    others: gl.Handles | None = None  # what of others was current before
     pixels: dict[tuple[int, int], tuple[Picture, c_void_p]] = field(default_factory=dict)
     """A buffer for each of the last few sizes, and where it lies."""
 
     def __enter__(self) -> None:
         """Make the OpenGL context current for a block; it is started if need be."""
-        if self.gl is not None and self.process != os.getpid():
+        if self.opengl is not None and self.process != os.getpid():
             raise RenderingError(FORKED)
-        if is_current(self.ours):
+        if gl.is_current(self.ours):
             self.others = None
             return
-        self.others = current()
-        if self.gl is None:
+        self.others = gl.current()
+        if self.opengl is None:
             self._start()
-            self.ours = current()
+            self.ours = gl.current()
         elif self.ours is None:
-            self.gl.make_current()
+            self.opengl.make_current()
         else:
-            make_current(self.ours)
+            gl.make_current(self.ours)
 
     def __exit__(self, *error: object) -> None:
         """Make current whatever of others was before; with other backends than EGL, ours stays."""
         if self.others is not None:
-            make_current(self.others)
+            gl.make_current(self.others)
 
     def _start(self) -> None:
         os.environ.setdefault("LP_NUM_THREADS", "0")
@@ -136,7 +135,7 @@ class Canvas(threading.local):
             context = _drawing_context(library)
         except Exception as error:  # each backend has its own kinds
             raise RenderingError(NO_OPENGL.format(backend=os.environ.get("MUJOCO_GL", "unset"), error=error)) from error
-        self.gl, self.process, self.contexts = made, os.getpid(), [Context(context, library)]
+        self.opengl, self.process, self.contexts = made, os.getpid(), [Context(context, library)]
         _OPEN.add(made)
         atexit.unregister(_free_all)
         atexit.register(_free_all)  # now, so that it runs before the display is closed
@@ -175,16 +174,16 @@ class Canvas(threading.local):
         others = self.others
         self.close()
         self._start()
-        self.ours, self.others = current(), others
+        self.ours, self.others = gl.current(), others
 
     def close(self) -> None:
         """Free everything; may be called twice."""
-        if self.gl is not None and self.process == os.getpid():
+        if self.opengl is not None and self.process == os.getpid():
             with self:
                 for context in self.contexts:
                     context.mjr.free()
-                self.gl.free()
-        self.gl, self.ours, self.active, self.contexts = None, None, None, []
+                self.opengl.free()
+        self.opengl, self.ours, self.active, self.contexts = None, None, None, []
         self.pixels.clear()
 
 

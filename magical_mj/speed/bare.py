@@ -12,8 +12,7 @@ from magical_mj.assets.robot import control_signal
 from magical_mj.assets.world import World
 from magical_mj.presets import Preset
 from magical_mj.rendering.canvas import CANVAS
-from magical_mj.rendering.paper import on_paper
-from magical_mj.rendering.renderer import Renderer
+from magical_mj.rendering.renderer import Renderer, on_paper
 from magical_mj.scene import Scene
 from magical_mj.simulation import Simulation
 

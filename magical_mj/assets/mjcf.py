@@ -1,4 +1,4 @@
-"""MJCF text: numbers as attributes, and the joints of a body that moves in the plane."""
+"""MJCF text: numbers as attributes, and bodies that move in the plane."""
 
 from __future__ import annotations
 
