@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 import magical_mj
 from magical_mj import constants as c
-from magical_mj.assets.contacts import SETTINGS, SUBSTEPS, Settings
+from magical_mj.assets.contacts import SETTINGS, SUBSTEPS, PhysicsSettings
 from magical_mj.assets.robot import controls
 from magical_mj.assets.world import World, world_mjcf
 from magical_mj.geometry import block_outline
@@ -70,7 +70,7 @@ def hands(kind: str, rng: np.random.Generator) -> Iterator[int]:
             yield action
 
 
-def play(number: int, settings: Settings = SETTINGS) -> tuple[Scene, NDArray[np.float64], int]:
+def play(number: int, settings: PhysicsSettings = SETTINGS) -> tuple[Scene, NDArray[np.float64], int]:
     """The scene, the poses after each action (steps, 1 + blocks, 3), and how often MuJoCo warned."""
     scene, kind = episode(number)
     world = World(scene)
@@ -99,7 +99,7 @@ def depth(overlap: shapely.Geometry) -> float:
     return max((float(np.ptp(np.array(hull.exterior.coords) @ DIRECTIONS, axis=0).min()) for hull in pieces), default=0)
 
 
-def worst(number: int, settings: Settings = SETTINGS) -> dict[str, float]:
+def worst(number: int, settings: PhysicsSettings = SETTINGS) -> dict[str, float]:
     """What went wrong in an episode: states that are no numbers, warnings, and distances in world units."""
     scene, track, warnings = play(number, settings)
     shapes = [outlines(block.shape, track[:, i]) for i, block in enumerate(scene.blocks, 1)]

@@ -1,4 +1,4 @@
-"""Fits the physics to recordings of the original simulation: which `Settings` make ours move like them?
+"""Fits the physics to recordings of the original simulation: which `PhysicsSettings` make ours move like them?
 
     python tools/fit_physics.py FOLDER                    # how far off the present settings are
     python tools/fit_physics.py FOLDER --minutes 20       # search for better ones (needs nevergrad)
@@ -42,7 +42,7 @@ from rollouts import (
     task_means,
 )
 
-from magical_mj.assets.contacts import SETTINGS, Settings
+from magical_mj.assets.contacts import SETTINGS, PhysicsSettings
 from magical_mj.constants import CONTROL_RATE
 
 SPACE: Final[dict[str, tuple[float, float]]] = {
@@ -94,7 +94,7 @@ def windows(case: Case) -> list[int]:
     return found
 
 
-def window_errors(cases: Mapping[str, Case], settings: Settings) -> list[float]:
+def window_errors(cases: Mapping[str, Case], settings: PhysicsSettings) -> list[float]:
     """Of each window, the mean error of the worst body; 0.1 rad count like 0.01 units."""
     worlds = {task: Rollouts(demo_scene(task), settings) for task in TASKS_WITH_BLOCKS}
     errors = []
@@ -112,7 +112,7 @@ def window_errors(cases: Mapping[str, Case], settings: Settings) -> list[float]:
     return errors
 
 
-def start_errors(cases: Mapping[str, Case], settings: Settings) -> list[float]:
+def start_errors(cases: Mapping[str, Case], settings: PhysicsSettings) -> list[float]:
     """Of each sequence, the mean distance of the worst body in its first 80 steps, clipped at 0.2."""
     tracks = replays(chosen(cases, lambda name: name.split("/")[0] in TASKS_WITH_BLOCKS), settings, 80)
     errors = []
@@ -122,7 +122,7 @@ def start_errors(cases: Mapping[str, Case], settings: Settings) -> list[float]:
     return errors
 
 
-def terms(folder: Path, settings: Settings, kept_out: bool) -> dict[str, float]:
+def terms(folder: Path, settings: PhysicsSettings, kept_out: bool) -> dict[str, float]:
     """What is minimised, on the searched half of the recordings or on the half kept out."""
     probes, sequences = (recordings(folder / name) for name in ("probes.npz", "human_replays.npz"))
     sequences = chosen(sequences, lambda name: is_kept_out(name, sequences) == kept_out)
@@ -135,14 +135,14 @@ def terms(folder: Path, settings: Settings, kept_out: bool) -> dict[str, float]:
     }
 
 
-def coded(settings: Settings) -> Array:
+def coded(settings: PhysicsSettings) -> Array:
     """The searched settings as numbers between 0 and 1."""
     values = [getattr(settings, name) for name in SPACE] + [1 - getattr(settings, name) for name in SPACE_SOFT]
     low, high = np.log([*SPACE.values(), *SPACE_SOFT.values()]).T
     return np.clip((np.log(values) - low) / (high - low), 0, 1)
 
 
-def decoded(point: Array) -> Settings:
+def decoded(point: Array) -> PhysicsSettings:
     """The settings that `coded` turned into numbers."""
     low, high = np.log([*SPACE.values(), *SPACE_SOFT.values()]).T
     values = np.exp(low + np.clip(point, 0, 1) * (high - low)).tolist()
@@ -151,7 +151,7 @@ def decoded(point: Array) -> Settings:
     return dataclasses.replace(SETTINGS, **changes)
 
 
-def search(folder: Path, minutes: float, seed: int) -> Settings:
+def search(folder: Path, minutes: float, seed: int) -> PhysicsSettings:
     """The best settings that CMA-ES finds, from the present ones on."""
     try:
         import nevergrad  # type: ignore[import-not-found]
@@ -177,7 +177,7 @@ def search(folder: Path, minutes: float, seed: int) -> Settings:
     return decoded(best)
 
 
-def changes_of(settings: Settings) -> dict[str, float]:
+def changes_of(settings: PhysicsSettings) -> dict[str, float]:
     """The searched settings, to four digits."""
     return {name: float(f"{getattr(settings, name):.4g}") for name in (*SPACE, *SPACE_SOFT)}
 
@@ -187,7 +187,7 @@ def words(row: Mapping[str, float]) -> str:
     return "  ".join(f"{name} {value:.3f}" for name, value in row.items())
 
 
-def report(folder: Path, settings: Settings) -> None:
+def report(folder: Path, settings: PhysicsSettings) -> None:
     """Prints the table: here, aim, reference."""
     probes, sequences = (recordings(folder / name) for name in ("probes.npz", "human_replays.npz"))
     for family, (mean, end, angle) in family_errors(probes, settings).items():

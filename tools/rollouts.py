@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj import sample_scene, score
-from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, SUBSTEPS, TIMESTEP, Settings
+from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, SUBSTEPS, TIMESTEP, PhysicsSettings
 from magical_mj.assets.robot import JOINTS, MOTORS, ROTORS, WHEELS, controls
 from magical_mj.assets.world import World, world_mjcf
 from magical_mj.scene import Block, Robot, Scene
@@ -54,7 +54,7 @@ def recordings(path: Path) -> dict[str, dict[str, NDArray[Any]]]:
 class Rollouts:
     """A compiled scene, from whose start action sequences are rolled out."""
 
-    def __init__(self, scene: Scene, settings: Settings = SETTINGS) -> None:
+    def __init__(self, scene: Scene, settings: PhysicsSettings = SETTINGS) -> None:
         self.world = World(scene)
         self.model = mujoco.MjModel.from_xml_string(world_mjcf(scene, settings=settings))
         self.data = mujoco.MjData(self.model)
@@ -112,7 +112,7 @@ def distances(one: Array, other: Array) -> Array:
     return np.hypot(apart[..., 0], apart[..., 1]).max(axis=1)
 
 
-def probe_errors(case: Case, settings: Settings = SETTINGS) -> tuple[float, float, float]:
+def probe_errors(case: Case, settings: PhysicsSettings = SETTINGS) -> tuple[float, float, float]:
     """Of the body that is furthest off: mean distance, distance at the end, and mean error of the angle."""
     track, _ = Rollouts(probe_scene(case), settings).roll(case["actions"].tolist())
     recorded = probe_poses(case)
@@ -121,7 +121,7 @@ def probe_errors(case: Case, settings: Settings = SETTINGS) -> tuple[float, floa
     return float(distance.mean()), float(distance[-1]), float(turn.mean())
 
 
-def family_errors(cases: Mapping[str, Case], settings: Settings = SETTINGS) -> dict[str, tuple[float, ...]]:
+def family_errors(cases: Mapping[str, Case], settings: PhysicsSettings = SETTINGS) -> dict[str, tuple[float, ...]]:
     """The mean of `probe_errors` over each family."""
     rows: dict[str, list[tuple[float, ...]]] = {}
     for name, case in cases.items():
@@ -135,7 +135,7 @@ def demo_scene(task: str) -> Scene:
     return sample_scene(task, "Demo", seed=0)
 
 
-def replays(cases: Mapping[str, Case], settings: Settings, steps: int | None = None) -> dict[str, Array]:
+def replays(cases: Mapping[str, Case], settings: PhysicsSettings, steps: int | None = None) -> dict[str, Array]:
     """The poses that the first actions of human sequences lead through, for the tasks of `REPLAY_AIMS`."""
     by_task: dict[str, Rollouts] = {}
     tracks = {}

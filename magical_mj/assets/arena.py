@@ -6,7 +6,7 @@ from typing import Final
 
 from magical_mj import constants as c
 from magical_mj.assets import style
-from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, TIMESTEP, Settings
+from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, TIMESTEP, PhysicsSettings
 from magical_mj.assets.mjcf import numbers
 from magical_mj.assets.region import BONE
 
@@ -27,7 +27,7 @@ LOOK: Final = (
 """One flat ambient light gives the palette's colours exactly."""
 
 
-def options(settings: Settings = SETTINGS) -> str:
+def options(settings: PhysicsSettings = SETTINGS) -> str:
     """How MuJoCo simulates.
 
     Elliptic cones make friction a disc. Explicit Euler with a fixed step is the original's integrator; implicit

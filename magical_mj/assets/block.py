@@ -9,7 +9,7 @@ import mujoco
 
 from magical_mj import constants as c
 from magical_mj.assets import style
-from magical_mj.assets.contacts import PRESS, SETTINGS, Settings, floor_pair, foot, softness, vertex
+from magical_mj.assets.contacts import PRESS, SETTINGS, PhysicsSettings, floor_pair, foot, softness, vertex
 from magical_mj.assets.meshes import Points, inset
 from magical_mj.assets.mjcf import move_body, numbers, planar_body
 from magical_mj.assets.style import BLOCK_FILL, BLOCK_OUTLINE, FILL_ABOVE_OUTLINE, Z_BLOCK
@@ -26,7 +26,7 @@ INERTIA: Final[dict[Shape, float]] = {
 """About the centre, as in the original's engine."""
 
 
-def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: Settings = SETTINGS) -> str:
+def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSettings = SETTINGS) -> str:
     """The body `block<index>`."""
     name, inertia = f"block{index}", INERTIA[block.shape]
     content = (
@@ -41,7 +41,7 @@ def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: Settings 
     return planar_body(name, block.pose, content, hinge)
 
 
-def block_pair(index: int, dynamics: Dynamics, settings: Settings = SETTINGS) -> str:
+def block_pair(index: int, dynamics: Dynamics, settings: PhysicsSettings = SETTINGS) -> str:
     """The contact of the block's foot with the floor."""
     return floor_pair(f"block{index}_foot", dynamics.block_friction_force, c.BLOCK_MASS, settings)
 
@@ -58,7 +58,7 @@ def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dyn
 
 
 @lru_cache(32)
-def collision_geoms(shape: Shape, settings: Settings = SETTINGS) -> str:
+def collision_geoms(shape: Shape, settings: PhysicsSettings = SETTINGS) -> str:
     """A disc, or edges and the vertices that stick out."""
     if shape == "circle":
         return f'<geom class="disc" size="{numbers(c.BLOCK_SIZE - settings.block_overlap)}"/>'

@@ -29,7 +29,7 @@ FOOT_RADIUS, FOOT_DEPTH = 0.02, 0.01
 
 
 @dataclass(frozen=True)
-class Settings:
+class PhysicsSettings:
     """What the original does not dictate: how stiff, how round, how soft. `tools/fit_physics.py` finds them."""
 
     contact_impedance: float = 0.9973
@@ -93,7 +93,7 @@ class Settings:
     """Newton steps: as many as contacts need, which is about five in a heap."""
 
 
-SETTINGS: Final = Settings()
+SETTINGS: Final = PhysicsSettings()
 
 
 def softness(kind: str, stiffness: float, impedance: float, damping: float = 1.0) -> str:
@@ -107,7 +107,7 @@ def foot(name: str) -> str:
     return f'<geom name="{name}" class="foot"/>'
 
 
-def floor_pair(name: str, friction_force: float, mass: float, settings: Settings = SETTINGS) -> str:
+def floor_pair(name: str, friction_force: float, mass: float, settings: PhysicsSettings = SETTINGS) -> str:
     """Lets a foot press on the floor with `PRESS` and so resist sliding with at most `friction_force`.
 
     Its friction is that of a disc, the same in all directions. A pair that is named costs no search for what the foot
@@ -125,7 +125,7 @@ def vertex(x: float, y: float, radius: float, kind: str = "vertex") -> str:
     return f'<geom class="{kind}" size="{numbers(radius)}" pos="{numbers(x, y, 0)}"/>'
 
 
-def geom_classes(settings: Settings = SETTINGS) -> str:
+def geom_classes(settings: PhysicsSettings = SETTINGS) -> str:
     """The defaults of all geoms."""
     soft = softness("", settings.contact_stiffness, settings.contact_impedance, settings.contact_damping)
     finger = softness("", settings.finger_stiffness, settings.finger_impedance, settings.finger_damping)

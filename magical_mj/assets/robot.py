@@ -10,7 +10,7 @@ What stands for what of the original's 2-D engine:
 - its latency of one substep: each command passes through a filter of one substep, and the wheels hang on a light
   castor that keeps the heading of the substep before.
 
-Wheels and rotors come in pairs because a load slows the original's servos; see `Settings.loaded_share`.
+Wheels and rotors come in pairs because a load slows the original's servos; see `PhysicsSettings.loaded_share`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from magical_mj.assets.contacts import (
     PRESS,
     SETTINGS,
     TIMESTEP,
-    Settings,
+    PhysicsSettings,
     floor_pair,
     foot,
     softness,
@@ -58,7 +58,7 @@ CASTOR_INERTIA: Final = 1e-5  # so light that nobody feels it
 LIGHT: Final = '<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-7 1e-7 1e-7"/>'
 
 
-def robot_mjcf(robot: Robot, settings: Settings = SETTINGS) -> str:
+def robot_mjcf(robot: Robot, settings: PhysicsSettings = SETTINGS) -> str:
     """The body `robot` with its motors, fingers, face and the ego camera."""
     castor = f'armature="{numbers(CASTOR_INERTIA)}" stiffness="{numbers(CASTOR_INERTIA / TIMESTEP**2)}"'
     wheels = "".join(_spinner(name, "-1 0 0", foot(name)) for name in WHEELS)
@@ -94,7 +94,7 @@ def _face() -> str:
     )
 
 
-def _finger(side: Side, angle: float, settings: Settings) -> str:
+def _finger(side: Side, angle: float, settings: PhysicsSettings) -> str:
     """The body `<side>_finger`: a box for each segment, and spheres at the three corners that stick out."""
     sign, name, inertia = SIGN[side], f"{side}_finger", FINGER_INERTIA[side]
     half, bend = c.FINGER_THICKNESS / 2, SIGN[side] * c.FINGER_BEND
@@ -129,7 +129,7 @@ def _finger(side: Side, angle: float, settings: Settings) -> str:
     )
 
 
-def robot_pairs(dynamics: Dynamics, settings: Settings = SETTINGS) -> str:
+def robot_pairs(dynamics: Dynamics, settings: PhysicsSettings = SETTINGS) -> str:
     """The contacts of the wheels with the floor."""
     mass = c.ROBOT_MASS + 2 * c.FINGER_MASS
     return "".join(
@@ -138,7 +138,7 @@ def robot_pairs(dynamics: Dynamics, settings: Settings = SETTINGS) -> str:
     )
 
 
-def tendons_mjcf(dynamics: Dynamics, settings: Settings = SETTINGS) -> str:
+def tendons_mjcf(dynamics: Dynamics, settings: PhysicsSettings = SETTINGS) -> str:
     """Dry friction of the turning servo and of the finger motors, and drags on fingers that sway and on the castor.
 
     The latter turns the castor back by what the robot turned in a substep.
@@ -188,7 +188,7 @@ def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics) -> No
         model.tendon_frictionloss[model.tendon(motor).id] = dynamics.finger_torque
 
 
-def controls(settings: Settings = SETTINGS) -> NDArray[np.float64]:
+def controls(settings: PhysicsSettings = SETTINGS) -> NDArray[np.float64]:
     """What each action writes into `ctrl`: speeds of wheels, rotors and finger motors. Shape (18, 6)."""
     rows = []
     for action in ACTIONS:

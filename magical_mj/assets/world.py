@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from magical_mj.assets.arena import LOOK, arena_mjcf, options
 from magical_mj.assets.block import INERTIA, block_mjcf, block_pair, collision_geoms, rewrite_block
-from magical_mj.assets.contacts import SETTINGS, Settings, geom_classes
+from magical_mj.assets.contacts import SETTINGS, PhysicsSettings, geom_classes
 from magical_mj.assets.meshes import library
 from magical_mj.assets.mjcf import numbers
 from magical_mj.assets.region import blank_regions_mjcf, dash_count, regions_mjcf, rewrite_region
@@ -33,7 +33,9 @@ MEMORY: Final = '<size memory="33M"/>'
 where one after the other, as models come and go, would leave gaps: 1 MB in 300 models."""
 
 
-def world_mjcf(scene: Scene, keyframe: str = "", settings: Settings = SETTINGS, regions: str | None = None) -> str:
+def world_mjcf(
+    scene: Scene, keyframe: str = "", settings: PhysicsSettings = SETTINGS, regions: str | None = None
+) -> str:
     """The whole model as MJCF text: the scene is its reference pose. Blocks come before the robot, which hides them.
 
     Args:
