@@ -50,6 +50,7 @@ class Environment(composer.Environment):
             strip_singleton_obs_buffer_dim=True,
         )
 
+    @property
     def scene(self) -> Scene:
         """Where everything is now, fingers included."""
         return self.task.world.read(self._open_physics().data.qpos)

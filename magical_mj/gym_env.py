@@ -103,8 +103,17 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
 
     @property
     def scene(self) -> Scene:
-        """Where everything is now."""
-        return self._env.scene()
+        """Where everything is now, fingers included."""
+        return self._env.scene
+
+    @property
+    def initial_scene(self) -> Scene:
+        """The scene in which this episode started."""
+        return self._env.initial_scene
+
+    def score(self) -> float:
+        """The score in [0, 1] if the episode ended now."""
+        return self._env.score()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -50,7 +50,7 @@ def test_scene_survives_the_simulator(task: str, variant: str) -> None:
     env = magical_mj.load(task, variant, seed=5, observations=())
     for _ in range(2):
         env.reset(seed=5)
-        now = env.scene()
+        now = env.scene
         np.testing.assert_allclose(poses(now), poses(scene), atol=1e-6)
         np.testing.assert_allclose(now.robot.fingers, scene.robot.fingers, atol=1e-6)
         assert now.regions == scene.regions
@@ -64,10 +64,10 @@ def test_scene_survives_the_simulator(task: str, variant: str) -> None:
 def test_nothing_moves_when_nothing_acts(task: str, variant: str) -> None:
     env = magical_mj.load(task, variant, seed=11, observations=())
     env.reset()
-    start = poses(env.scene())
+    start = poses(env.scene)
     for _ in range(min(100, task_spec(task).horizon() - 1)):
         env.step(0)
-    assert np.abs(poses(env.scene()) - start).max() < 1e-4
+    assert np.abs(poses(env.scene) - start).max() < 1e-4
 
 
 @pytest.mark.parametrize("task", magical_mj.TASKS)
@@ -82,7 +82,7 @@ def test_horizon_is_exact_over_three_episodes(task: str, rules: str) -> None:
             now = env.step(FORWARD)
             assert now.last() == (step == horizon)
             assert now.discount == 1.0
-        assert now.reward == env.score() == magical_mj.score(task, env.initial_scene, env.scene(), rules=rules)
+        assert now.reward == env.score() == magical_mj.score(task, env.initial_scene, env.scene, rules=rules)
 
 
 def test_reward_is_zero_by_default() -> None:
@@ -116,7 +116,7 @@ for task, variant in [("FindDupe", "All"), ("ClusterShape", "CountPlus"), ("Move
         now = env.step(action)
         for name, value in now.observation.items():
             digest.update(name.encode() + value.tobytes())
-    digest.update(repr((now.reward, env.scene())).encode())
+    digest.update(repr((now.reward, env.scene)).encode())
 print(digest.hexdigest())
 """
 
@@ -165,7 +165,7 @@ def test_pictures_do_not_depend_on_what_was_drawn_before() -> None:
     for action in np.random.default_rng(3).integers(18, size=30):
         for view in ("ego", "allo"):
             np.testing.assert_array_equal(first.observation[view], second.observation[view])
-        assert used.scene() == fresh.scene()
+        assert used.scene == fresh.scene
         first, second = used.step(action), fresh.step(action)
 
 
@@ -237,7 +237,7 @@ def test_dynamics_reach_the_simulation() -> None:
         env.reset()
         for _ in range(2):
             env.step(FORWARD)
-        return env.scene().robot.y
+        return env.scene.robot.y
 
     assert reached(Dynamics(drive_force=2.2)) < reached(Dynamics()) - 0.01 < reached(Dynamics(drive_force=3.5)) - 0.02
 
@@ -264,7 +264,7 @@ def test_composer_hooks_of_users_run() -> None:
         seen = one.step(FORWARD)
     assert calls[0] == "episode"
     assert len(calls) == 1 + env.task.physics_steps_per_control_step
-    np.testing.assert_allclose(poses(env.scene()), poses(twin.scene()), atol=1e-9)
+    np.testing.assert_allclose(poses(env.scene), poses(twin.scene), atol=1e-9)
     assert seen.observation["state"].shape == (len(STATE_NAMES),)
 
 

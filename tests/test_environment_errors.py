@@ -15,10 +15,10 @@ from magical_mj.scene import Block, Robot, Scene
 def test_bad_actions_are_refused_and_harmless(action: object) -> None:
     env = magical_mj.load("MoveToRegion", observations=())
     env.reset()
-    before = env.scene()
+    before = env.scene
     with pytest.raises(InvalidActionError, match=r"integers 0\.\.17"):
         env.step(action)
-    assert env.scene() == before
+    assert env.scene == before
 
 
 @pytest.mark.parametrize("action", [np.int64(4), np.array(4), Action(Gripper.OPEN, Turn.LEFT, Drive.FORWARD)])
@@ -27,7 +27,7 @@ def test_actions_of_every_integer_kind(action: object) -> None:
     for one, what in ((env, action), (twin, 4)):
         one.reset()
         one.step(what)
-    assert env.scene() == twin.scene()
+    assert env.scene == twin.scene
 
 
 def test_bad_arguments_name_the_remedy() -> None:

@@ -147,7 +147,7 @@ def test_what_is_imagined_is_what_happens() -> None:
         world.act(gripper, turn, drive)
         env.step(world.trace[-1])
         assert np.array_equal(world.state, state_of(env))
-    assert world.scene() == env.scene()
+    assert world.scene() == env.scene
 
 
 def test_what_is_remembered_happens_again() -> None:

@@ -126,7 +126,8 @@ def test_episodes_are_truncated_at_the_horizon(task: str) -> None:
         assert set(info) == {"eval_score", "is_success"}
         if step < horizon:
             assert info["eval_score"] == 0.0
-    assert info["eval_score"] == magical_mj.score(task, initial, env.unwrapped.scene)
+    assert env.unwrapped.initial_scene == magical_mj.sample_scene(task, "Demo", 0)
+    assert info["eval_score"] == env.unwrapped.score() == magical_mj.score(task, initial, env.unwrapped.scene)
     with pytest.raises(ResetNeeded, match="reset"):
         env.step(1)
 
