@@ -15,20 +15,19 @@ from magical_mj.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.cli import main
 from magical_mj.errors import InvalidSceneError, UnknownNameError
 from magical_mj.experts import Expert, make_expert, run_episode
-from magical_mj.experts.clusters import rearranged
+from magical_mj.experts.arrangements import cluster_targets, line_targets
 from magical_mj.experts.driving import follow
-from magical_mj.experts.errands import Errand, done, errands
-from magical_mj.experts.imagination import Imagination, state_of
-from magical_mj.experts.lines import straightened
-from magical_mj.experts.moves import obstacles
+from magical_mj.experts.lookahead import Lookahead, state_of
+from magical_mj.experts.manoeuvres import obstacles
 from magical_mj.experts.navigation import EMPTY, cells, explore, toll
-from magical_mj.experts.whim import Whim
+from magical_mj.experts.noise import Noise
+from magical_mj.experts.subgoals import Subgoal, done, subgoals
 from magical_mj.tasks.cluster import blocks_right
 from magical_mj.tasks.make_line import longest_line
 
 
-def whim(seed: int = 0, strength: float = 1.0) -> Whim:
-    return Whim(np.random.default_rng(seed), strength)
+def noise(seed: int = 0, strength: float = 1.0) -> Noise:
+    return Noise(np.random.default_rng(seed), strength)
 
 
 def env_of(task: str, variant: str = "Demo", seed: int = 0) -> magical_mj.Environment:
@@ -43,44 +42,44 @@ def env_of(task: str, variant: str = "Demo", seed: int = 0) -> magical_mj.Enviro
 @pytest.mark.parametrize(
     ("task", "variant"), [pair for pair in ENVIRONMENTS if pair[1] in ("Demo", "CountPlus", "All")]
 )
-def test_the_errands_solve_the_task(task: str, variant: str) -> None:
+def test_the_subgoals_solve_the_task(task: str, variant: str) -> None:
     for seed in range(3):
         scene = magical_mj.sample_scene(task, variant, seed)
-        todo = errands(task, scene, scene, whim(seed))
+        todo = subgoals(task, scene, scene, noise(seed))
         assert magical_mj.score(task, scene, done(scene, todo)) == 1.0
-        assert len({errand.block for errand in todo}) == len(todo)
-        assert all(max(map(abs, errand.target)) < 0.9 for errand in todo)
+        assert len({subgoal.block for subgoal in todo}) == len(todo)
+        assert all(max(map(abs, subgoal.target)) < 0.9 for subgoal in todo)
 
 
 @pytest.mark.parametrize("task", TASKS)
 def test_a_solved_scene_leaves_nothing_to_do(task: str) -> None:
     scene = magical_mj.sample_scene(task, "Demo", 0)
-    solved = done(scene, errands(task, scene, scene, whim()))
-    assert errands(task, scene, solved, whim()) == ()
+    solved = done(scene, subgoals(task, scene, scene, noise()))
+    assert subgoals(task, scene, solved, noise()) == ()
 
 
-def test_an_errand_costs_more_the_farther_it_is() -> None:
+def test_a_subgoal_costs_more_the_farther_it_is() -> None:
     scene = magical_mj.sample_scene("MoveToCorner", "Demo", 0)
     block = scene.blocks[0]
-    near, far = (Errand(0, (block.x - way, block.y)).cost(scene) for way in (0.2, 0.9))
+    near, far = (Subgoal(0, (block.x - way, block.y)).cost(scene) for way in (0.2, 0.9))
     assert 0 < near < far
-    assert Errand(0, (block.x, block.y)).cost(scene) == 0
+    assert Subgoal(0, (block.x, block.y)).cost(scene) == 0
 
 
 def test_the_mistake_of_a_clumsy_expert_is_mended() -> None:
-    """A distractor in the region, and the query out of it: both are errands."""
+    """A distractor in the region, and the query out of it: both are subgoals."""
     scene = magical_mj.sample_scene("FindDupe", "Demo", 0)
     poses = [block.pose for block in scene.blocks]
     poses[0], poses[6] = (-0.3, -0.6, 0.0), (0.2, -0.1, 0.0)
-    todo = errands("FindDupe", scene, scene.moved(blocks=poses), whim())
-    assert {errand.block for errand in todo} == {0, 5, 6}
+    todo = subgoals("FindDupe", scene, scene.moved(blocks=poses), noise())
+    assert {subgoal.block for subgoal in todo} == {0, 5, 6}
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_lines_are_lines_and_move_few_blocks(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points = [(float(x), float(y)) for x, y in rng.uniform(-0.8, 0.8, (4, 2))]
-    targets = straightened(points, whim(seed))
+    targets = line_targets(points, noise(seed))
     ends = [target or point for target, point in zip(targets, points, strict=True)]
     assert longest_line(tuple(Block("circle", "red", x, y, 0.0) for x, y in ends)) == 4
     assert targets.count(None) >= 1
@@ -90,7 +89,7 @@ def test_lines_are_lines_and_move_few_blocks(seed: int) -> None:
 def test_clusters_are_clusters_with_room_between_blocks(seed: int) -> None:
     scene = magical_mj.sample_scene("ClusterShape", "CountPlus", seed)
     points = [(block.x, block.y) for block in scene.blocks]
-    targets = rearranged(points, [block.shape for block in scene.blocks], whim(seed))
+    targets = cluster_targets(points, [block.shape for block in scene.blocks], noise(seed))
     after = scene.moved(blocks=[(*(t or p), 0.0) for t, p in zip(targets, points, strict=True)])
     assert blocks_right(after, "shape") == len(points)
     moved = [target for target in targets if target]
@@ -125,7 +124,7 @@ def test_blocks_cost_toll_and_walls_stop() -> None:
 
 def test_ways_are_followed() -> None:
     env = env_of("MoveToRegion")
-    world = Imagination(env)
+    world = Lookahead(env)
     ways = explore(world.robot, toll(np.empty((0, 3)), loaded=False), 50)
     start, near = world.save(), 0
     for node in np.random.default_rng(0).integers(len(ways.poses), size=12).tolist():
@@ -135,12 +134,12 @@ def test_ways_are_followed() -> None:
     assert near >= 11
 
 
-# imagination
+# lookahead
 
 
-def test_what_is_imagined_is_what_happens() -> None:
+def test_lookahead_is_what_happens() -> None:
     env = env_of("ClusterColour", "All", 3)
-    world = Imagination(env)
+    world = Lookahead(env)
     rng = np.random.default_rng(0)
     for _ in range(60):
         gripper, turn, drive = Gripper(rng.integers(2)), Turn(rng.integers(3)), Drive(rng.integers(3))
@@ -155,7 +154,7 @@ def test_what_is_remembered_happens_again() -> None:
     env = env_of("ClusterColour", "All", 3)
     for _ in range(20):
         env.step(Action(Gripper.CLOSE, Turn.NONE, Drive.FORWARD).number)
-    world = Imagination(env)
+    world = Lookahead(env)
     asleep = env.physics.data.ptr.tree_asleep >= 0
     assert asleep.any()
     assert not asleep.all()
@@ -171,7 +170,7 @@ def test_what_is_remembered_happens_again() -> None:
     assert np.array_equal(*ends)
 
 
-def test_imagining_leaves_the_environment_alone() -> None:
+def test_lookahead_leaves_the_environment_alone() -> None:
     env = env_of("FindDupe")
     before = state_of(env)
     Expert(env, "FindDupe")()

@@ -1,4 +1,4 @@
-"""Driving in the imagination: along a way, in closed loop."""
+"""Driving along a path, in closed loop, in the copy of the simulation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from magical_mj import constants as c
 from magical_mj.actions import Drive, Gripper, Turn
-from magical_mj.experts.imagination import Imagination
+from magical_mj.experts.lookahead import Lookahead
 from magical_mj.scene import Pose
 
 ARM: Final = 0.2  # world units that an error of a radian counts as
@@ -32,10 +32,10 @@ _SPEEDS: Final = np.array([[_SPEED[drive] for _, drive in pair] for pair in _PAI
 """What all pairs of choices command. Shape (2, 81)."""
 
 
-def follow(world: Imagination, way: Sequence[Pose], gripper: Gripper, limit: int) -> bool:
+def follow(world: Lookahead, way: Sequence[Pose], gripper: Gripper, limit: int) -> bool:
     """Drive along a way; whether its end was reached.
 
-    At every step all pairs of actions are thought through, the second one held for two steps.
+    At every step all pairs of actions are compared, the second one held for two steps.
     """
     if len(way) < 2:
         return True

@@ -8,11 +8,11 @@ import numpy as np
 
 from magical_mj.actions import NOOP
 from magical_mj.environment import Environment
-from magical_mj.experts.imagination import Imagination, state_of
+from magical_mj.experts.lookahead import Lookahead, state_of
 from magical_mj.experts.planner import Plan, Planner
 from magical_mj.registry import task_spec
 
-BUDGET: Final = 150  # imagined steps for each step of an episode, after which no new plan is begun
+BUDGET: Final = 150  # simulated steps for each step of an episode, after which no new plan is begun
 
 
 class Expert:
@@ -49,12 +49,12 @@ class Expert:
             return NOOP
         state = state_of(self._env)
         if self._step >= len(self._plan.actions) or not np.array_equal(state, self._plan.states[self._step]):
-            self._think(left)
+            self._replan(left)
         self._step += 1
         return self._plan.actions[self._step - 1]
 
-    def _think(self, left: int) -> None:
-        planner = Planner(self._spec, self._env.initial_scene, Imagination(self._env))
+    def _replan(self, left: int) -> None:
+        planner = Planner(self._spec, self._env.initial_scene, Lookahead(self._env))
         rng = np.random.default_rng(self._seed)
         self._plan = planner.plan(left, BUDGET * self._spec.horizon(), rng)
         self._step = 0

@@ -1,4 +1,4 @@
-"""What makes one expert go about it in another way than the next."""
+"""Noise on the planner's costs: it makes one expert go about a task in another way than the next."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 
-class Whim:
+class Noise:
     """Draws by which costs are varied before the least is chosen.
 
     Args:

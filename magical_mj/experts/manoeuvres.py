@@ -1,4 +1,4 @@
-"""Manoeuvres, carried out in the imagination: go to a block, take it, carry it, let go and back off."""
+"""Manoeuvres, carried out by lookahead: go to a block, take it, carry it, let go and back off."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from magical_mj.actions import Drive, Gripper, Turn
 from magical_mj.experts.driving import follow
-from magical_mj.experts.errands import CARRYING, Errand
-from magical_mj.experts.imagination import Imagination
+from magical_mj.experts.lookahead import Lookahead
 from magical_mj.experts.navigation import GRIP, Goal, Ways, cells, explore, places, toll
-from magical_mj.experts.whim import Whim
+from magical_mj.experts.noise import Noise
+from magical_mj.experts.subgoals import CARRYING, Subgoal
 from magical_mj.scene import Pose, Scene
 
 BLOCK_RADIUS: Final = {"square": 0.125, "pentagon": 0.13, "star": 0.14, "circle": 0.12}
@@ -26,7 +26,7 @@ SIDES: Final = 16  # from which a block can be taken
 STOPS: Final = (GRIP, GRIP + 0.07, GRIP + 0.14)  # on the way to the block, where there must be room for the fingers
 TIGHT: Final = 1.5  # actions for each of toll on this way
 WALLED: Final = 12  # toll where a finger is in a wall, by calculation: now and then it still works
-DETOUR: Final = 4.0  # actions by which a whim makes a way longer or shorter
+DETOUR: Final = 4.0  # actions by which noise makes a way longer or shorter
 DRIVES: Final = 4  # ways tried where only the robot has to go somewhere
 
 # Taking a block
@@ -47,9 +47,9 @@ BACKING: Final = 8  # actions
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """An errand, and how to begin it."""
+    """A subgoal, and how to begin it."""
 
-    errand: Errand
+    subgoal: Subgoal
     approach: list[Pose]
     estimate: float
     """About how many actions it takes."""
@@ -61,14 +61,14 @@ def obstacles(scene: Scene, without: int | None = None) -> NDArray[np.float64]:
     return np.array(found).reshape(-1, 3)
 
 
-def manoeuvres(ways: Ways, scene: Scene, errand: Errand, whim: Whim) -> list[Manoeuvre]:
-    """The ways to begin an errand: for each side of the block one of the quickest."""
-    if errand.block is None:
-        nodes = np.flatnonzero(np.hypot(*(ways.poses[:, :2] - errand.target).T) <= errand.tolerance)
-        best = nodes[(ways.steps[nodes] + whim(DETOUR, nodes.shape)).argsort()[:DRIVES]]
-        return [Manoeuvre(errand, ways.to(node), float(ways.steps[node])) for node in best.tolist()]
-    block = scene.blocks[errand.block]
-    tolls = toll(obstacles(scene, errand.block), loaded=True)
+def manoeuvres(ways: Ways, scene: Scene, subgoal: Subgoal, noise: Noise) -> list[Manoeuvre]:
+    """The ways to begin a subgoal: for each side of the block one of the quickest."""
+    if subgoal.block is None:
+        nodes = np.flatnonzero(np.hypot(*(ways.poses[:, :2] - subgoal.target).T) <= subgoal.tolerance)
+        best = nodes[(ways.steps[nodes] + noise(DETOUR, nodes.shape)).argsort()[:DRIVES]]
+        return [Manoeuvre(subgoal, ways.to(node), float(ways.steps[node])) for node in best.tolist()]
+    block = scene.blocks[subgoal.block]
+    tolls = toll(obstacles(scene, subgoal.block), loaded=True)
     x, y, angle = ways.poses.T
     right = np.cos(angle) * (block.x - x) + np.sin(angle) * (block.y - y)
     ahead = np.cos(angle) * (block.y - y) - np.sin(angle) * (block.x - x)
@@ -77,13 +77,13 @@ def manoeuvres(ways: Ways, scene: Scene, errand: Errand, whim: Whim) -> list[Man
     found = []
     for side in np.unique(sides).tolist():
         nodes = near[sides == side]
-        node = int(nodes[(ways.steps[nodes] + whim(DETOUR, nodes.shape)).argmin()])
+        node = int(nodes[(ways.steps[nodes] + noise(DETOUR, nodes.shape)).argmin()])
         heading = side * 2 * math.pi / SIDES
         stops = [_behind(block.x, block.y, heading, ahead) for ahead in STOPS]
         tight = tolls[cells(np.array(stops))]
         tight[tight < 0] = WALLED
-        estimate = ways.steps[node] + TIGHT * tight.sum() + _carrying(block.x, block.y, heading, errand)
-        found.append(Manoeuvre(errand, ways.to(node), float(estimate)))
+        estimate = ways.steps[node] + TIGHT * tight.sum() + _carrying(block.x, block.y, heading, subgoal)
+        found.append(Manoeuvre(subgoal, ways.to(node), float(estimate)))
     return found
 
 
@@ -92,29 +92,29 @@ def _behind(x: float, y: float, heading: float, ahead: float) -> Pose:
     return x + ahead * math.sin(heading), y - ahead * math.cos(heading), heading
 
 
-def _carrying(x: float, y: float, heading: float, errand: Errand) -> float:
+def _carrying(x: float, y: float, heading: float, subgoal: Subgoal) -> float:
     """About how many actions it takes to bring a block from (x, y) to its target, taken with the given heading."""
     robot = _behind(x, y, heading, GRIP)
-    dx, dy = errand.target[0] - robot[0], errand.target[1] - robot[1]
+    dx, dy = subgoal.target[0] - robot[0], subgoal.target[1] - robot[1]
     turn = abs((math.atan2(-dx, dy) - heading + math.pi) % (2 * math.pi) - math.pi)
     way = math.hypot(dx, dy) - GRIP
     return 8 + turn * 3.5 + CARRYING * (way if way > 0 else -1.6 * way + 0.1)
 
 
-def perform(world: Imagination, manoeuvre: Manoeuvre, limit: int) -> bool:
+def perform(world: Lookahead, manoeuvre: Manoeuvre, limit: int) -> bool:
     """Carry it out; whether it went as planned."""
-    errand = manoeuvre.errand
+    subgoal = manoeuvre.subgoal
     approached = follow(world, manoeuvre.approach, Gripper.CLOSE, limit)
-    if errand.block is None:
+    if subgoal.block is None:
         return approached
-    if not _take(world, errand.block, limit):
+    if not _take(world, subgoal.block, limit):
         return False
-    carried = _carry(world, errand.block, errand, limit)
-    _let_go(world, errand.block, limit)
+    carried = _carry(world, subgoal.block, subgoal, limit)
+    _let_go(world, subgoal.block, limit)
     return carried
 
 
-def _take(world: Imagination, block: int, limit: int) -> bool:
+def _take(world: Lookahead, block: int, limit: int) -> bool:
     """Drive so that the block comes between the fingers, and close them; whether it is held."""
     nearest, waited = math.inf, 0
     while len(world.trace) < limit and not _within(world, block, REACHED):
@@ -131,29 +131,29 @@ def _take(world: Imagination, block: int, limit: int) -> bool:
     return _within(world, block, LOST)
 
 
-def _within(world: Imagination, block: int, box: tuple[float, float]) -> bool:
+def _within(world: Lookahead, block: int, box: tuple[float, float]) -> bool:
     """Whether a block is at most so far ahead of the robot, and at most so far aside."""
     right, ahead = world.seen(block)
     return ahead < box[0] and abs(right) < box[1]
 
 
-def _carry(world: Imagination, block: int, errand: Errand, limit: int) -> bool:
+def _carry(world: Lookahead, block: int, subgoal: Subgoal, limit: int) -> bool:
     """Drive until the block is at its target; whether it is."""
     for _ in range(CORRECTIONS):
         left = limit - len(world.trace)
         if left <= 0 or not _within(world, block, LOST):
             return False
         tolls, ahead = toll(obstacles(world.scene(), block), loaded=True), world.seen(block)[1]
-        ways = explore(world.robot, tolls, min(left, REACH), Goal(ahead, *errand.target, errand.tolerance / 2))
-        gaps = np.hypot(*(places(ways.poses, ahead) - errand.target).T)
-        costs = ways.steps + MISSED * gaps + MISSED_BY_FAR * np.clip(gaps - errand.tolerance, 0, None)
+        ways = explore(world.robot, tolls, min(left, REACH), Goal(ahead, *subgoal.target, subgoal.tolerance / 2))
+        gaps = np.hypot(*(places(ways.poses, ahead) - subgoal.target).T)
+        costs = ways.steps + MISSED * gaps + MISSED_BY_FAR * np.clip(gaps - subgoal.tolerance, 0, None)
         follow(world, ways.to(int(costs.argmin())), Gripper.CLOSE, left)
-        if math.dist(world.block(block), errand.target) <= errand.tolerance:
+        if math.dist(world.block(block), subgoal.target) <= subgoal.tolerance:
             return True
     return False
 
 
-def _let_go(world: Imagination, block: int, limit: int) -> None:
+def _let_go(world: Lookahead, block: int, limit: int) -> None:
     """Open the fingers and back off."""
     for _ in range(min(BACKING, limit - len(world.trace))):
         if world.seen(block)[1] > FREE:

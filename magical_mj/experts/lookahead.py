@@ -1,4 +1,4 @@
-"""A copy of a world to try things in: what happens there is exactly what would happen."""
+"""Lookahead on a copy of the simulation: actions lead there exactly where they would lead in the environment."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ State = NDArray[np.float64]
 Point = tuple[float, float]
 
 
-class Memory(NamedTuple):
+class Snapshot(NamedTuple):
     """What happened since some moment, and where it led."""
 
     data: mujoco.MjData
@@ -34,11 +34,11 @@ class Memory(NamedTuple):
     """The state after each."""
 
 
-class Imagination:
-    """The world of an environment, free to be changed.
+class Lookahead:
+    """A copy of an environment's simulation, to try actions in.
 
     Args:
-        env: where it starts; the environment itself is only looked at.
+        env: whose present state it starts from; the environment itself stays as it is.
     """
 
     def __init__(self, env: Environment) -> None:
@@ -50,18 +50,18 @@ class Imagination:
         self.states: list[State] = []
         """The state after each of them."""
         self.count = 0
-        """How many steps were imagined, ever."""
+        """How many steps were simulated in all."""
 
-    def save(self) -> Memory:
+    def save(self) -> Snapshot:
         """What happened since the last `restore`, and the present."""
-        return Memory(copy.copy(self._data), tuple(self.trace), tuple(self.states))
+        return Snapshot(copy.copy(self._data), tuple(self.trace), tuple(self.states))
 
-    def restore(self, memory: Memory) -> None:
+    def restore(self, memory: Snapshot) -> None:
         """Be where something ended, with an empty trace."""
         mujoco.mj_copyData(self._data, self._model, memory.data)
         self.trace, self.states = [], []
 
-    def remember(self, memory: Memory) -> None:
+    def remember(self, memory: Snapshot) -> None:
         """Be where something ended, with what led there."""
         self.restore(memory)
         self.trace, self.states = list(memory.trace), list(memory.states)

@@ -1,0 +1,152 @@
+"""Where blocks should go so that they make a line or clusters, with little carrying. No simulator here.
+
+A line goes through one of the blocks, which stays; all directions, spacings and orders are compared. Clusters are
+found by local search: of all blocks and all places, the one move that helps most, until none does. A block may also
+return to where it is now, which costs nothing, so only those blocks move that must.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.experts.noise import Noise
+from magical_mj.scene import Block
+from magical_mj.tasks.make_line import longest_line
+
+Point = tuple[float, float]
+Floats = NDArray[np.float64]
+
+# Lines. Costs are in actions.
+SPACINGS: Final = (0.29, 0.34, 0.39)  # between neighbours; blocks are up to 0.31 wide, and 0.42 is too far
+ANGLES: Final = 24
+STAYS: Final = 0.09  # a block this near to its place is left alone
+LINE_COSTS: Final = (14.0, 11.0)  # to move a block at all, and for each unit
+LINE_SPREAD: Final = 12.0  # by which noise makes a line better or worse
+CHECKED: Final = 500  # of the cheapest plans: blocks that stay near their places may leave too large a gap
+SPARE: Final = 1.05  # the rule holds for places that are farther apart by this factor
+LINE_LIMIT: Final = 0.84  # lines end within this square
+
+# Clusters
+CLUSTER_COSTS: Final = (16.0, 13.0)  # to move a block at all, and for each unit
+WRONG_COST: Final = 60.0  # of a block among the wrong kind
+SAFE: Final = 0.6  # a block is safe if its squared distance to its kind is below this share of what is allowed
+DOUBTFUL, HOPELESS = 0.7, 2.2  # shares of that, between which a block counts as more and more wrong
+APART: Final = 0.28  # between the centres of blocks
+CROWDED_COST: Final = 1000.0  # for each unit by which two are nearer
+PITCH: Final = 0.14  # of the grid of places
+CLUSTER_LIMIT: Final = 0.78  # places are within this square
+STARTS: Final = 3
+CLUSTER_SPREAD: Final = 30.0  # by which noise makes a layout better or worse
+ROUNDS: Final = 24
+
+
+def line_targets(points: Sequence[Point], noise: Noise) -> list[Point | None]:
+    """A target for each block, or None for those that stay where they are.
+
+    Lines go through one of the blocks, which stays. All their directions, spacings and places for that block are
+    tried with all orders of the others.
+    """
+    here = np.array(points)
+    count = len(here)
+    angles = (np.arange(ANGLES) + noise.rng.random()) * math.pi / ANGLES
+    pairs = here[None] - here[:, None]
+    angles = np.concatenate([angles, np.arctan2(pairs[..., 1], pairs[..., 0])[~np.eye(count, dtype=bool)]])
+    along = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    places = (np.arange(count) - np.arange(count)[:, None])[None, :, None, :, None]  # (1, anchor's place, 1, slot, 1)
+    lines = places * np.array(SPACINGS)[:, None, None, None, None] * along[None, None, :, None, :]
+    slots = (here[:, None, None, None, None, :] + lines[None]).reshape(-1, count, 2)
+    slots = slots[(np.abs(slots) <= LINE_LIMIT).all(axis=(1, 2))]
+    ways = np.linalg.norm(slots[:, :, None] - here[None, None], axis=-1)  # (line, slot, block)
+    costs = np.where(ways <= STAYS, 0.0, LINE_COSTS[0] + LINE_COSTS[1] * ways)
+    orders = np.array(list(itertools.permutations(range(count))))
+    totals = costs[:, np.arange(count), orders[:, None]].reshape(len(slots), len(orders), count).sum(axis=-1)
+    ends = here
+    totals += noise(LINE_SPREAD, totals.shape)
+    for best in totals.ravel().argsort()[:CHECKED].tolist():
+        line, order = divmod(best, len(orders))
+        ends = here.copy()
+        moved = ways[line, np.arange(count), orders[order]] > STAYS
+        ends[orders[order][moved]] = slots[line][moved]
+        if _is_line(ends):
+            break
+    return [
+        None if (end == start).all() else (float(end[0]), float(end[1])) for end, start in zip(ends, here, strict=True)
+    ]
+
+
+def _is_line(points: Floats) -> bool:
+    """Whether blocks in these places make a line by the task's rule, with something to spare."""
+    blocks = [Block("circle", "red", SPARE * float(x), SPARE * float(y), 0.0) for x, y in points]
+    return longest_line(tuple(blocks)) == len(blocks)
+
+
+def cluster_targets(points: Sequence[Point], kinds: Sequence[str], noise: Noise) -> list[Point | None]:
+    """A target for each block, or None for those that stay where they are."""
+    here = np.array(points)
+    values = sorted(set(kinds))
+    members = np.array([[kind == value for kind in kinds] for value in values], float)
+    best, best_cost = here, np.inf
+    for number in range(STARTS):
+        start = here if number == 0 else _gathered(here, members, noise)
+        layout, cost = _improved(here, start, members, noise)
+        cost += noise(CLUSTER_SPREAD)
+        if cost < best_cost:
+            best, best_cost = layout, cost
+    return [None if (new == old).all() else (float(new[0]), float(new[1])) for new, old in zip(best, here, strict=True)]
+
+
+def _gathered(here: Floats, members: Floats, noise: Noise) -> Floats:
+    """A start in which every kind is in one place: near its blocks, or at one of the other kinds' places."""
+    middles = members @ here / members.sum(axis=1, keepdims=True)
+    corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+    centres = 0.5 * middles + 0.5 * corners[noise.rng.permutation(4)][: len(middles)]
+    return members.T @ centres + noise.rng.normal(0, 0.1, here.shape)
+
+
+def _improved(here: Floats, start: Floats, members: Floats, noise: Noise) -> tuple[Floats, float]:
+    axis = np.arange(-CLUSTER_LIMIT, CLUSTER_LIMIT + 1e-9, PITCH)
+    places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    places = np.clip(places + noise.rng.uniform(-PITCH / 2, PITCH / 2, places.shape), -CLUSTER_LIMIT, CLUSTER_LIMIT)
+    layout, cost = start, np.inf
+    for _ in range(ROUNDS):
+        options = [
+            _layouts(layout, block, np.concatenate([places, here[block : block + 1]])) for block in range(len(here))
+        ]
+        layouts = np.concatenate(options)
+        costs = _costs(layouts, here, members)
+        best = int(costs.argmin())
+        if costs[best] >= cost - 1e-9:
+            break
+        layout, cost = layouts[best], float(costs[best])
+    return layout, cost
+
+
+def _layouts(layout: Floats, block: int, places: Floats) -> Floats:
+    """The layouts with one block in each of the places. Shape (places, blocks, 2)."""
+    layouts = np.repeat(layout[None], len(places), axis=0)
+    layouts[:, block] = places
+    return layouts
+
+
+def _costs(layouts: Floats, here: Floats, members: Floats) -> Floats:
+    """What it costs to make each layout, and what is wrong with it. Shape (layouts,)."""
+    ways = np.linalg.norm(layouts - here, axis=-1)
+    moved = ways > 0
+    cost = (moved * CLUSTER_COSTS[0] + CLUSTER_COSTS[1] * ways).sum(axis=-1)
+    centres = members @ layouts / members.sum(axis=1, keepdims=True)
+    squares = ((layouts[:, :, None] - centres[:, None]) ** 2).sum(axis=-1)  # (layout, block, kind)
+    own = (squares * members.T).sum(axis=-1)
+    nearest = np.where(members.T > 0, np.inf, squares).min(axis=-1)
+    share = 3 * own / np.maximum(nearest, 1e-9)
+    doubt = np.clip(share / SAFE, DOUBTFUL, HOPELESS) - DOUBTFUL  # shows the way to layouts in which fewer are wrong
+    cost += WRONG_COST * (doubt + (share > SAFE)).sum(axis=-1)
+    gaps = np.linalg.norm(layouts[:, :, None] - layouts[:, None], axis=-1)
+    crowded = np.clip(APART - gaps, 0, None) * (moved[:, :, None] | moved[:, None, :])
+    first = np.triu(np.ones(gaps.shape[1:]), 1)
+    return cost + CROWDED_COST * (crowded * first).sum(axis=(1, 2))
