@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
 
-from magical_mj.errors import InvalidSceneError, unknown_name
+from magical_mj.errors import InvalidSceneError, SettingsError, unknown_name
 from magical_mj.scene import Scene
 from magical_mj.tasks import RULES, SPECS, Rules, TaskSpec
 from magical_mj.variants import VARIANTS as _VARIANTS
@@ -25,6 +26,10 @@ ENVIRONMENTS: Final[tuple[tuple[str, str], ...]] = tuple(
     (task, variant) for task, spec in SPECS.items() for variant in variants_of(spec)
 )
 """The 60 pairs (task, variant) that exist, which follow from what each task supports."""
+
+
+Names = str | Iterable[str]
+"""Names as a list, or in one string with commas between; "all" is all of them."""
 
 
 def task_spec(task: str) -> TaskSpec:
@@ -57,6 +62,33 @@ def environment_axes(task: str, variant: str) -> tuple[Axis, ...]:
         UnknownNameError: if there is no such task or variant, or the task does not have this variant.
     """
     return varied_axes(task_spec(task), variant_name(variant))
+
+
+def environments(tasks: Names = "all", variants: Names = "all") -> list[tuple[str, str]]:
+    """The (task, variant) pairs of these tasks and variants that exist, in the benchmark's order.
+
+    Raises:
+        SettingsError: if no name is given.
+        UnknownNameError: if a name is unknown, or none of the pairs exists.
+    """
+    wanted_tasks = [task for task in listed(tasks, TASKS) if task_spec(task)]
+    wanted_variants = [variant_name(variant) for variant in listed(variants, VARIANTS)]
+    pairs = [(task, variant) for task, variant in ENVIRONMENTS if task in wanted_tasks and variant in wanted_variants]
+    if not pairs:
+        environment_axes(wanted_tasks[0], wanted_variants[0])  # says which variants the task has
+    return pairs
+
+
+def listed(names: Names, every: Iterable[str]) -> list[str]:
+    """The names, which may be given as a list or with commas between; "all" is `every` one.
+
+    Raises:
+        SettingsError: if no name is given.
+    """
+    found = [name.strip() for name in (names.split(",") if isinstance(names, str) else names)]
+    if not any(found):
+        raise SettingsError(f"give at least one of {', '.join(every)}, or all")
+    return list(every) if found == ["all"] else found
 
 
 def check_rules(rules: str) -> Rules:

@@ -17,7 +17,6 @@ import magical_mj
 from magical_mj.errors import SettingsError, UnknownNameError
 from magical_mj.evaluation import Episode, rollouts
 from magical_mj.evaluation.episodes import LETTERS, actions_of
-from magical_mj.evaluation.selection import environments
 
 TESTS = Path(__file__).parent
 
@@ -191,14 +190,6 @@ def test_bad_settings_are_explained(policy: Any, settings: dict[str, Any], hint:
     with pytest.raises((SettingsError, UnknownNameError)) as caught:
         evaluate(policy, **settings)
     assert hint in str(caught.value)
-
-
-def test_lists_of_environments() -> None:
-    assert environments() == list(magical_mj.ENVIRONMENTS)
-    assert environments("MoveToCorner, MoveToRegion", ["Layout", "TestShape"]) == [
-        ("MoveToCorner", "Shape"),
-        ("MoveToRegion", "Layout"),
-    ]
 
 
 # scores.jsonl

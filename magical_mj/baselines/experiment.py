@@ -17,8 +17,7 @@ from magical_mj.errors import SettingsError, unknown_name
 from magical_mj.evaluation.backends import check_backend, spread
 from magical_mj.evaluation.report import report
 from magical_mj.evaluation.run import EPISODES, evaluate
-from magical_mj.evaluation.selection import environments, listed
-from magical_mj.registry import TASKS, check_rules
+from magical_mj.registry import TASKS, check_rules, environments, listed
 
 ENTRIES: Final = {
     "methods": '["bc"]',

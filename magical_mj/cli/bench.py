@@ -15,8 +15,8 @@ from rich.progress import track
 from rich.table import Table
 
 from magical_mj.cli.console import console
-from magical_mj.evaluation.selection import environments, listed
 from magical_mj.presets import PRESETS, preset
+from magical_mj.registry import environments, listed
 from magical_mj.rendering.backend import check_backend
 
 if TYPE_CHECKING:

@@ -16,11 +16,10 @@ from magical_mj.evaluation.extra import check_extra
 from magical_mj.evaluation.folders import prepare
 from magical_mj.evaluation.policies import check_fit
 from magical_mj.evaluation.scores import Score, ScoreFile, frame
-from magical_mj.evaluation.selection import Names, environments
 from magical_mj.evaluation.sources import sources
 from magical_mj.evaluation.units import plan
 from magical_mj.presets import preset as check_preset
-from magical_mj.registry import check_rules
+from magical_mj.registry import Names, check_rules, environments
 from magical_mj.tasks.spec import Rules
 
 if TYPE_CHECKING:
