@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from magical_mj.baselines import Settings, load_settings
+from magical_mj.baselines import TrainingSettings, load_settings
 
 TINY = {
     "network.first_stride": 4,
@@ -18,8 +18,8 @@ TINY = {
 }
 
 
-def tiny(method: str = "bc", tasks: str = "MoveToRegion", **changes: Any) -> Settings:
-    """Settings with a network of a few weights."""
+def tiny(method: str = "bc", tasks: str = "MoveToRegion", **changes: Any) -> TrainingSettings:
+    """TrainingSettings with a network of a few weights."""
     return load_settings(method, tasks, quick=True, **{**TINY, "bc.batches": 12, "bc.batch_size": 4, **changes})
 
 
@@ -37,6 +37,6 @@ PLAYING = {
 }
 
 
-def playing(method: str = "gail", tasks: str = "MoveToRegion", **changes: Any) -> Settings:
-    """Settings of a method that plays: four updates of 4 x 4 steps."""
+def playing(method: str = "gail", tasks: str = "MoveToRegion", **changes: Any) -> TrainingSettings:
+    """TrainingSettings of a method that plays: four updates of 4 x 4 steps."""
     return tiny(method, tasks, **{**PLAYING, **changes})

@@ -13,8 +13,7 @@ from learners import playing
 
 from magical_mj.baselines import METHODS, Learner, checkpoint
 from magical_mj.baselines.adversarial import GAIL, WGAILGP, Discriminator, gail_loss, gradient_penalty
-from magical_mj.baselines.apprenticeship import Apprenticeship, best_weights
-from magical_mj.baselines.autoencoder import Autoencoder
+from magical_mj.baselines.apprenticeship import Apprenticeship, Autoencoder, best_weights
 from magical_mj.baselines.settings import Network
 from magical_mj.errors import UnknownNameError
 

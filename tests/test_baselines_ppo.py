@@ -12,22 +12,20 @@ from learners import playing
 from stable_baselines3.common.utils import obs_as_tensor
 
 from magical_mj import MagicalEnv
-from magical_mj.baselines.actor_critic import standardise
-from magical_mj.baselines.data import Dataset
+from magical_mj.baselines.data import Dataset, Rollout
 from magical_mj.baselines.environments import IMAGES, TASK, Environments
 from magical_mj.baselines.learner import seeded
-from magical_mj.baselines.network import ONE_HOT, Actor, Heads, Torso, as_input
+from magical_mj.baselines.network import ONE_HOT, Actor, Heads, Torso, as_input, standardise
 from magical_mj.baselines.policy import load_policy, save_policy
-from magical_mj.baselines.ppo import Improver
-from magical_mj.baselines.rewards import RewardNormaliser
-from magical_mj.baselines.rollout import EvenBuffer, Rollout
-from magical_mj.baselines.settings import Settings
+from magical_mj.baselines.ppo import EvenBuffer, Improver
+from magical_mj.baselines.reinforced import RewardNormaliser
+from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.evaluation.policies import Episode
 
 CPU = torch.device("cpu")
 
 
-def improver(settings: Settings) -> Improver:
+def improver(settings: TrainingSettings) -> Improver:
     with seeded(settings.seed):
         actor = Actor(settings.network, len(settings.tasks))
         critic = Heads(len(settings.tasks), actor.torso.features, 1)

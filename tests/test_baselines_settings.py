@@ -11,7 +11,7 @@ from learners import tiny
 from magical_mj import TASKS
 from magical_mj.baselines import load_settings
 from magical_mj.baselines.config import from_toml, to_toml
-from magical_mj.baselines.settings import QUICK, Settings, changed, names
+from magical_mj.baselines.settings import QUICK, TrainingSettings, changed, names
 from magical_mj.errors import SettingsError, UnknownNameError
 
 
@@ -42,10 +42,10 @@ def test_quick_changes_only_what_it_says() -> None:
     [
         load_settings("gail", "all"),
         load_settings("bc", "FindDupe,MakeLine", quick=True, seed=7, **{"ppo.clip": 0.02, "features.size": 5}),
-        Settings('odd "name" \\ é', ("MakeLine",)),
+        TrainingSettings('odd "name" \\ é', ("MakeLine",)),
     ],
 )
-def test_toml_there_and_back(settings: Settings, tmp_path: Path) -> None:
+def test_toml_there_and_back(settings: TrainingSettings, tmp_path: Path) -> None:
     path = tmp_path / "config.toml"
     path.write_text(to_toml(settings))
     assert from_toml(path) == settings

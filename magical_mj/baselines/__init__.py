@@ -18,16 +18,15 @@ from magical_mj.baselines.extra import check_extra
 if TYPE_CHECKING:
     from magical_mj.baselines.experiment import conduct, runs
     from magical_mj.baselines.learner import Learner
-    from magical_mj.baselines.methods import METHODS
     from magical_mj.baselines.policy import TrainedPolicy, load_policy
-    from magical_mj.baselines.run import Progress, train
-    from magical_mj.baselines.settings import Settings, load_settings
+    from magical_mj.baselines.run import METHODS, Progress, train
+    from magical_mj.baselines.settings import TrainingSettings, load_settings
 
 _LAZY = {  # loaded at first use: the command line knows these commands before anybody needs PyTorch
-    "METHODS": "methods",
+    "METHODS": "run",
     "Learner": "learner",
     "Progress": "run",
-    "Settings": "settings",
+    "TrainingSettings": "settings",
     "TrainedPolicy": "policy",
     "conduct": "experiment",
     "load_policy": "policy",
@@ -40,8 +39,8 @@ __all__ = [
     "METHODS",
     "Learner",
     "Progress",
-    "Settings",
     "TrainedPolicy",
+    "TrainingSettings",
     "conduct",
     "load_policy",
     "load_settings",

@@ -13,11 +13,11 @@ import torch
 from torch import Tensor, nn
 
 from magical_mj.baselines.augmentation import Augmentation
+from magical_mj.baselines.data import Rollout
 from magical_mj.baselines.learner import restore_optimizer, seeded
 from magical_mj.baselines.network import Heads, Torso
 from magical_mj.baselines.reinforced import RewardLearner, Samples
-from magical_mj.baselines.rollout import Rollout
-from magical_mj.baselines.settings import Network, Settings
+from magical_mj.baselines.settings import Network, TrainingSettings
 
 Judge = Callable[[Tensor, Tensor, Tensor], Tensor]
 """From stacks (n, 12, 96, 96), actions (n,) and tasks (n,) to one number for each, (n,)."""
@@ -39,7 +39,7 @@ class Discriminator(nn.Module):
 class Adversarial(RewardLearner):
     """Trains the discriminator on the last rollout and the demonstrations, and PPO on its rewards."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: TrainingSettings) -> None:
         self._augment = Augmentation(settings.augment)  # an unknown one is refused before environments are made
         super().__init__(settings)
         self._noise = torch.Generator(self.device).manual_seed(settings.seed)

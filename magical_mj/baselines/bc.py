@@ -12,7 +12,7 @@ from magical_mj.baselines.augmentation import Augmentation
 from magical_mj.baselines.data import Dataset
 from magical_mj.baselines.learner import Learner, seeded
 from magical_mj.baselines.network import Actor, as_input
-from magical_mj.baselines.settings import Cloning, Settings
+from magical_mj.baselines.settings import Cloning, TrainingSettings
 from magical_mj.errors import SettingsError
 
 
@@ -23,7 +23,7 @@ class BehaviouralCloning(Learner):
     tasks the loss is the mean of the tasks' losses: batches hold as many samples of each.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
         self.updates = settings.bc.batches
         self._data = Dataset(settings, drop_noop=True)

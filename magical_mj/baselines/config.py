@@ -1,4 +1,4 @@
-"""Settings as plain TOML."""
+"""TrainingSettings as plain TOML."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from magical_mj.baselines.settings import Settings, changed
+from magical_mj.baselines.settings import TrainingSettings, changed
 from magical_mj.errors import SettingsError
 
 
-def to_toml(settings: Settings) -> str:
+def to_toml(settings: TrainingSettings) -> str:
     """All settings; `from_toml` reads them back."""
     plain, tables = [], []
     for item in fields(settings):
@@ -25,7 +25,7 @@ def to_toml(settings: Settings) -> str:
     return "\n\n".join(["\n".join(plain), *tables]) + "\n"
 
 
-def from_toml(path: Path) -> Settings:
+def from_toml(path: Path) -> TrainingSettings:
     """The settings in a file.
 
     Raises:
@@ -34,7 +34,7 @@ def from_toml(path: Path) -> Settings:
     table = read_toml(path)
     if "method" not in table or "tasks" not in table:
         raise SettingsError(f"{path} must give a method and tasks")
-    return changed(Settings(table.pop("method"), tuple(table.pop("tasks"))), flattened(table))
+    return changed(TrainingSettings(table.pop("method"), tuple(table.pop("tasks"))), flattened(table))
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -1,9 +1,9 @@
-"""The demonstrations of a training run, and batches of them."""
+"""Batches of samples: of a run's demonstrations, and of what the policy has just done."""
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical_mj import demos
-from magical_mj.baselines.settings import Settings
+from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.errors import DemonstrationError
 
 
@@ -53,7 +53,7 @@ class Dataset:
         folder: of demonstrations, instead of the shipped ones.
     """
 
-    def __init__(self, settings: Settings, *, drop_noop: bool, folder: Path | None = None) -> None:
+    def __init__(self, settings: TrainingSettings, *, drop_noop: bool, folder: Path | None = None) -> None:
         self._images: list[NDArray[np.uint8]] = []
         self._actions: list[Tensor] = []
         for task in settings.tasks:
@@ -80,3 +80,31 @@ class Dataset:
             torch.cat([actions[rows] for actions, rows in zip(self._actions, numbers, strict=True)]),
             torch.cat([torch.full_like(rows, task) for task, rows in enumerate(numbers)]),
         )
+
+
+class Rollout(NamedTuple):
+    """What the policy has just done, copy by copy."""
+
+    images: NDArray[np.uint8]
+    """Shape (steps, environments, 96, 96, 12)."""
+    actions: NDArray[np.int64]
+    """Shape (steps, environments)."""
+    tasks: NDArray[np.int64]
+    """Shape (environments,), ascending."""
+
+    def sample(self, size: int, generator: torch.Generator) -> Batch:
+        """Draws with replacement, evenly over the tasks."""
+        parts = shares(size, int(self.tasks[-1]) + 1, generator)
+        copies = np.repeat(np.arange(len(parts)), parts) * (len(self.tasks) // len(parts))
+        copies += torch.randint(len(self.tasks) // len(parts), (size,), generator=generator).numpy()
+        steps = torch.randint(len(self.images), (size,), generator=generator).numpy()
+        return self._batch(steps, copies)
+
+    def batches(self, size: int) -> Iterator[Batch]:
+        """All of it in order, the steps one after the other."""
+        for numbers in np.split(np.arange(self.actions.size), range(size, self.actions.size, size)):
+            yield self._batch(*np.divmod(numbers, len(self.tasks)))
+
+    def _batch(self, steps: NDArray[np.int64], copies: NDArray[np.int64]) -> Batch:
+        actions, tasks = torch.as_tensor(self.actions[steps, copies]), torch.as_tensor(self.tasks[copies])
+        return Batch(self.images[steps, copies], actions, tasks)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import DummyVecEnv, VecTransposeImage
 
 from magical_mj.actions import ACTIONS
-from magical_mj.baselines.settings import Settings
+from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.gym_env import MagicalEnv
 from magical_mj.registry import task_spec
 
@@ -36,7 +36,7 @@ class Copy(gymnasium.Env[Any, Any]):
         number: of the copy, from 0 to `ppo.environments` - 1; the copies of a task follow one another.
     """
 
-    def __init__(self, settings: Settings, number: int) -> None:
+    def __init__(self, settings: TrainingSettings, number: int) -> None:
         self._task = task_number(settings, number)
         self._env = MagicalEnv(settings.tasks[self._task], "Demo", settings.preset)
         self.observation_space = spaces.Dict(
@@ -102,7 +102,7 @@ class Environments(VecTransposeImage):
         tasks: the number of each copy's task, shape (environments,).
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: TrainingSettings) -> None:
         count = settings.ppo.environments
         self.tasks = np.array([task_number(settings, number) for number in range(count)])
         self._copies = [Copy(settings, number) for number in range(count)]
@@ -118,6 +118,6 @@ class Environments(VecTransposeImage):
         return {key: np.stack([one[key] for one in seen]) for key in (IMAGES, TASK)}
 
 
-def task_number(settings: Settings, copy: int) -> int:
+def task_number(settings: TrainingSettings, copy: int) -> int:
     """The task that a copy plays."""
     return copy * len(settings.tasks) // settings.ppo.environments

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from magical_mj.baselines.config import flattened, read_toml
-from magical_mj.baselines.methods import METHODS
 from magical_mj.baselines.policy import is_done
-from magical_mj.baselines.run import train
-from magical_mj.baselines.settings import Settings, load_settings
+from magical_mj.baselines.run import METHODS, train
+from magical_mj.baselines.settings import TrainingSettings, load_settings
 from magical_mj.errors import SettingsError, unknown_name
 from magical_mj.evaluation.backends import check_backend, spread
 from magical_mj.evaluation.report import report
@@ -46,7 +45,7 @@ class Run:
         folder: of the experiment.
     """
 
-    settings: Settings
+    settings: TrainingSettings
     quick: bool
     evaluation: dict[str, Any]
     folder: Path

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from magical_mj.baselines.network import Actor
-from magical_mj.baselines.settings import Settings
+from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.errors import SettingsError
 
 
@@ -28,7 +28,7 @@ class Learner(ABC):
 
     updates: int
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: TrainingSettings) -> None:
         self.settings = settings
         self.device = device(settings.device)
 

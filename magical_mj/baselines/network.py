@@ -105,3 +105,24 @@ class Actor(nn.Module):
     def forward(self, stacks: Tensor, tasks: Tensor) -> Tensor:
         """Logits, shape (n, 18), for stacks (n, 3k, 96, 96) in [0, 1] and the numbers of their tasks (n,)."""
         return self.head(self.torso(stacks), tasks)
+
+
+@torch.no_grad()
+def standardise(torso: Torso, stacks: Tensor) -> None:
+    """Scales the weights of a new torso so that each unit has mean 0 and deviation 1 over the stacks, before its ReLU.
+
+    Pictures are mostly background. As they are drawn, weights without batch norm answer to that and hardly to the rest:
+    policies then act alike wherever they are for tens of thousands of steps. Here each layer begins as if it had batch
+    norm (the data-dependent initialisation of Salimans and Kingma, 2016), and has none from then on. The paper does not
+    say how weights are drawn.
+    """
+    values = stacks
+    for layer in (*torso.convolutions, nn.Flatten(), *torso.linear):
+        if isinstance(layer, nn.Conv2d | nn.Linear):
+            answers = layer(values)
+            over = [axis for axis in range(answers.dim()) if axis != 1]
+            deviation = answers.std(over).clamp(min=1e-6)  # some unit may see nothing
+            weight, bias = layer.parameters()
+            weight.div_(deviation.reshape(-1, *[1] * (weight.dim() - 1)))
+            bias.sub_(answers.mean(over)).div_(deviation)
+        values = layer(values)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from magical_mj.baselines import checkpoint
 from magical_mj.baselines.network import SHAPE, Actor, as_input
-from magical_mj.baselines.settings import Network, Settings
+from magical_mj.baselines.settings import Network, TrainingSettings
 from magical_mj.errors import SettingsError, TrainingError
 from magical_mj.evaluation.policies import Episode
 
@@ -77,7 +77,7 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def save_policy(folder: Path, actor: Actor, settings: Settings, progress: tuple[int, int]) -> None:
+def save_policy(folder: Path, actor: Actor, settings: TrainingSettings, progress: tuple[int, int]) -> None:
     """Writes the policy into a run's folder, with all that is needed to use it.
 
     Args:

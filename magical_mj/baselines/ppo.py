@@ -1,24 +1,122 @@
-"""Stable-baselines3's PPO, given rewards from outside and advanced one update at a time."""
+"""Stable-baselines3's PPO on our networks, given rewards from outside and advanced one update at a time."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import torch
+from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
+from stable_baselines3.common.buffers import DictRolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.type_aliases import DictRolloutBufferSamples, Schedule
 from stable_baselines3.common.utils import obs_as_tensor
-from torch import nn
+from torch import Tensor, nn
 
-from magical_mj.baselines.actor_critic import ActorCritic
-from magical_mj.baselines.environments import IMAGES, Environments
+from magical_mj.baselines.data import Rollout
+from magical_mj.baselines.environments import IMAGES, TASK, Environments
 from magical_mj.baselines.learner import restore_optimizer
-from magical_mj.baselines.network import Actor, Heads
-from magical_mj.baselines.rollout import EvenBuffer, Rollout
-from magical_mj.baselines.settings import Settings
+from magical_mj.baselines.network import Actor, Heads, Torso, scaled
+from magical_mj.baselines.settings import TrainingSettings
+
+
+class Features(BaseFeaturesExtractor):
+    """The torso's features with the one-hot task joined to them, which is how it reaches the heads."""
+
+    def __init__(self, observation_space: spaces.Dict, torso: Torso) -> None:
+        tasks = observation_space[TASK].shape
+        super().__init__(observation_space, torso.features + int(np.prod(tasks or ())))
+        self.torso = torso
+
+    def forward(self, observations: Mapping[str, Tensor]) -> Tensor:
+        """Shape (n, features + tasks). Pictures come as floats from 0 to 255 made for this, the channels last."""
+        stacks = scaled(observations[IMAGES]).permute(0, 3, 1, 2)
+        return torch.cat([self.torso(stacks), observations[TASK]], dim=1)
+
+
+class ForTasks(nn.Module):
+    """Heads for features with the task joined to them."""
+
+    def __init__(self, heads: Heads) -> None:
+        super().__init__()
+        self.heads = heads
+
+    def forward(self, joined: Tensor) -> Tensor:
+        """Shape (n, outputs), for shape (n, features + tasks)."""
+        inputs = self.heads.weight.shape[2]
+        return self.heads(joined[:, :inputs], joined[:, inputs:].argmax(1))
+
+
+class ActorCritic(ActorCriticPolicy):
+    """Stable-baselines3's policy around an `Actor`: action and value share all but the last layer (appendix).
+
+    Args:
+        observation_space: of the environments.
+        action_space: of the environments.
+        lr_schedule: learning rate by what is left of the training.
+        actor: the policy.
+        critic: the heads that estimate values.
+        others: what else PPO gives; nothing that matters here.
+    """
+
+    def __init__(
+        self,
+        observation_space: spaces.Dict,
+        action_space: spaces.Discrete,
+        lr_schedule: Schedule,
+        actor: Actor,
+        critic: Heads,
+        **others: Any,
+    ) -> None:
+        parts = {"features_extractor_class": Features, "features_extractor_kwargs": {"torso": actor.torso}}
+        super().__init__(
+            observation_space,
+            action_space,
+            lr_schedule,
+            net_arch=[],
+            ortho_init=False,
+            normalize_images=False,  # `Features` does it, in place
+            **parts,
+            **others,
+        )
+        self.action_net, self.value_net = ForTasks(actor.head), ForTasks(critic)
+        self.optimizer = torch.optim.Adam(self.parameters(), lr_schedule(1), eps=1e-5)  # stable-baselines3's eps
+
+
+class EvenBuffer(DictRolloutBuffer):
+    """A rollout whose minibatches are split evenly between the tasks, and drawn by a generator of our own.
+
+    Attributes:
+        tasks: numbers of the copies' tasks, ascending; every task has as many copies.
+        generator: draws the minibatches.
+    """
+
+    def __init__(self, *sizes: Any, tasks: NDArray[np.int64], generator: torch.Generator, **others: Any) -> None:
+        super().__init__(*sizes, **others)
+        self.tasks, self.generator = tasks, generator
+
+    def get(self, batch_size: int | None = None) -> Iterator[DictRolloutBufferSamples]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """All samples once, in minibatches in which the tasks' shares differ by one at most."""
+        count = int(self.tasks[-1]) + 1
+        each = self.buffer_size * self.n_envs // count
+        drawn = [torch.randperm(each, generator=self.generator) + task * each for task in range(count)]
+        order = torch.stack(drawn, dim=1).flatten()  # one of each task, and again
+        for numbers in order.split(batch_size or len(order)):
+            copies, steps = np.divmod(numbers.numpy(), self.buffer_size)
+            yield DictRolloutBufferSamples(
+                observations={key: self.to_torch(seen[steps, copies]) for key, seen in self.observations.items()},
+                actions=self.to_torch(self.actions[steps, copies]),
+                old_values=self.to_torch(self.values[steps, copies]),
+                old_log_prob=self.to_torch(self.log_probs[steps, copies]),
+                advantages=self.to_torch(self.advantages[steps, copies]),
+                returns=self.to_torch(self.returns[steps, copies]),
+            )
 
 
 class _Scores(BaseCallback):
@@ -57,7 +155,7 @@ class Improver(PPO):
 
     def __init__(
         self,
-        settings: Settings,
+        settings: TrainingSettings,
         environments: Environments,
         actor: Actor,
         critic: Heads,

@@ -6,18 +6,18 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from stable_baselines3.common.running_mean_std import RunningMeanStd
 from torch import Tensor
 
-from magical_mj.baselines.actor_critic import standardise
-from magical_mj.baselines.data import Batch, Dataset
+from magical_mj.baselines.data import Batch, Dataset, Rollout
 from magical_mj.baselines.environments import Environments
 from magical_mj.baselines.learner import Learner, seeded
-from magical_mj.baselines.network import Actor, Heads, as_input
+from magical_mj.baselines.network import Actor, Heads, as_input, standardise
 from magical_mj.baselines.ppo import Improver
-from magical_mj.baselines.rewards import RewardNormaliser
-from magical_mj.baselines.rollout import Rollout
-from magical_mj.baselines.settings import Settings
+from magical_mj.baselines.settings import TrainingSettings
 
 Samples = tuple[Tensor, Tensor, Tensor]
 """A batch on the device: stacks (n, 12, 96, 96) in [0, 1], actions (n,) and numbers of tasks (n,)."""
@@ -29,7 +29,7 @@ class RewardLearner(Learner):
     Policy and value look at pictures as they are, without augmentation (appendix). Demonstrations keep their no-ops.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
         self.updates = settings.ppo.total_steps // (settings.ppo.environments * settings.ppo.steps)
         self._expert = Dataset(settings, drop_noop=False)
@@ -85,3 +85,30 @@ class RewardLearner(Learner):
     def close(self) -> None:
         """Closes the environments."""
         self._environments.close()
+
+
+class RewardNormaliser:
+    """Brings rewards to mean 0 and a given standard deviation, by those of all rewards so far (appendix).
+
+    Args:
+        deviation: the standard deviation.
+    """
+
+    def __init__(self, deviation: float) -> None:
+        self._deviation = deviation
+        self._seen = RunningMeanStd()
+
+    def __call__(self, rewards: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Takes in rewards of any shape, and returns them normalised."""
+        self._seen.update(rewards.ravel())
+        spread = np.sqrt(self._seen.var + 1e-12)  # rewards that are all the same are all 0
+        return ((rewards - self._seen.mean) / spread * self._deviation).astype(np.float32)
+
+    def state(self) -> dict[str, Any]:
+        """Mean, variance and number of the rewards so far."""
+        return {"mean": float(self._seen.mean), "var": float(self._seen.var), "count": float(self._seen.count)}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Takes up a `state`."""
+        self._seen.mean, self._seen.var = np.array(state["mean"]), np.array(state["var"])
+        self._seen.count = state["count"]

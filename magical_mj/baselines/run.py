@@ -7,18 +7,24 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 from magical_mj.baselines import checkpoint
+from magical_mj.baselines.adversarial import GAIL, WGAILGP
+from magical_mj.baselines.apprenticeship import Apprenticeship
+from magical_mj.baselines.bc import BehaviouralCloning
 from magical_mj.baselines.config import from_toml, to_toml
 from magical_mj.baselines.learner import Learner
-from magical_mj.baselines.methods import METHODS
 from magical_mj.baselines.metrics import Metrics
 from magical_mj.baselines.policy import TrainedPolicy, save_policy
-from magical_mj.baselines.settings import Settings
+from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.errors import SettingsError, TrainingError, unknown_name
 from magical_mj.evaluation.run import evaluate
 
+METHODS: Final[Mapping[str, Callable[[TrainingSettings], Learner]]] = MappingProxyType(
+    {"bc": BehaviouralCloning, "gail": GAIL, "wgail-gp": WGAILGP, "al": Apprenticeship}
+)
 CONFIG: Final = "config.toml"
 CHECKPOINT: Final = "checkpoint.safetensors"
 ROWS: Final = 200
@@ -43,11 +49,11 @@ class Progress:
 
 
 def train(
-    settings: Settings,
+    settings: TrainingSettings,
     out: Path | str,
     *,
     resume: bool = False,
-    learner: Callable[[Settings], Learner] | None = None,
+    learner: Callable[[TrainingSettings], Learner] | None = None,
     watch: Callable[[Progress], None] = lambda _: None,
 ) -> TrainedPolicy:
     """Trains a policy and returns it; everything is in the folder, where `evaluate` finds it too.
@@ -75,7 +81,7 @@ def train(
         made.close()
 
 
-def _check(folder: Path, settings: Settings, resume: bool) -> None:
+def _check(folder: Path, settings: TrainingSettings, resume: bool) -> None:
     """Raises an error unless the folder is new, or holds this very training and is to be resumed."""
     config = folder / CONFIG
     if not config.exists():
@@ -90,7 +96,7 @@ def _check(folder: Path, settings: Settings, resume: bool) -> None:
         raise SettingsError(f"{folder} was started with other settings: {'; '.join(differences)}")
 
 
-def _start(folder: Path, settings: Settings) -> None:
+def _start(folder: Path, settings: TrainingSettings) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / CONFIG).write_text(to_toml(settings))
@@ -99,7 +105,7 @@ def _start(folder: Path, settings: Settings) -> None:
 
 
 class _Run:
-    def __init__(self, folder: Path, settings: Settings, learner: Learner) -> None:
+    def __init__(self, folder: Path, settings: TrainingSettings, learner: Learner) -> None:
         self._folder, self._settings, self._learner = folder, settings, learner
         self._update, self._seconds = 0, 0.0
         if (folder / CHECKPOINT).exists():

@@ -78,7 +78,7 @@ class Features:
 
 
 @dataclass(frozen=True)
-class Settings:
+class TrainingSettings:
     """One training run, completely.
 
     Attributes:
@@ -183,7 +183,9 @@ QUICK: Final[Mapping[str, Any]] = MappingProxyType(
 T = TypeVar("T")
 
 
-def load_settings(method: str, tasks: str | tuple[str, ...], *, quick: bool = False, **changes: Any) -> Settings:
+def load_settings(
+    method: str, tasks: str | tuple[str, ...], *, quick: bool = False, **changes: Any
+) -> TrainingSettings:
     """The settings of a method: the paper's, those of `quick`, and then the `changes`.
 
     Args:
@@ -194,10 +196,10 @@ def load_settings(method: str, tasks: str | tuple[str, ...], *, quick: bool = Fa
     """
     if isinstance(tasks, str):
         tasks = TASKS if tasks == "all" else tuple(filter(None, (task.strip() for task in tasks.split(","))))
-    return changed(Settings(method, tasks), {**(QUICK if quick else {}), **changes})
+    return changed(TrainingSettings(method, tasks), {**(QUICK if quick else {}), **changes})
 
 
-def changed(settings: Settings, changes: Mapping[str, Any]) -> Settings:
+def changed(settings: TrainingSettings, changes: Mapping[str, Any]) -> TrainingSettings:
     """The settings with other values; values given as text are read as what the field holds.
 
     Raises:
