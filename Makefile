@@ -30,13 +30,15 @@ docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the READ
 	$(BIN)/magical-mj view --grid --size 112 --out docs/environments.png --force
 	$(BIN)/magical-mj view FindDupe --size 288 --out docs/views.png --force
 	$(BIN)/python tools/experts_picture.py
-	$(BIN)/python tools/physics_picture.py
+	$(BIN)/python research/physics_picture.py
 	$(BIN)/python tools/readme_tables.py
 
 demonstrations: $(VENV)/.installed-dev  ## after a change of the physics: the shipped demonstrations and docs/experts.md, anew
 	rm -rf magical_mj/demos/data
 	$(BIN)/magical-mj demos generate all --count 25 --out magical_mj/demos/data
-	$(BIN)/magical-mj experts --seeds 20 --out docs/experts.md --force
+	rm -rf out/experts
+	$(BIN)/magical-mj evaluate --policy expert --episodes 20 --out out/experts
+	$(BIN)/python tools/experts_page.py out/experts
 
 constraints:  ## write constraints.txt: the newest versions that a fresh environment gets today
 	$(PYTHON) -m venv $(VENV)-new

@@ -16,7 +16,7 @@ from PIL import Image
 
 import magical_mj
 from magical_mj.cli import main
-from magical_mj.cli.episodes import actions
+from magical_mj.cli.film import actions
 from magical_mj.errors import RenderingError
 from magical_mj.rendering.backend import osmesa_works
 

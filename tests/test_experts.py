@@ -12,7 +12,6 @@ import pytest
 import magical_mj
 from magical_mj import ENVIRONMENTS, TASKS, Block, Robot, Scene
 from magical_mj.actions import NOOP, Action, Drive, Gripper, Turn
-from magical_mj.cli import main
 from magical_mj.errors import InvalidSceneError, UnknownNameError
 from magical_mj.experts import Expert, make_expert, run_episode
 from magical_mj.experts.arrangements import cluster_targets, line_targets
@@ -248,15 +247,6 @@ def test_a_hopeless_scene_is_played_to_its_end() -> None:
         last = env.step(expert()).last()
     assert last
     assert env.score() == expert.expected_score
-
-
-def test_the_command_prints_the_table(capsys: pytest.CaptureFixture[str]) -> None:
-    assert (
-        main(["experts", "MoveToRegion", "--variant", "Demo", "--variant", "All", "--seeds", "2", "--jobs", "1"]) == 0
-    )
-    out = capsys.readouterr().out
-    assert "| MoveToRegion | 1.000 |  |" in out
-    assert "4 of 4 episodes have the full score" in out
 
 
 def test_plain_scenes_have_no_expert() -> None:

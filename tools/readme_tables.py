@@ -61,7 +61,7 @@ def presets() -> str:
 
 
 def experts() -> str:
-    """The experts' mean scores, as `magical-mj experts` found them."""
+    """The experts' mean scores, as `make demonstrations` found them."""
     return EXPERTS.read_text().split("\n\n")[2]
 
 

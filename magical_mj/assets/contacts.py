@@ -30,7 +30,7 @@ FOOT_RADIUS, FOOT_DEPTH = 0.02, 0.01
 
 @dataclass(frozen=True)
 class PhysicsSettings:
-    """What the original does not dictate: how stiff, how round, how soft. `tools/fit_physics.py` finds them."""
+    """What the original does not dictate: how stiff, how round, how soft. `research/fit_physics.py` finds them."""
 
     contact_impedance: float = 0.9973
     """Share of the relative velocity that a contact removes; below 1 it gives way a little."""

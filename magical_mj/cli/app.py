@@ -10,21 +10,7 @@ from typing import Annotated
 import typer
 
 import magical_mj
-from magical_mj.cli import (
-    bench,
-    compare,
-    demo,
-    demos,
-    doctor,
-    evaluate,
-    experts,
-    export,
-    listing,
-    play,
-    report,
-    rollout,
-    view,
-)
+from magical_mj.cli import bench, demo, demos, doctor, environments, evaluate, play, results
 from magical_mj.cli.console import complain
 from magical_mj.errors import MagicalError
 
@@ -34,16 +20,15 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-app.command("list")(listing.list_environments)
-app.command("view")(view.view)
-app.command("rollout")(rollout.rollout)
+app.command("list")(environments.list_environments)
+app.command("view")(environments.view)
+app.command("rollout")(evaluate.rollout)
 app.command("evaluate")(evaluate.evaluate)
-app.command("report")(report.make_report)
-app.command("compare")(compare.make_comparison)
-app.command("experts")(experts.experts)
+app.command("report")(results.make_report)
+app.command("compare")(results.make_comparison)
 app.add_typer(demos.app, name="demos")
 app.command("play")(play.play)
-app.command("export")(export.export)
+app.command("export")(environments.export)
 app.command("bench")(bench.bench)
 app.command("doctor")(doctor.doctor)
 app.command("demo")(demo.demo)

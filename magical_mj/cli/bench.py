@@ -4,25 +4,43 @@ from __future__ import annotations
 
 import cProfile
 import json
+import os
+import platform
 import pstats
-from collections.abc import Sequence
+import resource
+import sys
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from magical_mj._version import __version__
 from magical_mj.cli.console import console
 from magical_mj.presets import PRESETS, preset
 from magical_mj.registry import environments, listed
 from magical_mj.rendering.backend import check_backend
 
 if TYPE_CHECKING:
-    from magical_mj.speed.measure import Measurement
+    from magical_mj.speed.measure import Cause, Measurement
 
-PROFILED = 30  # functions shown
+PROFILED: Final = 30  # functions shown
+HEAD: Final = (
+    "Environment",
+    "Preset",
+    "steps/s",
+    "bare loop",
+    "ratio",
+    "reset, same structure",
+    "reset, new structure",
+)
+NAMES: Final = 2  # columns that hold no numbers
+CAUSES: Final[tuple[Cause, ...]] = ("rewritten", "compiled")
+CPU_INFO: Final = Path("/proc/cpuinfo")
 
 Tasks = Annotated[str, typer.Option(help="Tasks, separated by commas.")]
 Variants = Annotated[str, typer.Option(help="Variants, separated by commas.")]
@@ -44,8 +62,6 @@ def bench(
 ) -> None:
     """Measure steps per second with resets, the bare MuJoCo loop in turn with them, and resets alone."""
     check_backend()  # before the simulator is loaded, which would not say why it fails
-    from magical_mj.speed import report
-
     names = listed(presets, PRESETS)
     for name in names:
         preset(name)  # or its error
@@ -55,9 +71,9 @@ def bench(
     if profiler is not None:
         pstats.Stats(profiler).sort_stats("tottime").print_stats(PROFILED)
     elif as_json:
-        typer.echo(json.dumps(report.as_json(measurements, yardstick), indent=2))
+        typer.echo(json.dumps(facts(measurements, yardstick), indent=2))
     elif markdown:
-        typer.echo(report.markdown(measurements, yardstick))
+        typer.echo(markdown_table(measurements, yardstick))
     else:
         _print_table(measurements, yardstick)
 
@@ -77,13 +93,90 @@ def _measure(chosen: Sequence[tuple[str, str, str]], steps: int) -> tuple[list[M
 
 
 def _print_table(measurements: Sequence[Measurement], yardstick: float | None) -> None:
-    from magical_mj.speed import report
-
     table = Table(box=None, header_style="bold", pad_edge=False)
-    for column, title in enumerate(report.HEAD):
-        table.add_column(title, justify="right" if column >= report.NAMES else "left")
-    for row in report.rows(measurements):
+    for column, title in enumerate(HEAD):
+        table.add_column(title, justify="right" if column >= NAMES else "left")
+    for row in rows(measurements):
         table.add_row(*row)
     out = console()
     out.print(table)
-    out.print(report.summary(yardstick), soft_wrap=True)
+    out.print(summary(yardstick), soft_wrap=True)
+
+
+def rows(measurements: Sequence[Measurement]) -> list[tuple[str, ...]]:
+    """Under `HEAD`, a row for each environment. Resets: median (95th percentile), in milliseconds."""
+    return [
+        (
+            f"{made.task} {made.variant}",
+            made.preset or "none",
+            f"{made.rate:,.0f}",
+            f"{made.bare_rate:,.0f}",
+            f"{made.ratio:.0%}",
+            *(_milliseconds(made, cause) for cause in CAUSES),
+        )
+        for made in measurements
+    ]
+
+
+def _milliseconds(made: Measurement, cause: Cause) -> str:
+    median, most = (made.reset_quantile(cause, share) for share in (0.5, 0.95))
+    return "" if median is None or most is None else f"{1000 * median:.1f} ms ({1000 * most:.1f})"
+
+
+def markdown_table(measurements: Sequence[Measurement], yardstick: float | None) -> str:
+    """The table, and under it the machine."""
+    lines = [HEAD, [*["---"] * NAMES, *["---:"] * (len(HEAD) - NAMES)], *rows(measurements)]
+    table = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+    return f"{table}\n\n{summary(yardstick)}"
+
+
+def summary(yardstick: float | None) -> str:
+    """The machine, the memory of this process, and the yardstick."""
+    here = machine()
+    text = f"{here['cpu']}, {here['cores']} cores; {here['opengl']}; at most {memory():.0f} MB"
+    return text if yardstick is None else f"{text}; gym-pusht's pixels: {yardstick:,.0f} steps/s"
+
+
+def facts(measurements: Sequence[Measurement], yardstick: float | None) -> dict[str, Any]:
+    """Everything, times in seconds."""
+    return {
+        "machine": machine(),
+        "memory_mb": memory(),
+        "gym_pusht_rate": yardstick,
+        "environments": [_entry(made) for made in measurements],
+    }
+
+
+def _entry(made: Measurement) -> Mapping[str, Any]:
+    resets = {
+        cause: {
+            "count": len(made.resets[cause]),
+            "median": made.reset_quantile(cause, 0.5),
+            "p95": made.reset_quantile(cause, 0.95),
+        }
+        for cause in CAUSES
+    }
+    names = ("task", "variant", "preset", "steps", "rate", "bare_rate", "ratio")
+    return {name: getattr(made, name) for name in names} | {"resets": resets}
+
+
+def machine() -> dict[str, str | int]:
+    """What it ran on."""
+    from magical_mj.rendering.canvas import opengl_name
+
+    cpu = platform.processor() or platform.machine()
+    if CPU_INFO.exists():
+        cpu = next((line.split(": ")[1] for line in CPU_INFO.read_text().splitlines() if "model name" in line), cpu)
+    return {
+        "cpu": cpu,
+        "cores": os.cpu_count() or 1,
+        "opengl": opengl_name(),
+        "python": platform.python_version(),
+        "magical_mj": __version__,
+    }
+
+
+def memory() -> float:
+    """The most that this process has held, in MB."""
+    unit = 2**20 if sys.platform == "darwin" else 2**10  # of what the system reports
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6

@@ -14,7 +14,7 @@ from rich.table import Table
 import magical_mj
 from magical_mj import TASKS, VARIANTS
 from magical_mj.cli.console import Force, Size, check_suffix, claim, claim_folder, console
-from magical_mj.cli.episodes import film_pictures
+from magical_mj.cli.film import film_pictures
 from magical_mj.cli.parallel import Jobs, in_parallel
 from magical_mj.errors import DemonstrationError
 from magical_mj.registry import environment_axes, task_spec, variant_name

@@ -7,6 +7,7 @@ import os
 import platform
 import subprocess
 import sys
+import time
 from importlib.metadata import PackageNotFoundError, version
 from typing import Final
 
@@ -14,6 +15,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+import magical_mj
 from magical_mj.cli.console import console
 from magical_mj.rendering.backend import REMEDY
 
@@ -26,6 +28,8 @@ EXTRAS: Final = {
 }
 BACKENDS: Final = ("egl", "osmesa", "glfw")  # only the last needs a display
 TIMEOUT: Final = 60  # seconds for one backend
+SIZE: Final = 96  # pixels, as in the LoRes presets
+FRAMES: Final = 20
 
 
 def doctor() -> None:
@@ -67,7 +71,7 @@ def _version(name: str) -> str | None:
 
 def _probe(backend: str) -> dict[str, str | float]:
     """What the probe found with this backend: the renderer and times, or the error."""
-    command = [sys.executable, "-m", "magical_mj.cli.probe"]
+    command = [sys.executable, "-m", "magical_mj.cli.doctor"]
     variables = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
     variables["MUJOCO_GL"] = backend
     try:
@@ -90,3 +94,30 @@ def _print_backends(out: Console, found: dict[str, dict[str, str | float]]) -> N
             table.add_row(backend, "[green]works[/]", str(facts["renderer"]), *times)
     out.print()
     out.print(table)
+
+
+def probe() -> None:
+    """Draws a few frames and prints facts as JSON: the renderer, milliseconds of the first and of a typical frame."""
+    env = magical_mj.load("FindDupe", observations=())
+    env.reset()
+    times = []
+    for _ in range(FRAMES):
+        start = time.perf_counter()
+        env.render("ego", SIZE)
+        times.append(1000 * (time.perf_counter() - start))
+    env.close()
+
+    import mujoco
+
+    context = mujoco.GLContext(SIZE, SIZE)
+    context.make_current()
+    from OpenGL import GL
+
+    renderer = GL.glGetString(GL.GL_RENDERER)
+    context.free()
+    facts = {"renderer": renderer.decode(), "first": times[0], "typical": sorted(times)[FRAMES // 2]}
+    sys.stdout.write(json.dumps(facts))
+
+
+if __name__ == "__main__":
+    probe()

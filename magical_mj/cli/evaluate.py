@@ -1,17 +1,21 @@
-"""`magical-mj evaluate`: play policies on the evaluation scenes and keep every score."""
+"""`magical-mj evaluate` and `rollout`: play policies, to keep every score, or to watch some episodes."""
 
 from __future__ import annotations
 
 from collections import defaultdict
+from contextlib import nullcontext
 from pathlib import Path
+from statistics import fmean
 from typing import Annotated
 
 import typer
+from rich import progress as bars
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.text import Text
 
-from magical_mj.cli.console import console
+import magical_mj
+from magical_mj.cli.console import Force, Seed, Size, Task, Variant, check_suffix, claim, console
+from magical_mj.cli.film import Agent, film, play
 from magical_mj.evaluation.backends import Backend, check_backend
 from magical_mj.evaluation.extra import check_extra
 from magical_mj.evaluation.run import EPISODES, TIME_LIMIT, Evaluation
@@ -43,6 +47,9 @@ Run = Annotated[int, typer.Option(min=0, help="The number of the (first) run of 
 Limit = Annotated[float, typer.Option(min=0.1, help="Seconds for one episode; then it has failed.")]
 Envs = Annotated[int, typer.Option(min=1, help="Episodes played side by side in each process, for batches.")]
 Side = Annotated[Vectorization, typer.Option(help="How: in the process itself, or in one each.")]
+Who = Annotated[Agent, typer.Option(help="The expert, uniform random actions, or none at all.")]
+Number = Annotated[int, typer.Option("--episodes", min=1, help="How many; in the scenes of SEED, SEED + 1, ...")]
+Video = Annotated[Path | None, typer.Option(help="Write an MP4 file of the episodes, both views.", show_default=False)]
 Trust = Annotated[bool, typer.Option("--trust", help="Load model files that hold code, which then runs.")]
 
 
@@ -95,10 +102,40 @@ def evaluate(
     screen.print(f"{out / SCORES}; tables and figures: magical-mj report {out}", soft_wrap=True)
 
 
-class Rate(ProgressColumn):
+def rollout(
+    task: Task,
+    variant: Variant = "Demo",
+    agent: Who = "expert",
+    episodes: Number = 1,
+    seed: Seed = 0,
+    video: Video = None,
+    size: Size = 384,
+    force: Force = False,
+) -> None:
+    """Play episodes with the expert or a simple agent, and print the scores."""
+    check_suffix(video, ".mp4")
+    env = magical_mj.load(task, variant, seed=seed, observations=())
+    if video is not None:
+        claim(video, force)
+    out = console()
+    scores = []
+    with nullcontext() if video is None else film(video, size) as watch:
+        for episode in bars.track(
+            range(seed, seed + episodes), "playing", console=out, transient=True, disable=not out.is_terminal
+        ):
+            result = play(env, task, agent, episode, watch)
+            scores.append(result.score)
+            out.print(f"seed {episode}: score {result.score:.2f} after {result.steps} steps")
+    env.close()
+    out.print(f"mean of {episodes}: {fmean(scores):.3f}")
+    if video is not None:
+        out.print(video, soft_wrap=True)
+
+
+class Rate(bars.ProgressColumn):
     """Episodes done, of how many, and how many per second."""
 
-    def render(self, task: Task) -> Text:
+    def render(self, task: bars.Task) -> Text:
         """As text."""
         done, total, fresh = (task.fields[name] for name in ("done", "total_episodes", "fresh"))
         rate = fresh / task.elapsed if task.elapsed else 0.0
@@ -111,8 +148,9 @@ def show_progress(
     """Plays what is left, with a bar that counts steps, since episodes differ in length."""
     left = sum(len(unit.seeds) for unit in evaluation.units)
     known = len(evaluation.scores)
-    columns = TextColumn("{task.description}"), BarColumn(), Rate(), TimeElapsedColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=screen, speed_estimate_period=120) as progress:
+    elapsed, remaining = bars.TimeElapsedColumn(), bars.TimeRemainingColumn()
+    columns = bars.TextColumn("{task.description}"), bars.BarColumn(), Rate(), elapsed, remaining
+    with bars.Progress(*columns, console=screen, speed_estimate_period=120) as progress:
         steps = sum(unit.steps for unit in evaluation.units)
         bar = progress.add_task("playing", total=steps, done=known, total_episodes=known + left, fresh=0)
         for count, score in enumerate(evaluation.play(jobs, backend, address), start=1):

@@ -11,7 +11,7 @@ import typer
 
 import magical_mj
 from magical_mj.cli.console import Seed, Size, Task, Variant, claim_folder, console
-from magical_mj.cli.episodes import both_views
+from magical_mj.cli.film import both_views
 from magical_mj.cli.window import Window
 from magical_mj.constants import CONTROL_RATE
 from magical_mj.registry import variant_name

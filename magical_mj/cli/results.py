@@ -1,4 +1,4 @@
-"""`magical-mj report`: tables, figures and videos of evaluations."""
+"""`magical-mj report` and `compare`: what evaluations found, as tables, figures and videos."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.table import Table
 
 import magical_mj
 from magical_mj.cli.console import claim_folder, console
-from magical_mj.cli.episodes import film
+from magical_mj.cli.film import film
 from magical_mj.errors import EvaluationError
+from magical_mj.evaluation.compare import choose, compare
 from magical_mj.evaluation.episodes import actions_of
 from magical_mj.evaluation.report import extremes, report
 from magical_mj.evaluation.results import gather
@@ -25,6 +27,7 @@ Folders = Annotated[list[Path], typer.Argument(help="The folders of evaluations.
 Out = Annotated[Path | None, typer.Option(help="The folder for the report.", show_default="DIR/report")]
 Published = Annotated[bool, typer.Option("--published", help="Show the paper's own results as well.")]
 Mixed = Annotated[bool, typer.Option("--mixed-presets", help="Allow policies that were given different observations.")]
+Side = Annotated[str, typer.Argument(help="DIR, or DIR:POLICY where it holds several.", show_default=False)]
 Videos = Annotated[bool, typer.Option("--videos", help="Film each policy's best and worst episode of each task.")]
 
 
@@ -42,6 +45,27 @@ def make_report(
     links = film_episodes(extremes(scores), out) if videos else {}
     page = report(folders, out, with_published=published, mixed_presets=mixed_presets, links=links)
     screen.print(page, soft_wrap=True)
+
+
+def make_comparison(a: Side, b: Side) -> None:
+    """Compare two policies on the scenes that both have played: A - B, with its 95 % interval."""
+    found = compare(a, b)
+    names = [choose(side)[0] for side in (a, b)]
+    if names[0] == names[1]:
+        names = [a, b]
+    screen = console()
+    table = Table("variant", *names, "difference", "95 %", "better", "worse", "scenes", box=None, header_style="bold")
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for row in found.to_dict("records"):
+        interval = f"[{row['low']:+.3f}, {row['high']:+.3f}]" if row["low"] == row["low"] else "-"
+        means = (f"{row[side]:.3f}" for side in ("first", "second"))
+        counts = (str(row[name]) for name in ("better", "worse", "scenes"))
+        table.add_row(row["variant"], *means, f"{row['difference']:+.3f}", interval.replace("[", r"\["), *counts)
+    screen.print(table)
+    unpaired = found["unpaired"].iloc[-1]
+    if unpaired:
+        screen.print(f"{unpaired} scenes that only one of them has played are left out")
 
 
 def film_episodes(chosen: Sequence[tuple[str, Score]], out: Path) -> dict[str, str]:

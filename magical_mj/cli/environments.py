@@ -1,0 +1,115 @@
+"""`magical-mj list`, `view` and `export`: the environments, pictures of their initial scenes, and their models."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+from PIL import Image, ImageDraw, ImageFont
+from rich.table import Table
+
+import magical_mj
+from magical_mj import ENVIRONMENTS, TASKS, VARIANTS, env_id
+from magical_mj.cli.console import Force, Seed, Task, Variant, check_suffix, claim, console, file_name
+from magical_mj.cli.film import both_views
+from magical_mj.registry import environment_axes, task_spec
+
+GAP: Final = 6  # pixels between the cells of the contact sheet
+MARGIN: Final = 28  # pixels above and left of the cells, for the labels
+TEXT_SIZE: Final = 15  # pixels
+INK: Final = (60, 60, 60)
+PAPER: Final = (255, 255, 255)
+ABSENT: Final = (242, 242, 242)  # a cell whose task does not have the variant
+
+Ids = Annotated[bool, typer.Option("--ids", help="Print only the Gymnasium ids, one per line.")]
+OptionalTask = Annotated[str | None, typer.Argument(help=f"One of {', '.join(TASKS)}.", show_default=False)]
+Grid = Annotated[bool, typer.Option("--grid", help="All environments on one sheet, instead of TASK and VARIANT.")]
+Picture = Annotated[Path | None, typer.Option("--out", help="The PNG file.", show_default="TASK-VARIANT-SEED.png")]
+Size = Annotated[
+    int | None,
+    typer.Option(min=16, max=2048, help="Side of each picture in pixels.", show_default="384; 128 in the grid"),
+]
+Folder = Annotated[Path, typer.Option("--out", help="The folder to write the model into.", show_default=False)]
+
+
+def list_environments(ids: Ids = False) -> None:
+    """List the environments, with their horizon and what varies between their scenes."""
+    out = console()
+    if ids:
+        for task, variant in ENVIRONMENTS:
+            out.print(env_id(task, variant))
+        return
+    table = Table("task", "variant", "steps", "what varies", box=None, pad_edge=False, header_style="bold")
+    for task, variant in ENVIRONMENTS:
+        axes = ", ".join(environment_axes(task, variant)) or "nothing"
+        table.add_row(task, variant, str(task_spec(task).horizon()), axes)
+    out.print(table)
+
+
+def view(
+    task: OptionalTask = None,
+    variant: Variant = "Demo",
+    seed: Seed = 0,
+    grid: Grid = False,
+    out: Picture = None,
+    size: Size = None,
+    force: Force = False,
+) -> None:
+    """Draw the initial scene of an environment, from above and as the robot sees it, or those of all environments."""
+    check_suffix(out, ".png")
+    if grid:
+        if task is not None:
+            raise typer.BadParameter("give either TASK or --grid, not both.")
+        path = claim(out or Path(f"environments-{seed}.png"), force)
+        picture = contact_sheet(seed, size or 128)
+    else:
+        if task is None:
+            raise typer.BadParameter("give TASK, or --grid for all environments.")
+        env = magical_mj.load(task, variant, seed=seed, observations=())
+        path = claim(out or Path(file_name(task, variant, seed, ".png")), force)
+        env.reset()
+        picture = Image.fromarray(both_views(env, size or 384))
+        env.close()
+    picture.save(path)
+    console().print(path, soft_wrap=True)
+
+
+def export(task: Task, out: Folder, variant: Variant = "Demo", seed: Seed = 0, force: Force = False) -> None:
+    """Write a scene as a self-contained MJCF model, for any program that reads MuJoCo's format."""
+    scene = magical_mj.sample_scene(task, variant, seed)
+    path = claim(out / file_name(task, variant, seed, ".xml"), force)
+    console().print(magical_mj.export_mjcf(scene, path, overwrite=force), soft_wrap=True)
+
+
+def contact_sheet(seed: int, size: int) -> Image.Image:
+    """The initial scene of every environment from above, tasks down, variants across, each `size` pixels wide."""
+    pitch = size + GAP
+    sheet = Image.new("RGB", (MARGIN + len(VARIANTS) * pitch, MARGIN + len(TASKS) * pitch), PAPER)
+    for row, task in enumerate(TASKS):
+        for column, variant in enumerate(VARIANTS):
+            cell = _scene(task, variant, seed, size)
+            sheet.paste(cell, (MARGIN + column * pitch, MARGIN + row * pitch))
+    _label(sheet, VARIANTS, pitch)
+    upright = sheet.rotate(-90, expand=True)  # the tasks are written upwards
+    _label(upright, tuple(reversed(TASKS)), pitch, start=GAP)
+    return upright.rotate(90, expand=True)
+
+
+def _scene(task: str, variant: str, seed: int, size: int) -> Image.Image:
+    if (task, variant) not in ENVIRONMENTS:
+        return Image.new("RGB", (size, size), ABSENT)
+    env = magical_mj.load(task, variant, seed=seed, observations=())
+    env.reset()
+    picture = Image.fromarray(env.render("allo", size))
+    env.close()
+    return picture
+
+
+def _label(sheet: Image.Image, names: tuple[str, ...], pitch: int, start: int = MARGIN) -> None:
+    """Writes the names above the cells."""
+    draw = ImageDraw.Draw(sheet)
+    font = ImageFont.load_default(TEXT_SIZE)
+    for index, name in enumerate(names):
+        middle = start + index * pitch + (pitch - GAP) / 2
+        draw.text((middle, MARGIN / 2), name, INK, font, anchor="mm")

@@ -1,0 +1,47 @@
+"""Writes docs/experts.md from an evaluation of the expert. `make demonstrations` runs this.
+
+magical-mj evaluate --policy expert --episodes 20 --out out/experts
+python tools/experts_page.py out/experts
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from statistics import fmean
+from typing import Final
+
+from magical_mj import ENVIRONMENTS, TASKS, VARIANTS
+from magical_mj.evaluation.scores import Score, read
+
+PAGE: Final = Path(__file__).parent.parent / "docs" / "experts.md"
+
+
+def page(scores: Sequence[Score]) -> str:
+    """Tables of mean scores and times, tasks down and variants across, and a list of what was missed."""
+    missed = sorted(f"{s.task} {s.variant} {s.seed}: {s.score:.2f}" for s in scores if s.score < 1.0)
+    return "\n".join(
+        [
+            "# The experts\n",
+            f"{len(scores) // len(ENVIRONMENTS)} episodes in each environment, rules of the paper. Mean scores:\n",
+            *_table(scores, lambda some: f"{fmean(score.score for score in some):.3f}"),
+            "\nSeconds for an episode, on one core:\n",
+            *_table(scores, lambda some: f"{fmean(score.seconds for score in some):.1f}"),
+            f"\n{len(scores) - len(missed)} of {len(scores)} episodes have the full score.",
+            *(f"- {line}" for line in missed),
+            "",
+        ]
+    )
+
+
+def _table(scores: Sequence[Score], cell: Callable[[list[Score]], str]) -> Iterator[str]:
+    yield f"| Task | {' | '.join(VARIANTS)} |"
+    yield f"| --- |{' ---: |' * len(VARIANTS)}"
+    for task in TASKS:
+        row = [[s for s in scores if (s.task, s.variant) == (task, variant)] for variant in VARIANTS]
+        yield f"| {task} | {' | '.join(cell(some) if some else '' for some in row)} |"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(read(Path(sys.argv[1]))))
