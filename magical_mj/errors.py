@@ -42,6 +42,10 @@ class SettingsError(MagicalError, ValueError):
     """Settings that cannot be, or that do not go together."""
 
 
+class MissingExtraError(MagicalError, ImportError):
+    """A package that is needed is not installed; the message says how to install it."""
+
+
 class EvaluationError(MagicalError, RuntimeError):
     """An evaluation, or the files of one, that cannot be used."""
 

@@ -63,7 +63,7 @@ def test_a_file_gives_back_what_was_written(demo: Demonstration, path: Path) -> 
 
 def test_nothing_is_overwritten(demo: Demonstration, path: Path) -> None:
     before = path.read_bytes()
-    with pytest.raises(FileExistsError, match="never overwritten"):
+    with pytest.raises(FileExistsError, match="exists already"):
         demos.write(demo, path)
     assert path.read_bytes() == before
     assert [p.name for p in path.parent.iterdir()] == [path.name]

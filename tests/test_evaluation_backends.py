@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 import magical_mj
-from magical_mj.errors import EvaluationError
+from magical_mj.errors import EvaluationError, MissingExtraError
 from magical_mj.evaluation import Score
 from magical_mj.evaluation.scores import read
 
@@ -97,10 +97,10 @@ def test_missing_extras_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
         ("ray", {"backend": "ray"}, r"magical-mj\[ray\]"),
     ):
         monkeypatch.setitem(sys.modules, module, None)
-        with pytest.raises(EvaluationError, match=hint):
+        with pytest.raises(MissingExtraError, match=hint):
             magical_mj.evaluate("noop", **backend, **SETTINGS)
-    monkeypatch.setattr("magical_mj.evaluation.extra.find_spec", lambda name: None)
-    with pytest.raises(EvaluationError, match=r'pip install "magical-mj\[eval\]"'):
+    monkeypatch.setattr("magical_mj.extras.find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match=r'pip install "magical-mj\[eval\]"'):
         magical_mj.evaluate("noop", **SETTINGS)
 
 

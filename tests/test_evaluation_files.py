@@ -114,7 +114,7 @@ def test_changed_settings_are_refused(tmp_path: Path, policy: str, change: dict[
 
 
 def test_a_changed_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("magical_mj.evaluation.sources.LOADERS", {".toy": lambda path, trust: agents.look})
+    monkeypatch.setattr("magical_mj.evaluation.loading.LOADERS", {".toy": lambda path, trust: agents.look})
     model = tmp_path / "model.toy"
     model.write_text("one")
     settings = {**SMALL, "episodes": 1, "variants": "Demo"}

@@ -13,7 +13,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from magical_mj.baselines.extra import check_extra
+from magical_mj.extras import check_extra
 
 if TYPE_CHECKING:
     from magical_mj.baselines.experiment import conduct, runs
@@ -52,5 +52,5 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    check_extra()
+    check_extra("learners", "eval", "il")
     return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,6 +11,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
+from magical_mj import files
 from magical_mj.errors import TrainingError
 
 TENSOR: Final = "tensor:"
@@ -28,15 +28,9 @@ def write(path: Path, state: dict[str, Any]) -> None:
     """
     tensors: dict[str, torch.Tensor] = {}
     tree = json.dumps(_packed(state, "", tensors))
-    beside = path.with_suffix(".part")
     try:
-        with beside.open("wb") as file:
-            file.write(save(tensors, {"tree": tree}))
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
+        files.write(path, save(tensors, {"tree": tree}), overwrite=True)
     except OSError as error:
-        beside.unlink(missing_ok=True)
         raise TrainingError(f"cannot write {path}: {error.strerror}; what was saved before is kept") from error
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, Self
 
 from torch.utils.tensorboard import SummaryWriter
 
+from magical_mj import files
 from magical_mj.errors import TrainingError
 
 METRICS: Final = "metrics.csv"
@@ -60,13 +62,12 @@ class Metrics:
     def _write(self) -> None:
         """The file as a whole: columns come when their first figure comes."""
         columns = list(dict.fromkeys(name for row in self._rows for name in row)) or ["update", "seconds"]
-        beside = self._path.with_suffix(".part")
+        text = io.StringIO()
+        writer = csv.DictWriter(text, columns)
+        writer.writeheader()
+        writer.writerows(self._rows)
         try:
-            with beside.open("w", newline="") as file:
-                writer = csv.DictWriter(file, columns)
-                writer.writeheader()
-                writer.writerows(self._rows)
-            beside.replace(self._path)
+            files.write(self._path, text.getvalue(), overwrite=True)
         except OSError as error:
             raise TrainingError(
                 f"cannot write {self._path}: {error.strerror}; what was saved before is kept"

@@ -10,7 +10,6 @@ import typer
 from rich.console import Console
 
 from magical_mj import TASKS, VARIANTS
-from magical_mj.errors import MagicalError
 from magical_mj.registry import variant_name
 
 PLAIN_WIDTH = 120  # columns where the output is a file or a pipe
@@ -68,8 +67,3 @@ def claim_folder(folder: Path) -> Path:
             return folder
     except OSError as error:
         raise OSError(f"cannot write into {folder}: {error.strerror}") from error
-
-
-def missing_extra(what: str, extra: str) -> MagicalError:
-    """The error for a feature whose extra is not installed."""
-    return MagicalError(f'{what} needs its extra: pip install "magical-mj[{extra}]"')

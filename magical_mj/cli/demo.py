@@ -12,11 +12,10 @@ from magical_mj.cli.console import claim_folder, console
 from magical_mj.cli.environments import contact_sheet
 from magical_mj.cli.evaluate import Jobs, Tasks, show_progress, summary
 from magical_mj.cli.results import film_episodes
-from magical_mj.evaluation.extra import check_extra
-from magical_mj.evaluation.folders import SETTINGS
 from magical_mj.evaluation.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
-from magical_mj.evaluation.scores import SCORES
+from magical_mj.evaluation.scores import SCORES, SETTINGS
+from magical_mj.extras import check_extra
 
 AGENTS: Final = ("expert", "random", "noop")
 SHEET: Final = "environments.png"
@@ -29,7 +28,7 @@ def demo(out: Out = Path("out/demo"), tasks: Tasks = "all", episodes: Episodes =
     """Evaluate the expert, the random and the no-op agent in all 60 environments, and write the report."""
     screen = console()
     start = time.perf_counter()
-    check_extra()
+    check_extra("evaluations", "eval")
     claim_folder(out)
     old = [path for path in (out / SCORES, out / SETTINGS, *out.glob("best-*.mp4")) if path.exists()]
     if old:

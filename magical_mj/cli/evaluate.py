@@ -17,10 +17,10 @@ import magical_mj
 from magical_mj.cli.console import Force, Seed, Size, Task, Variant, check_suffix, claim, console
 from magical_mj.cli.film import Agent, film, play
 from magical_mj.evaluation.backends import Backend, check_backend
-from magical_mj.evaluation.extra import check_extra
 from magical_mj.evaluation.run import EPISODES, TIME_LIMIT, Evaluation
 from magical_mj.evaluation.scores import SCORES, Score
-from magical_mj.evaluation.units import Vectorization
+from magical_mj.evaluation.worker import Vectorization
+from magical_mj.extras import check_extra
 from magical_mj.registry import task_spec
 from magical_mj.tasks.spec import Rules
 
@@ -72,7 +72,7 @@ def evaluate(
     trust: Trust = False,
 ) -> None:
     """Play policies on the evaluation scenes; every episode's score is kept in OUT/scores.jsonl."""
-    check_extra()
+    check_extra("evaluations", "eval")
     check_backend(backend, jobs, address)
     evaluation = Evaluation(
         policy,

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from magical_mj.actions import ACTIONS, NOOP
-from magical_mj.cli.console import missing_extra
 from magical_mj.constants import CONTROL_RATE
+from magical_mj.extras import missing_extra
 
 if TYPE_CHECKING:
     from magical_mj.environment import Environment
@@ -81,7 +81,7 @@ def film_pictures(path: Path, size: int, speed: int = 1) -> Iterator[Callable[[n
     try:
         import imageio_ffmpeg
     except ModuleNotFoundError:
-        raise missing_extra("Writing a video", "video") from None
+        raise missing_extra("writing a video", "video") from None
     writer = imageio_ffmpeg.write_frames(
         str(path), (2 * size, size), fps=speed * CONTROL_RATE, macro_block_size=2, quality=8, ffmpeg_log_level="error"
     )

@@ -10,8 +10,8 @@ import numpy as np
 
 from magical_mj import constants as c
 from magical_mj.actions import Action, Drive, Gripper, Turn
-from magical_mj.cli.console import missing_extra
 from magical_mj.errors import MagicalError
+from magical_mj.extras import missing_extra
 
 Wish = Literal["reset", "next", "quit"]
 
@@ -39,7 +39,7 @@ class Window:
         try:
             import pygame
         except ModuleNotFoundError:
-            raise missing_extra("A window", "window") from None
+            raise missing_extra("a window", "window") from None
         self._pygame = pygame
         self._size, self._rate = size, speed * c.CONTROL_RATE
         try:

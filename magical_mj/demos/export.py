@@ -11,7 +11,8 @@ import numpy as np
 
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.learning import observations, stream
-from magical_mj.errors import DemonstrationError, MagicalError
+from magical_mj.errors import DemonstrationError
+from magical_mj.extras import missing_extra
 from magical_mj.registration import env_id
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def to_minari(
         author: who made them.
 
     Raises:
-        MagicalError: if minari is not installed.
+        MissingExtraError: if minari is not installed.
         DemonstrationError: if the demonstrations are not of one environment.
         ValueError: Minari's own, if there is such a data set already.
     """
@@ -67,7 +68,7 @@ def to_minari(
         import minari
         from minari.data_collector import EpisodeBuffer
     except ModuleNotFoundError:
-        raise MagicalError('exporting to Minari needs its extra: pip install "magical-mj[minari]"') from None
+        raise missing_extra("exporting to Minari", "minari") from None
     names = {demo.name for demo in demos}
     if len(names) != 1:
         raise DemonstrationError(f"a data set holds demonstrations of one environment, not of {sorted(names)}")

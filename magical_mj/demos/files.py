@@ -1,16 +1,16 @@
 """Demonstrations as files: one zip archive of numpy arrays each, which `numpy.load` opens without pickle.
 
 `header.npy` holds JSON as bytes: what is not an array, the file format's version, and a SHA-256 digest of everything
-else. `actions.npy`, `qpos.npy` and `qvel.npy` are those of `Demonstration`, bit by bit. A file is written under
-another name first and then renamed, so that what carries the name of a demonstration is always whole.
+else. `actions.npy`, `qpos.npy` and `qvel.npy` are those of `Demonstration`, bit by bit. Files are
+written as a whole or not at all, and never overwritten.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
+import io
 import json
-import os
 import struct
 import tokenize
 import zipfile
@@ -21,6 +21,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from magical_mj import files
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.errors import DemonstrationError, MagicalError
 from magical_mj.scene import Scene
@@ -46,18 +47,10 @@ def write(demo: Demonstration, path: Path) -> None:
     header["scene"] = json.loads(demo.scene.to_json())
     header["digest"] = _digest(header, arrays)
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with unfinished.open("wb") as file:
-            text = np.frombuffer(json.dumps(header).encode(), np.uint8)
-            np.savez_compressed(file, allow_pickle=False, header=text, **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        if path.exists():
-            raise FileExistsError(f"{path} exists already; demonstrations are never overwritten")
-        unfinished.rename(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    archive = io.BytesIO()
+    text = np.frombuffer(json.dumps(header).encode(), np.uint8)
+    np.savez_compressed(archive, allow_pickle=False, header=text, **arrays)
+    files.write(path, archive.getvalue())
 
 
 def read(path: Path, task: str | None = None) -> Demonstration:

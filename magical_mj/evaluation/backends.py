@@ -10,7 +10,8 @@ from typing import Any, Final, Literal, TypeVar, get_args
 
 from magical_mj.errors import EvaluationError, SettingsError, unknown_name
 from magical_mj.evaluation.scores import Score
-from magical_mj.evaluation.units import Unit, play_unit, player
+from magical_mj.evaluation.worker import Unit, play_unit, player
+from magical_mj.extras import missing_extra
 
 Backend = Literal["local", "dask", "ray"]
 BACKENDS: Final[tuple[str, ...]] = get_args(Backend)
@@ -83,7 +84,7 @@ def _parallel(backend: str, jobs: int | None, address: str | None) -> Iterator[t
     try:
         import joblib
     except ModuleNotFoundError:
-        raise EvaluationError('several jobs need an extra: pip install "magical-mj[eval]"') from None
+        raise missing_extra("several jobs", "eval") from None
     kwargs = {"n_jobs": jobs or -1, "batch_size": 1}
     if backend == "local":  # loky starts fresh processes, as it must be: OpenGL does not survive a fork
         with joblib.parallel_config("loky", inner_max_num_threads=1):
@@ -101,7 +102,7 @@ def _dask_client(address: str | None) -> Any:
     try:
         from distributed import Client
     except ModuleNotFoundError:
-        raise EvaluationError('the dask backend needs its extra: pip install "magical-mj[dask]"') from None
+        raise missing_extra("the dask backend", "dask") from None
     try:
         return Client(address)
     except OSError as error:
@@ -113,7 +114,7 @@ def _start_ray(address: str | None) -> None:
         import ray  # pyright: ignore[reportMissingImports]
         from ray.util.joblib import register_ray  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError:
-        raise EvaluationError('the ray backend needs its extra: pip install "magical-mj[ray]"') from None
+        raise missing_extra("the ray backend", "ray") from None
     register_ray()
     if not ray.is_initialized():
         try:

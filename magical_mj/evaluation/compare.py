@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from magical_mj.errors import EvaluationError, SettingsError
-from magical_mj.evaluation.extra import check_extra
 from magical_mj.evaluation.results import check_same
 from magical_mj.evaluation.scores import Score, read
 from magical_mj.evaluation.statistics import mean_interval
+from magical_mj.extras import check_extra
 from magical_mj.registry import VARIANTS
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
         SettingsError: if it is not clear which policies are meant.
         EvaluationError: if they were scored by different rules, or share no scene.
     """
-    check_extra()
+    check_extra("comparisons", "eval")
     import pandas as pd
 
     sides = [choose(which) for which in (first, second)]

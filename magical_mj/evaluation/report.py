@@ -7,11 +7,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from magical_mj.evaluation.extra import check_extra
+from magical_mj import files
 from magical_mj.evaluation.figures import bars, heat_map
 from magical_mj.evaluation.results import Results, results
 from magical_mj.evaluation.scores import Score
 from magical_mj.evaluation.tables import csv, latex, markdown, result_tables
+from magical_mj.extras import check_extra
 
 PAGE: Final = "report.md"
 DPI: Final = 150
@@ -49,20 +50,18 @@ def report(
     Raises:
         EvaluationError: if a folder is no evaluation, two of them do not go together, or an extra is not installed.
     """
-    check_extra()
+    check_extra("reports", "eval")
     found = results([Path(folder) for folder in folders], with_published, mixed_presets)
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    (out / "variants.csv").write_text(csv(found.variants), encoding="utf-8")
-    (out / "environments.csv").write_text(csv(found.environments), encoding="utf-8")
     tables = result_tables(found)
-    for table in tables:
-        (out / f"{table.name}.tex").write_text(latex(table), encoding="utf-8")
+    texts = {"variants.csv": csv(found.variants), "environments.csv": csv(found.environments)}
+    for name, text in {**texts, **{f"{table.name}.tex": latex(table) for table in tables}}.items():
+        files.write(out / name, text, overwrite=True)
     for name, figure in {"bars": bars(found), "heat_map": heat_map(found)}.items():
         for suffix in ("png", "pdf"):
-            figure.savefig(
-                out / f"{name}.{suffix}", dpi=DPI, metadata=None if suffix == "png" else {"CreationDate": None}
-            )
+            with files.new_file(out / f"{name}.{suffix}", overwrite=True) as path:
+                figure.savefig(path, dpi=DPI, metadata=None if suffix == "png" else {"CreationDate": None})
     parts = [
         "# Evaluation",
         _settings(found),
@@ -76,7 +75,7 @@ def report(
         "\n".join(f"- [{text}]({name})" for text, name in {**links, **FILES}.items()),
     ]
     page = out / PAGE
-    page.write_text("\n\n".join(part.strip() for part in parts) + "\n", encoding="utf-8")
+    files.write(page, "\n\n".join(part.strip() for part in parts) + "\n", overwrite=True)
     return page
 
 

@@ -12,12 +12,11 @@ import mujoco
 from magical_mj._version import __version__
 from magical_mj.errors import EvaluationError, SettingsError, unknown_name
 from magical_mj.evaluation.backends import check_backend, play_units
-from magical_mj.evaluation.extra import check_extra
-from magical_mj.evaluation.folders import prepare
+from magical_mj.evaluation.loading import sources
 from magical_mj.evaluation.policies import check_fit
-from magical_mj.evaluation.scores import Score, ScoreFile, frame
-from magical_mj.evaluation.sources import sources
-from magical_mj.evaluation.units import plan
+from magical_mj.evaluation.scores import Score, ScoreFile, frame, prepare
+from magical_mj.evaluation.worker import plan
+from magical_mj.extras import check_extra
 from magical_mj.presets import preset as check_preset
 from magical_mj.registry import Names, check_rules, environments
 from magical_mj.tasks.spec import Rules
@@ -81,7 +80,7 @@ def evaluate(
         SettingsError, UnknownNameError: if something that is asked for does not exist, or was different before.
         EvaluationError: if the folder holds something else, a worker dies, or an extra is not installed.
     """
-    check_extra()
+    check_extra("evaluations", "eval")
     check_backend(backend, jobs, address)
     evaluation = Evaluation(
         policy,

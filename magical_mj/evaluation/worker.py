@@ -1,10 +1,12 @@
-"""Units of work: some episodes of one environment with one policy, independent of all others and repeatable."""
+"""What workers do: they play units of work, some episodes of one environment with one policy each, in limited time."""
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import multiprocessing
 import os
+import queue
 import threading
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -15,10 +17,9 @@ import mujoco
 
 from magical_mj._version import __version__
 from magical_mj.evaluation.episodes import BlindWorld, Outcome, World, play, reason, seen_world
-from magical_mj.evaluation.limits import TimeLimitError, Workbench
+from magical_mj.evaluation.loading import Act, Source
 from magical_mj.evaluation.policies import BatchPolicy, Episode, is_blind
 from magical_mj.evaluation.scores import Key, Score
-from magical_mj.evaluation.sources import Act, Source
 from magical_mj.evaluation.vector import Copies, Envs, play_wave
 from magical_mj.registration import env_id
 from magical_mj.registry import task_spec
@@ -29,6 +30,8 @@ T = TypeVar("T")
 
 SEEDS_PER_UNIT: Final = 10
 """Seconds of work: little is lost when a run is killed, and little is spent on handing units out."""
+GRACE: Final = 1.0
+"""Seconds that a call gets to end once it was told to."""
 
 
 @dataclass(frozen=True)
@@ -199,3 +202,57 @@ def _score(unit: Unit, episode: Episode, outcome: Outcome) -> Score:
         actions=outcome.actions,
         failure=outcome.failure,
     )
+
+
+class TimeLimitError(Exception):
+    """A call took too long."""
+
+
+class _Stop(BaseException):
+    """Thrown into a call that took too long; not an Exception, so that the call's own handlers let it pass."""
+
+
+class Workbench:
+    """A thread that makes calls one after another, so that its caller need not wait for ever.
+
+    An alarm signal would need no thread, but works only in the main thread, which clusters do not give us. A call in
+    Python code is stopped; one that is stuck outside of Python is left behind, asleep. After a `TimeLimitError` the
+    bench is used up.
+    """
+
+    def __init__(self) -> None:
+        self._calls: queue.SimpleQueue[Callable[[], Any]] = queue.SimpleQueue()
+        self._results: queue.SimpleQueue[tuple[Any, BaseException | None]] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._work, daemon=True, name="magical_mj episodes")
+        self._thread.start()
+
+    def call(self, function: Callable[[], T], seconds: float | None) -> T:
+        """What the function returns or raises.
+
+        Raises:
+            TimeLimitError: if it takes more than so many seconds; None is for ever.
+        """
+        self._calls.put(function)
+        try:
+            result, error = self._results.get(timeout=seconds)
+        except queue.Empty:
+            self._stop()
+            raise TimeLimitError(f"no end within {seconds:g} s") from None
+        if error is not None:
+            raise error
+        return result
+
+    def _work(self) -> None:
+        while True:
+            try:
+                result = self._calls.get()(), None
+            except _Stop:
+                return
+            except BaseException as error:  # noqa: BLE001 the caller gets it
+                result = None, error
+            self._results.put(result)
+
+    def _stop(self) -> None:
+        ident = self._thread.ident or 0
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(ident), ctypes.py_object(_Stop))
+        self._thread.join(GRACE)
