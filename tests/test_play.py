@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import shutil
 import subprocess
@@ -109,7 +110,8 @@ def test_the_command_records_under_a_free_name(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     wishes = iter([[] for _ in range(41)] + [["reset"]] + [[] for _ in range(41)] + [["quit"]])
     monkeypatch.setattr(Window, "wishes", lambda _: next(wishes))
-    monkeypatch.setattr(Window, "action", lambda _: 1)
+    actions = itertools.chain([1] * 40, [2] * 40)
+    monkeypatch.setattr(Window, "action", lambda _: next(actions))
     assert main(["play", "MoveToRegion", "--record", str(tmp_path), "--size", str(SIZE), "--speed", "4"]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "MoveToRegion-Demo-human-000.npz",

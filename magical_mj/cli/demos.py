@@ -16,11 +16,11 @@ from magical_mj import TASKS, VARIANTS
 from magical_mj.cli.console import Force, Size, check_suffix, claim, claim_folder, console
 from magical_mj.cli.film import film_pictures
 from magical_mj.cli.parallel import Jobs, in_parallel
-from magical_mj.errors import DemonstrationError
+from magical_mj.errors import DemonstrationError, MagicalError
 from magical_mj.registry import environment_axes, task_spec, variant_name
 
 if TYPE_CHECKING:  # magical_mj.demos starts OpenGL, which help and wrong arguments do without
-    from magical_mj.demos import Demonstration, Verdict
+    from magical_mj.demos import Demonstration, Imported, Verdict
 
 ALL = "all"
 SUFFIX = ".npz"
@@ -32,6 +32,7 @@ Paths = Annotated[
 Variant = Annotated[str, typer.Option(help=f"One of {', '.join(VARIANTS)}.")]
 Count = Annotated[int, typer.Option(min=1, help="How many of each task: those of seeds 0, 1, ...")]
 Folder = Annotated[Path, typer.Option("--out", help="The folder; what is there already is kept.", show_default=False)]
+Recordings = Annotated[list[Path], typer.Argument(help="The JSON files that the browser saved.", show_default=False)]
 Least = Annotated[float, typer.Option(min=0, max=1, help="The score that a demonstration must have.")]
 
 app = typer.Typer(help="Demonstrations by the experts: make, check, see and export them.", no_args_is_help=True)
@@ -73,6 +74,31 @@ def make(task: str, number: int, variant: str, least_score: float, path: Path) -
     except DemonstrationError as error:
         return str(error)
     return ""
+
+
+@app.command(name="import")
+def import_recordings(files: Recordings, out: Folder) -> None:
+    """Make demonstrations of episodes that were saved in the browser: replayed here, and scored anew."""
+    made = [(file, _replayed(file)) for file in files]  # all of them, before anything is written
+    claim_folder(out)
+    screen = console()
+    for file, (demo, deviation, suspect) in made:
+        before = set(out.iterdir())
+        path = magical_mj.demos.keep(demo, out)
+        if path in before:
+            screen.print(f"{file} is there already: {path}", soft_wrap=True)
+            continue
+        warning = f", but ends {deviation:.3f} from what the player saw" if suspect else ""
+        screen.print(f"{path}: score {demo.score:.2f}{warning}", soft_wrap=True)
+
+
+def _replayed(file: Path) -> Imported:
+    with file.open("rb") as stream:
+        text = stream.read(magical_mj.demos.MAX_BYTES + 1)
+    try:
+        return magical_mj.demos.from_recording(text)
+    except MagicalError as error:
+        raise DemonstrationError(f"{file}: {error}") from None
 
 
 @app.command()

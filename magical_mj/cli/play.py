@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
@@ -43,7 +42,7 @@ def play(
     def finished(demo: Demonstration) -> None:
         screen.print(f"seed {demo.scene_seed}: score {demo.score:.2f}")
         if record is not None:
-            screen.print(keep(demo, record), soft_wrap=True)
+            screen.print(magical_mj.demos.keep(demo, record), soft_wrap=True)
 
     window = Window(f"{task} {variant_name(variant)}", size, speed)
     try:
@@ -81,11 +80,3 @@ def play_in(
                 steps += 1
                 if over:
                     finished(recorder.demonstration(task, variant, seed, "human", seed))
-
-
-def keep(demo: Demonstration, folder: Path) -> Path:
-    """Write a demonstration under the next free name."""
-    names = (f"{demo.name}-human-{number:03}.npz" for number in itertools.count())
-    path = next(folder / name for name in names if not (folder / name).exists())
-    magical_mj.demos.write(demo, path)
-    return path

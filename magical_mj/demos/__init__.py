@@ -12,7 +12,8 @@ from typing import Final
 
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.export import to_minari, to_npz
-from magical_mj.demos.files import SUFFIX, read, write
+from magical_mj.demos.files import SUFFIX, keep, read, write
+from magical_mj.demos.importing import MAX_BYTES, Imported, from_recording
 from magical_mj.demos.learning import Transitions, observations, stream, transitions
 from magical_mj.demos.recording import Recorder, demonstrate
 from magical_mj.demos.replay import Verdict, see, verify
@@ -21,13 +22,17 @@ from magical_mj.errors import DemonstrationError
 from magical_mj.registry import task_spec
 
 __all__ = [
+    "MAX_BYTES",
     "Demonstration",
     "Diversity",
+    "Imported",
     "Recorder",
     "Transitions",
     "Verdict",
     "demonstrate",
     "diversity",
+    "from_recording",
+    "keep",
     "load",
     "observations",
     "read",

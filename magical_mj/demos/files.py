@@ -7,9 +7,11 @@ written as a whole or not at all, and never overwritten.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import io
+import itertools
 import json
 import struct
 import tokenize
@@ -51,6 +53,25 @@ def write(demo: Demonstration, path: Path) -> None:
     text = np.frombuffer(json.dumps(header).encode(), np.uint8)
     np.savez_compressed(archive, allow_pickle=False, header=text, **arrays)
     files.write(path, archive.getvalue())
+
+
+def keep(demo: Demonstration, folder: Path) -> Path:
+    """Write a demonstration into a folder under the next free name, such as ``FindDupe-All-human-003.npz``.
+
+    Returns:
+        Its path; or, if the folder holds the same episode already, the path of that one, and nothing is written.
+    """
+    beginning = f"{demo.name}-{demo.demonstrator}-"
+    for path in sorted(folder.glob(f"{beginning}*{SUFFIX}")):
+        other = read(path, demo.task)
+        if (other.scene_seed, other.actions.tobytes()) == (demo.scene_seed, demo.actions.tobytes()):
+            return path
+    names = (f"{beginning}{number:03}{SUFFIX}" for number in itertools.count())
+    while True:
+        path = next(folder / name for name in names if not (folder / name).exists())
+        with contextlib.suppress(FileExistsError):  # somebody else has taken the name meanwhile
+            write(demo, path)
+            return path
 
 
 def read(path: Path, task: str | None = None) -> Demonstration:
