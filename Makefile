@@ -9,7 +9,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
 
-.PHONY: demo test check format docs demonstrations constraints system
+.PHONY: demo test check format docs demonstrations lerobot lerobot-test constraints system
 
 demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all 60 environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
@@ -39,6 +39,20 @@ demonstrations: $(VENV)/.installed-dev  ## after a change of the physics: the sh
 	rm -rf out/experts
 	$(BIN)/magical-mj evaluate --policy expert --episodes 20 --out out/experts
 	$(BIN)/python tools/experts_page.py out/experts
+
+LEROBOT := .venv-lerobot
+LEROBOT_PYTHON ?= $(shell for p in python3.12 python3.13; do $$p -c '' 2>/dev/null && echo $$p && break; done)
+
+lerobot: $(LEROBOT)/.installed  ## an environment of its own (Python 3.12, 5 GB) in which LeRobot's commands know this package
+
+lerobot-test: $(LEROBOT)/.installed  ## the tests of that plug-in
+	HF_HUB_OFFLINE=1 $(LEROBOT)/bin/python -m pytest tests/test_lerobot.py $(ARGS)
+
+$(LEROBOT)/.installed: pyproject.toml
+	@[ -n "$(LEROBOT_PYTHON)" ] || { echo "lerobot 0.6 needs Python 3.12; give LEROBOT_PYTHON=/path/to/python3.12" >&2; exit 1; }
+	$(LEROBOT_PYTHON) -m venv $(LEROBOT)
+	$(LEROBOT)/bin/python -m pip install --quiet --editable '.[cli,eval]' 'lerobot[dataset,training,evaluation,diffusion]==0.6.1' pytest
+	@touch $@
 
 constraints:  ## write constraints.txt: the newest versions that a fresh environment gets today
 	$(PYTHON) -m venv $(VENV)-new

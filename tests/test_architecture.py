@@ -2,7 +2,7 @@
 
 | floor | what | may import |
 |---|---|---|
-| 0 | constants, errors, fields, scene, geometry, actions, protocol, files, extras | standard library, numpy, shapely |
+| 0 | constants, errors, scene, geometry, actions, protocol, files, extras | standard library, numpy, shapely |
 | 1 | tasks | floor 0; no simulator |
 | 2 | variants; assets | floor 0; variants also the tasks' spec, and no simulator; neither knows the other |
 | 3 | registry, environment, observations, rendering, export | 0-2, mujoco, dm_control |
@@ -26,9 +26,7 @@ PACKAGE = Path(__file__).parent.parent / "magical_mj"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 FLOORS: dict[str, int] = {
-    **dict.fromkeys(
-        ["constants", "errors", "fields", "scene", "geometry", "actions", "protocol", "files", "extras"], 0
-    ),
+    **dict.fromkeys(["constants", "errors", "scene", "geometry", "actions", "protocol", "files", "extras"], 0),
     "_version": 0,
     **dict.fromkeys(["tasks"], 1),
     **dict.fromkeys(["variants", "assets"], 2),
@@ -36,7 +34,7 @@ FLOORS: dict[str, int] = {
     **dict.fromkeys(["presets", "registration", "frames", "gym_env", "wrappers", "experts", "demos"], 4),
     **dict.fromkeys(["evaluation", "speed"], 5),
     **dict.fromkeys(["cli", "__main__"], 6),
-    **dict.fromkeys(["baselines"], 7),
+    **dict.fromkeys(["baselines", "integrations"], 7),
 }
 FACADE = "__init__"
 """``magical_mj/__init__.py`` gathers the public names from floors 0 to 4, so only higher floors may use it."""

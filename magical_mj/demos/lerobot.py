@@ -1,0 +1,142 @@
+"""Demonstrations as LeRobot data sets (format 3.0), written by lerobot itself.
+
+Frames are drawn at 96 px, not scaled down, and stored as PNG unless videos are asked for: AV1 is lossy. Actions are
+vectors (drive, turn, grip); no-ops stay, for LeRobot takes frames to be evenly spaced in time.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from magical_mj import constants as c
+from magical_mj.actions import to_vector
+from magical_mj.assets.world import World
+from magical_mj.demos.demonstration import Demonstration
+from magical_mj.demos.replay import see
+from magical_mj.errors import DemonstrationError, MagicalError, unknown_name
+from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
+from magical_mj.registry import task_spec
+
+if TYPE_CHECKING:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset  # pyright: ignore[reportMissingImports]
+
+IMAGE_SIZE: Final = 96
+VIEWS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {"ego": ("ego",), "allo": ("allo",), "both": ("ego", "allo")}
+)
+"""The views that a policy sees, by the word that options use."""
+
+
+def missing_lerobot() -> MagicalError:
+    """The error where lerobot cannot be imported: it needs an environment of its own."""
+    return MagicalError(
+        "this needs lerobot 0.6 (Python 3.12 or newer), which excludes versions that this package is tested with: "
+        "`make lerobot` builds an environment for both in .venv-lerobot"
+    )
+
+
+def image_keys(views: str) -> dict[str, str]:
+    """View -> the key of its pictures in LeRobot's data: ``observation.image``, or one key for each of both views.
+
+    Raises:
+        UnknownNameError: if `views` is none of `VIEWS`.
+    """
+    if views not in VIEWS:
+        raise unknown_name("choice of views", views, VIEWS)
+    shown = VIEWS[views]
+    return {view: "observation.image" if len(shown) == 1 else f"observation.images.{view}" for view in shown}
+
+
+def to_lerobot(
+    demos: Sequence[Demonstration],
+    folder: Path,
+    *,
+    views: str = "ego",
+    fingers: bool = False,
+    video: bool = False,
+) -> LeRobotDataset:
+    """Make a LeRobot data set of demonstrations of one environment.
+
+    Args:
+        demos: demonstrations of one environment; each becomes an episode.
+        folder: the data set's root, which must not exist.
+        views: "ego", "allo" or "both".
+        fingers: put the two finger angles (left, right; rad), which the paper's learners do not see, into
+            ``observation.state``. Without, it is a constant: LeRobot's policies cannot do without a state.
+        video: store AV1 videos instead of PNG: smaller, but lossy (0.7 levels on average, at most 31).
+
+    Returns:
+        The finished data set. Its id names task, variant, observations, protocol and demonstration set.
+
+    Raises:
+        MagicalError: if lerobot is not installed.
+        DemonstrationError: if the demonstrations are not of one environment, or the folder exists.
+    """
+    try:
+        from lerobot.datasets.lerobot_dataset import LeRobotDataset  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise missing_lerobot() from None
+    keys = image_keys(views)
+    names = {demo.name for demo in demos}
+    if len(names) != 1:
+        raise DemonstrationError(f"a data set holds demonstrations of one environment, not of {sorted(names)}")
+    if folder.exists():
+        raise DemonstrationError(f"{folder} exists already; give a new folder")
+    name = f"magical-mj/{names.pop()}-{views}{'-fingers' if fingers else ''}-p{PROTOCOL}d{DEMONSTRATIONS}"
+    features = _features(keys, fingers=fingers, video=video)
+    try:
+        made = LeRobotDataset.create(
+            name, c.CONTROL_RATE, features, root=folder, robot_type="magical_mj", use_videos=video
+        )
+        for demo in demos:
+            for frame in _frames(demo, keys, fingers=fingers):
+                made.add_frame(frame)
+            made.save_episode()
+        made.finalize()
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)  # half a data set reads like a whole one
+        raise
+    return made
+
+
+NO_STATE: Final = ("zero0", "zero1", "zero2")
+FINGERS: Final = ("left_finger", "right_finger")
+"""What the entries of LeRobot's state are; their number tells which it is (a single one loses its axis in lerobot)."""
+
+
+def state(fingers: ArrayLike | None) -> NDArray[np.float32]:
+    """LeRobot's state: the angles of the fingers (rad), shape (2,), or without them zeros, shape (3,)."""
+    return np.zeros(len(NO_STATE), np.float32) if fingers is None else np.asarray(fingers, np.float32)
+
+
+def _features(keys: Mapping[str, str], *, fingers: bool, video: bool) -> dict[str, Any]:
+    image = {
+        "dtype": "video" if video else "image",
+        "shape": (IMAGE_SIZE, IMAGE_SIZE, 3),
+        "names": ["height", "width", "channels"],
+    }
+    names = list(FINGERS if fingers else NO_STATE)
+    return {
+        **dict.fromkeys(keys.values(), image),
+        "observation.state": {"dtype": "float32", "shape": (len(names),), "names": names},
+        "action": {"dtype": "float32", "shape": (3,), "names": ["drive", "turn", "grip"]},
+    }
+
+
+def _frames(demo: Demonstration, keys: Mapping[str, str], *, fingers: bool) -> Iterator[dict[str, Any]]:
+    """What was seen before each action, and the action."""
+    sentence, world = task_spec(demo.task).summary, World(demo.scene)
+    for pictures, qpos, action in zip(see(demo, list(keys), IMAGE_SIZE), demo.qpos, demo.actions, strict=False):
+        yield {
+            **{key: pictures[view] for view, key in keys.items()},
+            "observation.state": state(world.fingers(qpos) if fingers else None),
+            "action": to_vector(action),
+            "task": sentence,
+        }

@@ -1,0 +1,123 @@
+"""The environments as LeRobot's commands make them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Final, cast
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from magical_mj import constants as c
+from magical_mj.demos.lerobot import FINGERS, IMAGE_SIZE, NO_STATE, VIEWS, image_keys, missing_lerobot, state
+from magical_mj.gym_env import STATE_BOUND, MagicalEnv
+from magical_mj.observations import STATE_NAMES
+from magical_mj.registry import environments, task_spec
+
+try:
+    from lerobot.configs import FeatureType, PolicyFeature  # pyright: ignore[reportMissingImports]
+    from lerobot.envs.configs import EnvConfig  # pyright: ignore[reportMissingImports]
+except ImportError:
+    raise missing_lerobot() from None
+
+_FINGERS: Final = slice(STATE_NAMES.index("robot.left_finger"), STATE_NAMES.index("robot.right_finger") + 1)
+
+
+class PixelsAndFingers(gymnasium.ObservationWrapper[dict[str, Any], NDArray[np.float32], NDArray[np.float32]]):
+    """One environment with the names and shapes that LeRobot reads.
+
+    Args:
+        task: a task's name.
+        variant: a variant's name.
+        views: "ego", "allo" or "both".
+        fingers: whether ``agent_pos`` holds the angles of the fingers (rad), shape (2,), or zeros, shape (3,).
+    """
+
+    def __init__(self, task: str, variant: str, views: str = "ego", *, fingers: bool = False) -> None:
+        env = MagicalEnv(task, variant, "State", reward="score", action="continuous", render_mode="rgb_array")
+        super().__init__(cast("gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]", env))
+        self._dm_env, self._views, self._with_fingers = env.dm_env, VIEWS[views], fingers
+        self.task = task
+        self.task_description = task_spec(task).summary
+        self._max_episode_steps = task_spec(task).horizon()
+        picture = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
+        several = spaces.Dict(dict.fromkeys(self._views, picture))
+        state_shape = (len(FINGERS if fingers else NO_STATE),)
+        self.observation_space = spaces.Dict(
+            {
+                "pixels": picture if len(self._views) == 1 else several,
+                "agent_pos": spaces.Box(-STATE_BOUND, STATE_BOUND, state_shape, np.float32),
+            }
+        )
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Starts an episode; of the options only "scene" is ours, LeRobot passes others of its own."""
+        ours = {name: value for name, value in (options or {}).items() if name == "scene"}
+        return super().reset(seed=seed, options=ours)
+
+    def observation(self, observation: NDArray[np.float32]) -> dict[str, Any]:
+        """The pictures of the present state, and the fingers from the state vector."""
+        pictures = {view: self._dm_env.render(view, IMAGE_SIZE) for view in self._views}
+        return {
+            "pixels": pictures if len(pictures) > 1 else pictures[self._views[0]],
+            "agent_pos": state(observation[_FINGERS] if self._with_fingers else None),
+        }
+
+
+@EnvConfig.register_subclass("magical")
+@dataclass
+class MagicalConfig(EnvConfig):
+    """``--env.type=magical``: which environments, and what is observed."""
+
+    task: str | None = "MoveToRegion"
+    variant: str = "Demo"
+    views: str = "ego"
+    fingers: bool = False
+    fps: int = c.CONTROL_RATE
+    features: dict[str, Any] = field(default_factory=dict)
+    features_map: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        picture = PolicyFeature(type=FeatureType.VISUAL, shape=(IMAGE_SIZE, IMAGE_SIZE, 3))
+        keys = image_keys(self.views)
+        names = {view: "pixels" if len(keys) == 1 else f"pixels/{view}" for view in keys}
+        self.features = {
+            "action": PolicyFeature(type=FeatureType.ACTION, shape=(3,)),
+            "agent_pos": PolicyFeature(type=FeatureType.STATE, shape=(len(FINGERS if self.fingers else NO_STATE),)),
+            **{names[view]: picture for view in keys},
+        }
+        self.features_map = {
+            "action": "action",
+            "agent_pos": "observation.state",
+            **{names[view]: key for view, key in keys.items()},
+        }
+
+    @property
+    def gym_kwargs(self) -> dict[str, Any]:
+        """Of no use: `create_envs` makes the environments."""
+        return {}
+
+    def create_envs(
+        self, n_envs: int, use_async_envs: bool = False
+    ) -> dict[str, dict[int, gymnasium.vector.VectorEnv[Any, Any, Any]]]:
+        """Suite (the task) -> number of the variant -> vector of environments.
+
+        Raises:
+            UnknownNameError: if there is no such task or variant.
+        """
+        mode = gymnasium.vector.AutoresetMode.SAME_STEP
+        suites: dict[str, dict[int, gymnasium.vector.VectorEnv[Any, Any, Any]]] = {}
+        for task, variant in environments(self.task or "all", self.variant):
+            make = [partial(PixelsAndFingers, task, variant, self.views, fingers=self.fingers)] * n_envs
+            suite = suites.setdefault(task, {})
+            if use_async_envs and n_envs > 1:  # spawned: OpenGL does not survive a fork
+                made: Any = gymnasium.vector.AsyncVectorEnv(make, context="spawn", autoreset_mode=mode)
+            else:
+                made = gymnasium.vector.SyncVectorEnv(make, autoreset_mode=mode)
+            suite[len(suite)] = made
+        return suites

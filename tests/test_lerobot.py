@@ -1,0 +1,184 @@
+"""The LeRobot plug-in, by lerobot itself: `make lerobot-test` runs this in an environment that has it."""
+
+from __future__ import annotations
+
+import json
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import magical_mj
+from magical_mj.demos.lerobot import to_lerobot
+from magical_mj.errors import DemonstrationError, MagicalError, UnknownNameError
+
+needs_lerobot = pytest.mark.skipif(find_spec("lerobot") is None, reason="lerobot is not installed: make lerobot-test")
+pytestmark = pytest.mark.filterwarnings("default")  # lerobot's own are not ours to mend
+
+
+@pytest.mark.skipif(find_spec("lerobot") is not None, reason="lerobot is installed")
+def test_without_lerobot_one_line_says_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(MagicalError, match="make lerobot"):
+        import magical_mj.integrations.lerobot
+    with pytest.raises(MagicalError, match="make lerobot"):
+        to_lerobot(magical_mj.demos.load("FixColour")[:1], tmp_path / "set")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def plugin() -> Any:
+    return import_module("magical_mj.integrations.lerobot")
+
+
+@needs_lerobot
+@pytest.mark.parametrize("task", magical_mj.TASKS)
+def test_a_data_set_read_back_replays_to_the_full_score(task: str, plugin: Any, tmp_path: Path) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    demos = magical_mj.demos.load(task)
+    made = to_lerobot(demos, tmp_path / "set")
+    read = LeRobotDataset(made.repo_id, root=tmp_path / "set")
+    assert (read.num_episodes, read.num_frames) == (len(demos), sum(len(demo.actions) for demo in demos))
+    env = plugin.PixelsAndFingers(task, "Demo")
+    number = 0
+    for demo in demos:
+        observation, _ = env.reset(seed=0, options={"scene": demo.scene, "lerobot_new_rollout": True})
+        reward = 0.0
+        for _ in demo.actions:
+            row = read[number]
+            picture = (row["observation.image"].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8)
+            np.testing.assert_array_equal(picture, observation["pixels"])
+            assert row["task"] == env.task_description
+            observation, reward, _, _, info = env.step(row["action"].numpy())
+            number += 1
+        assert reward == info["eval_score"] == 1.0
+    env.close()
+
+
+@needs_lerobot
+def test_both_views_and_the_fingers(plugin: Any, tmp_path: Path) -> None:
+    demo = magical_mj.demos.load("FixColour")[0]
+    made = to_lerobot([demo], tmp_path / "set", views="both", fingers=True)
+    env = plugin.PixelsAndFingers("FixColour", "Demo", "both", fingers=True)
+    observation, _ = env.reset(seed=0)
+    row = made[0]
+    np.testing.assert_allclose(row["observation.state"].numpy(), observation["agent_pos"], atol=1e-7)
+    np.testing.assert_allclose(observation["agent_pos"], (np.pi / 8, -np.pi / 8), atol=1e-6)
+    assert {f"observation.images.{view}" for view in observation["pixels"]} <= row.keys()
+    env.close()
+
+
+@needs_lerobot
+def test_nothing_is_overwritten_and_nothing_half_made_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    demos = magical_mj.demos.load("FixColour")[:1]
+    to_lerobot(demos, tmp_path / "set")
+    with pytest.raises(DemonstrationError, match="exists already"):
+        to_lerobot(demos, tmp_path / "set")
+    with pytest.raises(DemonstrationError, match="one environment"):
+        to_lerobot([*demos, *magical_mj.demos.load("FindDupe")[:1]], tmp_path / "other")
+    with pytest.raises(UnknownNameError, match="both"):
+        to_lerobot(demos, tmp_path / "other", views="bot")
+    broken = [demos[0], None]
+    with pytest.raises(AttributeError):
+        to_lerobot(broken, tmp_path / "other")  # type: ignore[list-item]
+    assert [path.name for path in tmp_path.iterdir()] == ["set"]
+
+
+@needs_lerobot
+@pytest.mark.parametrize("options", [{}, {"views": "both"}, {"views": "allo", "fingers": True}])
+@pytest.mark.filterwarnings("ignore")
+def test_gymnasium_finds_nothing_wrong(plugin: Any, options: dict[str, Any]) -> None:
+    env = plugin.PixelsAndFingers("MoveToRegion", "Demo", **options)
+    check_env(env, skip_render_check=True)
+    env.close()
+
+
+@needs_lerobot
+@pytest.mark.parametrize("batch", [1, 3])
+def test_seeds_of_the_evaluation_are_the_official_scenes(plugin: Any, batch: int) -> None:
+    suites = plugin.MagicalConfig(task="FindDupe,MoveToCorner", variant="Demo,Shape").create_envs(batch)
+    assert {task: len(suite) for task, suite in suites.items()} == {"FindDupe": 2, "MoveToCorner": 2}
+    vector = suites["FindDupe"][1]
+    vector.reset(seed=list(range(5, 5 + batch)))
+    scenes = [env.unwrapped.scene for env in vector.envs]
+    wanted = [magical_mj.sample_scene("FindDupe", "Shape", 5 + number) for number in range(batch)]
+    for scene, other in zip(scenes, wanted, strict=True):
+        np.testing.assert_allclose(scene.robot.pose, other.robot.pose, atol=1e-9)
+        assert [(block.shape, block.colour) for block in scene.blocks] == [(b.shape, b.colour) for b in other.blocks]
+    assert vector.call("_max_episode_steps") == (100,) * batch
+    for suite in suites.values():
+        for made in suite.values():
+            made.close()
+
+
+@needs_lerobot
+def test_workers_of_their_own_give_the_same(plugin: Any) -> None:
+    config = plugin.MagicalConfig(task="MoveToRegion", variant="Layout")
+    seen = []
+    for asynchronous in (False, True):
+        envs = config.create_envs(2, asynchronous)["MoveToRegion"][0]
+        assert isinstance(envs, gymnasium.vector.AsyncVectorEnv) == asynchronous
+        observations, _ = envs.reset(seed=[0, 1])
+        seen.append(observations["pixels"])
+        envs.close()
+    np.testing.assert_array_equal(*seen)
+
+
+def tiny_checkpoint(plugin: Any, folder: Path, **options: Any) -> Path:
+    """An untrained ACT policy as lerobot saves it."""
+    import torch
+    from lerobot.policies.act.configuration_act import ACTConfig
+    from lerobot.policies.act.modeling_act import ACTPolicy
+    from lerobot.policies.factory import make_pre_post_processors
+
+    env = plugin.MagicalConfig(**options)
+    features = {env.features_map[name]: feature for name, feature in env.features.items()}
+    for feature in features.values():
+        feature.shape = (3, 96, 96) if feature.shape == (96, 96, 3) else feature.shape
+    config = ACTConfig(
+        input_features={name: feature for name, feature in features.items() if name != "action"},
+        output_features={"action": features["action"]},
+        device="cpu", chunk_size=8, n_action_steps=8, dim_model=64, n_heads=2, dim_feedforward=64, n_encoder_layers=1,
+        pretrained_backbone_weights=None,
+    )  # fmt: skip
+    torch.manual_seed(0)
+    ACTPolicy(config).save_pretrained(folder)
+    stats = {"action": {"mean": torch.zeros(3), "std": torch.ones(3)}}
+    for part in make_pre_post_processors(config, dataset_stats=stats):
+        part.save_pretrained(folder)
+    return folder
+
+
+@needs_lerobot
+def test_a_checkpoint_is_evaluated_like_any_policy(plugin: Any, tmp_path: Path) -> None:
+    folder = tiny_checkpoint(plugin, tmp_path / "pretrained_model")
+    runs = [
+        magical_mj.evaluate(str(folder), tasks="MoveToRegion", variants="Demo,Layout", episodes=2, preset="LoRes4E")
+        for _ in range(2)
+    ]
+    assert runs[0]["failure"].isna().all()
+    assert list(runs[0]["actions"]) == list(runs[1]["actions"])
+    assert len(runs[0]) == 4
+
+
+@needs_lerobot
+def test_checkpoints_of_other_observations_are_refused(plugin: Any, tmp_path: Path) -> None:
+    folder = tiny_checkpoint(plugin, tmp_path / "pretrained_model")
+    with pytest.raises(MagicalError, match="--preset LoRes4E"):
+        magical_mj.evaluate(str(folder), tasks="MoveToRegion", episodes=1, preset="LoRes4A")
+    config = json.loads((folder / "config.json").read_text())
+    config["input_features"]["observation.images.wrist"] = config["input_features"].pop("observation.image")
+    (folder / "config.json").write_text(json.dumps(config))
+    with pytest.raises(MagicalError, match="wrist"):
+        plugin.load_checkpoint(folder)
+
+
+@needs_lerobot
+def test_unknown_environments_are_named(plugin: Any) -> None:
+    with pytest.raises(UnknownNameError, match="MoveToRegion"):
+        plugin.MagicalConfig(task="MoveToRegoin").create_envs(1)
