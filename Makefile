@@ -35,7 +35,7 @@ docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the READ
 
 demonstrations: $(VENV)/.installed-dev  ## after a change of the physics: the shipped demonstrations and docs/experts.md, anew
 	rm -rf magical_mj/demos/data
-	$(BIN)/magical-mj demos generate all --count 25 --out magical_mj/demos/data
+	$(BIN)/magical-mj demos generate --count 25 --out magical_mj/demos/data
 	rm -rf out/experts
 	$(BIN)/magical-mj evaluate --policy expert --episodes 20 --out out/experts
 	$(BIN)/python tools/experts_page.py out/experts

@@ -185,48 +185,6 @@ def test_streams_draw_nothing_before_it_is_asked_for(demo: Demonstration) -> Non
     assert len(next(stream).actions) == len(next(stream).actions)
 
 
-# exports
-
-
-def test_npz_export(demo: Demonstration, tmp_path: Path) -> None:
-    path = tmp_path / "out.npz"
-    demos.to_npz([demo, demo], path, "State", drop_noop=False)
-    with np.load(path, allow_pickle=False) as archive:
-        assert archive["observations"].shape == (120, len(magical_mj.observations.STATE_NAMES))
-        assert archive["episodes"].tolist() == [0] * 60 + [1] * 60
-        assert np.array_equal(archive["actions"][:60], demo.actions)
-    with pytest.raises(FileExistsError):
-        demos.to_npz([demo], path)
-
-
-def test_minari_export_is_lossless_and_its_environment_replays(
-    demo: Demonstration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    minari = pytest.importorskip("minari")
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    demos.to_minari([demo, demo], preset="LoRes4A")
-    dataset = minari.load_dataset("magical-mj/FixColour/expert-v0")
-    episode = dataset[0]
-    assert np.array_equal(episode.observations, demos.observations(demo, "LoRes4A"))
-    assert np.array_equal(episode.infos["qpos"], demo.qpos)
-    assert np.array_equal(episode.infos["qvel"], demo.qvel)
-    assert np.array_equal(episode.actions, demo.actions)
-    assert episode.rewards.tolist() == [0.0] * 59 + [1.0]
-    assert episode.truncations.tolist() == [False] * 59 + [True]
-    env = dataset.recover_environment()
-    env.reset(seed=next(iter(dataset.storage.get_episode_metadata([0])))["seed"])
-    info = {}
-    for action in episode.actions:
-        seen, _, _, _, info = env.step(action)
-    assert np.array_equal(seen, episode.observations[-1])
-    assert info["eval_score"] == 1.0
-    env.close()
-    with pytest.raises(ValueError, match="exist"):
-        demos.to_minari([demo])
-    with pytest.raises(DemonstrationError, match="one environment"):
-        demos.to_minari([demo, dataclasses.replace(demo, variant="Jitter")])
-
-
 # commands
 
 
@@ -236,7 +194,19 @@ def run(*arguments: object) -> int:
 
 def test_generate_verify_info_video_and_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "made"
-    generate = ("demos", "generate", "MoveToRegion", "--variant", "All", "--out", folder, "--jobs", 1, "--count")
+    generate = (
+        "demos",
+        "generate",
+        "--tasks",
+        "MoveToRegion",
+        "--variants",
+        "All",
+        "--out",
+        folder,
+        "--jobs",
+        1,
+        "--count",
+    )
     assert run(*generate, 2) == 0
     first = {path.name: path.read_bytes() for path in folder.iterdir()}
     assert sorted(first) == ["MoveToRegion-All-000.npz", "MoveToRegion-All-001.npz"]
@@ -258,10 +228,11 @@ def test_generate_verify_info_video_and_export(tmp_path: Path, capsys: pytest.Ca
 
 def test_a_damaged_file_stops_generate_and_verify(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path.write_bytes(path.read_bytes()[:-10])
-    for command in ("generate", "FixColour", "--count", 1, "--out", path.parent), ("verify", path), ("info", path):
-        assert run("demos", *command) == 2
+    generate = ("generate", "--tasks", "FixColour", "--count", 1, "--out", path.parent)
+    for code, *command in (2, *generate), (1, "verify", path), (2, "info", path):
+        assert run("demos", *command) == code
         assert "damaged or cut short" in capsys.readouterr().err
-    assert run("demos", "info", path.parent / "none.npz") == 1
+    assert run("demos", "info", path.parent / "none.npz") == 2
 
 
 def test_verify_tells_what_does_not_replay(
@@ -269,29 +240,35 @@ def test_verify_tells_what_does_not_replay(
 ) -> None:
     other = dataclasses.replace(demo, actions=np.zeros_like(demo.actions))
     demos.write(other, tmp_path / "bad.npz")
-    assert run("demos", "verify", tmp_path, "--jobs", 1) == 2
-    assert "bad.npz" in capsys.readouterr().err
+    demos.write(demo, tmp_path / "good.npz")
+    assert run("demos", "verify", tmp_path, "--jobs", 1) == 1
+    out, error = capsys.readouterr()
+    assert "1 of 2 replay" in out
+    assert "bad.npz does not replay" in error
+    assert "good.npz" not in error
 
 
 def test_a_killed_generate_leaves_only_whole_files_and_goes_on(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "magical_mj", "demos", "generate", "MatchRegions"]
+    command = [sys.executable, "-m", "magical_mj", "demos", "generate", "--tasks", "MatchRegions"]
     process = subprocess.Popen(
         [*command, "--count", "40", "--out", str(tmp_path), "--jobs", "1"],
         stdout=subprocess.DEVNULL,
         start_new_session=True,
     )
     for _ in range(300):
-        if list(tmp_path.glob("*.npz")):
+        if demos.files_in(tmp_path):
             break
         time.sleep(0.1)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     made = demos.load("MatchRegions", tmp_path)
     assert 0 < len(made) < 40
-    assert run("demos", "generate", "MatchRegions", "--count", len(made) + 1, "--out", tmp_path, "--jobs", 1) == 0
+    more = ("--tasks", "MatchRegions", "--count", len(made) + 1)
+    assert run("demos", "generate", *more, "--out", tmp_path, "--jobs", 1) == 0
     assert len(demos.load("MatchRegions", tmp_path)) == len(made) + 1
 
 
 def test_half_written_files_are_not_read(path: Path) -> None:
-    shutil.copy(path, path.with_name(f".{path.name}.123.part"))
+    shutil.copy(path, path.with_name(f".{path.stem}.123.part.npz"))
+    assert demos.files_in(path.parent) == [path]
     assert len(demos.load("FixColour", path.parent)) == 1

@@ -20,7 +20,7 @@ from rich.progress import track
 from rich.table import Table
 
 from magical_mj._version import __version__
-from magical_mj.cli.console import console
+from magical_mj.cli.console import Tasks, Variants, console
 from magical_mj.presets import PRESETS, preset
 from magical_mj.registry import environments, listed
 from magical_mj.rendering.backend import check_backend
@@ -42,8 +42,6 @@ NAMES: Final = 2  # columns that hold no numbers
 CAUSES: Final[tuple[Cause, ...]] = ("rewritten", "compiled")
 CPU_INFO: Final = Path("/proc/cpuinfo")
 
-Tasks = Annotated[str, typer.Option(help="Tasks, separated by commas.")]
-Variants = Annotated[str, typer.Option(help="Variants, separated by commas.")]
 Presets = Annotated[str, typer.Option(help="Presets, separated by commas; or all.")]
 Steps = Annotated[int, typer.Option(min=1, help="At least so many in each environment, in whole episodes.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, times in seconds.")]

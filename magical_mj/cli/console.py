@@ -16,6 +16,8 @@ PLAIN_WIDTH = 120  # columns where the output is a file or a pipe
 
 Task = Annotated[str, typer.Argument(help=f"One of {', '.join(TASKS)}.", show_default=False)]
 Variant = Annotated[str, typer.Argument(help=f"One of {', '.join(VARIANTS)}.")]
+Tasks = Annotated[str, typer.Option(help="Tasks, separated by commas; or all.")]
+Variants = Annotated[str, typer.Option(help="Variants, separated by commas; or all.")]
 Seed = Annotated[int, typer.Option(min=0, help="Which of the variant's scenes.")]
 Size = Annotated[int, typer.Option(min=16, max=2048, help="Side of each picture in pixels.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there already.")]

@@ -8,9 +8,9 @@ from typing import Annotated, Final
 
 import typer
 
-from magical_mj.cli.console import claim_folder, console
+from magical_mj.cli.console import Tasks, claim_folder, console
 from magical_mj.cli.environments import contact_sheet
-from magical_mj.cli.evaluate import Jobs, Tasks, show_progress, summary
+from magical_mj.cli.evaluate import Jobs, show_progress, summary
 from magical_mj.cli.results import film_episodes
 from magical_mj.evaluation.report import extremes, report
 from magical_mj.evaluation.run import Evaluation

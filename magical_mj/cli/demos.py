@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -12,62 +12,72 @@ import typer
 from rich.table import Table
 
 import magical_mj
-from magical_mj import TASKS, VARIANTS
-from magical_mj.cli.console import Force, Size, check_suffix, claim, claim_folder, console
-from magical_mj.cli.film import film_pictures
+from magical_mj.cli.console import Force, Size, Tasks, Variants, check_suffix, claim, claim_folder, complain, console
+from magical_mj.cli.film import film
 from magical_mj.cli.parallel import Jobs, in_parallel
 from magical_mj.errors import DemonstrationError, MagicalError
-from magical_mj.registry import environment_axes, task_spec, variant_name
+from magical_mj.registry import environments, score
 
 if TYPE_CHECKING:  # magical_mj.demos starts OpenGL, which help and wrong arguments do without
     from magical_mj.demos import Demonstration, Imported, Verdict
 
-ALL = "all"
 SUFFIX = ".npz"
 
-Tasks = Annotated[list[str], typer.Argument(help=f"One or more of {', '.join(TASKS)}; or {ALL}.", show_default=False)]
 Paths = Annotated[
-    list[str], typer.Argument(help="Files, folders, or tasks (their shipped demonstrations).", show_default=False)
+    list[Path] | None,
+    typer.Argument(help="Files and folders.", show_default="those that come with the package"),
 ]
-Variant = Annotated[str, typer.Option(help=f"One of {', '.join(VARIANTS)}.")]
-Count = Annotated[int, typer.Option(min=1, help="How many of each task: those of seeds 0, 1, ...")]
-Folder = Annotated[Path, typer.Option("--out", help="The folder; what is there already is kept.", show_default=False)]
 Recordings = Annotated[list[Path], typer.Argument(help="The JSON files that the browser saved.", show_default=False)]
+Count = Annotated[int, typer.Option(min=1, help="How many in each environment: in the scenes of seeds 0, 1, ...")]
+Folder = Annotated[Path, typer.Option("--out", help="The folder; what is there already is kept.", show_default=False)]
 Least = Annotated[float, typer.Option(min=0, max=1, help="The score that a demonstration must have.")]
+Filmed = Annotated[int, typer.Option("--count", min=1, help="How many to film at most.")]
+Movie = Annotated[Path, typer.Option("--out", help="The MP4 file.", show_default=False)]
+Speed = Annotated[int, typer.Option(min=1, help="Times real time.")]
+Target = Annotated[Literal["npz", "minari"], typer.Option(help="A numpy archive, or a Minari data set.")]
+Name = Annotated[
+    str | None, typer.Option("--out", help="The file, or the data set's id.", show_default="by environment and preset")
+]
+Preset = Annotated[str | None, typer.Option(help="The observations.", show_default="LoRes4E; State for Minari")]
+DropNoop = Annotated[bool, typer.Option(help="For npz: leave out the steps in which nothing is done.")]
 
-app = typer.Typer(help="Demonstrations by the experts: make, check, see and export them.", no_args_is_help=True)
+app = typer.Typer(help="Demonstrations: make, import, check, see and export them.")
+
+
+@app.callback(invoke_without_command=True)
+def start(context: typer.Context) -> None:
+    """Print the help if no command is given."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
 
 
 @app.command()
 def generate(
-    tasks: Tasks, out: Folder, variant: Variant = "Demo", count: Count = 25, least_score: Least = 1.0, jobs: Jobs = None
+    out: Folder,
+    tasks: Tasks = "all",
+    variants: Variants = "Demo",
+    count: Count = 25,
+    least_score: Least = 1.0,
+    jobs: Jobs = None,
 ) -> None:
-    """Let the experts demonstrate tasks. Called again, it goes on where it was stopped; nothing is overwritten."""
-    names = TASKS if ALL in tasks else tuple(task_spec(task).name for task in tasks)
-    for name in names:
-        environment_axes(name, variant)
+    """Let the expert demonstrate tasks. Called again, it goes on where it was stopped; nothing is overwritten."""
+    pairs = environments(tasks, variants)
     claim_folder(out)
     screen = console()
-    numbers = [(name, number) for name in reversed(names) for number in range(count)]  # the longest tasks first
-    paths = {(name, number): out / file_name(name, variant, number) for name, number in numbers}
-    for (name, _), path in paths.items():
-        if path.exists():
-            magical_mj.demos.read(path, name)  # or an error: a damaged file is not taken for a demonstration
-    todo = [(*key, variant, least_score, path) for key, path in paths.items() if not path.exists()]
-    if len(todo) < len(numbers):
-        screen.print(f"{len(numbers) - len(todo)} of {len(numbers)} are there already")
+    keys = [(*pair, number) for pair in pairs for number in range(count)]
+    paths = {key: out / "{}-{}-{:03}{}".format(*key, SUFFIX) for key in keys}
+    there = {key for key, path in paths.items() if path.exists() and magical_mj.demos.read(path, key[0])}
+    if there:
+        screen.print(f"{len(there)} of {len(paths)} are there already")
+    longest_first = sorted(keys, key=lambda key: -pairs.index(key[:2]))
+    todo = [(*key, least_score, paths[key]) for key in longest_first if key not in there]
     failures = [failure for failure in in_parallel(screen, "demonstrating", make, todo, jobs) if failure]
-    describe([demo for name in sorted(names, key=TASKS.index) for demo in magical_mj.demos.load(name, out)])
+    describe([magical_mj.demos.read(path) for path in paths.values() if path.exists()])
     if failures:
         raise DemonstrationError(f"{len(failures)} demonstrations are missing: {'; '.join(sorted(failures))}")
 
 
-def file_name(task: str, variant: str, number: int) -> str:
-    """What the demonstration of a number is called."""
-    return f"{task}-{variant_name(variant)}-{number:03}{SUFFIX}"
-
-
-def make(task: str, number: int, variant: str, least_score: float, path: Path) -> str:
+def make(task: str, variant: str, number: int, least_score: float, path: Path) -> str:
     """What a worker does: one demonstration; why there is none, if there is none."""
     try:
         magical_mj.demos.write(magical_mj.demos.demonstrate(task, variant, number, least_score), path)
@@ -102,9 +112,9 @@ def _replayed(file: Path) -> Imported:
 
 
 @app.command()
-def info(paths: Paths) -> None:
+def info(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "all") -> None:
     """Say what is in demonstrations: scores, lengths, and how much they differ from each other."""
-    describe([demo for _, demo in _read(paths)])
+    describe(_read(paths, tasks, variants))
 
 
 def describe(demos: Sequence[Demonstration]) -> None:
@@ -136,75 +146,125 @@ def describe(demos: Sequence[Demonstration]) -> None:
 
 
 @app.command(name="verify")
-def verify_all(paths: Paths, jobs: Jobs = None) -> None:
+def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "all", jobs: Jobs = None) -> None:
     """Check digests, replay all actions, and draw all states again; exit code 1 if anything is wrong."""
     screen = console()
-    work = [(label, demo) for label, demo in _read(paths)]
-    results = dict(in_parallel(screen, "verifying", check, work, jobs))
-    bad = sorted(label for label, verdict in results.items() if not verdict.good)
-    exact = sum(verdict.exact for verdict in results.values())
-    alike = sum(verdict.pictures for verdict in results.values())
+    wanted = environments(tasks, variants) if (tasks, variants) != ("all", "all") else None
+    work = [(path, wanted) for path in _files(paths)]
+    found = [(path, verdict) for path, verdict in in_parallel(screen, "verifying", check, work, jobs) if verdict]
+    verdicts = [verdict for _, verdict in found if not isinstance(verdict, str)]
+    good, exact, alike = (sum(getattr(verdict, name) for verdict in verdicts) for name in ("good", "exact", "pictures"))
     screen.print(
-        f"{len(results) - len(bad)} of {len(results)} replay to the same score, "
+        f"{good} of {len(found)} replay to the same score, "
         f"{exact} through the same states, {alike} with the same pictures"
     )
-    if bad:
-        raise DemonstrationError(f"these do not replay in this version of the world: {', '.join(bad)}")
+    for path, verdict in sorted(found, key=str):
+        if isinstance(verdict, str):
+            complain(verdict)
+        elif not verdict.good:
+            complain(f"{path} does not replay to its score in this version of the world")
+    if good < len(found):
+        raise typer.Exit(1)
 
 
-def check(label: str, demo: Demonstration) -> tuple[str, Verdict]:
-    """What a worker does: one demonstration."""
-    return label, magical_mj.demos.verify(demo)
+def check(path: Path, wanted: Collection[tuple[str, str]] | None) -> tuple[Path, Verdict | str | None]:
+    """What a worker does: one file, and what is wrong with it; None if it is of an environment that is not wanted."""
+    try:
+        demo = magical_mj.demos.read(path)
+    except DemonstrationError as error:
+        return path, str(error)
+    if wanted is not None and (demo.task, demo.variant) not in wanted:
+        return path, None
+    return path, magical_mj.demos.verify(demo)
 
 
 @app.command()
 def video(
-    path: Annotated[str, typer.Argument(help="A file, or a task (its first shipped demonstration).")],
-    out: Annotated[Path, typer.Option(help="The MP4 file.", show_default=False)],
+    out: Movie,
+    paths: Paths = None,
+    tasks: Tasks = "all",
+    variants: Variants = "all",
+    count: Filmed = 1,
     size: Size = 384,
-    speed: Annotated[int, typer.Option(min=1, help="Times real time.")] = 1,
+    speed: Speed = 1,
     force: Force = False,
 ) -> None:
-    """Film a demonstration, both views side by side."""
+    """Film demonstrations, both views side by side."""
     check_suffix(out, ".mp4")
+    demos = _read(paths, tasks, variants)[:count]
     claim(out, force)
-    demo = next(_read([path]))[1]
-    with film_pictures(out, size, speed) as add:
-        for pictures in magical_mj.demos.see(demo, ("allo", "ego"), size):
-            add(np.concatenate([pictures["allo"], pictures["ego"]], axis=1))
+    with film(out, size, speed) as made:
+        for demo in demos:
+            title = f"{demo.task} {demo.variant}, seed {demo.scene_seed}: {demo.demonstrator}"
+            seen = magical_mj.demos.see(demo, ("allo", "ego"), size)
+            for step, (pictures, scene) in enumerate(zip(seen, demo.scenes(), strict=True)):
+                views = np.concatenate([pictures["allo"], pictures["ego"]], axis=1)
+                reached = score(demo.task, demo.scene, scene)
+                if step == 0:
+                    made.begin(title, views, reached)
+                else:
+                    made.add(views, step, int(demo.actions[step - 1]), reached)
+            made.end()
     console().print(out, soft_wrap=True)
 
 
 @app.command()
 def export(
-    paths: Paths,
-    to: Annotated[Literal["npz", "minari"], typer.Option(help="A numpy archive, or a Minari data set.")] = "npz",
-    out: Annotated[str | None, typer.Option(help="The file, or the data set's id.", show_default="by task")] = None,
-    preset: Annotated[str, typer.Option(help="The observations.", show_default="LoRes4E; State for Minari")] = "",
-    drop_noop: Annotated[bool, typer.Option(help="For npz: leave out the steps in which nothing is done.")] = True,
+    paths: Paths = None,
+    tasks: Tasks = "all",
+    variants: Variants = "all",
+    to: Target = "npz",
+    out: Name = None,
+    preset: Preset = None,
+    drop_noop: DropNoop = True,
+    force: Force = False,
 ) -> None:
     """Hand demonstrations to other tools."""
-    demos = [demo for _, demo in _read(paths)]
-    if to == "minari":
-        made = magical_mj.demos.to_minari(demos, out, preset or "State").spec.dataset_id
-    else:
-        made = Path(out or f"{demos[0].name}{SUFFIX}")
-        magical_mj.demos.to_npz(demos, made, preset or "LoRes4E", drop_noop=drop_noop)
-    console().print(made, soft_wrap=True)
+    demos = _read(paths, tasks, variants)
+    screen = console()
+    names = list(dict.fromkeys(demo.name for demo in demos))
+    if to == "npz":
+        preset = "LoRes4E" if preset is None else preset
+        path = Path(out or f"{names[0] if len(names) == 1 else 'demonstrations'}-{preset or 'views'}{SUFFIX}")
+        check_suffix(path, SUFFIX)
+        magical_mj.demos.to_npz(demos, claim(path, force), preset, drop_noop=drop_noop, overwrite=force)
+        screen.print(path, soft_wrap=True)
+        return
+    if out is not None and len(names) > 1:
+        raise typer.BadParameter(
+            f"one data set holds one environment, but these are of {', '.join(names)}: drop --out."
+        )
+    for name in names:
+        some = [demo for demo in demos if demo.name == name]
+        preset = "State" if preset is None else preset
+        screen.print(magical_mj.demos.to_minari(some, out, preset, overwrite=force), soft_wrap=True)
 
 
-def _read(paths: Sequence[str]) -> Iterator[tuple[str, Demonstration]]:
-    """The demonstrations that are meant, each with what to call it."""
-    for path in paths:
-        if path in TASKS or path == ALL:
-            for task in TASKS if path == ALL else (path,):
-                yield from (
-                    (f"{demo.name}-{number:03}", demo) for number, demo in enumerate(magical_mj.demos.load(task))
-                )
-        elif Path(path).is_dir():
-            found = sorted(Path(path).glob(f"*{SUFFIX}"))
-            if not found:
+def _read(paths: Sequence[Path] | None, tasks: str, variants: str) -> list[Demonstration]:
+    """The demonstrations in files and folders, or the shipped ones, that are of these tasks and variants."""
+    demos = [magical_mj.demos.read(path) for path in _files(paths)]
+    if (tasks, variants) == ("all", "all"):
+        return demos
+    pairs = environments(tasks, variants)
+    chosen = [demo for demo in demos if (demo.task, demo.variant) in pairs]
+    if not chosen:
+        names = sorted({demo.name for demo in demos})
+        raise DemonstrationError(f"there are none of these tasks and variants; there are {', '.join(names)}")
+    return chosen
+
+
+def _files(paths: Sequence[Path] | None) -> list[Path]:
+    found: list[Path] = []
+    for path in paths or [magical_mj.demos.SHIPPED]:
+        if path.is_dir():
+            inside = magical_mj.demos.files_in(path)
+            if not inside:
                 raise DemonstrationError(f"there are no demonstrations in {path}")
-            yield from ((str(file), magical_mj.demos.read(file)) for file in found)
+            found += inside
+        elif path.exists():
+            found.append(path)
         else:
-            yield path, magical_mj.demos.read(Path(path))
+            raise DemonstrationError(
+                f"there is no {path}; for those of a task that come with the package: --tasks TASK"
+            )
+    return found

@@ -13,29 +13,33 @@ from rich import progress as bars
 from rich.console import Console
 from rich.text import Text
 
-import magical_mj
-from magical_mj.cli.console import Force, Seed, Size, Task, Variant, check_suffix, claim, console
-from magical_mj.cli.film import Agent, film, play
+from magical_mj.cli.console import Force, Seed, Size, Task, Tasks, Variant, Variants, check_suffix, claim, console
+from magical_mj.cli.film import film, replay
 from magical_mj.evaluation.backends import Backend, check_backend
+from magical_mj.evaluation.loading import sources
+from magical_mj.evaluation.policies import check_fit
 from magical_mj.evaluation.run import EPISODES, TIME_LIMIT, Evaluation
 from magical_mj.evaluation.scores import SCORES, Score
-from magical_mj.evaluation.worker import Vectorization
+from magical_mj.evaluation.worker import Unit, Vectorization, player
 from magical_mj.extras import check_extra
-from magical_mj.registry import task_spec
+from magical_mj.registry import environments, task_spec
 from magical_mj.tasks.spec import Rules
+
+_POLICIES = (
+    "expert, random, noop, module:object, the folder of a training, or a file (.zip of stable-baselines3, .onnx); "
+    "several with commas."
+)
 
 Policies = Annotated[
     str,
     typer.Option(
         "--policy",
-        help="expert, random, noop, module:object, the folder of a training, or a file (.zip of stable-baselines3, "
-        ".onnx); several with commas. NAME=... names a method; those of the same name are its runs.",
+        help=f"{_POLICIES} NAME=... names a method; those of the same name are its runs.",
         show_default=False,
     ),
 ]
+AnyPolicy = Annotated[str, typer.Option(help=_POLICIES)]
 Out = Annotated[Path, typer.Option(help="The folder for the scores.", show_default=False)]
-Tasks = Annotated[str, typer.Option(help="Tasks, separated by commas.")]
-Variants = Annotated[str, typer.Option(help="Variants, separated by commas.")]
 Episodes = Annotated[int, typer.Option(min=1, help="In each environment: in the scenes of seeds 0, 1, ...")]
 Preset = Annotated[str, typer.Option(help="The observations: a preset's name, or an empty one.")]
 RulesName = Annotated[Rules, typer.Option(help="Scores and horizons of the paper, or of the released code.")]
@@ -47,7 +51,6 @@ Run = Annotated[int, typer.Option(min=0, help="The number of the (first) run of 
 Limit = Annotated[float, typer.Option(min=0.1, help="Seconds for one episode; then it has failed.")]
 Envs = Annotated[int, typer.Option(min=1, help="Episodes played side by side in each process, for batches.")]
 Side = Annotated[Vectorization, typer.Option(help="How: in the process itself, or in one each.")]
-Who = Annotated[Agent, typer.Option(help="The expert, uniform random actions, or none at all.")]
 Number = Annotated[int, typer.Option("--episodes", min=1, help="How many; in the scenes of SEED, SEED + 1, ...")]
 Video = Annotated[Path | None, typer.Option(help="Write an MP4 file of the episodes, both views.", show_default=False)]
 Trust = Annotated[bool, typer.Option("--trust", help="Load model files that hold code, which then runs.")]
@@ -105,31 +108,43 @@ def evaluate(
 def rollout(
     task: Task,
     variant: Variant = "Demo",
-    agent: Who = "expert",
+    policy: AnyPolicy = "expert",
     episodes: Number = 1,
     seed: Seed = 0,
+    preset: Preset = "LoRes4E",
     video: Video = None,
     size: Size = 384,
+    trust: Trust = False,
     force: Force = False,
 ) -> None:
-    """Play episodes with the expert or a simple agent, and print the scores."""
+    """Play some episodes with a policy, print the scores, and film them. `evaluate` plays whole benchmarks."""
     check_suffix(video, ".mp4")
-    env = magical_mj.load(task, variant, seed=seed, observations=())
+    (pair,) = environments([task], [variant])
+    listed = sources(policy, trust=trust)
+    for source in listed:
+        check_fit(source.load(), [pair], preset)
     if video is not None:
         claim(video, force)
-    out = console()
-    scores = []
-    with nullcontext() if video is None else film(video, size) as watch:
-        for episode in bars.track(
-            range(seed, seed + episodes), "playing", console=out, transient=True, disable=not out.is_terminal
-        ):
-            result = play(env, task, agent, episode, watch)
-            scores.append(result.score)
-            out.print(f"seed {episode}: score {result.score:.2f} after {result.steps} steps")
-    env.close()
-    out.print(f"mean of {episodes}: {fmean(scores):.3f}")
+    screen = console()
+    with nullcontext() if video is None else film(video, size) as made:
+        for source in listed:
+            units = [Unit(source, *pair, (seed + k,), preset, "paper", TIME_LIMIT) for k in range(episodes)]
+            scores = []
+            for unit in bars.track(
+                units, f"playing {source.name}", console=screen, transient=True, disable=not screen.is_terminal
+            ):
+                scores += player().play(unit)
+                screen.print(_line(scores[-1]), soft_wrap=True)
+                if made is not None:
+                    replay(made, scores[-1])
+            screen.print(f"{source.name}: mean of {episodes} {fmean(score.score for score in scores):.3f}")
     if video is not None:
-        out.print(video, soft_wrap=True)
+        screen.print(video, soft_wrap=True)
+
+
+def _line(score: Score) -> str:
+    line = f"seed {score.seed}: score {score.score:.2f} after {score.steps} steps"
+    return line if score.failure is None else f"{line}; the policy failed: {score.failure}"
 
 
 class Rate(bars.ProgressColumn):
@@ -164,9 +179,9 @@ def summary(scores: list[Score]) -> list[str]:
     for score in scores:
         by_policy[score.policy][score.task, score.variant].append(score)
     lines = []
-    for policy, environments in sorted(by_policy.items()):
-        means = [sum(score.score for score in found) / len(found) for found in environments.values()]
-        failed = [score for found in environments.values() for score in found if score.failure is not None]
+    for policy, found_in in sorted(by_policy.items()):
+        means = [sum(score.score for score in found) / len(found) for found in found_in.values()]
+        failed = [score for found in found_in.values() for score in found if score.failure is not None]
         line = f"{policy}: mean score {sum(means) / len(means):.3f} over {len(means)} environments"
         lines.append(f"{line}; {len(failed)} episodes failed, such as: {failed[0].failure}" if failed else line)
     return lines

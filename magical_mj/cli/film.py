@@ -1,100 +1,183 @@
-"""Whole episodes with the expert or with agents that look at nothing, and films of them."""
+"""Films of episodes: both views side by side, and below them what is played, what is done, and the score so far."""
 
 from __future__ import annotations
 
-import itertools
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
 
-from magical_mj.actions import ACTIONS, NOOP
+import magical_mj
+from magical_mj import files
+from magical_mj.actions import ACTIONS, Drive, Gripper, Turn
 from magical_mj.constants import CONTROL_RATE
+from magical_mj.errors import EvaluationError
+from magical_mj.evaluation.episodes import actions_of
+from magical_mj.evaluation.scores import Score
 from magical_mj.extras import missing_extra
+from magical_mj.registry import check_rules
 
 if TYPE_CHECKING:
     from magical_mj.environment import Environment
 
-Agent = Literal["expert", "random", "noop"]
+Picture = NDArray[np.uint8]
 
-Watch = Callable[["Environment"], None]
-
-
-class Result(NamedTuple):
-    """How an episode ended."""
-
-    score: float
-    steps: int
+PAPER: Final = (255, 255, 255)
+INK: Final = (60, 60, 60)
+TITLE_SHADE: Final = (255, 255, 255, 225)  # of the band behind a title
+SMALLEST_TEXT: Final = 8  # pixels
+SAME_SCORE: Final = 1e-9
+PAUSE: Final = 1  # seconds that the first and the last frame of an episode stand
 
 
-def actions(agent: Agent, seed: int, env: Environment, task: str) -> Iterator[int]:
-    """What the agent does in an environment of the task, for ever.
+class Film:
+    """Makes the frames of episodes and sends them to a video.
 
-    The expert of the seed looks at the environment; the others do nothing, or independent uniform actions.
+    Args:
+        send: takes a frame of `Film.shape`.
+        size: side of each view in pixels.
+        pause: how many frames the first and the last frame of an episode stand.
     """
-    if agent == "expert":
-        from magical_mj.experts import Expert
 
-        expert = Expert(env, task, seed)
-        return (expert() for _ in itertools.count())
-    if agent == "noop":
-        return itertools.repeat(NOOP)
-    rng = np.random.default_rng(seed)
-    return (int(rng.integers(len(ACTIONS))) for _ in itertools.count())
+    def __init__(self, send: Callable[[Picture], object], size: int, pause: int) -> None:
+        self._send, self.size, self._pause = send, size, pause
+        text = max(SMALLEST_TEXT, size // 24)
+        self._line = round(1.4 * text)
+        self._font, self._title_font = ImageFont.load_default(text), ImageFont.load_default(2 * text)
+        self._title = ""
 
+    @property
+    def width(self) -> int:
+        """In pixels."""
+        return 2 * self.size
 
-def play(env: Environment, task: str, agent: Agent, seed: int, watch: Watch | None = None) -> Result:
-    """Plays one episode of the task in the scene of `seed`.
+    @property
+    def height(self) -> int:
+        """In pixels; even, as the video's format wants it."""
+        return (self.size + 2 * self._line + self._line // 2 + 1) // 2 * 2
 
-    `watch` sees the environment at its start and after each step.
-    """
-    env.reset(seed=seed)
-    if watch is not None:
-        watch(env)
-    for steps, action in enumerate(actions(agent, seed, env, task), start=1):
-        last = env.step(action).last()
-        if watch is not None:
-            watch(env)
-        if last:
-            return Result(env.score(), steps)
-    raise AssertionError("agents act for ever")
+    def begin(self, title: str, views: Picture, score: float) -> None:
+        """The start of an episode: stands for a moment, under its title. Shape of the views: (size, 2 size, 3)."""
+        self._title = title
+        self._last = self._frame(views, "", f"score {score:.2f}")
+        frame = self._last.copy()
+        band = Image.new("RGBA", (self.width, 4 * self._line), TITLE_SHADE)
+        pen = ImageDraw.Draw(band)
+        pen.text((self.width / 2, 2 * self._line), title, INK, self._title_font, anchor="mm")
+        frame.paste(band, (0, (self.size - band.height) // 2), band)
+        self._repeat(frame, self._pause)
+
+    def add(self, views: Picture, step: int, action: int, score: float) -> None:
+        """What an action has led to."""
+        self._last = self._frame(views, f"step {step}   {in_words(action)}", f"score {score:.2f}")
+        self._repeat(self._last, 1)
+
+    def end(self) -> None:
+        """The end of an episode: its last frame stands for a moment."""
+        self._repeat(self._last, self._pause)
+
+    def _frame(self, views: Picture, doing: str, score: str) -> Image.Image:
+        frame = Image.new("RGB", (self.width, self.height), PAPER)
+        frame.paste(Image.fromarray(views), (0, 0))
+        pen, margin, top = ImageDraw.Draw(frame), self._line // 2, self.size + self._line // 4
+        pen.text((margin, top), self._title, INK, self._font)
+        pen.text((margin, top + self._line), doing, INK, self._font)
+        pen.text((self.width - margin, top + self._line), score, INK, self._font, anchor="ra")
+        return frame
+
+    def _repeat(self, frame: Image.Image, times: int) -> None:
+        picture = np.asarray(frame)
+        for _ in range(times):
+            self._send(picture)
 
 
 @contextmanager
-def film(path: Path, size: int, speed: int = 1) -> Iterator[Watch]:
-    """A video of an environment, both views side by side; yields what adds a frame. See `film_pictures`."""
-    with film_pictures(path, size, speed) as add:
-        yield lambda env: add(both_views(env, size))
-
-
-@contextmanager
-def film_pictures(path: Path, size: int, speed: int = 1) -> Iterator[Callable[[np.ndarray], None]]:
-    """A video of two pictures side by side; yields what adds a frame of shape (size, 2 size, 3).
+def film(path: Path, size: int, speed: int = 1) -> Iterator[Film]:
+    """A video of episodes; nothing is left of it if the block raises.
 
     Args:
         path: the MP4 file, overwritten if it exists.
-        size: side of each picture in pixels.
+        size: side of each view in pixels.
         speed: 1 is real time.
+
+    Raises:
+        MissingExtraError: if imageio-ffmpeg is not installed.
+        OSError: if the file cannot be written.
     """
     try:
         import imageio_ffmpeg
     except ModuleNotFoundError:
         raise missing_extra("writing a video", "video") from None
-    writer = imageio_ffmpeg.write_frames(
-        str(path), (2 * size, size), fps=speed * CONTROL_RATE, macro_block_size=2, quality=8, ffmpeg_log_level="error"
-    )
-    writer.send(None)
+    logging.getLogger("imageio_ffmpeg").setLevel(logging.ERROR)  # it warns of videos without frames, which none stay
+    rate = speed * CONTROL_RATE
+
+    def send(picture: Picture) -> None:
+        try:
+            writer.send(np.ascontiguousarray(picture))
+        except OSError as error:  # a pipe that ffmpeg has closed, whatever happened to it
+            raise OSError(f"{path}: the video cannot be written; is the disk full?") from error
+
+    with files.new_file(path, overwrite=True) as unfinished:
+        made = Film(send, size, pause=PAUSE * rate)
+        writer = imageio_ffmpeg.write_frames(
+            str(unfinished),
+            (made.width, made.height),
+            fps=rate,
+            macro_block_size=2,
+            quality=8,
+            ffmpeg_log_level="error",
+        )
+        writer.send(None)
+        try:
+            yield made
+        finally:
+            writer.close()
+
+
+def replay(made: Film, score: Score) -> None:
+    """Plays the actions of an evaluated episode again, and films it.
+
+    Raises:
+        EvaluationError: if it ends with another score than it did, because something has changed since.
+    """
+    rules = check_rules(score.rules)
+    env = magical_mj.load(score.task, score.variant, seed=score.seed, observations=(), rules=rules)
     try:
-        yield lambda picture: writer.send(np.ascontiguousarray(picture))
-    except BaseException:
-        writer.close()
-        path.unlink(missing_ok=True)  # half a film is no use
-        raise
-    writer.close()
+        env.reset(seed=score.seed)
+        title = f"{score.task} {score.variant}, seed {score.seed}: {score.policy}"
+        made.begin(title, both_views(env, made.size), env.score())
+        for step, action in enumerate(actions_of(score.actions), start=1):
+            env.step(action)
+            made.add(both_views(env, made.size), step, action, env.score())
+        made.end()
+        found = env.score()
+    finally:
+        env.close()
+    if score.failure is None and abs(found - score.score) > SAME_SCORE:
+        raise EvaluationError(
+            f"{title} ends with {found:.2f} now, not {score.score:.2f}: "
+            f"it was played with magical_mj {score.version} and MuJoCo {score.mujoco}"
+        )
 
 
-def both_views(env: Environment, size: int) -> np.ndarray:
+def both_views(env: Environment, size: int) -> Picture:
     """The world as it is now: from above, and as the robot sees it. Shape (size, 2 size, 3)."""
     return np.concatenate([env.render("allo", size), env.render("ego", size)], axis=1)
+
+
+def in_words(action: int) -> str:
+    """What an action commands, such as "forward, left, grip"; "nothing" if it commands nothing."""
+    gripper, turn, drive = ACTIONS[action]
+    words = {
+        "forward": drive == Drive.FORWARD,
+        "back": drive == Drive.BACK,
+        "left": turn == Turn.LEFT,
+        "right": turn == Turn.RIGHT,
+        "grip": gripper == Gripper.CLOSE,
+    }
+    return ", ".join(word for word, commanded in words.items() if commanded) or "nothing"

@@ -9,16 +9,12 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-import magical_mj
 from magical_mj.cli.console import claim_folder, console
-from magical_mj.cli.film import film
-from magical_mj.errors import EvaluationError
+from magical_mj.cli.film import film, replay
 from magical_mj.evaluation.compare import choose, compare
-from magical_mj.evaluation.episodes import actions_of
 from magical_mj.evaluation.report import extremes, report
 from magical_mj.evaluation.results import gather
 from magical_mj.evaluation.scores import Score
-from magical_mj.registry import check_rules
 
 FILM_SIZE = 192  # pixels
 FILM_SPEED = 4  # times real time
@@ -73,30 +69,9 @@ def film_episodes(chosen: Sequence[tuple[str, Score]], out: Path) -> dict[str, s
     links = {}
     for which, score in chosen:
         name = f"{which}-{score.policy}-{score.task}.mp4".replace("/", "-")
-        replay(score, out / name)
+        with film(out / name, FILM_SIZE, FILM_SPEED) as made:
+            replay(made, score)
         links[
             f"{score.policy}, {which} of {score.task}: {score.variant}, seed {score.seed}, score {score.score:.2f}"
         ] = name
     return links
-
-
-def replay(score: Score, path: Path) -> None:
-    """Plays the actions of an episode again and films it.
-
-    Raises:
-        EvaluationError: if it ends with another score than it did, because something has changed since.
-    """
-    rules = check_rules(score.rules)
-    env = magical_mj.load(score.task, score.variant, seed=score.seed, observations=(), rules=rules)
-    with film(path, FILM_SIZE, FILM_SPEED) as watch:
-        env.reset(seed=score.seed)
-        watch(env)
-        for action in actions_of(score.actions):
-            env.step(action)
-            watch(env)
-        if score.failure is None and abs(env.score() - score.score) > 1e-9:
-            raise EvaluationError(
-                f"{score.task} {score.variant}, seed {score.seed}, of {score.policy} ends with {env.score():.2f} now, "
-                f"not {score.score:.2f}: it was played with magical_mj {score.version} and MuJoCo {score.mujoco}"
-            )
-    env.close()

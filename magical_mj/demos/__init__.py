@@ -12,7 +12,7 @@ from typing import Final
 
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.export import to_minari, to_npz
-from magical_mj.demos.files import SUFFIX, keep, read, write
+from magical_mj.demos.files import files_in, keep, read, write
 from magical_mj.demos.importing import MAX_BYTES, Imported, from_recording
 from magical_mj.demos.learning import Transitions, observations, stream, transitions
 from magical_mj.demos.recording import Recorder, demonstrate
@@ -31,6 +31,7 @@ __all__ = [
     "Verdict",
     "demonstrate",
     "diversity",
+    "files_in",
     "from_recording",
     "keep",
     "load",
@@ -58,7 +59,10 @@ def load(task: str, folder: Path | str | None = None) -> list[Demonstration]:
     """
     task_spec(task)
     folder = SHIPPED if folder is None else Path(folder)
-    paths = sorted(folder.glob(f"{task}-*{SUFFIX}"))
+    paths = files_in(folder, f"{task}-")
     if not paths:
-        raise DemonstrationError(f"there are no demonstrations of {task} in {folder}; magical-mj demos generate {task}")
+        raise DemonstrationError(
+            f"there are no demonstrations of {task} in {folder}; to make some: "
+            f"magical-mj demos generate --tasks {task} --out {folder}"
+        )
     return [read(path, task) for path in paths]

@@ -2,92 +2,184 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import tempfile
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import gymnasium
 import numpy as np
 
+from magical_mj import files
+from magical_mj.actions import NOOP
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.learning import observations, stream
 from magical_mj.errors import DemonstrationError
 from magical_mj.extras import missing_extra
+from magical_mj.protocol import PROTOCOL
 from magical_mj.registration import env_id
 
-if TYPE_CHECKING:
-    from minari import MinariDataset
 
+def to_npz(
+    demos: Iterable[Demonstration],
+    path: Path,
+    preset: str = "LoRes4E",
+    *,
+    drop_noop: bool = True,
+    overwrite: bool = False,
+) -> None:
+    """Write transitions as one numpy archive, which needs no pickle.
 
-def to_npz(demos: Iterable[Demonstration], path: Path, preset: str = "LoRes4E", *, drop_noop: bool = True) -> None:
-    """Write transitions as one numpy archive: observations, actions, and the number of the episode of each row.
+    With a row for each transition: `observations` (with a preset of several views, `observations_ego` and
+    `observations_allo`), `actions`, `episodes` (the number of the episode) and `steps` (the number of the step in it,
+    from 0). With a row for each episode: `tasks`, `variants`, `seeds` (of the scenes), `demonstrators`, `lengths` (in
+    steps) and `scores`.
 
-    With a preset of several views there is one array for each: ``observations_ego`` and so on.
+    Args:
+        demos: of any environments.
+        path: of the file.
+        preset: the Gymnasium preset that gives the observations.
+        drop_noop: leave out the transitions in which nothing was commanded.
+        overwrite: replace a file of that name.
 
     Raises:
+        DemonstrationError: if there are no demonstrations.
         FileExistsError: if the file exists.
     """
-    if path.exists():
-        raise FileExistsError(f"{path} exists already")
-    parts = list(stream(demos, preset, drop_noop=drop_noop))
-    if not parts:
+    demos = list(demos)
+    if not demos:
         raise DemonstrationError("there are no demonstrations to write")
-    columns: dict[str, list[np.ndarray]] = {}
-    for number, part in enumerate(parts):
-        seen = part.observations
-        named = {f"observations_{view}": rows for view, rows in seen.items()} if isinstance(seen, dict) else None
-        for name, rows in (named or {"observations": seen}).items():
-            columns.setdefault(name, []).append(np.asarray(rows))
-        columns.setdefault("actions", []).append(part.actions)
-        columns.setdefault("episodes", []).append(np.full(len(part.actions), number))
-    with path.open("xb") as file:
-        np.savez_compressed(file, allow_pickle=False, **{name: np.concatenate(rows) for name, rows in columns.items()})
+    columns: dict[str, list[Any]] = {}
+
+    def add(**values: Any) -> None:
+        for name, value in values.items():
+            columns.setdefault(name, []).append(value)
+
+    with files.new_file(path, overwrite=overwrite) as unfinished:
+        for number, (demo, part) in enumerate(zip(demos, stream(demos, preset, drop_noop=drop_noop), strict=True)):
+            seen = part.observations if isinstance(part.observations, dict) else {"": part.observations}
+            add(**{f"observations_{view}".rstrip("_"): rows for view, rows in seen.items()})
+            steps = np.flatnonzero(demo.actions != NOOP) if drop_noop else np.arange(len(demo.actions))
+            add(actions=part.actions, episodes=np.full(len(steps), number), steps=steps)
+            add(tasks=[demo.task], variants=[demo.variant], seeds=[demo.scene_seed])
+            add(demonstrators=[demo.demonstrator], lengths=[len(demo.actions)], scores=[demo.score])
+        with unfinished.open("wb") as file:
+            joined = {name: np.concatenate(rows) for name, rows in columns.items()}
+            np.savez_compressed(file, allow_pickle=False, **joined)
+
+
+def minari_name(demo: Demonstration, preset: str) -> str:
+    """The id of a Minari data set of such demonstrations, such as ``magical-mj/FindDupe/Demo-expert-State-p1-v0``.
+
+    It names the preset of the observations and the number of the protocol, here 1.
+    """
+    return f"magical-mj/{demo.task}/{demo.variant}-{demo.demonstrator}-{preset or 'views'}-p{PROTOCOL}-v0"
 
 
 def to_minari(
-    demos: Sequence[Demonstration], name: str | None = None, preset: str = "State", author: str = "magical_mj"
-) -> MinariDataset:
+    demos: Sequence[Demonstration],
+    name: str | None = None,
+    preset: str = "State",
+    author: str = "magical_mj",
+    *,
+    overwrite: bool = False,
+) -> str:
     """Make a Minari data set of demonstrations of one environment, bit by bit.
 
     The observations are those of the preset; `infos` holds the exact positions and velocities. The reward is the
-    score, at the last step. `dataset.recover_environment()` makes the environment, and `reset(seed=episode's seed)`
-    gives the episode's scene.
+    score, at the last step; so it is in the environment that `dataset.recover_environment()` makes, and there
+    `reset(seed=episode's seed)` gives the episode's scene.
 
     Args:
         demos: demonstrations of one environment.
-        name: the id; by default ``magical-mj/<Task>/expert-v0``, with the variant's name in it if it is not Demo.
+        name: the id; None: `minari_name`.
         preset: the Gymnasium preset that gives the observations.
         author: who made them.
+        overwrite: replace a data set of that id.
+
+    Returns:
+        The id.
 
     Raises:
         MissingExtraError: if minari is not installed.
-        DemonstrationError: if the demonstrations are not of one environment.
-        ValueError: Minari's own, if there is such a data set already.
+        DemonstrationError: if the demonstrations are not of one environment, the id is not one that Minari takes, or
+            there is such a data set already.
     """
     try:
         import minari
         from minari.data_collector import EpisodeBuffer
+        from minari.dataset.minari_dataset import parse_dataset_id
+        from minari.storage import get_dataset_path
     except ModuleNotFoundError:
         raise missing_extra("exporting to Minari", "minari") from None
     names = {demo.name for demo in demos}
     if len(names) != 1:
         raise DemonstrationError(f"a data set holds demonstrations of one environment, not of {sorted(names)}")
     first = demos[0]
-    variant = "" if first.variant == "Demo" else f"{first.variant.lower()}-"
-    environment = env_id(first.task, first.variant, preset)
-    with warnings.catch_warnings():
+    name = minari_name(first, preset) if name is None else name
+    try:
+        parse_dataset_id(name)
+    except (TypeError, ValueError) as error:  # the first if there is no version
+        raise DemonstrationError(
+            f"Minari does not take the id {name!r}, which must be like magical-mj/mine-v0: {error}"
+        ) from None
+    episodes = [_episode(demo, number, preset) for number, demo in enumerate(demos)]
+    _check_space(get_dataset_path(), sum(map(_size, episodes)))
+    env = gymnasium.make(env_id(first.task, first.variant, preset), reward="score")
+    with warnings.catch_warnings(), _new_folder(get_dataset_path(name), overwrite):
         warnings.filterwarnings("ignore", module="minari")  # wants an e-mail address, a link, a score to compare with
-        return minari.create_dataset_from_buffers(
-            dataset_id=name or f"magical-mj/{first.task}/{variant}{first.demonstrator}-v0",
-            buffer=[EpisodeBuffer(**_episode(demo, number, preset)) for number, demo in enumerate(demos)],
-            env=environment,
-            eval_env=environment,
+        minari.create_dataset_from_buffers(
+            dataset_id=name,
+            buffer=[EpisodeBuffer(**episode) for episode in episodes],
+            env=env,
+            eval_env=env,
             algorithm_name=f"magical_mj {first.demonstrator}",
             author=author,
             description=f"{len(demos)} demonstrations of {first.name} by the {first.demonstrator} of magical_mj",
             requirements=[f"magical-mj=={first.package}", f"mujoco=={first.mujoco}"],
             jpeg_encoding=False,
         )
+    env.close()
+    return name
+
+
+def _size(data: Any) -> int:
+    """Bytes of the arrays in nested dicts."""
+    return sum(map(_size, data.values())) if isinstance(data, dict) else getattr(data, "nbytes", 0)
+
+
+def _check_space(folder: Path, size: int) -> None:
+    """Raises an `OSError` that names the folder if so many bytes do not fit: on a full disk, HDF5 ends the process."""
+    if not hasattr(os, "posix_fallocate"):
+        return
+    with tempfile.TemporaryFile(dir=folder) as file:
+        try:
+            os.posix_fallocate(file.fileno(), 0, size)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(folder)) from None
+
+
+@contextmanager
+def _new_folder(path: Path, overwrite: bool) -> Iterator[None]:
+    """A folder that the block makes. If it raises, what was there before is there again, and nothing else."""
+    if path.exists() and not overwrite:
+        raise DemonstrationError(f"there is a data set {path} already; give it another id, or overwrite it (--force)")
+    highest = next((folder for folder in reversed((path, *path.parents)) if not folder.exists()), path)
+    old = path.with_name(f".{path.name}.old")
+    if path.exists():
+        path.rename(old)
+    try:
+        yield
+    except BaseException:
+        shutil.rmtree(highest, ignore_errors=True)
+        if old.exists():
+            old.rename(path)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
 
 
 def _episode(demo: Demonstration, number: int, preset: str) -> dict[str, Any]:

@@ -55,6 +55,11 @@ def write(demo: Demonstration, path: Path) -> None:
     files.write(path, archive.getvalue())
 
 
+def files_in(folder: Path, beginning: str = "") -> list[Path]:
+    """The demonstrations in a folder whose names begin so, in order; without what somebody is still writing."""
+    return sorted(path for path in folder.glob(f"{beginning}*{SUFFIX}") if not path.name.startswith("."))
+
+
 def keep(demo: Demonstration, folder: Path) -> Path:
     """Write a demonstration into a folder under the next free name, such as ``FindDupe-All-human-003.npz``.
 
@@ -62,7 +67,7 @@ def keep(demo: Demonstration, folder: Path) -> Path:
         Its path; or, if the folder holds the same episode already, the path of that one, and nothing is written.
     """
     beginning = f"{demo.name}-{demo.demonstrator}-"
-    for path in sorted(folder.glob(f"{beginning}*{SUFFIX}")):
+    for path in files_in(folder, beginning):
         other = read(path, demo.task)
         if (other.scene_seed, other.actions.tobytes()) == (demo.scene_seed, demo.actions.tobytes()):
             return path

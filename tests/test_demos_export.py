@@ -1,0 +1,131 @@
+"""Demonstrations for other tools: numpy archives and Minari data sets."""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import magical_mj
+from magical_mj import demos
+from magical_mj.demos import Demonstration
+from magical_mj.errors import DemonstrationError
+from magical_mj.protocol import PROTOCOL
+
+
+@pytest.fixture(scope="module")
+def demo() -> Demonstration:
+    """A short one."""
+    return demos.demonstrate("FixColour", "Demo", 0)
+
+
+def test_npz_export(demo: Demonstration, tmp_path: Path) -> None:
+    path = tmp_path / "out.npz"
+    other = demos.demonstrate("MoveToRegion", "Jitter", 5)
+    demos.to_npz([demo, other], path, "State", drop_noop=False)
+    with np.load(path, allow_pickle=False) as archive:
+        assert archive["observations"].shape == (100, len(magical_mj.observations.STATE_NAMES))
+        assert archive["episodes"].tolist() == [0] * 60 + [1] * 40
+        assert archive["steps"].tolist() == [*range(60), *range(40)]
+        assert np.array_equal(archive["actions"][:60], demo.actions)
+        assert archive["tasks"].tolist() == ["FixColour", "MoveToRegion"]
+        assert archive["variants"].tolist() == ["Demo", "Jitter"]
+        assert archive["seeds"].tolist() == [0, 5]
+        assert archive["lengths"].tolist() == [60, 40]
+        assert archive["scores"].tolist() == [1.0, other.score]
+    before = path.read_bytes()
+    with pytest.raises(FileExistsError):
+        demos.to_npz([demo], path)
+    assert path.read_bytes() == before
+    demos.to_npz([demo], path, "", overwrite=True)
+    with np.load(path, allow_pickle=False) as archive:
+        busy = np.flatnonzero(demo.actions)
+        assert np.array_equal(archive["steps"], busy)
+        assert archive["observations_ego"].shape == archive["observations_allo"].shape == (len(busy), 384, 384, 3)
+
+
+@pytest.fixture
+def minari(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "sets"))
+    return pytest.importorskip("minari")
+
+
+def test_minari_export_is_lossless_and_its_environment_replays(demo: Demonstration, minari: Any) -> None:
+    name = demos.to_minari([demo, demo], preset="LoRes4A")
+    assert name == f"magical-mj/FixColour/Demo-expert-LoRes4A-p{PROTOCOL}-v0"
+    dataset = minari.load_dataset(name)
+    episode = dataset[0]
+    assert np.array_equal(episode.observations, demos.observations(demo, "LoRes4A"))
+    assert np.array_equal(episode.infos["qpos"], demo.qpos)
+    assert np.array_equal(episode.infos["qvel"], demo.qvel)
+    assert np.array_equal(episode.actions, demo.actions)
+    assert episode.rewards.tolist() == [0.0] * 59 + [1.0]
+    assert episode.truncations.tolist() == [False] * 59 + [True]
+    for evaluation in (False, True):
+        env = dataset.recover_environment(eval_env=evaluation)
+        env.reset(seed=next(iter(dataset.storage.get_episode_metadata([0])))["seed"])
+        seen, rewards, info = None, [], {}
+        for action in episode.actions:
+            seen, reward, _, _, info = env.step(action)
+            rewards.append(reward)
+        assert np.array_equal(seen, episode.observations[-1])
+        assert info["eval_score"] == 1.0
+        assert rewards == episode.rewards.tolist()
+        env.close()
+
+
+def test_minari_sets_of_other_presets_and_variants_stand_side_by_side(demo: Demonstration, minari: Any) -> None:
+    other = demos.demonstrate("FixColour", "All", 0)
+    made = {demos.to_minari([some], preset=preset) for some in (demo, other) for preset in ("State", "")}
+    assert made == set(minari.list_local_datasets())
+    assert len(made) == 4
+    with pytest.raises(DemonstrationError, match="already"):
+        demos.to_minari([demo])
+    (name,) = (name for name in made if "Demo-expert-State" in name)
+    assert minari.load_dataset(name).total_episodes == 1
+    assert demos.to_minari([demo, demo], overwrite=True) == name
+    assert minari.load_dataset(name).total_episodes == 2
+    with pytest.raises(DemonstrationError, match="one environment"):
+        demos.to_minari([demo, other])
+
+
+@pytest.mark.parametrize("name", ["", "../x-v0", "/etc/x-v0", "a b-v0", "x-v", "a//b-v0"])
+def test_bad_minari_ids_leave_nothing(demo: Demonstration, minari: Any, name: str, tmp_path: Path) -> None:
+    with pytest.raises(DemonstrationError, match="id"):
+        demos.to_minari([demo], name)
+    assert [path for path in tmp_path.rglob("*") if path.name != "sets"] == []
+
+
+def test_a_full_disk_leaves_what_was_there(demo: Demonstration, minari: Any, tmp_path: Path) -> None:
+    name = demos.to_minari([demo])
+    demos.to_npz([demo], tmp_path / "a.npz", "State")
+    before = set(tmp_path.rglob("*"))
+    with files_of_at_most(10_000):
+        for other, overwrite in ((None, True), ("somebody/else/set-v0", False)):
+            with pytest.raises(OSError, match="sets"):
+                demos.to_minari([demo], other, overwrite=overwrite)
+        for path, overwrite in ((tmp_path / "a.npz", True), (tmp_path / "b.npz", False)):
+            with pytest.raises(OSError, match=path.name):
+                demos.to_npz([demo], path, "LoRes4E", overwrite=overwrite)
+        with pytest.raises(OSError, match=r"demo\.npz"):
+            demos.write(demo, tmp_path / "demo.npz")
+    assert before == set(tmp_path.rglob("*"))
+    assert minari.load_dataset(name).total_episodes == 1
+    with np.load(tmp_path / "a.npz") as archive:
+        assert archive["seeds"].tolist() == [0]
+
+
+@contextmanager
+def files_of_at_most(size: int) -> Iterator[None]:
+    """As if the disk were full: whoever writes more bytes into a file gets an error."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
