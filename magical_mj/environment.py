@@ -1,51 +1,54 @@
 """The dm_control environment, and how it is loaded.
 
 A control step writes the controls once and lets MuJoCo do all its substeps in one call; composer's own Python
-loop over substeps costs more than the physics. Whoever listens to substeps (a hook of their own, an observable
-with a buffer or a delay) still gets composer's loop.
+loop over substeps costs more than the physics. Whoever has hooks of their own, or an observable with a buffer or a
+delay, still gets composer's loop.
 """
 
 from __future__ import annotations
 
 import secrets
-import weakref
-from collections import OrderedDict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import dm_env
 import numpy as np
 from dm_control import composer
 from dm_control.composer.environment import HOOK_NAMES
-from dm_env import specs
 from numpy.typing import NDArray
 
-from magical_mj.errors import unknown_name
-from magical_mj.observations import OBSERVATIONS, VIEWS
-from magical_mj.registry import check_rules, environment_axes, sample_scene, task_spec
+from magical_mj.assets.contacts import SUBSTEPS
+from magical_mj.composer_internals import OpenEnvironment
+from magical_mj.composer_observables import CurrentObservable, CurrentUpdater
+from magical_mj.env_settings import EnvironmentSettings, Reward
+from magical_mj.errors import ClosedError, StateError, unknown_name
+from magical_mj.observations import VIEWS
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
-from magical_mj.scene_task import REWARDS, CurrentObservable, Reward, SceneTask
-from magical_mj.simulation import Simulation, SimulationCache
+from magical_mj.scene_task import SceneTask
+from magical_mj.simulation import Simulation
+from magical_mj.state import State
 from magical_mj.tasks.spec import Rules
 from magical_mj.variants import check_seed
 
 
-class Environment(composer.Environment):
+class Environment(OpenEnvironment):
     """A composer environment that knows its scene. Make one with `magical_mj.load` or `load_scene`."""
 
     task: SceneTask
 
-    def __init__(self, task: SceneTask, seed: int | None = None) -> None:
-        """Compiles the task's first scene.
+    def __init__(self, settings: EnvironmentSettings, first: Scene, seed: int) -> None:
+        """Compiles the first scene.
 
         Args:
-            task: what to run.
-            seed: of the generator that draws the seeds of scenes; any size; None: from the system's entropy.
+            settings: what to run and to show.
+            first: the scene of the first episode.
+            seed: of the generator that draws the seeds of later scenes.
         """
-        self._simulations = SimulationCache()
+        self._compiled: tuple[Hashable, Simulation] | None = None
+        self._extra_hooks: set[str] = set()
         super().__init__(
-            task,
+            SceneTask(settings, first),
             random_state=np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed))),
             strip_singleton_obs_buffer_dim=True,
         )
@@ -53,7 +56,7 @@ class Environment(composer.Environment):
     @property
     def scene(self) -> Scene:
         """Where everything is now, fingers included."""
-        return self.task.world.read(self._open_physics().data.qpos)
+        return self.task.world.read(self._open().data.qpos)
 
     @property
     def initial_scene(self) -> Scene:
@@ -65,14 +68,9 @@ class Environment(composer.Environment):
         """Number of control steps of an episode; None if it never ends."""
         return self.task.horizon
 
-    @property
-    def compilations(self) -> int:
-        """How many models were compiled so far; all other resets rewrote one."""
-        return self._simulations.compiled
-
     def score(self) -> float:
         """The score in [0, 1] if the episode ended now; an `InvalidSceneError` for plain scenes."""
-        return self.task.score(self._open_physics())
+        return self.task.score(self._open())
 
     def render(self, view: str = "allo", size: int = 384, *, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
         """A picture of the world as it is now, in a fresh array or in `out`.
@@ -81,17 +79,80 @@ class Environment(composer.Environment):
         """
         if view not in VIEWS:
             raise unknown_name("view", view, VIEWS)
-        return self._open_physics().draw(view, check_size(size), out)
+        return self._open().draw(view, check_size(size), out)
 
-    def reset(self, *, seed: int | None = None, scene: Scene | None = None) -> dm_env.TimeStep:
-        """Starts an episode in `scene`, or in the scene of `seed`, or else in the next one that is drawn."""
-        self._open_physics()
+    def reset(
+        self, *, seed: int | None = None, scene: Scene | None = None, state: State | None = None
+    ) -> dm_env.TimeStep:
+        """Starts an episode in `scene`, or in the scene of `seed`, or else in the next one that is drawn.
+
+        Args:
+            seed: of this episode's scene; those of later episodes do not depend on it.
+            scene: to start in.
+            state: to go on from instead; as `set_state`, but with a first time step and its observation.
+
+        Raises:
+            InvalidSceneError, InvalidSeedError, StateError: if one of them cannot be had.
+        """
+        self._open()
+        if state is not None:
+            return self._resume(state)
         if scene is not None:
-            self.task.check(scene)
+            self.task.settings.check(scene)
             self.task.next_scene = scene
         elif seed is not None:
-            self.task.next_scene = self.task.source(check_seed(seed))
+            self.task.next_scene = self.task.settings.sample(check_seed(seed))
         return super().reset()
+
+    def get_state(self) -> State:
+        """The present state of the episode, to the bit. Takes about a hundredth of a step."""
+        return State(self.initial_scene, self.task.steps, self._open().save())
+
+    def set_state(self, state: State) -> None:
+        """Goes back to a state, of this environment or another with the same task: what follows is the same to the bit.
+
+        Takes about a third of a step; with another scene than the present one, as long as a reset. Observations need
+        not be the same. The generator that draws later scenes goes on as if nothing had happened.
+
+        Raises:
+            StateError: if it is no state of a scene of this task.
+            InvalidSceneError: if its scene is not one of this task.
+        """
+        self._open()
+        if not isinstance(state, State):
+            raise StateError(f"set_state() takes what get_state() gave, not {type(state).__name__}")
+        if self.task.next_scene is not None or state.scene != self.initial_scene:
+            self.task.settings.check(state.scene)
+            self.over = True  # until the rest is well, too
+            self.task.start(state.scene)
+            self.recompile()
+        self._open().restore(state.simulation)
+        self.task.steps = state.steps
+        self._updater.reset(self._open(), self.random_state)
+        self.over = self.task.should_terminate_episode(self._open())
+
+    def clone(self) -> Environment:
+        """Another environment like this one, in the same state; both go on alike, later episodes included.
+
+        Takes as long as loading one. To try many things from one state, `set_state` on the same clone is faster.
+
+        Raises:
+            StateError: if this one has hooks, observables or an MJCF tree that somebody changed.
+        """
+        make, arguments = self.__reduce__()
+        return make(*arguments)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How to copy and pickle: the settings, the generator, and the state of an episode if one has begun."""
+        self._open()
+        own_observables = self._is_plain and len(self._enabled()) == len(self.task.observables)
+        if self._hooks_of_users() or not own_observables or self.task.world.tree is not None:
+            raise StateError(
+                "an environment with hooks, changed observables or a changed MJCF tree cannot be copied or pickled: "
+                "load another one, change it likewise, and give it this one's get_state()"
+            )
+        begun = None if self.task.next_scene is not None else self.get_state()
+        return _copied, (self.task.settings, self.initial_scene, self.random_state.get_state(legacy=False), begun)
 
     def step(self, action: Any) -> dm_env.TimeStep:
         """One action of 1/8 s. After the last step of an episode, the next call starts another one.
@@ -100,75 +161,90 @@ class Environment(composer.Environment):
             InvalidActionError: if the action is not one of the 18.
             dm_control.rl.control.PhysicsError: if the simulation becomes unstable.
         """
-        physics = self._open_physics()
-        if self._reset_next_step or self._watched:
+        simulation = self._open()
+        if self.over or not self._is_plain:
             return super().step(action)
-        self._hooks.before_step(self._physics_proxy, action, self._random_state)
-        physics.step(self._n_sub_steps)
-        self._hooks.after_step(self._physics_proxy, self._random_state)
-        observation = OrderedDict((name, see()) for name, see in self._sight)
-        last = self.task.should_terminate_episode(self._physics_proxy)
-        self._reset_next_step = last
+        self.task.before_step(simulation, action, self.random_state)
+        simulation.step(SUBSTEPS)
+        self.over = self.task.should_terminate_episode(simulation)
         return dm_env.TimeStep(
-            dm_env.StepType.LAST if last else dm_env.StepType.MID,
-            self.task.get_reward(self._physics_proxy),
-            self.task.get_discount(self._physics_proxy),
-            observation,
+            dm_env.StepType.LAST if self.over else dm_env.StepType.MID,
+            self.task.get_reward(simulation),
+            self.task.get_discount(simulation),
+            self._updater.get_observation(),
         )
-
-    def observation_spec(self) -> OrderedDict[str, specs.Array]:
-        """Name, shape and type of each observation. Draws nothing."""
-        if self._sees_now():
-            return OrderedDict((name, entry.array_spec) for name, entry in self._enabled())
-        return super().observation_spec()
 
     def add_extra_hook(self, hook_name: str, hook_callable: Callable[..., Any]) -> None:
         """Has `hook_callable` called at the moment of this name; see `composer.Environment`."""
         super().add_extra_hook(hook_name, hook_callable)
-        self._watch()
+        self._extra_hooks.add(hook_name)
+        self._is_plain = False
 
     def close(self) -> None:
         """Frees the simulation. Closing twice is fine."""
-        self._simulations.free()
-        self._physics = None
+        if self._compiled is not None:
+            self._compiled[1].free()
+        self._compiled = None
+        super().close()
 
-    def _open_physics(self) -> Simulation:
-        if self._physics is None:
-            raise RuntimeError("the environment is closed; load another one")
-        return self._physics
+    def _open(self) -> Simulation:
+        if self._compiled is None:
+            raise ClosedError("the environment is closed; load another one")
+        return self._compiled[1]
 
-    def _enabled(self) -> list[tuple[str, Any]]:
-        return [(name, entry) for name, entry in self.task.observables.items() if entry.enabled]
+    def _resume(self, state: State) -> dm_env.TimeStep:
+        self.set_state(state)
+        if self.over:
+            raise StateError(f"the episode of this state is over, after {state.steps} steps; give an earlier state")
+        return dm_env.restart(self._updater.get_observation())
 
-    def _sees_now(self) -> bool:
-        return all(isinstance(entry, CurrentObservable) and entry.is_immediate for _, entry in self._enabled())
+    def _enabled(self) -> dict[str, Any]:
+        return {name: entry for name, entry in self.task.observables.items() if entry.enabled}
 
-    def _watch(self) -> None:
-        """Looks whether anybody listens to substeps."""
-        self._watched = not self._sees_now() or self._has_hooks(("before_substep", "after_substep"))
+    def _hooks_of_users(self) -> set[str]:
+        """The names of the hooks that users have added, to the environment or with entities of their own."""
+        entities = [] if self.task.world.tree is None else self.task.world.iter_entities()
+        own = {n for e in entities for n in HOOK_NAMES if getattr(type(e), n) is not getattr(composer.Entity, n)}
+        return self._extra_hooks | own
 
-    def _has_hooks(self, names: Iterable[str]) -> bool:
-        """Whether anybody but the task listens to one of these."""
-        hooks = (getattr(self._hooks, f"_{name}") for name in names)
-        return any(hook.entity_hooks or hook.extra_hooks for hook in hooks)
+    def make_updater(self) -> Any:
+        """Ours, unless somebody wants more than the present."""
+        enabled = self._enabled()
+        current = all(isinstance(entry, CurrentObservable) and entry.is_immediate for entry in enabled.values())
+        self._is_plain = current and not self._hooks_of_users()
+        self._updater = CurrentUpdater(enabled) if current else super().make_updater()
+        return self._updater
 
-    def _recompile_physics_and_update_observables(self) -> None:
-        """Composer's own, less the compiling where a model can be rewritten, and the drawing that nobody looks at."""
-        self._physics = self._simulations.simulation(self.task.world, fresh=self._has_hooks(HOOK_NAMES))
-        self._physics_proxy = weakref.proxy(self._physics)
-        self._n_sub_steps = self.task.physics_steps_per_control_step
-        self._hooks.refresh_entity_hooks()
-        self._hooks.after_compile(self._physics_proxy, self._random_state)
-        self._observation_updater = self._make_observation_updater()
+    def simulate(self) -> Simulation:
+        """A simulation that is, to the bit, as if compiled from the task's present world; the one before may be gone.
 
-    def _reset_attempt(self) -> dm_env.TimeStep:
-        first = super()._reset_attempt()
-        self._sight = [
-            (name, entry.observation_callable(self._physics_proxy, self._random_state))
-            for name, entry in self._enabled()
-        ]
-        self._watch()
-        return first
+        Compiling takes more than ten times as long as rewriting a model, and most episodes differ in numbers only.
+        Where somebody may have changed the model, by a hook or in composer's tree, it is compiled in any case.
+        """
+        world = self.task.world
+        if self._compiled is not None:
+            structure, simulation = self._compiled
+            changed = world.tree is not None or not simulation.is_ours or self._hooks_of_users()
+            if world.structure == structure and not changed:
+                world.rewrite(simulation.model.ptr, simulation.data.ptr)
+                return simulation
+            simulation.free()
+        self._compiled = world.structure, Simulation.of(world)
+        return self._compiled[1]
+
+
+def _copied(settings: EnvironmentSettings, first: Scene, generator: Any, begun: State | None) -> Environment:
+    """The copy of an environment."""
+    env = Environment(settings, first, seed=0)
+    env.random_state.set_state(generator)
+    if begun is not None:
+        env.set_state(begun)
+    return env
+
+
+def _loaded(settings: EnvironmentSettings, seed: int | None) -> Environment:
+    seed = secrets.randbits(63) if seed is None else check_seed(seed)
+    return Environment(settings, settings.sample(seed), seed)
 
 
 def load(
@@ -200,23 +276,7 @@ def load(
         InvalidSceneError: if the scene is illegal or not one of the task.
         ValueError: for a bad image size or seed.
     """
-    spec = task_spec(task)
-    environment_axes(task, variant)
-    rules = check_rules(rules)
-
-    def source(number: int) -> Scene:
-        return sample_scene(task, variant, number) if scene is None else scene
-
-    first = source(_check_seed(seed))
-    task_of_scenes = SceneTask(
-        first,
-        source,
-        check=spec.check,
-        horizon=spec.horizon(rules),
-        score=lambda initial, final: spec.score(initial, final, rules),
-        **_checked(observations, image_size, reward),
-    )
-    return Environment(task_of_scenes, seed)
+    return _loaded(EnvironmentSettings(task, variant, scene, observations, image_size, reward, rules), seed)
 
 
 def load_scene(
@@ -231,22 +291,4 @@ def load_scene(
     Raises:
         UnknownNameError, InvalidSceneError, ValueError: as `load`.
     """
-    _check_seed(seed)
-    return Environment(SceneTask(scene, lambda _: scene, **_checked(observations, image_size)), seed)
-
-
-def _check_seed(seed: int | None) -> int:
-    """`seed` if it is one, or a fresh one for None."""
-    return secrets.randbits(63) if seed is None else check_seed(seed)
-
-
-def _checked(observations: Sequence[str], image_size: int, reward: Reward = "none") -> dict[str, Any]:
-    """The arguments that `load` and `load_scene` share, or an error for the one that is wrong."""
-    if isinstance(observations, str):
-        raise unknown_name("tuple of observations", observations, (f"({name!r},)" for name in OBSERVATIONS))
-    for name in observations:
-        if name not in OBSERVATIONS:
-            raise unknown_name("observation", name, OBSERVATIONS)
-    if reward not in REWARDS:
-        raise unknown_name("reward", reward, REWARDS)
-    return {"observations": tuple(observations), "image_size": check_size(image_size), "reward": reward}
+    return _loaded(EnvironmentSettings(None, "Demo", scene, observations, image_size), seed)

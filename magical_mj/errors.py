@@ -34,6 +34,14 @@ class DemonstrationError(MagicalError, ValueError):
     """A demonstration that is damaged, of another version or task, or does not fit its world."""
 
 
+class StateError(MagicalError, ValueError):
+    """A state that is damaged or does not fit, or an environment that cannot be copied."""
+
+
+class ClosedError(MagicalError, RuntimeError):
+    """An environment that was closed."""
+
+
 class RenderingError(MagicalError, RuntimeError):
     """OpenGL does not work here."""
 

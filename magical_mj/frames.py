@@ -33,28 +33,29 @@ class FrameStack:
         ends = np.cumsum([3 * number for _, number in frames]).tolist()
         self._channels = [(view, end - 3 * number, end) for (view, number), end in zip(frames, ends, strict=True)]
         self._shift = 3 * size * size if channels_first else 3
-        self._last = np.empty(self.shape, np.uint8)
+        self.last = np.empty(self.shape, np.uint8)
+        """The latest stack."""
 
     def start(self, see: See) -> Images:
         """The stack of an episode's first pictures, which fill it. A fresh array."""
-        self._last = np.empty(self.shape, np.uint8)
+        self.last = np.empty(self.shape, np.uint8)
         self._draw_newest(see)
-        pixels = self._last.transpose(self._channels_last)
+        pixels = self.last.transpose(self._channels_last)
         for _, first, end in self._channels:
             for channel in range(first, end - 3):
                 pixels[..., channel] = pixels[..., end - 3 + (channel - first) % 3]
-        return self._last
+        return self.last
 
     def push(self, see: See) -> Images:
         """The stack with the newest pictures added and the oldest gone. A fresh array."""
         stack = np.empty(self.shape, np.uint8)
-        stack.ravel()[: -self._shift] = self._last.ravel()[self._shift :]
-        self._last = stack
+        stack.ravel()[: -self._shift] = self.last.ravel()[self._shift :]
+        self.last = stack
         self._draw_newest(see)
         return stack
 
     def _draw_newest(self, see: See) -> None:
-        pixels = self._last.transpose(self._channels_last)
+        pixels = self.last.transpose(self._channels_last)
         for view, _, end in self._channels:
             see(view, pixels[..., end - 3 : end])
 

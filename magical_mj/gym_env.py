@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 from collections.abc import Mapping
 from typing import Any, Final, Literal, get_args
 
@@ -13,6 +15,7 @@ from numpy.typing import NDArray
 
 from magical_mj import constants as c
 from magical_mj.actions import ACTIONS, to_discrete
+from magical_mj.env_settings import Reward
 from magical_mj.environment import Environment, load
 from magical_mj.errors import InvalidSceneError, unknown_name
 from magical_mj.frames import FrameStack, Images
@@ -20,7 +23,7 @@ from magical_mj.observations import STATE_NAMES
 from magical_mj.presets import Preset, preset
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
-from magical_mj.scene_task import Reward
+from magical_mj.state import State
 from magical_mj.tasks.spec import Rules
 from magical_mj.wrappers import CONTINUOUS_SPACE
 
@@ -45,9 +48,9 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
 
     ## Episodes
     `reset(seed=7)` starts in `sample_scene(task, variant, 7)`; `reset()` in a scene drawn by `np_random`;
-    `reset(options={"scene": scene})` in that `Scene` or its JSON. An episode is truncated at the task's
-    horizon and never terminates. The reward is 0: `info["eval_score"]` is the score in [0, 1] at the last
-    step (0.0 before), `info["is_success"]` whether it is 1.
+    `reset(options={"scene": scene})` in that `Scene` or its JSON; `reset(options={"state": state})` goes on from
+    what `get_state()` gave. An episode is truncated at the task's horizon and never terminates. The reward is 0:
+    `info["eval_score"]` is the score in [0, 1] at the last step (0.0 before), `info["is_success"]` whether it is 1.
 
     Args:
         task: one of `magical_mj.TASKS`.
@@ -94,7 +97,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self.action_space = CONTINUOUS_SPACE if self._continuous else spaces.Discrete(len(ACTIONS))
         self._stacks = _stacks(self._preset, size)
         self.observation_space = _space(self._preset, self._stacks)
-        self._running = False
+        self._begun = self._running = False
 
     @property
     def dm_env(self) -> Environment:
@@ -121,17 +124,50 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """Starts an episode; see the class.
 
         Raises:
-            InvalidSceneError: if `options` has other keys than "scene", or the scene is not one of the task.
+            InvalidSceneError: if `options` has unknown keys, or the scene is not one of the task.
+            StateError: if the state is none of an episode of the task that goes on.
         """
         super().reset(seed=seed)
-        scene = _scene_option(options or {})
-        if scene is not None:
+        scene, state = _scene_option(options or {}), (options or {}).get("state")
+        if state is not None:
+            first = self._env.reset(state=state)
+        elif scene is not None:
             first = self._env.reset(scene=scene)
         else:
             first = self._env.reset(seed=int(self.np_random.integers(2**63)) if seed is None else seed)
-        self._running = True
-        stacks = {name: stack.start(self._see) for name, stack in self._stacks.items()}
+        self._begun = self._running = True
+        stacks = self._start_stacks({} if state is None else state.frames)
         return self._observation(first.observation, stacks), {"eval_score": 0.0, "is_success": False}
+
+    def get_state(self) -> State:
+        """The present state of the episode, to the bit, the pictures in the stacks included.
+
+        Raises:
+            gymnasium.error.ResetNeeded: before the first reset.
+        """
+        if not self._begun:
+            raise ResetNeeded("no episode has begun; call reset() before get_state()")
+        frames = {name: stack.last.copy() for name, stack in self._stacks.items()}
+        return dataclasses.replace(self._env.get_state(), frames=frames)
+
+    def set_state(self, state: State) -> None:
+        """Goes back to a state, of this environment or another with the same task: what follows is the same to the bit.
+
+        Where the state's pictures are not those of this environment's preset, the present ones fill the stacks. To see
+        the observation at once, use `reset(options={"state": state})`.
+
+        Raises:
+            StateError: if it is no state of a scene of this task.
+            InvalidSceneError: if its scene is not one of this task.
+        """
+        self._env.set_state(state)
+        self._begun = True
+        self._running = self._env.horizon is None or state.steps < self._env.horizon
+        self._start_stacks(state.frames)
+
+    def clone(self) -> MagicalEnv:
+        """Another environment like this one, in the same state; both go on alike, later episodes included."""
+        return copy.deepcopy(self)
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One action. Truncated at the horizon.
@@ -161,6 +197,16 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """Frees the simulation; closing twice is fine."""
         self._env.close()
         super().close()
+
+    def _start_stacks(self, frames: Mapping[str, Images]) -> dict[str, Images]:
+        """Fills the stacks with these frames if they fit, else with the present pictures."""
+        fit = {name: array.shape for name, array in frames.items()} == {n: s.shape for n, s in self._stacks.items()}
+        for name, stack in self._stacks.items():
+            if fit:
+                stack.last = frames[name].copy()
+            else:
+                stack.start(self._see)
+        return {name: stack.last for name, stack in self._stacks.items()}
 
     def _see(self, view: str, place: Images) -> None:
         self._env.render(view, len(place), out=place)
@@ -193,7 +239,7 @@ def _space(made: Preset, stacks: Mapping[str, FrameStack]) -> spaces.Space[Any]:
 
 
 def _scene_option(options: Mapping[str, Any]) -> Scene | None:
-    unknown = options.keys() - {"scene"}
+    unknown = options.keys() - {"scene", "state"}
     if unknown:
         raise InvalidSceneError(f'unknown options {sorted(unknown)}; reset understands options={{"scene": ...}}')
     scene = options.get("scene")

@@ -1,33 +1,32 @@
-"""Compiled worlds: composer's physics, which also draws, and those that an environment keeps."""
+"""Compiled worlds: composer's physics, which also acts, draws, and goes back to where it was."""
 
 from __future__ import annotations
 
-import threading
-import weakref
-from collections import OrderedDict
-from collections.abc import Hashable
-from typing import ClassVar, Final
+from typing import Any, Final
 
 import mujoco
 import numpy as np
-from dm_control import mjcf
-from dm_control.mjcf.physics import _EMPTY_BINDING
-from dm_control.mujoco import engine, index, wrapper
+from dm_control.mujoco import wrapper
+from numpy.typing import NDArray
 
+from magical_mj.actions import action_number
+from magical_mj.assets.contacts import SUBSTEPS
+from magical_mj.assets.robot import control_signal
 from magical_mj.assets.world import World, world_spec
+from magical_mj.composer_internals import UnindexedPhysics
+from magical_mj.errors import StateError
 from magical_mj.rendering.canvas import Picture
 from magical_mj.rendering.renderer import Renderer
 
 _RK4: Final = mujoco.mjtIntegrator.mjINT_RK4.value
+_INTEGRATION: Final = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
-class Simulation(mjcf.Physics):
+class Simulation(UnindexedPhysics):
     """The simulation of a world, at rest in its scene after each reset."""
 
-    is_ours: bool = False
-    """Whether it was compiled from our own spec; to composer's tree anything may have been added."""
-    _renderer: Renderer | None = None
-    _named: engine.NamedIndexStructs | None = None
+    _ours: mujoco.MjModel | None = None
+    _renderer: tuple[mujoco.MjModel, Renderer] | None = None
 
     @classmethod
     def of(cls, world: World) -> Simulation:
@@ -39,30 +38,13 @@ class Simulation(mjcf.Physics):
         world.rewrite(model.ptr, data.ptr)
         mujoco.mj_resetData(model.ptr, data.ptr)  # to the scene
         simulation = cls(data)
-        simulation.is_ours = True
+        simulation._ours = model.ptr
         return simulation
 
-    def _reload_from_data(self, data: wrapper.MjData) -> None:
-        """As dm_control's, but names are indexed only when somebody asks for them: that takes as long as compiling."""
-        self._data = data
-        self._warnings = data.warning.number
-        self._warnings_before = np.empty_like(self._warnings)
-        self._new_warnings = np.empty(len(self._warnings), bool)
-        self._bindings = {(): _EMPTY_BINDING}
-        self._named = self._renderer = None
-        self.is_ours = False
-        if self._contexts:
-            self._free_rendering_contexts()
-        self.after_reset()
-
     @property
-    def named(self) -> engine.NamedIndexStructs:
-        """The model's and the state's arrays, indexed by name."""
-        if self._named is None:
-            axes = index.make_axis_indexers(self.model)
-            structures = ((self.model, "mjmodel"), (self.data, "mjdata"))
-            self._named = engine.NamedIndexStructs(*(index.struct_indexer(*each, axes) for each in structures))
-        return self._named
+    def is_ours(self) -> bool:
+        """Whether the model was compiled from our own spec; to composer's tree anything may have been added."""
+        return self.model.ptr is self._ours
 
     def step(self, nstep: int = 1) -> None:
         """As dm_control's, with less Python around the same physics.
@@ -70,7 +52,7 @@ class Simulation(mjcf.Physics):
         Raises:
             dm_control.rl.control.PhysicsError: if the simulation has become unstable.
         """
-        model, data, before = self.model.ptr, self.data.ptr, self._warnings.tobytes()
+        model, data, before = self.model.ptr, self.data.ptr, self.warning_counts.tobytes()
         if self.legacy_step and model.opt.integrator != _RK4:
             mujoco.mj_step2(model, data)  # what comes before was done at the end of the last step
             mujoco.mj_step(model, data, nstep - 1)
@@ -78,96 +60,86 @@ class Simulation(mjcf.Physics):
             mujoco.mj_step(model, data, nstep)
         if self.legacy_step:
             mujoco.mj_step1(model, data)
-        after = self._warnings.tobytes()
+        after = self.warning_counts.tobytes()
         if after != before:
-            self._warnings[:] = np.frombuffer(before, self._warnings.dtype)
+            self.warning_counts[:] = np.frombuffer(before, self.warning_counts.dtype)
             with self.check_invalid_state():  # complains, or only logs
-                self._warnings[:] = np.frombuffer(after, self._warnings.dtype)
+                self.warning_counts[:] = np.frombuffer(after, self.warning_counts.dtype)
+
+    def command(self, action: Any) -> None:
+        """Writes the controls of an action, one of the 18.
+
+        Raises:
+            InvalidActionError: if it is none of them.
+        """
+        self.data.ctrl[:] = control_signal(action_number(action))
+
+    def act(self, action: Any) -> None:
+        """One action of 1/8 s, with everything that MuJoCo does for it and nothing else.
+
+        Raises:
+            InvalidActionError: if the action is not one of the 18.
+            dm_control.rl.control.PhysicsError: if the simulation becomes unstable.
+        """
+        self.command(action)
+        self.step(SUBSTEPS)
+
+    def save(self) -> NDArray[np.float64]:
+        """The present state, with all that decides what follows, in a fresh array.
+
+        MuJoCo's own saved states lack what sleeps.
+        """
+        model, data = self.model.ptr, self.data.ptr
+        size = mujoco.mj_stateSize(model, _INTEGRATION)
+        saved = np.empty(size + model.ntree)
+        mujoco.mj_getState(model, data, saved[:size], _INTEGRATION)
+        saved[size:] = data.tree_asleep
+        return saved
+
+    def restore(self, saved: NDArray[np.float64]) -> None:
+        """Goes back to a state that `save` gave for the same model: what follows is the same to the bit.
+
+        Raises:
+            StateError: if it is no state of this model.
+        """
+        model, data = self.model.ptr, self.data.ptr
+        size = mujoco.mj_stateSize(model, _INTEGRATION)
+        if saved.shape != (size + model.ntree,) or not np.isfinite(saved).all():
+            raise StateError(f"a state of this scene is {size + model.ntree} finite numbers, not {saved.shape}")
+        asleep = saved[size:].astype(np.int32)
+        if not np.array_equal(np.sort(asleep[asleep >= 0]), np.flatnonzero(asleep >= 0)):
+            raise StateError("the state is damaged: what sleeps must sleep together with something that sleeps")
+        mujoco.mj_resetData(model, data)
+        mujoco.mj_setState(model, data, saved[:size], _INTEGRATION)
+        mujoco.mj_fwdPosition(model, data)  # with everything awake: MuJoCo leaves what sleeps as it was
+        data.tree_asleep[:] = asleep
+        _update_sleep(model, data)
+        mujoco.mj_step1(model, data)
 
     def draw(self, view: str, size: int, out: Picture | None = None) -> Picture:
         """A picture of the present state, fresh or in `out`. Shape (size, size, 3), RGB, top row first."""
-        if self._renderer is None:
-            self._renderer = Renderer(self.model.ptr, ours=self.is_ours)
-        return self._renderer.draw(self.data.ptr, view, size, out)
+        if self._renderer is None or self._renderer[0] is not self.model.ptr:
+            self._renderer = self.model.ptr, Renderer(self.model.ptr, ours=self.is_ours)
+        return self._renderer[1].draw(self.data.ptr, view, size, out)
 
     def free(self) -> None:
         """Frees the simulation and what it drew with."""
         if self._renderer is not None:
-            self._renderer.close()
+            self._renderer[1].close()
             self._renderer = None
         super().free()
 
 
-class SimulationCache:
-    """The simulations of an environment: the one in use, and idle ones of the last few structures of world.
-
-    Compiling takes more than ten times as long as rewriting a model, and most episodes differ in numbers only. Each
-    takes 0.8 MB, so how many are idle is bounded for all environments of the process too. The least recently used go
-    first.
-    """
-
-    KEPT: Final = 4
-    """For an environment, with the one in use."""
-    IDLE: Final = 4
-    """In the process."""
-
-    _idle: ClassVar[OrderedDict[tuple[weakref.ref[SimulationCache], Hashable], None]] = OrderedDict()
-    _lock: ClassVar = threading.Lock()
-
-    def __init__(self) -> None:
-        self._me: weakref.ref[SimulationCache] = weakref.ref(self)
-        self._kept: dict[Hashable, Simulation] = {}
-        self._current: Hashable = None
-        self.compiled = 0
-        """How many were compiled so far."""
-
-    def simulation(self, world: World, *, fresh: bool = False) -> Simulation:
-        """A simulation that is, to the bit, as if compiled from `world`; earlier ones may be gone.
-
-        Args:
-            world: what to simulate; where somebody asked for its tree, and may have changed it, it is compiled.
-            fresh: compile in any case, so that nothing that was done to an earlier model stays.
-        """
-        structure = world.structure
-        simulation = self._take(structure)
-        if simulation is not None and (fresh or world.tree is not None or not simulation.is_ours):
-            simulation.free()
-            simulation = None
-        if simulation is None:
-            simulation = Simulation.of(world)
-            self.compiled += 1
-        else:
-            world.rewrite(simulation.model.ptr, simulation.data.ptr)
-        self._use(structure, simulation)
-        return simulation
-
-    def _take(self, structure: Hashable) -> Simulation | None:
-        """The simulation of this structure, if it is kept; it is kept no longer."""
-        with self._lock:
-            self._idle.pop((self._me, structure), None)
-            return self._kept.pop(structure, None)
-
-    def _use(self, structure: Hashable, simulation: Simulation) -> None:
-        """Keeps this one, now in use; the one before becomes idle."""
-        surplus = []
-        with self._lock:
-            if self._current in self._kept:
-                self._idle[self._me, self._current] = None
-            self._kept[structure] = simulation
-            self._current = structure
-            if len(self._kept) > self.KEPT:
-                self._idle.move_to_end((self._me, next(iter(self._kept))), last=False)
-            while len(self._kept) > self.KEPT or len(self._idle) > self.IDLE:
-                owner, oldest = self._idle.popitem(last=False)[0]
-                cache = owner()
-                if cache is not None:  # or they went with their environment
-                    surplus.append(cache._kept.pop(oldest))
-        for idle in surplus:
-            idle.free()
-
-    def free(self) -> None:
-        """Frees them all."""
-        for structure in list(self._kept):
-            simulation = self._take(structure)
-            if simulation is not None:
-                simulation.free()
+def _update_sleep(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """What MuJoCo derives from `tree_asleep`, with no function for others to call."""
+    data.tree_awake[:] = data.tree_asleep < 0
+    in_tree = model.body_treeid >= 0
+    data.body_awake[:] = np.where(in_tree, data.tree_awake[model.body_treeid], mujoco.mjtSleepState.mjS_STATIC.value)
+    moves = data.body_awake != mujoco.mjtSleepState.mjS_ASLEEP.value
+    parent_moves = moves[model.body_parentid]
+    parent_moves[0] = False  # the world has no parent
+    for name, which in (("body", moves), ("parent", parent_moves), ("dof", data.tree_awake[model.dof_treeid])):
+        found = np.flatnonzero(which)
+        getattr(data, f"{name}_awake_ind")[: len(found)] = found
+        setattr(data, "nv_awake" if name == "dof" else f"n{name}_awake", len(found))
+    data.ntree_awake = int(data.tree_awake.sum())

@@ -7,7 +7,7 @@ import pytest
 
 import magical_mj
 from magical_mj.actions import Action, Drive, Gripper, Turn
-from magical_mj.errors import InvalidActionError, InvalidSceneError, UnknownNameError
+from magical_mj.errors import InvalidActionError, InvalidSceneError, SettingsError, UnknownNameError
 from magical_mj.scene import Block, Robot, Scene
 
 
@@ -39,8 +39,9 @@ def test_bad_arguments_name_the_remedy() -> None:
         magical_mj.load("MoveToCorner", "Layout")
     with pytest.raises(UnknownNameError, match="ego"):
         magical_mj.load("FindDupe", observations=("egg",))
-    with pytest.raises(UnknownNameError, match="ego"):
-        magical_mj.load("FindDupe", observations="ego")
+    for given in ("ego", "state", None, 3):
+        with pytest.raises(SettingsError, match="a list or a tuple of names"):
+            magical_mj.load("FindDupe", observations=given)
     with pytest.raises(UnknownNameError, match="released"):
         magical_mj.load("FindDupe", rules="old")
     with pytest.raises(UnknownNameError, match="score"):

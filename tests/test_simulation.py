@@ -14,7 +14,7 @@ import magical_mj
 from magical_mj.assets.region import DASHES, dash_count, rewrite_region
 from magical_mj.assets.world import World, world_spec
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
-from magical_mj.simulation import Simulation, SimulationCache
+from magical_mj.simulation import Simulation
 
 
 def arrays(parts: object) -> Iterator[tuple[str, Any]]:
@@ -99,48 +99,17 @@ def test_a_spec_that_was_changed_leaves_the_next_one_as_it_should_be() -> None:
     assert_same_model(Simulation.of(world).model.ptr, fresh)
 
 
-def scenes_of_all_structures(count: int) -> list[World]:
-    """Worlds with 0, 1, 2... blocks."""
-    blocks = [Block("circle", "red", -0.8 + 0.4 * (k % 5), -0.8 + 0.4 * (k // 5), 0) for k in range(count - 1)]
-    return [World(Scene(Robot(0, 0.9, 0), tuple(blocks[:number]))) for number in range(count)]
-
-
-def test_the_cache_compiles_each_structure_once_and_forgets_the_oldest() -> None:
-    cache = SimulationCache()
-    worlds = scenes_of_all_structures(SimulationCache.KEPT + 1)
-    first = [cache.simulation(world) for world in worlds[:-1]]
-    assert [cache.simulation(world) for world in worlds[:-1]] == first
-    cache.simulation(worlds[-1])
-    assert cache.simulation(worlds[1]) is first[1]
-    assert cache.simulation(worlds[0]) is not first[0]
-    cache.free()
-
-
-def test_idle_models_are_bounded_for_all_environments_together() -> None:
-    worlds = scenes_of_all_structures(SimulationCache.KEPT)
-    idle = len(worlds) - 1
-    caches = [SimulationCache() for _ in range(SimulationCache.IDLE // idle + 1)]
-    for cache in caches:
-        for world in worlds:
-            cache.simulation(world)
-    oldest, *_, latest = caches
-    for cache in (latest, oldest):
-        for world in reversed(worlds):
-            cache.simulation(world)
-    assert latest.compiled == len(worlds)
-    assert oldest.compiled > len(worlds)
-    for cache in caches:
-        cache.free()
-
-
 def test_models_that_somebody_may_have_changed_are_not_used_again() -> None:
-    cache = SimulationCache()
-    scene = magical_mj.sample_scene("FindDupe", "Demo", 0)
-    changed = World(scene)
-    changed.mjcf_model.worldbody.add("site", name="mark")
-    assert cache.simulation(changed).model.nsite == 1
-    assert cache.simulation(World(scene)).model.nsite == 0
-    kept = cache.simulation(World(scene))
-    assert cache.simulation(World(scene)) is kept
-    assert cache.simulation(World(scene), fresh=True) is not kept
-    cache.free()
+    env = magical_mj.load("FindDupe", seed=0, observations=())
+    ours = env.physics.model.ptr
+    env.reset(seed=1)
+    assert env.physics.model.ptr is ours
+    env.task.root_entity.mjcf_model.worldbody.add("site", name="mark")
+    env.reset(scene=env.initial_scene)
+    assert env.physics.model.nsite == 1
+    env.reset(scene=env.initial_scene.moved(robot=(0.1, -0.2, 0.3)))
+    assert env.physics.model.nsite == 0
+    ours = env.physics.model.ptr
+    env.add_extra_hook("initialize_episode", lambda physics, random_state: None)
+    env.reset()
+    assert env.physics.model.ptr is not ours

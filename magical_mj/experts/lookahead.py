@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.actions import Action, Drive, Gripper, Turn
-from magical_mj.assets.contacts import SUBSTEPS
-from magical_mj.assets.robot import control_signal
 from magical_mj.environment import Environment
 from magical_mj.scene import Pose, Scene
 
-_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-
 State = NDArray[np.float64]
-"""Where everything is and how it moves."""
+"""What `magical_mj.simulation.Simulation.save` gives."""
 Point = tuple[float, float]
 
 
 class Snapshot(NamedTuple):
     """What happened since some moment, and where it led."""
 
-    data: mujoco.MjData
-    """The end. A `State` would not do: which blocks sleep is not part of it."""
+    state: State
+    """The end."""
     trace: tuple[int, ...]
     """The actions."""
     states: tuple[State, ...]
@@ -42,8 +36,8 @@ class Lookahead:
     """
 
     def __init__(self, env: Environment) -> None:
-        self._model = env.physics.model.ptr
-        self._data = copy.copy(env.physics.data.ptr)
+        self._simulation = env.physics.copy(share_model=True)
+        self._simulation.restore(env.physics.save())
         self._world = env.task.world
         self.trace: list[int] = []
         """The actions since the last `restore`."""
@@ -54,11 +48,11 @@ class Lookahead:
 
     def save(self) -> Snapshot:
         """What happened since the last `restore`, and the present."""
-        return Snapshot(copy.copy(self._data), tuple(self.trace), tuple(self.states))
+        return Snapshot(self.state, tuple(self.trace), tuple(self.states))
 
     def restore(self, memory: Snapshot) -> None:
         """Be where something ended, with an empty trace."""
-        mujoco.mj_copyData(self._data, self._model, memory.data)
+        self._simulation.restore(memory.state)
         self.trace, self.states = [], []
 
     def remember(self, memory: Snapshot) -> None:
@@ -69,8 +63,7 @@ class Lookahead:
     def act(self, gripper: Gripper, turn: Turn = Turn.NONE, drive: Drive = Drive.NONE) -> None:
         """One control step."""
         action = Action(gripper, turn, drive).number
-        self._data.ctrl[:] = control_signal(action)
-        mujoco.mj_step(self._model, self._data, SUBSTEPS)
+        self._simulation.act(action)
         self.trace.append(action)
         self.states.append(self.state)
         self.count += 1
@@ -78,24 +71,24 @@ class Lookahead:
     @property
     def state(self) -> State:
         """The present state."""
-        return _state(self._model, self._data)
+        return self._simulation.save()
 
     @property
     def robot(self) -> Pose:
         """Where the robot is."""
-        x, y, angle = self._world.poses(self._data.qpos)[0].tolist()
+        x, y, angle = self._world.poses(self._simulation.data.qpos)[0].tolist()
         return x, y, angle
 
     @property
     def speed(self) -> tuple[float, float]:
         """How fast the robot drives (forwards, units/s) and turns (to the left, rad/s)."""
-        vx, vy, spin = self._world.poses(self._data.qvel)[0].tolist()
+        vx, vy, spin = self._world.poses(self._simulation.data.qvel)[0].tolist()
         angle = self.robot[2]
         return -vx * math.sin(angle) + vy * math.cos(angle), spin
 
     def block(self, index: int) -> Point:
         """Where a block is."""
-        x, y, _ = self._world.poses(self._data.qpos)[1 + index].tolist()
+        x, y, _ = self._world.poses(self._simulation.data.qpos)[1 + index].tolist()
         return x, y
 
     def seen(self, index: int) -> Point:
@@ -107,15 +100,9 @@ class Lookahead:
 
     def scene(self) -> Scene:
         """The present scene."""
-        return self._world.read(self._data.qpos)
+        return self._world.read(self._simulation.data.qpos)
 
 
 def state_of(env: Environment) -> State:
     """The present state of an environment."""
-    return _state(env.physics.model.ptr, env.physics.data.ptr)
-
-
-def _state(model: mujoco.MjModel, data: mujoco.MjData) -> State:
-    state = np.empty(mujoco.mj_stateSize(model, _STATE))
-    mujoco.mj_getState(model, data, state, _STATE)
-    return state
+    return env.physics.save()

@@ -1,0 +1,95 @@
+"""The settings of an environment: what `load` was given, checked, and what follows from it for its episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, get_args
+
+from magical_mj.errors import InvalidSceneError, SettingsError, unknown_name
+from magical_mj.geometry import check_scene
+from magical_mj.observations import OBSERVATIONS, VIEWS, StateEncoder
+from magical_mj.registry import check_rules, environment_axes, sample_scene, task_spec
+from magical_mj.rendering.renderer import check_size
+from magical_mj.scene import Scene
+from magical_mj.tasks.spec import Rules
+
+Reward = Literal["none", "score"]
+REWARDS: Final[tuple[Reward, ...]] = get_args(Reward)
+
+
+@dataclass(frozen=True)
+class EnvironmentSettings:
+    """What an environment runs and shows; see `magical_mj.load` for what each setting means and which errors it raises.
+
+    Attributes:
+        task: None to run `scene` without a task: no score and no horizon.
+        scene: of every episode; None to sample those of the task's variant.
+    """
+
+    task: str | None
+    variant: str = "Demo"
+    scene: Scene | None = None
+    observations: Sequence[str] = VIEWS
+    image_size: int = 96
+    reward: Reward = "none"
+    rules: Rules = "paper"
+
+    def __post_init__(self) -> None:
+        """Checks every setting."""
+        if self.task is not None:
+            environment_axes(self.task, self.variant)
+        check_rules(self.rules)
+        if self.reward not in REWARDS:
+            raise unknown_name("reward", self.reward, REWARDS)
+        check_size(self.image_size)
+        object.__setattr__(self, "observations", check_observations(self.observations))
+        if self.scene is not None:
+            self.check(self.scene)
+
+    def check(self, scene: Scene) -> None:
+        """Raise `InvalidSceneError` unless an episode can start in `scene`."""
+        check_scene(scene)
+        if "state" in self.observations:
+            StateEncoder(scene)
+        if self.task is not None:
+            task_spec(self.task).check(scene)
+
+    def sample(self, seed: int) -> Scene:
+        """The scene of the episode with this seed."""
+        if self.scene is not None:
+            return self.scene
+        if self.task is None:
+            raise InvalidSceneError("without a task there must be a scene")
+        return sample_scene(self.task, self.variant, seed)
+
+    @property
+    def horizon(self) -> int | None:
+        """Number of control steps after which an episode ends; None: never."""
+        return None if self.task is None else task_spec(self.task).horizon(self.rules)
+
+    def score(self, initial: Scene, final: Scene) -> float:
+        """The score of a final scene in [0, 1].
+
+        Raises:
+            InvalidSceneError: without a task.
+        """
+        if self.task is None:
+            raise InvalidSceneError("a plain scene has no score; load a task, or use magical_mj.score(task, ...)")
+        return task_spec(self.task).score(initial, final, self.rules)
+
+
+def check_observations(names: Sequence[str]) -> tuple[str, ...]:
+    """The names of observations as a tuple.
+
+    Raises:
+        SettingsError: for anything but a list or tuple.
+        UnknownNameError: if there is no such observation.
+    """
+    if not isinstance(names, list | tuple):
+        example = names if names in OBSERVATIONS else "ego"
+        raise SettingsError(f'observations must be a list or a tuple of names, such as ("{example}",), not {names!r}')
+    for name in names:
+        if name not in OBSERVATIONS:
+            raise unknown_name("observation", name, OBSERVATIONS)
+    return tuple(names)

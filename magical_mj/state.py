@@ -1,0 +1,46 @@
+"""The state of an episode as plain data, to go back to: for search, for corrections by an expert, for resets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Everything that decides how an episode goes on, to the bit: `get_state` gives it, `set_state` goes back to it.
+
+    It holds numbers only, so it can be copied, pickled, sent to another process, or kept in a file field by field (the
+    scene as `scene.to_json()`). It fits every environment that runs the same task, or the same scene without a task,
+    whatever that environment observes. The generator that draws the scenes of later episodes is no part of it.
+
+    Attributes:
+        scene: in which the episode started.
+        steps: control steps since then.
+        simulation: the state of MuJoCo, of the same length for all states of episodes with this scene: positions,
+            velocities, actuators, the solver's warm start, and which blocks sleep.
+        frames: the stacks of pictures of a Gymnasium environment, by their names; empty elsewhere.
+    """
+
+    scene: Scene
+    steps: int
+    simulation: NDArray[np.float64]
+    frames: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict[str, NDArray[np.uint8]])
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the simulations are in the same state, to the bit; pictures follow from it."""
+        if not isinstance(other, State):
+            return NotImplemented
+        return (self.scene, self.steps, self.simulation.tobytes()) == (
+            other.scene,
+            other.steps,
+            other.simulation.tobytes(),
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.steps, self.simulation.tobytes()))
