@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Final
+
+_SHOWN: Final = 80
+"""Characters of a wrong value that an error repeats."""
 
 
 class MagicalError(Exception):
@@ -47,7 +51,7 @@ class RenderingError(MagicalError, RuntimeError):
 
 
 class SettingsError(MagicalError, ValueError):
-    """Settings that cannot be, or that do not go together."""
+    """Settings that are invalid, or that do not go together."""
 
 
 class MissingExtraError(MagicalError, ImportError):
@@ -65,6 +69,15 @@ class TrainingError(MagicalError, RuntimeError):
 def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownNameError:
     """The error for a `name` that is not among the `allowed`, offering the nearest one."""
     allowed = tuple(allowed)
-    near = difflib.get_close_matches(str(name), allowed, n=1, cutoff=0.5)
+    near = difflib.get_close_matches(name[:_SHOWN], allowed, n=1, cutoff=0.5) if isinstance(name, str) else []
     hint = f" Did you mean {near[0]!r}?" if near else ""
-    return UnknownNameError(f"unknown {kind} {name!r}.{hint} There are: {', '.join(allowed)}")
+    return UnknownNameError(f"unknown {kind} {shown(name)}.{hint} There are: {', '.join(allowed)}")
+
+
+def shown(value: object) -> str:
+    """`value` as it stands in an error: cut short, whatever somebody may have given."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # an integer of thousands of digits; lists in lists in lists
+        text = f"a value of type {type(value).__name__}"
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."

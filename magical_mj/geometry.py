@@ -27,6 +27,9 @@ Outline = NDArray[np.float64]
 OVERLAP_TOLERANCE: Final = 0.04
 """How deep (world units) solid parts may overlap in a scene that a user gives: contacts are a little soft."""
 
+MAX_ANGLE: Final = 1e9
+"""Radians. A robot needs 12 years to turn so far, and an angle is still exact to 1e-7."""
+
 
 class Part(NamedTuple):
     """A solid part in the world: its core geometry, swollen by `radius`."""
@@ -175,7 +178,7 @@ def solids(scene: Scene) -> dict[str, Solid]:
 
 
 def check_scene(scene: Scene) -> None:
-    """Raise unless the scene could be a state of the world: inside the walls, nothing deep in anything else.
+    """Raise unless the scene could be a state of the world: inside the walls, nothing deep inside anything else.
 
     Contacts in a running world are a little soft, so overlaps up to `OVERLAP_TOLERANCE` pass.
 
@@ -183,6 +186,9 @@ def check_scene(scene: Scene) -> None:
         InvalidSceneError: naming what is outside or overlaps what.
     """
     _check_fingers(scene.robot)
+    for thing in (scene.robot, *scene.blocks):
+        if abs(thing.angle) > MAX_ANGLE:
+            raise InvalidSceneError(f"the angle of {thing} is beyond {MAX_ANGLE:g} rad; take off whole turns")
     things = list(solids(scene).items())
     for name, solid in things:
         if not inside_walls(solid, OVERLAP_TOLERANCE):

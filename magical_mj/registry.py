@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from magical_mj.errors import InvalidSceneError, SettingsError, unknown_name
+from magical_mj.errors import InvalidSceneError, SettingsError, shown, unknown_name
 from magical_mj.scene import Scene
 from magical_mj.tasks import RULES, SPECS, Rules, TaskSpec
 from magical_mj.variants import VARIANTS as _VARIANTS
@@ -38,7 +38,7 @@ def task_spec(task: str) -> TaskSpec:
     Raises:
         UnknownNameError: if there is no such task.
     """
-    if task not in SPECS:
+    if not isinstance(task, str) or task not in SPECS:
         raise unknown_name("task", task, TASKS)
     return SPECS[task]
 
@@ -49,7 +49,7 @@ def variant_name(variant: str) -> str:
     Raises:
         UnknownNameError: if there is no such variant.
     """
-    name = variant.removeprefix("Test") if isinstance(variant, str) and variant != "TestDemo" else variant
+    name = variant.removeprefix("Test") if isinstance(variant, str) and variant != "TestDemo" else ""
     if name not in VARIANTS:
         raise unknown_name("variant", variant, VARIANTS)
     return name
@@ -85,9 +85,12 @@ def listed(names: Names, every: Iterable[str]) -> list[str]:
     Raises:
         SettingsError: if no name is given.
     """
-    found = [name.strip() for name in (names.split(",") if isinstance(names, str) else names)]
-    if not any(found):
-        raise SettingsError(f"give at least one of {', '.join(every)}, or all")
+    if isinstance(names, str):
+        names = names.split(",")
+    found = [name.strip() if isinstance(name, str) else name for name in names] if isinstance(names, Iterable) else []
+    found = [name for name in found if name != ""]  # which a comma at the end leaves
+    if not found:
+        raise SettingsError(f"give at least one of {', '.join(every)}, or all; not {shown(names)}")
     return list(every) if found == ["all"] else found
 
 
@@ -98,7 +101,7 @@ def check_rules(rules: str) -> Rules:
         UnknownNameError: if it is anything else.
     """
     for known in RULES:
-        if rules == known:
+        if isinstance(rules, str) and rules == known:
             return known
     raise unknown_name("set of rules", rules, RULES)
 

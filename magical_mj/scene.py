@@ -9,14 +9,14 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
 from magical_mj import constants as c
 from magical_mj.constants import COLOURS, SHAPES, Colour, Shape
-from magical_mj.errors import InvalidSceneError
+from magical_mj.errors import InvalidSceneError, shown
+from magical_mj.fields import as_number, check_type, set_choice, set_numbers
 
 SCENE_FORMAT: Final = 1
 """Version of the JSON form, stored in it as ``"format"``."""
@@ -25,29 +25,6 @@ Pose = tuple[float, float, float]
 """x, y in world units and the angle in radians."""
 
 _Part = TypeVar("_Part", bound="Robot | Block | GoalRegion | Dynamics")
-
-
-def _number(owner: object, name: str, value: Any) -> float:
-    """`value` as a finite float, or an error that names the field."""
-    if isinstance(value, bool) or (not isinstance(value, int | float) and not hasattr(value, "__float__")):
-        raise InvalidSceneError(f"{type(owner).__name__}.{name} must be a number, not {value!r}")
-    number = float(value)
-    if not math.isfinite(number):
-        raise InvalidSceneError(f"{type(owner).__name__}.{name} must be finite, not {value!r}")
-    return number + 0.0  # -0.0 becomes 0.0: equal scenes have equal digests
-
-
-def _set_numbers(owner: object, names: Iterable[str]) -> None:
-    for name in names:
-        value = getattr(owner, name)
-        if type(value) is not float or value == 0.0 or not math.isfinite(value):  # most are fine as they are
-            object.__setattr__(owner, name, _number(owner, name, value))
-
-
-def _check_choice(owner: object, name: str, allowed: Sequence[str]) -> None:
-    value = getattr(owner, name)
-    if value not in allowed:
-        raise InvalidSceneError(f"{type(owner).__name__}.{name} is {value!r}; it must be one of {', '.join(allowed)}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,10 +40,10 @@ class Robot:
     fingers: tuple[float, float] = (c.FINGER_OPEN, -c.FINGER_OPEN)
 
     def __post_init__(self) -> None:
-        _set_numbers(self, ("x", "y", "angle"))
+        set_numbers(self, ("x", "y", "angle"))
         if not isinstance(self.fingers, Iterable) or len(fingers := tuple(self.fingers)) != 2:
-            raise InvalidSceneError(f"Robot.fingers must be two angles (left, right), not {self.fingers!r}")
-        left, right = (_number(self, "fingers", angle) for angle in fingers)
+            raise InvalidSceneError(f"Robot.fingers must be two angles (left, right), not {shown(self.fingers)}")
+        left, right = (as_number(self, "fingers", angle) for angle in fingers)
         object.__setattr__(self, "fingers", (left, right))
 
     @property
@@ -86,9 +63,9 @@ class Block:
     angle: float
 
     def __post_init__(self) -> None:
-        _check_choice(self, "shape", SHAPES)
-        _check_choice(self, "colour", COLOURS)
-        _set_numbers(self, ("x", "y", "angle"))
+        set_choice(self, "shape", SHAPES)
+        set_choice(self, "colour", COLOURS)
+        set_numbers(self, ("x", "y", "angle"))
 
     @property
     def pose(self) -> Pose:
@@ -107,8 +84,8 @@ class GoalRegion:
     y_max: float
 
     def __post_init__(self) -> None:
-        _check_choice(self, "colour", COLOURS)
-        _set_numbers(self, ("x_min", "y_min", "x_max", "y_max"))
+        set_choice(self, "colour", COLOURS)
+        set_numbers(self, ("x_min", "y_min", "x_max", "y_max"))
         if not (self.x_min < self.x_max and self.y_min < self.y_max):
             raise InvalidSceneError(f"{self} is empty: x_min < x_max and y_min < y_max are needed")
 
@@ -144,7 +121,7 @@ class Dynamics:
 
     def __post_init__(self) -> None:
         for entry in dataclasses.fields(self):
-            _set_numbers(self, (entry.name,))
+            set_numbers(self, (entry.name,))
             if getattr(self, entry.name) <= 0:
                 raise InvalidSceneError(f"Dynamics.{entry.name} must be positive, not {getattr(self, entry.name)}")
 
@@ -162,12 +139,12 @@ class Scene:
         for name, kind in (("blocks", Block), ("regions", GoalRegion)):
             value = getattr(self, name)
             if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
-                raise InvalidSceneError(f"Scene.{name} must be a sequence of {kind.__name__}, not {value!r}")
+                raise InvalidSceneError(f"Scene.{name} must be a sequence of {kind.__name__}, not {shown(value)}")
             object.__setattr__(self, name, tuple(value))
         for part, kind in ((self.robot, Robot), (self.dynamics, Dynamics)):
-            _check_type(part, kind)
+            check_type(part, kind)
         for part, kind in [*((b, Block) for b in self.blocks), *((r, GoalRegion) for r in self.regions)]:
-            _check_type(part, kind)
+            check_type(part, kind)
 
     def moved(self, robot: Sequence[float] | None = None, blocks: Sequence[Sequence[float]] | None = None) -> Scene:
         """The same scene with other poses (x, y, angle); what is None stays. The fingers stay as they are.
@@ -175,15 +152,12 @@ class Scene:
         Raises:
             InvalidSceneError: if the number of poses is not the number of blocks.
         """
-        new_robot = self.robot if robot is None else Robot(*_pose(robot), self.robot.fingers)
+        moved = self.robot if robot is None else _at(self.robot, robot)
         if blocks is None:
-            return dataclasses.replace(self, robot=new_robot)
-        if len(blocks) != len(self.blocks):
-            raise InvalidSceneError(f"{len(blocks)} poses were given for {len(self.blocks)} blocks")
-        moved = tuple(
-            Block(block.shape, block.colour, *_pose(pose)) for block, pose in zip(self.blocks, blocks, strict=True)
-        )
-        return Scene(new_robot, moved, self.regions, self.dynamics)
+            return dataclasses.replace(self, robot=moved)
+        if not isinstance(blocks, Iterable) or len(blocks) != len(self.blocks):
+            raise InvalidSceneError(f"{len(self.blocks)} blocks need as many poses, not {shown(blocks)}")
+        return dataclasses.replace(self, robot=moved, blocks=tuple(map(_at, self.blocks, blocks)))
 
     def to_json(self) -> str:
         """The scene as one line of JSON; floats are exact, so `from_json` gives an equal scene."""
@@ -197,17 +171,18 @@ class Scene:
             InvalidSceneError: if the text is not JSON, misses or invents fields, or breaks a bound.
         """
         try:
-            data = json.loads(text)
-        except (ValueError, TypeError) as error:
+            data = json.loads(text, object_pairs_hook=_without_repeats)
+        except (ValueError, TypeError, RecursionError) as error:
             raise InvalidSceneError(f"a scene must be JSON as Scene.to_json writes it: {error}") from None
         if not isinstance(data, dict):
-            raise InvalidSceneError(f"a scene must be a JSON object, not {type(data).__name__}")
-        if data.pop("format", None) != SCENE_FORMAT:
+            raise InvalidSceneError(f"a scene must be a JSON object, not {shown(data)}")
+        version = data.pop("format", None)
+        if type(version) is not int or version != SCENE_FORMAT:
             raise InvalidSceneError(f'a scene must have "format": {SCENE_FORMAT}; write it with Scene.to_json')
         _check_fields(cls, data)
         for name in ("blocks", "regions"):
             if not isinstance(data.get(name, []), list):
-                raise InvalidSceneError(f"Scene.{name} must be a list, not {data[name]!r}")
+                raise InvalidSceneError(f"Scene.{name} must be a list, not {shown(data[name])}")
         return cls(
             robot=_part(Robot, data["robot"]),
             blocks=tuple(_part(Block, item) for item in data.get("blocks", ())),
@@ -216,20 +191,46 @@ class Scene:
         )
 
     def digest(self) -> str:
-        """A short fingerprint: equal scenes, and only they, have equal digests."""
-        return hashlib.sha256(self.to_json().encode()).hexdigest()[:16]
+        """A short fingerprint: equal scenes, and only they, have equal digests.
+
+        What has its default value is left out, so that a field that a later version adds changes no digest.
+        """
+        text = json.dumps(_not_default(self), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _pose(pose: Sequence[float]) -> Pose:
-    if len(pose) != 3:
-        raise InvalidSceneError(f"a pose is (x, y, angle), not {pose!r}")
+def _not_default(value: Any) -> Any:
+    """A part of a scene as JSON takes it, without the fields that have their default value."""
+    if isinstance(value, tuple):
+        return [_not_default(item) for item in value]
+    if not dataclasses.is_dataclass(value):
+        return value
+    told = {}
+    for entry in dataclasses.fields(value):
+        default = entry.default if entry.default_factory is dataclasses.MISSING else entry.default_factory()
+        if getattr(value, entry.name) != default:
+            told[entry.name] = _not_default(getattr(value, entry.name))
+    return told
+
+
+_Thing = TypeVar("_Thing", Robot, Block)
+
+
+def _at(thing: _Thing, pose: Sequence[float]) -> _Thing:
+    """The same robot or block at another pose."""
+    if not isinstance(pose, Iterable) or len(pose) != 3:
+        raise InvalidSceneError(f"a pose is (x, y, angle), not {shown(pose)}")
     x, y, angle = pose
-    return x, y, angle
+    return dataclasses.replace(thing, x=x, y=y, angle=angle)
 
 
-def _check_type(part: object, kind: type) -> None:
-    if not isinstance(part, kind):
-        raise InvalidSceneError(f"a scene needs a {kind.__name__} here, not {part!r}")
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object's fields, each of which must stand there once."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"{next(name for name in names if names.count(name) > 1)!r} stands twice in one object")
+    return found
 
 
 def _check_fields(kind: type, data: dict[str, Any]) -> None:
@@ -248,6 +249,6 @@ def _check_fields(kind: type, data: dict[str, Any]) -> None:
 
 def _part(kind: type[_Part], data: Any) -> _Part:
     if not isinstance(data, dict):
-        raise InvalidSceneError(f"{kind.__name__} must be a JSON object, not {data!r}")
+        raise InvalidSceneError(f"{kind.__name__} must be a JSON object, not {shown(data)}")
     _check_fields(kind, data)
     return kind(**data)

@@ -2,7 +2,7 @@
 
 | floor | what | may import |
 |---|---|---|
-| 0 | constants, errors, scene, geometry, actions, protocol, files, extras | standard library, numpy, shapely |
+| 0 | constants, errors, fields, scene, geometry, actions, protocol, files, extras | standard library, numpy, shapely |
 | 1 | tasks | floor 0; no simulator |
 | 2 | variants; assets | floor 0; variants also the tasks' spec, and no simulator; neither knows the other |
 | 3 | registry, environment, observations, rendering, export | 0-2, mujoco, dm_control |
@@ -26,7 +26,9 @@ PACKAGE = Path(__file__).parent.parent / "magical_mj"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 FLOORS: dict[str, int] = {
-    **dict.fromkeys(["constants", "errors", "scene", "geometry", "actions", "protocol", "files", "extras"], 0),
+    **dict.fromkeys(
+        ["constants", "errors", "fields", "scene", "geometry", "actions", "protocol", "files", "extras"], 0
+    ),
     "_version": 0,
     **dict.fromkeys(["tasks"], 1),
     **dict.fromkeys(["variants", "assets"], 2),

@@ -22,10 +22,10 @@ VARIANTS: Final[Mapping[str, tuple[Axis, ...]]] = MappingProxyType(
         "Shape": ("shape",),
         "CountPlus": ("layout", "colour", "shape", "count"),
         "Dynamics": ("dynamics",),
-        "All": AXES,
+        "All": ("jitter", "layout", "colour", "shape", "count", "dynamics"),  # the paper's: stays when AXES grow
     }
 )
-"""What each variant draws anew. All stands for what the task supports, without jitter where it has a layout."""
+"""What each variant draws anew. Of All, a task leaves out what it does not support, and jitter if it has a layout."""
 
 
 def supported_axes(spec: TaskSpec) -> tuple[Axis, ...]:
@@ -57,7 +57,8 @@ def varied_axes(spec: TaskSpec, variant: str) -> tuple[Axis, ...]:
         raise unknown_name("variant", variant, VARIANTS)
     supported = supported_axes(spec)
     if variant == "All":
-        return tuple(axis for axis in supported if axis != "jitter" or "layout" not in supported)
+        left_out = "jitter" if "layout" in supported else None
+        return tuple(axis for axis in VARIANTS["All"] if axis in supported and axis != left_out)
     missing = [axis for axis in VARIANTS[variant] if axis not in supported]
     if missing:
         raise UnknownNameError(

@@ -1,0 +1,72 @@
+"""Fields of immutable values, checked when a value is made: numbers, choices and parts of the right kind."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, Final
+
+from magical_mj.errors import InvalidSceneError, shown
+
+MAX_NUMBER: Final = 1e10
+"""The greatest absolute value of a number in a scene: that of a state that MuJoCo takes for a valid one."""
+
+
+def as_number(owner: object, name: str, value: Any) -> float:
+    """`value` as a float; numbers of numpy and other libraries are understood, booleans and texts are not.
+
+    Args:
+        owner: the object whose field it is, for the error.
+        name: the field.
+        value: what was given.
+
+    Raises:
+        InvalidSceneError: if it is not a finite number, or greater than `MAX_NUMBER`.
+    """
+    kind = getattr(getattr(value, "dtype", None), "kind", "f")  # of numpy's scalars and arrays
+    try:
+        if isinstance(value, bool) or kind not in "fiu" or getattr(value, "ndim", 0) or not hasattr(value, "__float__"):
+            raise TypeError
+        found = float(value)
+    except (TypeError, ValueError):
+        raise InvalidSceneError(f"{_called(owner, name)} must be a number, not {shown(value)}") from None
+    except OverflowError:
+        found = math.inf
+    if not abs(found) <= MAX_NUMBER:
+        raise InvalidSceneError(f"{_called(owner, name)} must be finite and at most {MAX_NUMBER:g}, not {shown(value)}")
+    return found + 0.0  # -0.0 becomes 0.0: equal scenes have equal digests
+
+
+def set_numbers(owner: object, names: Iterable[str]) -> None:
+    """Turn these fields of a frozen dataclass into floats.
+
+    Raises:
+        InvalidSceneError: if one is not a finite number, or greater than `MAX_NUMBER`.
+    """
+    for name in names:
+        value = getattr(owner, name)
+        if type(value) is not float or value == 0.0 or not abs(value) <= MAX_NUMBER:  # most are fine as they are
+            object.__setattr__(owner, name, as_number(owner, name, value))
+
+
+def set_choice(owner: object, name: str, allowed: Sequence[str]) -> None:
+    """Turn this field of a frozen dataclass into one of the allowed strings.
+
+    Raises:
+        InvalidSceneError: if it is none of them.
+    """
+    value = getattr(owner, name)
+    if not isinstance(value, str) or value not in allowed:
+        raise InvalidSceneError(f"{_called(owner, name)} is {shown(value)}; it must be one of {', '.join(allowed)}")
+    if type(value) is not str:  # numpy's strings, or an enumeration's
+        object.__setattr__(owner, name, allowed[allowed.index(value)])
+
+
+def check_type(part: object, kind: type) -> None:
+    """Raise `InvalidSceneError` unless a part of a scene is of this type."""
+    if not isinstance(part, kind):
+        raise InvalidSceneError(f"a scene needs a {kind.__name__} here, not {shown(part)}")
+
+
+def _called(owner: object, name: str) -> str:
+    return f"{type(owner).__name__}.{name}"
