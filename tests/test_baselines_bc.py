@@ -39,7 +39,7 @@ def test_every_method_learns_from_the_same_demonstrations() -> None:
         data = Dataset(settings, drop_noop=drop_noop)
         assert data.sizes == [len(actions)]
         batch = data.rows([torch.arange(len(actions))])
-        np.testing.assert_array_equal(batch.images, images)
+        np.testing.assert_array_equal(batch.observations, images)
         np.testing.assert_array_equal(batch.actions, actions)
         assert (NOOP in actions) != drop_noop
 
@@ -53,8 +53,8 @@ def test_every_task_counts_equally() -> None:
     assert set(shares[:, 0].tolist()) == {2, 3}
     assert shares[:, 0].sum() == pytest.approx(500, abs=30)  # the odd one goes to either task alike
     first = data.rows([torch.arange(data.sizes[0]), torch.arange(0)])
-    seen = {image.tobytes() for image in first.images}
-    assert [image.tobytes() in seen for image in batches[0].images] == (batches[0].tasks == 0).tolist()
+    seen = {image.tobytes() for image in first.observations}
+    assert [image.tobytes() in seen for image in batches[0].observations] == (batches[0].tasks == 0).tolist()
 
 
 def test_the_network_is_the_papers() -> None:

@@ -54,7 +54,7 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
         (["train", "bc", "--tasks", "FindDupe,MakeLine"], "needs --multi-task"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "ppo.clip"], "--set wants NAME=VALUE"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "bc.batch=3"], "Did you mean 'bc.batches'?"),
-        (["train", "bc", "--tasks", "FindDupe", "--preset", "State"], "one stack of frames"),
+        (["train", "bc", "--tasks", "FindDupe", "--preset", "LoResCHW4E"], "one stack of frames"),
         (["train", "bc", "--tasks", "FindDupe", "--device", "abacus"], "no device 'abacus' here"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "demonstrations=26"], "there are 25"),
     ],

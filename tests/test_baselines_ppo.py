@@ -13,7 +13,7 @@ from stable_baselines3.common.utils import obs_as_tensor
 
 from magical_mj import MagicalEnv
 from magical_mj.baselines.data import Dataset, Rollout
-from magical_mj.baselines.environments import IMAGES, TASK, Environments
+from magical_mj.baselines.environments import SEEN, TASK, Environments
 from magical_mj.baselines.learner import seeded
 from magical_mj.baselines.network import ONE_HOT, Actor, Heads, Torso, as_input, standardise
 from magical_mj.baselines.policy import load_policy, save_policy
@@ -43,8 +43,8 @@ def test_copies_are_split_evenly_between_tasks() -> None:
     environments = Environments(playing(tasks="MoveToRegion,FixColour"))
     assert environments.tasks.tolist() == [0, 0, 1, 1]
     seen = environments.reset()
-    assert seen[IMAGES].shape == (4, 96, 96, 12)
-    assert seen[IMAGES].dtype == np.uint8
+    assert seen[SEEN].shape == (4, 96, 96, 12)
+    assert seen[SEEN].dtype == np.uint8
     np.testing.assert_array_equal(seen[TASK], [[1, 0], [1, 0], [0, 1], [0, 1]])
     environments.close()
 
@@ -52,7 +52,7 @@ def test_copies_are_split_evenly_between_tasks() -> None:
 def test_the_preset_is_the_settings() -> None:
     environments, one = Environments(playing(preset="LoRes4A")), MagicalEnv("MoveToRegion", "Demo", "LoRes4A")
     first = one.reset(seed=0)[0]
-    np.testing.assert_array_equal(environments.reset()[IMAGES][0], first)  # the demo variant has one scene
+    np.testing.assert_array_equal(environments.reset()[SEEN][0], first)  # the demo variant has one scene
     environments.close()
     one.close()
 
@@ -77,7 +77,7 @@ def test_an_episode_that_ends_is_truncated_and_the_next_one_begins() -> None:
     assert [int(np.argmax(end)) for end in np.transpose(ends)] == [39, 29, 19, 9]
     assert dones.tolist() == [True, False, False, False]
     assert infos[0]["TimeLimit.truncated"]
-    assert infos[0]["terminal_observation"][IMAGES].shape == (96, 96, 12)
+    assert infos[0]["terminal_observation"][SEEN].shape == (96, 96, 12)
     assert 0 <= infos[0]["eval_score"] <= 1
     assert [one["episode"] for one in environments.state()] == [1, 1, 1, 1]
     environments.close()
@@ -91,12 +91,12 @@ def test_environments_are_restored_in_mid_episode() -> None:
     for _ in range(30):
         seen = first.step(rng.integers(18, size=4))[0]
     restored = second.restore(first.state())
-    np.testing.assert_array_equal(restored[IMAGES], seen[IMAGES])
+    np.testing.assert_array_equal(restored[SEEN], seen[SEEN])
     np.testing.assert_array_equal(restored[TASK], seen[TASK])
     for _ in range(30):
         actions = rng.integers(18, size=4)
         ours, theirs = first.step(actions), second.step(actions)
-        np.testing.assert_array_equal(ours[0][IMAGES], theirs[0][IMAGES])
+        np.testing.assert_array_equal(ours[0][SEEN], theirs[0][SEEN])
         np.testing.assert_array_equal(ours[2], theirs[2])
         assert [info["eval_score"] for info in ours[3]] == [info["eval_score"] for info in theirs[3]]
     first.close()
@@ -121,7 +121,7 @@ def test_minibatches_are_even_over_tasks() -> None:
         assert set(np.bincount(copies[batch.astype(int) % 6])) <= {2, 3}
     batch = next(buffer.get(8))
     np.testing.assert_array_equal(batch.returns - batch.old_values, 100)
-    assert batch.observations[IMAGES].dtype == torch.uint8
+    assert batch.observations[SEEN].dtype == torch.uint8
     before = np.random.get_state()[1]  # noqa: NPY002
     list(buffer.get())
     np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
@@ -141,7 +141,7 @@ def test_rollouts_are_drawn_evenly_over_tasks() -> None:
     drawn = [rollout.sample(6, generator) for _ in range(50)]
     for batch in drawn:
         assert batch.tasks.tolist() == [0, 0, 0, 1, 1, 1]
-        np.testing.assert_array_equal(batch.images[:, 0, 0, 0], batch.actions)
+        np.testing.assert_array_equal(batch.observations[:, 0, 0, 0], batch.actions)
         np.testing.assert_array_equal(batch.actions % 6 // 3, batch.tasks)
     assert {int(action) for batch in drawn for action in batch.actions} == set(range(24))
     whole = list(rollout.batches(10))
@@ -160,7 +160,7 @@ def test_pictures_are_scaled_once_and_stay_fast(ppo: Improver) -> None:
     for stacks in got:
         assert stacks.is_contiguous(memory_format=torch.channels_last)
         assert stacks.max() <= 1
-    np.testing.assert_array_equal(got[0], as_input(rollout.images[0], CPU))
+    np.testing.assert_array_equal(got[0], as_input(rollout.observations[0], CPU))
 
 
 def test_the_saved_policy_has_the_logits_of_the_one_that_plays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,14 +175,14 @@ def test_the_saved_policy_has_the_logits_of_the_one_that_plays(tmp_path: Path, m
     with torch.inference_mode():
         logits = ppo.policy.get_distribution(obs_as_tensor(seen, CPU)).distribution.logits
         actor = ppo.policy_kwargs["actor"]
-        theirs = saved._actor(as_input(seen[IMAGES], CPU), torch.tensor([0, 0, 1, 1])).log_softmax(1)
+        theirs = saved._actor(as_input(seen[SEEN], CPU), torch.tensor([0, 0, 1, 1])).log_softmax(1)
         np.testing.assert_array_equal(
-            actor(as_input(seen[IMAGES], CPU), torch.tensor([0, 0, 1, 1])).log_softmax(1), theirs
+            actor(as_input(seen[SEEN], CPU), torch.tensor([0, 0, 1, 1])).log_softmax(1), theirs
         )
     torch.testing.assert_close(logits, theirs, rtol=0, atol=1e-6)
     assert logits.shape == (4, ONE_HOT)
     saved.reset_batch([Episode("FixColour", "Demo", 0, 0)] * 2)
-    assert saved.act_batch(seen[IMAGES][2:]).shape == (2,)
+    assert saved.act_batch(seen[SEEN][2:]).shape == (2,)
     ppo.env.close()
 
 
@@ -205,7 +205,7 @@ def test_a_task_trains_its_own_heads_only() -> None:
 def test_new_policies_tell_pictures_apart() -> None:
     """Before its ReLU, each unit has mean 0 and deviation 1 over the stacks; untouched, it hardly depends on them."""
     data = Dataset(playing(), drop_noop=False)
-    stacks = as_input(data.rows([torch.arange(data.sizes[0])]).images, CPU)
+    stacks = as_input(data.rows([torch.arange(data.sizes[0])]).observations, CPU)
     with seeded(0):
         torso = Torso(playing().network)
     assert torso.linear[:3](torso.convolutions(stacks).flatten(1)).std(0).max() < 0.1

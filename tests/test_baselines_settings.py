@@ -74,7 +74,7 @@ def test_text_values_are_read_as_the_fields_kind() -> None:
         ({"ppo.entropy": -1}, "ppo.entropy must be 0 or more"),
         ({"ppo.learning_rate": float("nan")}, "ppo.learning_rate must be positive"),
         ({"bc.final_learning_rate": 1}, "learning rates fall"),
-        ({"preset": "State"}, "one stack of frames"),
+        ({"preset": "LoResCHW4E"}, "one stack of frames"),
         ({"preset": "LoRes5E"}, "LoRes4E"),
         ({"tasks": "FindDupes"}, "FindDupe"),
         ({"tasks": "FindDupe,FindDupe"}, "several different tasks"),

@@ -12,39 +12,40 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from magical_mj.baselines.augmentation import Augmentation
+from magical_mj.baselines.augmentation import augmentation
 from magical_mj.baselines.data import Rollout
 from magical_mj.baselines.learner import restore_optimizer, seeded
 from magical_mj.baselines.network import Heads, Torso
 from magical_mj.baselines.reinforced import RewardLearner, Samples
 from magical_mj.baselines.settings import Network, TrainingSettings
+from magical_mj.baselines.states import StateTorso
 
 Judge = Callable[[Tensor, Tensor, Tensor], Tensor]
-"""From stacks (n, 12, 96, 96), actions (n,) and tasks (n,) to one number for each, (n,)."""
+"""From observations, actions (n,) and tasks (n,) to one number for each, (n,)."""
 
 
 class Discriminator(nn.Module):
-    """The paper's network with batch norm, the actions joined, and a head with one output for each task."""
+    """The paper's network with batch norm, or that for states; the actions joined, and one output for each task."""
 
-    def __init__(self, network: Network, tasks: int) -> None:
+    def __init__(self, network: Network, tasks: int, *, states: bool = False) -> None:
         super().__init__()
-        self.torso = Torso(network, batch_norm=True, actions=True)
+        self.torso = StateTorso(network, actions=True) if states else Torso(network, batch_norm=True, actions=True)
         self.head = Heads(tasks, self.torso.features, 1)
 
-    def forward(self, stacks: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+    def forward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """Logits (GAIL) or values (WGAIL-GP) of D, shape (n,)."""
-        return self.head(self.torso(stacks, actions), tasks)[:, 0]
+        return self.head(self.torso(observations, actions), tasks)[:, 0]
 
 
 class Adversarial(RewardLearner):
     """Trains the discriminator on the last rollout and the demonstrations, and PPO on its rewards."""
 
     def __init__(self, settings: TrainingSettings) -> None:
-        self._augment = Augmentation(settings.augment)  # an unknown one is refused before environments are made
+        self._augment = augmentation(settings)  # an unknown one is refused before environments are made
         super().__init__(settings)
         self._noise = torch.Generator(self.device).manual_seed(settings.seed)
         with seeded(settings.seed + 1):
-            self._judge = Discriminator(settings.network, len(settings.tasks)).to(self.device)
+            self._judge = Discriminator(settings.network, len(settings.tasks), states=settings.states).to(self.device)
         self._optimizer = torch.optim.Adam(self._judge.parameters(), settings.discriminator.learning_rate)
 
     def update(self) -> Mapping[str, float]:
@@ -76,9 +77,9 @@ class Adversarial(RewardLearner):
     def _step(self, rollout: Rollout) -> Mapping[str, float]:
         half = self.settings.discriminator.batch_size // 2
         sides = [self.on_device(side.sample(half, self._draw)) for side in (rollout, self._expert)]
-        stacks, actions, tasks = (torch.cat(pair) for pair in zip(*sides, strict=True))
+        observations, actions, tasks = (torch.cat(pair) for pair in zip(*sides, strict=True))
         self._judge.train()
-        loss, figures = self.loss((self._augment(stacks, self._noise), actions, tasks))
+        loss, figures = self.loss((self._augment(observations, self._noise), actions, tasks))
         self._optimizer.zero_grad()
         loss.backward()
         self._optimizer.step()
@@ -94,9 +95,9 @@ class GAIL(Adversarial):
         right = torch.cat([policy > 0, expert < 0]).float().mean().item()
         return gail_loss(policy, expert), {"accuracy": right}
 
-    def reward(self, stacks: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+    def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """-log D, shape (n,)."""
-        return nn.functional.softplus(-self._judge.eval()(stacks, actions, tasks))
+        return nn.functional.softplus(-self._judge.eval()(observations, actions, tasks))
 
 
 class WGAILGP(Adversarial):
@@ -114,9 +115,9 @@ class WGAILGP(Adversarial):
         figures = {"distance": distance.item(), "penalty": penalty.item()}
         return self.settings.discriminator.gradient_penalty * penalty - distance, figures
 
-    def reward(self, stacks: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+    def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """-D, shape (n,)."""
-        return -self._judge.eval()(stacks, actions, tasks)
+        return -self._judge.eval()(observations, actions, tasks)
 
 
 def gail_loss(policy: Tensor, expert: Tensor) -> Tensor:
@@ -124,13 +125,13 @@ def gail_loss(policy: Tensor, expert: Tensor) -> Tensor:
     return nn.functional.softplus(-policy).mean() + nn.functional.softplus(expert).mean()
 
 
-def gradient_penalty(judge: Judge, stacks: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+def gradient_penalty(judge: Judge, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
     """Mean of (||gradient of D with respect to the stack||_2 - 1)^2.
 
     The gradient is that of each sample's D with respect to its own stack. So `judge` must treat each sample for
     itself: where it has batch norm, with the running statistics (eval), which is also how it makes the rewards.
     With a batch's statistics, all of its samples would be in each D, and there were no gradient of one sample.
     """
-    stacks = stacks.detach().requires_grad_()
-    (gradient,) = torch.autograd.grad(judge(stacks, actions, tasks).sum(), stacks, create_graph=True)
+    observations = observations.detach().requires_grad_()
+    (gradient,) = torch.autograd.grad(judge(observations, actions, tasks).sum(), observations, create_graph=True)
     return (gradient.flatten(1).norm(dim=1) - 1).square().mean()

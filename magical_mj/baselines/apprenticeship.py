@@ -11,15 +11,20 @@ from torch import Tensor, nn
 
 from magical_mj.baselines.data import Rollout
 from magical_mj.baselines.learner import restore_optimizer, seeded
-from magical_mj.baselines.network import SHAPE, Torso, convolutions
+from magical_mj.baselines.network import ONE_HOT, SHAPE, Torso, convolutions
 from magical_mj.baselines.reinforced import RewardLearner
 from magical_mj.baselines.settings import Network, TrainingSettings
+from magical_mj.baselines.states import HISTORY, StateTorso
+from magical_mj.observations import STATE_NAMES
 
 FIGURES: Final[tuple[str, ...]] = ("reconstruction", "distance", "reward", "score", "entropy", "kl", "value loss")
 """What updates return, in this order."""
 
 CHUNK: Final = 64
 """Samples at a time: the paper's first layer gives 2.4 MB for each."""
+ACTION_WEIGHT: Final = 0.1
+RESTART: Final = 100
+"""Batches of the autoencoder between two looks for features that are always 0."""
 
 
 class Apprenticeship(RewardLearner):
@@ -38,7 +43,7 @@ class Apprenticeship(RewardLearner):
         self.updates += settings.features.batches
         size, tasks = settings.features.size, len(settings.tasks)
         with seeded(settings.seed + 1):
-            self._coder = Autoencoder(settings.network, size).to(self.device)
+            self._coder = Autoencoder(settings.network, size, states=settings.states).to(self.device)
         self._optimizer = torch.optim.Adam(self._coder.parameters(), settings.features.learning_rate)
         self._batches = 0
         self._figures: dict[str, float] = dict.fromkeys(FIGURES, 0.0)
@@ -58,10 +63,10 @@ class Apprenticeship(RewardLearner):
         """New weights, and how far apart the mean features are: w . (E_demonstrations Phi - E_policy Phi)."""
         tasks = len(self._weights)
         each = self.settings.features.samples // tasks
-        stacks, actions, _ = self.on_device(self._expert.sample(each * tasks, self._draw))
-        expert = self._coder.features(stacks, actions).reshape(tasks, each, -1)
+        observations, actions, _ = self.on_device(self._expert.sample(each * tasks, self._draw))
+        expert = self._coder.features(observations, actions).reshape(tasks, each, -1)
         played = (self.on_device(batch) for batch in rollout.batches(self.settings.ppo.minibatch))
-        novice = torch.cat([self._coder.features(stacks, actions) for stacks, actions, _ in played])
+        novice = torch.cat([self._coder.features(observations, actions) for observations, actions, _ in played])
         novice = novice.reshape(len(rollout.actions), tasks, -1, novice.shape[1]).transpose(0, 1).flatten(1, 2)
         order = torch.randperm(novice.shape[1], generator=self._draw)  # so that any part of the rollout may be left out
         self._latest = torch.cat([self._latest, novice[:, order]], dim=1)[:, -each:]
@@ -69,9 +74,9 @@ class Apprenticeship(RewardLearner):
         self._weights = best_weights(difference)
         return {"distance": (self._weights * difference).sum(1).mean().item()}
 
-    def reward(self, stacks: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+    def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """The features that count now, w . Phi(s, a), shape (n,)."""
-        return (self._coder.features(stacks, actions) * self._weights[tasks]).sum(1)
+        return (self._coder.features(observations, actions) * self._weights[tasks]).sum(1)
 
     def state(self) -> dict[str, Any]:
         """Of all that plays, of the autoencoder, and the policy's latest features."""
@@ -94,11 +99,15 @@ class Apprenticeship(RewardLearner):
 
     def _reconstruct(self) -> float:
         batch = self._expert.sample(self.settings.features.batch_size, self._draw)
-        stacks, actions, _ = self.on_device(batch)
-        loss = self._coder.train().loss(stacks, actions)
+        observations, actions, _ = self.on_device(batch)
+        loss = self._coder.train().loss(observations, actions)
         self._optimizer.zero_grad()
         loss.backward()
         self._optimizer.step()
+        if (self._batches + 1) % RESTART == 0 and self._batches + RESTART < self.settings.features.batches:
+            observations, actions, _ = self.on_device(self._expert.sample(512, self._draw))
+            with seeded(self.settings.seed + self._batches):
+                self._coder.restart(self._coder.features(observations, actions))
         return loss.item()
 
 
@@ -108,49 +117,74 @@ def best_weights(difference: Tensor) -> Tensor:
 
 
 class Autoencoder(nn.Module):
-    """The discriminator's network without its last layer, and its mirror image.
+    """The discriminator's network without its last layer, and what brings observations and actions back.
 
     The paper removes the layer of logits and narrows the one before it; that one keeps its ReLU, as nothing is said of
-    removing it. The mirror image puts transposed convolutions for convolutions, and ends in a sigmoid, as pixels
-    are in [0, 1]. It is not told the action, for the paper reconstructs pictures.
+    removing it. Pictures come back by the mirror image, with transposed convolutions for convolutions and a sigmoid at
+    the end, as pixels are in [0, 1]; states by two linear layers. The paper reconstructs pictures only. Here the action
+    is reconstructed as well: features that need not tell actions apart cannot reward one more than another.
 
     Args:
         network: the layers' sizes.
         size: of the features.
+        states: reconstruct histories of states, not pictures.
     """
 
-    def __init__(self, network: Network, size: int) -> None:
+    def __init__(self, network: Network, size: int, *, states: bool = False) -> None:
         super().__init__()
-        self.encoder = Torso(network, batch_norm=True, actions=True, features=size)
-        side, _, channels = SHAPE
-        mirror: list[nn.Module] = []  # from the pictures inwards
-        for outputs, kernel, stride in convolutions(network):
-            inner = math.ceil(side / stride)
-            extra = side - ((inner - 1) * stride - 2 * (kernel // 2) + kernel)
-            grow = nn.ConvTranspose2d(outputs, channels, kernel, stride, kernel // 2, extra)
-            mirror += [*([nn.ReLU(), nn.BatchNorm2d(channels)] if mirror else []), grow]
-            side, channels = inner, outputs
-        self.decoder = nn.Sequential(
-            nn.Linear(size, network.hidden),
-            nn.ReLU(),
-            nn.Linear(network.hidden, self.encoder.flat),
-            nn.ReLU(),
-            nn.Unflatten(1, (channels, side, side)),
-            *reversed(mirror),
-            nn.Sigmoid(),
+        made = (
+            StateTorso(network, actions=True, features=size)
+            if states
+            else Torso(network, batch_norm=True, actions=True, features=size)
         )
+        self.encoder = made
+        self.action = nn.Linear(size, ONE_HOT)
+        inner: list[nn.Module] = [nn.Linear(size, network.hidden), nn.ReLU()]
+        if isinstance(made, Torso):
+            inner += mirror(network, made.flat)
+        else:
+            inner += [nn.Linear(network.hidden, HISTORY * len(STATE_NAMES)), nn.Unflatten(1, (HISTORY, -1))]
+        self.decoder = nn.Sequential(*inner)
 
-    def forward(self, stacks: Tensor, actions: Tensor) -> Tensor:
-        """The stacks (n, 12, 96, 96) as they come back."""
-        return self.decoder(self.encoder(stacks, actions))
+    def forward(self, observations: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+        """The observations as they come back, and logits of the actions (n, 18)."""
+        features = self.encoder(observations, actions)
+        return self.decoder(features), self.action(features)
 
-    def loss(self, stacks: Tensor, actions: Tensor) -> Tensor:
-        """Mean squared error, of values in [0, 1]."""
-        return nn.functional.mse_loss(self(stacks, actions), stacks)
+    def loss(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """Mean squared error of the observations, and the actions' log loss with the weight ACTION_WEIGHT."""
+        seen, logits = self(observations, actions)
+        return nn.functional.mse_loss(seen, observations) + ACTION_WEIGHT * nn.functional.cross_entropy(logits, actions)
 
     @torch.no_grad()
-    def features(self, stacks: Tensor, actions: Tensor) -> Tensor:
+    def features(self, observations: Tensor, actions: Tensor) -> Tensor:
         """Phi(s, a), shape (n, size): of each sample for itself, with batch norm's running statistics."""
         self.eval()
-        parts = zip(stacks.split(CHUNK), actions.split(CHUNK), strict=True)
+        parts = zip(observations.split(CHUNK), actions.split(CHUNK), strict=True)
         return torch.cat([self.encoder(*part) for part in parts])
+
+    @torch.no_grad()
+    def restart(self, features: Tensor) -> int:
+        """Draws anew the weights of features that are 0 in all samples (n, size); returns how many there are.
+
+        A ReLU that is 0 everywhere has no gradient and stays so.
+        """
+        weight, bias = self.encoder.linear[2].parameters()
+        dead = (features <= 0).all(0)
+        weight[dead] = nn.init.kaiming_uniform_(torch.empty_like(weight), math.sqrt(5))[dead]  # as nn.Linear draws them
+        bias[dead] = 1.0
+        return int(dead.sum())
+
+
+def mirror(network: Network, flat: int) -> list[nn.Module]:
+    """The layers from the first linear one of a `Torso`, which has `flat` inputs, back to the pictures."""
+    side, _, channels = SHAPE
+    layers: list[nn.Module] = []  # from the pictures inwards
+    for outputs, kernel, stride in convolutions(network):
+        inner = math.ceil(side / stride)
+        extra = side - ((inner - 1) * stride - 2 * (kernel // 2) + kernel)
+        grow = nn.ConvTranspose2d(outputs, channels, kernel, stride, kernel // 2, extra)
+        layers += [*([nn.ReLU(), nn.BatchNorm2d(channels)] if layers else []), grow]
+        side, channels = inner, outputs
+    first = [nn.Linear(network.hidden, flat), nn.ReLU(), nn.Unflatten(1, (channels, side, side))]
+    return [*first, *reversed(layers), nn.Sigmoid()]

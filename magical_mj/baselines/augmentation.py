@@ -18,6 +18,8 @@ import torch
 from kornia.geometry.transform import get_affine_matrix2d, warp_affine
 from torch import Tensor
 
+from magical_mj.baselines.settings import TrainingSettings
+from magical_mj.baselines.states import StateAugmentation
 from magical_mj.errors import unknown_name
 
 Part = Literal["translation", "rotation", "colour", "noise"]
@@ -95,6 +97,11 @@ class Augmentation:
             noise = torch.randn(stacks.shape, generator=generator, device=generator.device, dtype=torch.float32)
             pictures = torch.add(pictures, noise.to(stacks), alpha=NOISE)
         return torch.empty_like(stacks).copy_(pictures.clamp_(0, 1))
+
+
+def augmentation(settings: TrainingSettings) -> Augmentation | StateAugmentation:
+    """What a run augments its observations with."""
+    return StateAugmentation(settings.augment) if settings.states else Augmentation(settings.augment)
 
 
 def move(stacks: Tensor, shifts: Tensor, degrees: Tensor) -> Tensor:

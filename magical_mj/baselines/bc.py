@@ -8,10 +8,11 @@ from typing import Any
 import torch
 from torch import nn
 
-from magical_mj.baselines.augmentation import Augmentation
-from magical_mj.baselines.data import Dataset
+from magical_mj.baselines.augmentation import augmentation
+from magical_mj.baselines.data import Dataset, Demonstrations
 from magical_mj.baselines.learner import Learner, seeded
 from magical_mj.baselines.network import Actor, as_input
+from magical_mj.baselines.policy import TrainedPolicy
 from magical_mj.baselines.settings import Cloning, TrainingSettings
 from magical_mj.errors import SettingsError
 
@@ -23,15 +24,21 @@ class BehaviouralCloning(Learner):
     tasks the loss is the mean of the tasks' losses: batches hold as many samples of each.
     """
 
-    def __init__(self, settings: TrainingSettings) -> None:
+    def __init__(self, settings: TrainingSettings, demonstrations: Demonstrations | None = None) -> None:
         super().__init__(settings)
         self.updates = settings.bc.batches
-        self._data = Dataset(settings, drop_noop=True)
+        self._data = Dataset(settings, drop_noop=True, demonstrations=demonstrations)
         self._draw = torch.Generator().manual_seed(settings.seed)
         self._noise = torch.Generator(self.device).manual_seed(settings.seed)
-        self._augment = Augmentation(settings.augment)
+        self._augment = augmentation(settings)
         with seeded(settings.seed):
-            self._actor = Actor(settings.network, len(settings.tasks), batch_norm=True).to(self.device)
+            self._actor = Actor(
+                settings.network,
+                len(settings.tasks),
+                states=settings.states,
+                batch_norm=True,
+                normal=settings.bc.heads == "normal",
+            ).to(self.device)
         self._optimizer = _optimizer(settings.bc, self._actor)
         self._rate = torch.optim.lr_scheduler.LinearLR(
             self._optimizer, 1.0, settings.bc.final_learning_rate / settings.bc.learning_rate, self.updates
@@ -44,10 +51,10 @@ class BehaviouralCloning(Learner):
 
     def update(self) -> Mapping[str, float]:
         """One batch. Its log loss, and the share of actions that were the most probable ones."""
-        images, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._draw)
+        observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._draw)
         actions, tasks = actions.to(self.device), tasks.to(self.device)
         self._actor.train()
-        logits = self._actor(self._augment(as_input(images, self.device), self._noise), tasks)
+        logits = self._actor(self._augment(as_input(observations, self.device), self._noise), tasks)
         loss = nn.functional.cross_entropy(logits, actions)
         self._optimizer.zero_grad()
         loss.backward()
@@ -74,9 +81,22 @@ class BehaviouralCloning(Learner):
         self._noise.set_state(state["noise"])
 
 
+def clone(settings: TrainingSettings, demonstrations: Demonstrations | None = None) -> TrainedPolicy:
+    """Trains a policy by behavioural cloning without a folder: nothing is saved.
+
+    Args:
+        settings: of the training; their number of demonstrations of each task are drawn by the seed.
+        demonstrations: by task, to draw from instead of the shipped ones: for comparing sets of demonstrations.
+    """
+    learner = BehaviouralCloning(settings, demonstrations)
+    for _ in range(learner.updates):
+        learner.update()
+    return TrainedPolicy(learner.actor, settings.tasks, settings.preset)
+
+
 def _optimizer(bc: Cloning, actor: Actor) -> torch.optim.Optimizer:
     if bc.optimizer == "sgd":
         return torch.optim.SGD(actor.parameters(), bc.learning_rate, bc.momentum)
     if bc.optimizer == "adam":
-        return torch.optim.Adam(actor.parameters(), bc.learning_rate)
+        return torch.optim.Adam(actor.parameters(), bc.learning_rate, fused=True)
     raise SettingsError(f"bc.optimizer must be sgd or adam, not {bc.optimizer!r}")

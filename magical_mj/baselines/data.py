@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator, Sequence
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -13,15 +12,21 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical_mj import demos
+from magical_mj.actions import NOOP
 from magical_mj.baselines.settings import TrainingSettings
+from magical_mj.baselines.states import histories
+from magical_mj.demos import Demonstration, Transitions
 from magical_mj.errors import DemonstrationError
+
+Demonstrations = Mapping[str, Sequence[Demonstration | Transitions]]
+"""By task. `Transitions` are those of one whole episode, no-ops included, in the preset that the learner looks at."""
 
 
 class Batch(NamedTuple):
-    """Samples on the CPU: rows of stacks, what was done, and the task it was done for."""
+    """Samples on the CPU: what was seen, what was done, and the task it was done for."""
 
-    images: NDArray[np.uint8]
-    """Shape (n, 96, 96, 12)."""
+    observations: NDArray[Any]
+    """Stacks of frames, shape (n, 96, 96, 12) uint8; or histories of states, shape (n, HISTORY, names) float32."""
     actions: Tensor
     """Shape (n,) int64."""
     tasks: Tensor
@@ -44,24 +49,36 @@ def shares(size: int, tasks: int, generator: torch.Generator) -> list[int]:
     return found
 
 
+def _episode(
+    demonstration: Demonstration | Transitions, settings: TrainingSettings, drop_noop: bool
+) -> tuple[NDArray[Any], NDArray[np.uint8]]:
+    if isinstance(demonstration, Demonstration):
+        demonstration = demos.transitions([demonstration], settings.preset, drop_noop=False)
+    seen, actions = np.asarray(demonstration.observations), demonstration.actions
+    seen = histories(seen) if settings.states else seen
+    return (seen[actions != NOOP], actions[actions != NOOP]) if drop_noop else (seen, actions)
+
+
 class Dataset:
     """All transitions of a run's demonstrations, and batches in which every task counts equally.
 
     Args:
         settings: whose tasks, seed, preset and number of demonstrations are used.
         drop_noop: leave out the transitions in which nothing was done.
-        folder: of demonstrations, instead of the shipped ones.
+        demonstrations: by task, to draw from instead of the shipped ones.
     """
 
-    def __init__(self, settings: TrainingSettings, *, drop_noop: bool, folder: Path | None = None) -> None:
-        self._images: list[NDArray[np.uint8]] = []
+    def __init__(
+        self, settings: TrainingSettings, *, drop_noop: bool, demonstrations: Demonstrations | None = None
+    ) -> None:
+        self._observations: list[NDArray[Any]] = []
         self._actions: list[Tensor] = []
         for task in settings.tasks:
-            found = demos.load(task, folder)
+            found = demos.load(task) if demonstrations is None else demonstrations[task]
             chosen = [found[number] for number in drawn(task, settings.seed, settings.demonstrations, len(found))]
-            images, actions = demos.transitions(chosen, settings.preset, drop_noop=drop_noop)
-            self._images.append(np.asarray(images))
-            self._actions.append(torch.as_tensor(actions.astype(np.int64)))
+            seen, actions = zip(*[_episode(one, settings, drop_noop) for one in chosen], strict=True)
+            self._observations.append(np.concatenate(seen))
+            self._actions.append(torch.as_tensor(np.concatenate(actions).astype(np.int64)))
 
     @property
     def sizes(self) -> list[int]:
@@ -76,7 +93,7 @@ class Dataset:
     def rows(self, numbers: Sequence[Tensor]) -> Batch:
         """Given rows of each task, one task after the other."""
         return Batch(
-            np.concatenate([images[rows.numpy()] for images, rows in zip(self._images, numbers, strict=True)]),
+            np.concatenate([seen[rows.numpy()] for seen, rows in zip(self._observations, numbers, strict=True)]),
             torch.cat([actions[rows] for actions, rows in zip(self._actions, numbers, strict=True)]),
             torch.cat([torch.full_like(rows, task) for task, rows in enumerate(numbers)]),
         )
@@ -85,8 +102,8 @@ class Dataset:
 class Rollout(NamedTuple):
     """What the policy has just done, copy by copy."""
 
-    images: NDArray[np.uint8]
-    """Shape (steps, environments, 96, 96, 12)."""
+    observations: NDArray[Any]
+    """Shape (steps, environments, ...)."""
     actions: NDArray[np.int64]
     """Shape (steps, environments)."""
     tasks: NDArray[np.int64]
@@ -97,7 +114,7 @@ class Rollout(NamedTuple):
         parts = shares(size, int(self.tasks[-1]) + 1, generator)
         copies = np.repeat(np.arange(len(parts)), parts) * (len(self.tasks) // len(parts))
         copies += torch.randint(len(self.tasks) // len(parts), (size,), generator=generator).numpy()
-        steps = torch.randint(len(self.images), (size,), generator=generator).numpy()
+        steps = torch.randint(len(self.observations), (size,), generator=generator).numpy()
         return self._batch(steps, copies)
 
     def batches(self, size: int) -> Iterator[Batch]:
@@ -107,4 +124,4 @@ class Rollout(NamedTuple):
 
     def _batch(self, steps: NDArray[np.int64], copies: NDArray[np.int64]) -> Batch:
         actions, tasks = torch.as_tensor(self.actions[steps, copies]), torch.as_tensor(self.tasks[copies])
-        return Batch(self.images[steps, copies], actions, tasks)
+        return Batch(self.observations[steps, copies], actions, tasks)

@@ -13,11 +13,12 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecTransposeImage
 
 from magical_mj.actions import ACTIONS
 from magical_mj.baselines.settings import TrainingSettings
+from magical_mj.baselines.states import HISTORY, History
 from magical_mj.gym_env import MagicalEnv
 from magical_mj.registry import task_spec
 
-IMAGES: Final = "images"
-"""Of an observation: the stack of frames, shape (96, 96, 12) uint8."""
+SEEN: Final = "seen"
+"""Of an observation: the stack of frames, shape (96, 96, 12) uint8; or the history, shape (HISTORY, names) float32."""
 TASK: Final = "task"
 """Of an observation: the task as a one-hot vector, shape (tasks,) float32."""
 
@@ -41,7 +42,7 @@ class Copy(gymnasium.Env[Any, Any]):
         self._env = MagicalEnv(settings.tasks[self._task], "Demo", settings.preset)
         self.observation_space = spaces.Dict(
             {
-                IMAGES: self._env.observation_space,
+                SEEN: _space(self._env.observation_space) if settings.states else self._env.observation_space,
                 TASK: spaces.Box(0, 1, (len(settings.tasks),), np.float32),
             }
         )
@@ -51,6 +52,8 @@ class Copy(gymnasium.Env[Any, Any]):
         horizon = task_spec(settings.tasks[self._task]).horizon()
         siblings = settings.ppo.environments // len(settings.tasks)
         self._head_start = number % siblings * horizon // siblings
+        self._states = settings.states
+        self._history: History | None = None
         self._episode, self._actions = -1, list[int]()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Seen, dict[str, Any]]:  # noqa: ARG002
@@ -62,8 +65,8 @@ class Copy(gymnasium.Env[Any, Any]):
     def step(self, action: Any) -> tuple[Seen, float, bool, bool, dict[str, Any]]:
         """One action. The reward is 0; `info["eval_score"]` is the score, at an episode's last step."""
         self._actions.append(int(action))
-        images, reward, terminated, truncated, info = self._env.step(action)
-        return self._seen(images), reward, terminated, truncated, info
+        observation, reward, terminated, truncated, info = self._env.step(action)
+        return self._seen(observation), reward, terminated, truncated, info
 
     def state(self) -> dict[str, Any]:
         """The episode's number, and what has been done in it."""
@@ -79,7 +82,7 @@ class Copy(gymnasium.Env[Any, Any]):
         self._env.close()
 
     def _replay(self, actions: Sequence[int] | NDArray[np.int64]) -> Seen:
-        self._actions = []
+        self._actions, self._history = [], None
         seen = self._seen(self._env.reset(seed=int(self._rng().integers(2**63)))[0])
         for action in actions:
             seen = self.step(action)[0]
@@ -88,8 +91,16 @@ class Copy(gymnasium.Env[Any, Any]):
     def _rng(self) -> np.random.Generator:
         return np.random.default_rng([self._seed, self._number, self._episode])
 
-    def _seen(self, images: Any) -> Seen:
-        return {IMAGES: images, TASK: self._one_hot}
+    def _seen(self, observation: Any) -> Seen:
+        if self._states:
+            self._history = self._history or History(observation)
+            observation = self._history.add(observation)
+        return {SEEN: observation, TASK: self._one_hot}
+
+
+def _space(states: spaces.Space[Any]) -> spaces.Box:
+    """That of histories."""
+    return spaces.Box(-np.inf, np.inf, (HISTORY, *(states.shape or ())), np.float32)
 
 
 class Environments(VecTransposeImage):
@@ -115,7 +126,7 @@ class Environments(VecTransposeImage):
     def restore(self, state: Sequence[dict[str, Any]]) -> Seen:
         """Takes up a `state`; returns what all copies see, as `reset` does."""
         seen = [copy.restore(one) for copy, one in zip(self._copies, state, strict=True)]
-        return {key: np.stack([one[key] for one in seen]) for key in (IMAGES, TASK)}
+        return {key: np.stack([one[key] for one in seen]) for key in (SEEN, TASK)}
 
 
 def task_number(settings: TrainingSettings, copy: int) -> int:

@@ -3,28 +3,34 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
-import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from magical_mj.actions import ACTIONS
 from magical_mj.baselines.settings import Network
+from magical_mj.baselines.states import StateTorso
 
 SHAPE: Final = (96, 96, 12)
 """Of what networks look at: four RGB frames, stacked along the channels."""
 ONE_HOT: Final = len(ACTIONS)
 
 
-def as_input(images: NDArray[np.uint8] | Tensor, device: torch.device) -> Tensor:
-    """Stacks as environments give them, shape (n, side, side, 3k) uint8, as networks want them.
+def as_input(observations: NDArray[Any] | Tensor, device: torch.device) -> Tensor:
+    """Observations as environments give them, as networks want them.
+
+    Args:
+        observations: stacks of frames, shape (n, side, side, 3k), 0 to 255; or histories, shape (n, HISTORY, names).
+        device: of the networks.
 
     Returns:
-        Shape (n, 3k, side, side), values in [0, 1]; in memory the channels stay last, which is what is fast.
+        Stacks as (n, 3k, side, side), values in [0, 1], in memory with the channels last, which is what is fast.
+        Histories as they are.
     """
-    return scaled(torch.as_tensor(images).to(device).float()).permute(0, 3, 1, 2)
+    values = torch.as_tensor(observations).to(device).float()
+    return scaled(values).permute(0, 3, 1, 2) if values.dim() == 4 else values
 
 
 def scaled(pixels: Tensor) -> Tensor:
@@ -80,13 +86,23 @@ class Torso(nn.Module):
 
 
 class Heads(nn.Module):
-    """The last layer: a linear map of its own for each task."""
+    """The last layer: a linear map of its own for each task.
 
-    def __init__(self, tasks: int, inputs: int, outputs: int) -> None:
+    Args:
+        tasks: how many.
+        inputs: of each map.
+        outputs: of each map.
+        normal: draw the first weights from N(0, 1), as the original's released learners do: the paper's SGD hardly gets
+            anywhere without. Otherwise they are drawn as nn.Linear draws its own.
+    """
+
+    def __init__(self, tasks: int, inputs: int, outputs: int, *, normal: bool = False) -> None:
         super().__init__()
-        bound = 1 / math.sqrt(inputs)  # as nn.Linear draws its weights
-        self.weight = nn.Parameter(torch.empty(tasks, outputs, inputs).uniform_(-bound, bound))
-        self.bias = nn.Parameter(torch.empty(tasks, outputs).uniform_(-bound, bound))
+        self.weight = nn.Parameter(torch.empty(tasks, outputs, inputs))
+        self.bias = nn.Parameter(torch.empty(tasks, outputs))
+        bound = 1 / math.sqrt(inputs)
+        for drawn in (self.weight, self.bias):
+            nn.init.normal_(drawn) if normal else nn.init.uniform_(drawn, -bound, bound)
 
     def forward(self, features: Tensor, tasks: Tensor) -> Tensor:
         """Shape (n, outputs), for features (n, inputs) and the numbers of their tasks (n,)."""
@@ -94,17 +110,27 @@ class Heads(nn.Module):
 
 
 class Actor(nn.Module):
-    """A policy: logits of the 18 actions."""
+    """A policy: logits of the 18 actions.
 
-    def __init__(self, network: Network, tasks: int, *, batch_norm: bool = False) -> None:
+    Args:
+        network: the layers' sizes.
+        tasks: how many heads it has.
+        states: it looks at histories of states, not at pictures.
+        batch_norm: it has batch norm, if it looks at pictures.
+        normal: see `Heads`.
+    """
+
+    def __init__(
+        self, network: Network, tasks: int, *, states: bool = False, batch_norm: bool = False, normal: bool = False
+    ) -> None:
         super().__init__()
         self.batch_norm = batch_norm
-        self.torso = Torso(network, batch_norm=batch_norm)
-        self.head = Heads(tasks, self.torso.features, ONE_HOT)
+        self.torso = StateTorso(network) if states else Torso(network, batch_norm=batch_norm)
+        self.head = Heads(tasks, self.torso.features, ONE_HOT, normal=normal)
 
-    def forward(self, stacks: Tensor, tasks: Tensor) -> Tensor:
-        """Logits, shape (n, 18), for stacks (n, 3k, 96, 96) in [0, 1] and the numbers of their tasks (n,)."""
-        return self.head(self.torso(stacks), tasks)
+    def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
+        """Logits, shape (n, 18), for observations as of `as_input` and the numbers of their tasks (n,)."""
+        return self.head(self.torso(observations), tasks)
 
 
 @torch.no_grad()

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from magical_mj.baselines import checkpoint
 from magical_mj.baselines.network import SHAPE, Actor, as_input
-from magical_mj.baselines.settings import Network, TrainingSettings
+from magical_mj.baselines.settings import STATE, Network, TrainingSettings
+from magical_mj.baselines.states import History
 from magical_mj.errors import SettingsError, TrainingError
 from magical_mj.evaluation.policies import Episode
+from magical_mj.observations import STATE_NAMES
 
 POLICY: Final = "policy.safetensors"
 """In a run's folder."""
@@ -42,14 +44,19 @@ class TrainedPolicy:
         if unknown:
             raise SettingsError(f"this policy was trained on {', '.join(self.tasks)}, and cannot act in {unknown[0]}")
         self._heads = torch.tensor([self.tasks.index(episode.task) for episode in episodes], device=self._device)
+        self._history: History | None = None
         self._rngs = [episode.rng() for episode in episodes]
 
-    def act_batch(self, observations: NDArray[np.uint8]) -> NDArray[np.int64]:
-        """An action for each episode, shape (n,), for stacks of shape (n, 96, 96, 12)."""
-        if observations.shape[1:] != SHAPE:
+    def act_batch(self, observations: NDArray[Any]) -> NDArray[np.int64]:
+        """An action for each episode, shape (n,), for stacks of shape (n, 96, 96, 12) or states of shape (n, names)."""
+        shape = (len(STATE_NAMES),) if self.preset == STATE else SHAPE
+        if observations.shape[1:] != shape:
             raise SettingsError(
-                f"this policy looks at arrays of shape {SHAPE} (preset {self.preset}), not {observations.shape[1:]}"
+                f"this policy looks at arrays of shape {shape} (preset {self.preset}), not {observations.shape[1:]}"
             )
+        if self.preset == STATE:
+            self._history = self._history or History(observations)
+            observations = self._history.add(observations)
         self._actor.eval()
         with torch.inference_mode(), one_thread():
             logits = self._actor(as_input(observations, self._device), self._heads[: len(observations)])
@@ -61,8 +68,8 @@ class TrainedPolicy:
         """An episode begins."""
         self.reset_batch([episode])
 
-    def __call__(self, observation: NDArray[np.uint8]) -> int:
-        """An action, for a stack of shape (96, 96, 12)."""
+    def __call__(self, observation: NDArray[Any]) -> int:
+        """An action, for a stack of shape (96, 96, 12) or a state of shape (names,)."""
         return int(self.act_batch(observation[None])[0])
 
 
@@ -105,7 +112,12 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
     """
     kept = checkpoint.read(Path(folder) / POLICY)
     try:
-        actor = Actor(Network(**kept["network"]), len(kept["tasks"]), batch_norm=kept["batch_norm"])
+        actor = Actor(
+            Network(**kept["network"]),
+            len(kept["tasks"]),
+            states=kept["preset"] == STATE,
+            batch_norm=kept["batch_norm"],
+        )
         actor.load_state_dict(kept["weights"])
         return TrainedPolicy(actor, kept["tasks"], kept["preset"])
     except (KeyError, TypeError, RuntimeError) as error:

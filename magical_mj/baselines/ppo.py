@@ -20,24 +20,25 @@ from stable_baselines3.common.utils import obs_as_tensor
 from torch import Tensor, nn
 
 from magical_mj.baselines.data import Rollout
-from magical_mj.baselines.environments import IMAGES, TASK, Environments
+from magical_mj.baselines.environments import SEEN, TASK, Environments
 from magical_mj.baselines.learner import restore_optimizer
-from magical_mj.baselines.network import Actor, Heads, Torso, scaled
+from magical_mj.baselines.network import Actor, Heads, Torso, as_input
 from magical_mj.baselines.settings import TrainingSettings
+from magical_mj.baselines.states import StateTorso
 
 
 class Features(BaseFeaturesExtractor):
     """The torso's features with the one-hot task joined to them, which is how it reaches the heads."""
 
-    def __init__(self, observation_space: spaces.Dict, torso: Torso) -> None:
+    def __init__(self, observation_space: spaces.Dict, torso: Torso | StateTorso) -> None:
         tasks = observation_space[TASK].shape
         super().__init__(observation_space, torso.features + int(np.prod(tasks or ())))
         self.torso = torso
 
     def forward(self, observations: Mapping[str, Tensor]) -> Tensor:
         """Shape (n, features + tasks). Pictures come as floats from 0 to 255 made for this, the channels last."""
-        stacks = scaled(observations[IMAGES]).permute(0, 3, 1, 2)
-        return torch.cat([self.torso(stacks), observations[TASK]], dim=1)
+        seen = observations[SEEN]
+        return torch.cat([self.torso(as_input(seen, seen.device)), observations[TASK]], dim=1)
 
 
 class ForTasks(nn.Module):
@@ -192,7 +193,7 @@ class Improver(PPO):
         """Plays on for the settings' number of steps in each environment."""
         self.collect_rollouts(self._environments, self._scores, self.rollout_buffer, self.n_steps)
         buffer = self.rollout_buffer
-        return Rollout(buffer.observations[IMAGES], buffer.actions[..., 0], self._environments.tasks)
+        return Rollout(buffer.observations[SEEN], buffer.actions[..., 0], self._environments.tasks)
 
     def improve(self, rewards: NDArray[np.float32]) -> dict[str, float]:
         """One update of the policy, by rewards of shape (steps, environments) for what was collected."""

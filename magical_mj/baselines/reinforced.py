@@ -15,12 +15,12 @@ from torch import Tensor
 from magical_mj.baselines.data import Batch, Dataset, Rollout
 from magical_mj.baselines.environments import Environments
 from magical_mj.baselines.learner import Learner, seeded
-from magical_mj.baselines.network import Actor, Heads, as_input, standardise
+from magical_mj.baselines.network import Actor, Heads, Torso, as_input, standardise
 from magical_mj.baselines.ppo import Improver
 from magical_mj.baselines.settings import TrainingSettings
 
 Samples = tuple[Tensor, Tensor, Tensor]
-"""A batch on the device: stacks (n, 12, 96, 96) in [0, 1], actions (n,) and numbers of tasks (n,)."""
+"""A batch on the device: observations as of `as_input`, actions (n,) and numbers of tasks (n,)."""
 
 
 class RewardLearner(Learner):
@@ -37,9 +37,10 @@ class RewardLearner(Learner):
         self._environments = Environments(settings)
         tasks = len(settings.tasks)
         with seeded(settings.seed):
-            actor = Actor(settings.network, tasks).to(self.device)
-            first = self._expert.sample(256 // tasks * tasks, torch.Generator().manual_seed(settings.seed))
-            standardise(actor.torso, self.on_device(first)[0])
+            actor = Actor(settings.network, tasks, states=settings.states).to(self.device)
+            if isinstance(actor.torso, Torso):
+                first = self._expert.sample(256 // tasks * tasks, torch.Generator().manual_seed(settings.seed))
+                standardise(actor.torso, self.on_device(first)[0])
             critic = Heads(tasks, actor.torso.features, 1).to(self.device)
             self._actor = actor
             self._ppo = Improver(settings, self._environments, actor, critic, self._draw, self.device)
@@ -65,12 +66,12 @@ class RewardLearner(Learner):
         """Learns from what the policy has just done, and returns figures about it."""
 
     @abstractmethod
-    def reward(self, stacks: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+    def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """Rewards (n,) of samples, to be normalised."""
 
     def on_device(self, batch: Batch) -> Samples:
         """A batch as networks want it."""
-        return as_input(batch.images, self.device), batch.actions.to(self.device), batch.tasks.to(self.device)
+        return as_input(batch.observations, self.device), batch.actions.to(self.device), batch.tasks.to(self.device)
 
     def state(self) -> dict[str, Any]:
         """Of the policy, the environments, the rewards and the draws."""

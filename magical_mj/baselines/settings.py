@@ -11,8 +11,10 @@ from magical_mj.errors import SettingsError, unknown_name
 from magical_mj.presets import PRESETS, preset
 from magical_mj.registry import TASKS
 
-PICTURES: Final = tuple(name for name, made in PRESETS.items() if made.layout == "hwc")
-"""The presets that learners can look at: one stack of frames, the channels last."""
+STATE: Final = "State"
+"""The preset of the state track."""
+LEARNABLE: Final = (*(name for name, made in PRESETS.items() if made.layout == "hwc"), STATE)
+"""The presets that learners can look at: one stack of frames, the channels last, or states."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,8 @@ class Network:
     first_channels: int = 64
     channels: int = 128  # of each of the four 3 x 3 convolutions of stride 2 that follow
     hidden: int = 256  # units of each of the two linear layers
+    entity: int = 64  # of states: units for the robot, each block and each region
+    attention: int = 2  # likewise: layers of attention between them
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,7 @@ class Cloning:
     learning_rate: float = 1e-3  # at first; from batch to batch it moves linearly to
     final_learning_rate: float = 1e-3  # at the end
     momentum: float = 0.1  # of SGD
+    heads: str = "normal"  # how their first weights are drawn: see `Heads`
 
 
 @dataclass(frozen=True)
@@ -86,7 +91,7 @@ class TrainingSettings:
         tasks: of the demonstrations; more than one is multi-task learning.
         seed: decides everything that is drawn: the demonstrations, the weights, the batches.
         demonstrations: how many of each task's are drawn.
-        preset: what is looked at, one of `PICTURES`.
+        preset: what is looked at, one of `LEARNABLE`.
         augment: one of `magical_mj.baselines.augmentation.AUGMENTATIONS`, for BC's policy and the discriminator.
         device: "auto", "cpu", or another device's name in PyTorch, such as "cuda".
         evaluations: how often during the training the policy is evaluated on the demo variant.
@@ -117,13 +122,21 @@ class TrainingSettings:
                 raise unknown_name("task", task, TASKS)
         if not self.tasks or len(set(self.tasks)) < len(self.tasks):
             raise SettingsError(f"give one or several different tasks, not {list(self.tasks)}")
-        if preset(self.preset).layout != "hwc":
-            raise SettingsError(f"learners look at one stack of frames: preset must be one of {', '.join(PICTURES)}")
+        preset(self.preset)
+        if self.preset not in LEARNABLE:
+            raise SettingsError(
+                f"learners look at one stack of frames or at states: preset must be one of {', '.join(LEARNABLE)}"
+            )
         _check_positive(self, "")
         if self.bc.final_learning_rate > self.bc.learning_rate:
             raise SettingsError("learning rates fall: bc.final_learning_rate must be at most bc.learning_rate")
         if self.method != "bc":
             self._check_reinforcement()
+
+    @property
+    def states(self) -> bool:
+        """Whether states are looked at, and not pictures."""
+        return self.preset == STATE
 
     def _check_reinforcement(self) -> None:
         """Of all methods but BC, whatever the user's own may be: most of them play."""
@@ -180,6 +193,30 @@ QUICK: Final[Mapping[str, Any]] = MappingProxyType(
 )
 """What `quick` changes: a smaller network and shorter training, for two cores without an accelerator."""
 
+STATE_TRACK: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        "bc.batches": 2_000,
+        "bc.batch_size": 128,
+        "bc.optimizer": "adam",
+        "bc.final_learning_rate": 1e-5,
+        "bc.heads": "uniform",
+        "ppo.total_steps": 300_000,
+        "ppo.steps": 16,
+        "ppo.epochs": 4,
+        "ppo.minibatch": 128,
+        "ppo.learning_rate": 3e-4,
+        "ppo.discount": 0.9,
+        "ppo.entropy": 0.003,
+        "ppo.clip": 0.2,
+        "discriminator.steps": 6,
+        "discriminator.batch_size": 128,
+        "discriminator.learning_rate": 1e-4,
+        "features.batches": 1_000,
+        "features.learning_rate": 1e-3,
+    }
+)
+"""What the preset State changes: the paper has no such track."""
+
 T = TypeVar("T")
 
 
@@ -191,11 +228,15 @@ def load_settings(
     Args:
         method: one of `magical_mj.baselines.METHODS`, or the name of a method of the user's own.
         tasks: the tasks, as a tuple or separated by commas; "all" is all eight.
-        quick: use a smaller network and a shorter training.
+        quick: use a smaller network and a shorter training on pictures.
         changes: by field; those of parts with dots, as in ``**{"ppo.clip": 0.02}``.
     """
     if isinstance(tasks, str):
         tasks = TASKS if tasks == "all" else tuple(filter(None, (task.strip() for task in tasks.split(","))))
+    if changes.get("preset") == STATE:
+        if quick:
+            raise SettingsError("quick is for pictures: learning from states is quick as it is")
+        changes = {**STATE_TRACK, **changes}
     return changed(TrainingSettings(method, tasks), {**(QUICK if quick else {}), **changes})
 
 
