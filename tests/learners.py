@@ -11,6 +11,7 @@ TINY = {
     "network.first_channels": 4,
     "network.channels": 4,
     "network.hidden": 8,
+    "network.entity": 8,
     "evaluations": 0,
     "checkpoints": 4,
     "demonstrations": 2,
@@ -19,8 +20,9 @@ TINY = {
 
 
 def tiny(method: str = "bc", tasks: str = "MoveToRegion", **changes: Any) -> TrainingSettings:
-    """TrainingSettings with a network of a few weights."""
-    return load_settings(method, tasks, quick=True, **{**TINY, "bc.batches": 12, "bc.batch_size": 4, **changes})
+    """Settings with a network of a few weights."""
+    quick = changes.get("preset") != "State"
+    return load_settings(method, tasks, quick=quick, **{**TINY, "bc.batches": 12, "bc.batch_size": 4, **changes})
 
 
 PLAYING = {
@@ -38,5 +40,5 @@ PLAYING = {
 
 
 def playing(method: str = "gail", tasks: str = "MoveToRegion", **changes: Any) -> TrainingSettings:
-    """TrainingSettings of a method that plays: four updates of 4 x 4 steps."""
+    """Settings of a method that plays: four updates of 4 x 4 steps."""
     return tiny(method, tasks, **{**PLAYING, **changes})

@@ -1,4 +1,4 @@
-"""TrainingSettings as plain TOML."""
+"""Settings as plain TOML."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ class Network:
     channels: int = 128  # of each of the four 3 x 3 convolutions of stride 2 that follow
     hidden: int = 256  # units of each of the two linear layers
     entity: int = 64  # of states: units for the robot, each block and each region
-    attention: int = 2  # likewise: layers of attention between them
+    attention: int = 1  # likewise: layers of attention between them
 
 
 @dataclass(frozen=True)

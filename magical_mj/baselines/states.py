@@ -116,7 +116,9 @@ class Attention(nn.Module):
     def forward(self, rows: Tensor, present: Tensor) -> Tensor:
         """New rows, (n, rows, size), that know of the other rows that are `present`, (n, rows)."""
         query, key, value = self.asked(rows).unflatten(2, (3, HEADS, -1)).permute(2, 0, 3, 1, 4)
-        found = nn.functional.scaled_dot_product_attention(query, key, value, attn_mask=present[:, None, None])
+        # PyTorch's own attention has no second derivative, which WGAIL-GP's penalty needs.
+        alike = query @ key.transpose(2, 3) / math.sqrt(query.shape[3])
+        found = alike.masked_fill(~present[:, None, None], -1e4).softmax(3) @ value
         rows = rows + self.answered(found.transpose(1, 2).flatten(2))
         return rows + self.alone(rows)
 
