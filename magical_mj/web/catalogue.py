@@ -1,0 +1,76 @@
+"""What the page is told when it opens: tasks in words and pictures, environments, and how everything looks."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from inspect import cleandoc
+from textwrap import dedent
+from typing import Any, Final, Literal
+
+from magical_mj import demos
+from magical_mj._version import __version__
+from magical_mj.registry import task_spec
+from magical_mj.scene import Scene
+from magical_mj.web.look import look
+
+FORMAT: Final = 1
+Simulation = Literal["browser", "server"]
+
+
+def sections(task: str) -> dict[str, str]:
+    """The docstring of a task's module by its headings, such as "Goal" and "Score"; its first line is "Summary"."""
+    text = sys.modules[task_spec(task).score.__module__].__doc__ or ""
+    first, *lines = cleandoc(text).splitlines()
+    found: dict[str, list[str]] = {"Summary": [first.partition(": ")[2]]}
+    heading = "Summary"
+    for line in lines:
+        if line and not line[0].isspace():
+            heading = line
+            found[heading] = []
+        else:
+            found[heading].append(line)
+    return {name: dedent("\n".join(content)).strip() for name, content in found.items()}
+
+
+def catalogue(
+    environments: Sequence[tuple[str, str]], simulation: Simulation, seeds: Mapping[tuple[str, str], int] | None = None
+) -> dict[str, Any]:
+    """What the page has to know before the first scene, as JSON data.
+
+    Args:
+        environments: the pairs (task, variant) to choose from.
+        simulation: who simulates.
+        seeds: how many scenes there are of each environment, seeds 0, 1, ...; None: of any seed.
+    """
+    tasks = list(dict.fromkeys(task for task, _ in environments))
+    return {
+        "format": FORMAT,
+        "package": __version__,
+        "mujoco": version("mujoco"),
+        "simulation": simulation,
+        "look": look(),
+        "tasks": {task: _task(task) for task in tasks},
+        "environments": [
+            {"task": task, "variant": variant, "seeds": seeds and seeds[task, variant]}
+            for task, variant in environments
+        ],
+    }
+
+
+def _task(task: str) -> dict[str, Any]:
+    spec = task_spec(task)
+    return {
+        "summary": spec.summary,
+        "goal": " ".join(sections(task)["Goal"].split()),
+        "score": sections(task)["Score"],
+        "horizon": spec.horizon("paper"),
+        "solved": scene_data(demos.load(task)[0].scenes()[-1]),
+    }
+
+
+def scene_data(scene: Scene) -> dict[str, Any]:
+    """A scene as JSON data."""
+    return json.loads(scene.to_json())

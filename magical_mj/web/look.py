@@ -1,0 +1,91 @@
+"""What the page draws: outlines and colours of everything, read from a compiled model, in the renderer's order."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj import constants as c
+from magical_mj.assets import style
+from magical_mj.assets.robot import SIGN
+from magical_mj.assets.world import world_mjcf
+from magical_mj.constants import COLOURS, SHAPES
+from magical_mj.scene import Block, Robot, Scene
+
+DECIMALS = 6
+
+
+def look() -> dict[str, Any]:
+    """How to draw any scene, as JSON data.
+
+    Outlines are lists of closed loops, each a flat list x, y, x, y, ... in world units, in the frame of their part:
+    the world, a block, the robot or one of its fingers. Parts and their layers are listed in drawing order.
+    """
+    blocks = tuple(Block(shape, "red", 0.5 * index, 0.5, 0.0) for index, shape in enumerate(SHAPES))
+    model = mujoco.MjModel.from_xml_string(world_mjcf(Scene(Robot(0.0, -0.5, 0.0), blocks)))
+    layers = [_layer(model, geom) for geom in range(model.ngeom) if _is_drawn(model, geom)]
+    return {
+        "visible": c.VISIBLE_SIZE,
+        "anchor": c.EGO_ANCHOR,
+        "paper": css(style.WHITE),
+        "arena": [layer for layer in layers if layer["part"] == "world"],
+        "regions": {
+            "fill": _palette(style.REGION_FILL),
+            "border": _palette(style.REGION_BORDER),
+            "line": style.REGION_BORDER_WIDTH,
+            "dash": style.DASH_LENGTH,
+        },
+        "blocks": {
+            shape: [layer["loops"] for layer in layers if layer["part"] == f"block{index}"]
+            for index, shape in enumerate(SHAPES)
+        },
+        "blockColours": [_palette(style.BLOCK_OUTLINE), _palette(style.BLOCK_FILL)],
+        "robot": [layer for layer in layers if layer["part"] in ("left_finger", "right_finger", "face")],
+        "fingerRoots": {f"{side}_finger": [sign * c.FINGER_ROOT[0], c.FINGER_ROOT[1]] for side, sign in SIGN.items()},
+    }
+
+
+def css(rgb: style.Rgb) -> str:
+    """A colour as style sheets write it."""
+    return "#{:02x}{:02x}{:02x}".format(*rgb)
+
+
+def _palette(palette: style.Palette) -> dict[str, str]:
+    return {colour: css(palette[colour]) for colour in COLOURS}
+
+
+def _is_drawn(model: mujoco.MjModel, geom: int) -> bool:
+    return model.geom_group[geom] == style.DRAWN_GROUP and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH
+
+
+def _layer(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
+    """A geom's body, colour and outline."""
+    mesh = model.mesh(model.geom_dataid[geom])
+    first, count = mesh.vertadr[0], mesh.vertnum[0]
+    turned = np.empty(9)
+    mujoco.mju_quat2Mat(turned, model.geom_quat[geom])  # the compiler moves meshes to their centre of mass and turns them
+    vertices = model.mesh_vert[first : first + count] @ turned.reshape(3, 3).T + model.geom_pos[geom]
+    faces = model.mesh_face[mesh.faceadr[0] : mesh.faceadr[0] + mesh.facenum[0]]
+    red, green, blue = (round(255 * float(level)) for level in model.geom_rgba[geom, :3])
+    return {
+        "part": model.body(model.geom_bodyid[geom]).name,
+        "colour": css((red, green, blue)),
+        "loops": [np.round(vertices[loop, :2], DECIMALS).ravel().tolist() for loop in _loops(faces)],
+    }
+
+
+def _loops(faces: NDArray[np.int32]) -> list[list[int]]:
+    """The edges that belong to one triangle only, chained into closed loops of vertices."""
+    edges = {(int(face[k]), int(face[(k + 1) % 3])) for face in faces for k in range(3)}
+    after = {start: end for start, end in edges if (end, start) not in edges}
+    loops = []
+    while after:
+        start = min(after)
+        loop = [start]
+        while (end := after.pop(loop[-1])) != start:
+            loop.append(end)
+        loops.append(loop)
+    return loops

@@ -1,0 +1,20 @@
+// @ts-check
+/**
+ * Actions as numbers and as letters. A number is 9 * grip + 3 * turn + drive, with turn 1 left and 2 right, and drive
+ * 1 forward and 2 back; lists of actions are stored as texts, with "a" for 0.
+ */
+
+/** @typedef {"forward" | "back" | "left" | "right" | "grip"} Command */
+
+/**
+ * The action of the commands that are given at once; opposite ones cancel each other.
+ * @param {Set<Command>} commands
+ */
+export function action(commands) {
+  const number = (/** @type {Command} */ one, /** @type {Command} */ other) =>
+    commands.has(one) === commands.has(other) ? 0 : commands.has(one) ? 1 : 2;
+  return 9 * Number(commands.has("grip")) + 3 * number("left", "right") + number("forward", "back");
+}
+
+/** @param {string} letters */
+export const fromLetters = (letters) => [...letters].map((letter) => letter.charCodeAt(0) - "a".charCodeAt(0));

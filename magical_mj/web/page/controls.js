@@ -1,0 +1,65 @@
+// @ts-check
+/**
+ * Keys and touch buttons: which commands are given now.
+ * @typedef {import("./actions.js").Command} Command
+ */
+import { action } from "./actions.js";
+
+/** @type {Record<string, Command>} */
+const KEYS = {
+  ArrowUp: "forward", ArrowDown: "back", ArrowLeft: "left", ArrowRight: "right",
+  KeyW: "forward", KeyS: "back", KeyA: "left", KeyD: "right", Space: "grip",
+};
+
+export class Controls {
+  /**
+   * @param {HTMLElement} arena  keys count while it, or nothing, has the focus
+   * @param {Iterable<HTMLButtonElement>} buttons  each with a command as data-command
+   */
+  constructor(arena, buttons) {
+    /** @type {Set<Command>} */
+    this.held = new Set();
+    /** @type {Set<Command>} commands that were given since the last action, however shortly */
+    this.tapped = new Set();
+    addEventListener("keydown", (event) => {
+      const command = KEYS[event.code];
+      const elsewhere = event.target !== document.body && event.target !== arena;
+      if (!command || elsewhere || event.ctrlKey || event.metaKey || event.altKey) return;
+      event.preventDefault();  // the page must not scroll
+      this.#press(command);
+    });
+    addEventListener("keyup", (event) => this.held.delete(KEYS[event.code]));
+    addEventListener("blur", () => this.held.clear());
+    for (const button of buttons) this.#touch(button, /** @type {Command} */ (button.dataset.command));
+  }
+
+  /** @param {Command} command */
+  #press(command) {
+    this.held.add(command);
+    this.tapped.add(command);
+  }
+
+  /** @param {HTMLButtonElement} button @param {Command} command */
+  #touch(button, command) {
+    button.addEventListener("pointerdown", (event) => {
+      event.preventDefault();
+      button.setPointerCapture(event.pointerId);
+      this.#press(command);
+    });
+    for (const end of ["pointerup", "pointercancel"]) button.addEventListener(end, () => this.held.delete(command));
+    button.addEventListener("contextmenu", (event) => event.preventDefault());  // what a long press would open
+    button.addEventListener("click", (event) => event.detail || this.tapped.add(command));  // by keyboard or screen reader
+  }
+
+  /** Whether anything was pressed since the last action. */
+  get touched() {
+    return this.held.size + this.tapped.size > 0;
+  }
+
+  /** The action to take now. */
+  next() {
+    const commands = new Set([...this.held, ...this.tapped]);
+    this.tapped.clear();
+    return action(commands);
+  }
+}

@@ -1,0 +1,103 @@
+// @ts-check
+/**
+ * Draws scenes on a canvas as magical_mj's renderer does: flat outlines of one colour each, one above the other.
+ * @typedef {import("./scene.js").Scene} Scene
+ * @typedef {{part: string, colour: string, loops: number[][]}} Layer
+ * @typedef {{visible: number, anchor: number, paper: string, arena: Layer[], robot: Layer[],
+ *   regions: {fill: Record<string, string>, border: Record<string, string>, line: number, dash: number},
+ *   blocks: Record<string, number[][][]>, blockColours: Record<string, string>[],
+ *   fingerRoots: Record<string, number[]>}} Look  written by magical_mj.web.look
+ */
+
+/**
+ * Draws one view on the whole of a square canvas.
+ * @param {HTMLCanvasElement} canvas
+ * @param {Look} look
+ * @param {Scene} scene
+ * @param {"allo" | "ego"} view  from above, or as the robot sees it
+ */
+export function draw(canvas, look, scene, view) {
+  const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
+  const size = canvas.width, scale = size / look.visible;
+  context.setTransform(1, 0, 0, 1, 0, 0);
+  context.fillStyle = look.paper;
+  context.fillRect(0, 0, size, size);
+  if (view === "ego") {  // the robot stands in the middle, near the bottom, and heads up
+    context.setTransform(scale, 0, 0, -scale, size / 2, size * (1 - look.anchor));
+    context.rotate(-scene.robot.angle);
+    context.translate(-scene.robot.x, -scene.robot.y);
+  } else context.setTransform(scale, 0, 0, -scale, size / 2, size / 2);
+  for (const layer of look.arena) fill(context, layer.loops, layer.colour);
+  for (const region of scene.regions) drawRegion(context, look, region);
+  for (const block of scene.blocks) {
+    context.save();
+    place(context, block);
+    look.blocks[block.shape].forEach((loops, i) => fill(context, loops, look.blockColours[i][block.colour]));
+    context.restore();
+  }
+  drawRobot(context, look, scene.robot);
+}
+
+/**
+ * Makes the frame of a thing the canvas's.
+ * @param {CanvasRenderingContext2D} context
+ * @param {{x: number, y: number, angle: number}} pose
+ */
+function place(context, { x, y, angle }) {
+  context.translate(x, y);
+  context.rotate(angle);
+}
+
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {number[][]} loops
+ * @param {string} colour
+ */
+function fill(context, loops, colour) {
+  context.fillStyle = colour;
+  context.beginPath();
+  for (const loop of loops) {
+    context.moveTo(loop[0], loop[1]);
+    for (let i = 2; i < loop.length; i += 2) context.lineTo(loop[i], loop[i + 1]);
+    context.closePath();
+  }
+  context.fill();
+}
+
+/**
+ * The dashes start at the top left corner and go round clockwise.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Look} look
+ * @param {import("./scene.js").Region} region
+ */
+function drawRegion(context, { regions }, { colour, x_min, y_min, x_max, y_max }) {
+  context.fillStyle = regions.fill[colour];
+  context.fillRect(x_min, y_min, x_max - x_min, y_max - y_min);
+  context.strokeStyle = regions.border[colour];
+  context.lineWidth = regions.line;
+  context.setLineDash([regions.dash, regions.dash]);
+  context.beginPath();
+  for (const [x, y] of [[x_min, y_max], [x_max, y_max], [x_max, y_min], [x_min, y_min], [x_min, y_max]]) context.lineTo(x, y);
+  context.stroke();
+}
+
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {Look} look
+ * @param {import("./scene.js").Robot} robot
+ */
+function drawRobot(context, look, robot) {
+  const turns = { left_finger: robot.fingers[0], right_finger: robot.fingers[1] };
+  context.save();
+  place(context, robot);
+  for (const { part, colour, loops } of look.robot) {
+    context.save();
+    if (part in turns) {
+      const [x, y] = look.fingerRoots[part];
+      place(context, { x, y, angle: turns[/** @type {keyof turns} */ (part)] });
+    }
+    fill(context, loops, colour);
+    context.restore();
+  }
+  context.restore();
+}

@@ -1,0 +1,53 @@
+// @ts-check
+/**
+ * Scenes as magical_mj writes them: what is where. World units, x to the right, y up; angles in radians, counter-clockwise.
+ * @typedef {{x: number, y: number, angle: number, fingers: number[]}} Robot  angle 0 faces +y; fingers left, right
+ * @typedef {{shape: string, colour: string, x: number, y: number, angle: number}} Block
+ * @typedef {{colour: string, x_min: number, y_min: number, x_max: number, y_max: number}} Region
+ * @typedef {{robot: Robot, blocks: Block[], regions: Region[]}} Scene
+ * @typedef {{robot: number[], fingers: number[], blocks: number[][]}} Poses  robot and each block as x, y, angle
+ */
+
+/**
+ * The same scene with other poses.
+ * @param {Scene} scene
+ * @param {Poses} poses
+ * @returns {Scene}
+ */
+export function moved(scene, poses) {
+  const [x, y, angle] = poses.robot;
+  const blocks = scene.blocks.map((block, i) => {
+    const [x, y, angle] = poses.blocks[i];
+    return { ...block, x, y, angle };
+  });
+  return { ...scene, robot: { x, y, angle, fingers: poses.fingers }, blocks };
+}
+
+/**
+ * @param {Scene} scene
+ * @returns {Poses}
+ */
+export function poses({ robot, blocks }) {
+  return {
+    robot: [robot.x, robot.y, robot.angle],
+    fingers: [...robot.fingers],
+    blocks: blocks.map(({ x, y, angle }) => [x, y, angle]),
+  };
+}
+
+/**
+ * What lies between two scenes of the same things: smooth drawing between two actions.
+ * @param {Scene} before
+ * @param {Scene} after
+ * @param {number} share  of the way, 0 to 1
+ * @returns {Scene}
+ */
+export function between(before, after, share) {
+  const mix = (/** @type {number[]} */ a, /** @type {number[]} */ b) => a.map((value, i) => value + share * (b[i] - value));
+  const [from, to] = [poses(before), poses(after)];
+  return moved(after, {
+    robot: mix(from.robot, to.robot),
+    fingers: mix(from.fingers, to.fingers),
+    blocks: from.blocks.map((block, i) => mix(block, to.blocks[i])),
+  });
+}

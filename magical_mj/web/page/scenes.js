@@ -1,0 +1,42 @@
+// @ts-check
+/**
+ * The scenes of an environment, and who simulates them.
+ * @typedef {import("./scene.js").Scene} Scene
+ * @typedef {import("./game.js").Episode} Episode
+ * @typedef {{seed: number, scene: Scene, expert: string, mjcf?: number[]}} Entry
+ *   a scene, the actions of an expert in it, and the numbers of the elements of which its model is made
+ * @typedef {{scenes: Entry[], elements?: string[], demonstrations: string[]}} Environment
+ *   demonstrations: actions in its only scene
+ * @typedef {(environment: Environment, entry: Entry, task: string, variant: string) => Promise<Episode>} Opener
+ */
+import { Simulation } from "./simulation.js";
+
+/**
+ * An environment's scenes.
+ * @param {string} task
+ * @param {string} variant
+ * @returns {Promise<Environment>}
+ */
+export async function loadEnvironment(task, variant) {
+  return fetchJson(`scenes/${task}-${variant}.json`);
+}
+
+/** @param {string} path  beside the page */
+export async function fetchJson(path) {
+  const reply = await fetch(path);
+  if (!reply.ok) throw new Error(`${path}: ${reply.status} ${reply.statusText}`);
+  return reply.json();
+}
+
+/**
+ * Simulates in the browser, with MuJoCo's WebAssembly build.
+ * @param {number[][]} controls  what each action writes into ctrl
+ * @returns {Opener}
+ */
+export function inBrowser(controls) {
+  const loading = import(new URL("mujoco/mujoco.js", document.baseURI).href).then((module) => module.default());
+  return async ({ elements = [] }, { scene, mjcf = [] }) => {
+    const simulation = new Simulation(await loading, mjcf.map((i) => elements[i]).join(""), scene, controls);
+    return { scene, act: (action) => simulation.act(action), close: () => simulation.close() };
+  };
+}

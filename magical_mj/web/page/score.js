@@ -1,0 +1,106 @@
+// @ts-check
+/**
+ * The scores of the eight tasks by the paper's rules, as in magical_mj/tasks; held to them by tests.
+ * @typedef {import("./scene.js").Scene} Scene
+ * @typedef {import("./scene.js").Block} Block
+ * @typedef {import("./scene.js").Region} Region
+ */
+
+/** @param {Region} region @param {{x: number, y: number}} thing */
+const contains = (region, { x, y }) => region.x_min <= x && x <= region.x_max && region.y_min <= y && y <= region.y_max;
+
+/** Indices of the blocks in a region. @param {Region} region @param {Block[]} blocks */
+const inside = (region, blocks) => [...blocks.keys()].filter((i) => contains(region, blocks[i]));
+
+/** @param {Block} one @param {Block} other */
+const alike = (one, other) => one.shape === other.shape && one.colour === other.colour;
+
+/** @type {Record<string, (initial: Scene, final: Scene) => number>} */
+const RULES = {
+  MoveToCorner(_, { blocks: [block] }) {
+    const distance = Math.hypot(block.x + 1, block.y - 1), none = Math.SQRT2, full = Math.SQRT2 / 2;
+    return Math.min(1, Math.max(0, (none - distance) / (none - full)));
+  },
+
+  MoveToRegion: (_, { regions: [region], robot }) => Number(contains(region, robot)),
+
+  MatchRegions(_, { regions: [region], blocks }) {
+    const found = inside(region, blocks);
+    if (found.length === 0) return 0;
+    const targets = [...blocks.keys()].filter((i) => blocks[i].colour === region.colour);
+    const reached = found.filter((i) => targets.includes(i)).length;
+    return (reached / targets.length) * (reached / found.length);
+  },
+
+  MakeLine(_, { blocks }) {
+    const missing = blocks.length - longestLine(blocks);
+    return missing === 0 ? 1 : missing === 1 ? 0.5 : 0;
+  },
+
+  FindDupe(initial, { regions: [region], blocks }) {
+    const [query] = inside(initial.regions[0], initial.blocks);
+    const found = inside(region, blocks);
+    const right = found.filter((i) => alike(blocks[i], blocks[query]));
+    return right.length >= 2 && found.includes(query) ? right.length / found.length : 0;
+  },
+
+  FixColour(initial, final) {
+    const homes = initial.regions.map((region) => inside(region, initial.blocks));
+    const odd = homes.findIndex(([block], i) => initial.blocks[block].colour !== initial.regions[i].colour);
+    return Number(final.regions.every((region, i) => {
+      const found = inside(region, final.blocks), [own] = homes[i];
+      return i === odd ? !found.includes(own) : found.length === 1 && found[0] === own;
+    }));
+  },
+
+  ClusterColour: (_, { blocks }) => clusters(blocks, (block) => block.colour),
+  ClusterShape: (_, { blocks }) => clusters(blocks, (block) => block.shape),
+};
+
+/**
+ * How well the final scene solves the task, in [0, 1].
+ * @param {string} task
+ * @param {Scene} initial
+ * @param {Scene} final
+ */
+export const score = (task, initial, final) => RULES[task](initial, final);
+
+/** How many blocks the longest line has. @param {Block[]} blocks */
+function longestLine(blocks) {
+  let longest = 1;
+  for (const one of blocks) for (const other of blocks.slice(blocks.indexOf(one) + 1)) {
+    const length = Math.hypot(other.x - one.x, other.y - one.y);
+    if (length === 0) continue;
+    const ux = (other.x - one.x) / length, uy = (other.y - one.y) / length;
+    const along = blocks.map(({ x, y }) => [x - one.x, y - one.y])
+      .filter(([x, y]) => Math.abs(ux * y - uy * x) <= 0.18)
+      .map(([x, y]) => ux * x + uy * y)
+      .sort((a, b) => a - b);
+    let run = 1;
+    for (let i = 1; i < along.length; i++) {
+      run = along[i] - along[i - 1] <= 0.42 ? run + 1 : 1;
+      longest = Math.max(longest, run);
+    }
+  }
+  return longest;
+}
+
+/**
+ * A block is right if its squared distance to its own kind's centroid is less than a third of that to any other.
+ * @param {Block[]} blocks
+ * @param {(block: Block) => string} kind
+ */
+function clusters(blocks, kind) {
+  const kinds = [...new Set(blocks.map(kind))];
+  const centroids = kinds.map((name) => {
+    const members = blocks.filter((block) => kind(block) === name);
+    const mean = (/** @type {(block: Block) => number} */ of) => members.reduce((sum, block) => sum + of(block), 0) / members.length;
+    return [mean(({ x }) => x), mean(({ y }) => y)];
+  });
+  const right = blocks.filter((block) => {
+    const squares = centroids.map(([x, y]) => (block.x - x) ** 2 + (block.y - y) ** 2);
+    const own = squares[kinds.indexOf(kind(block))];
+    return squares.every((square, i) => kinds[i] === kind(block) || own < square / 3);
+  });
+  return Math.max(0, (right.length / blocks.length - 0.5) / 0.5);
+}

@@ -1,0 +1,51 @@
+"""The scenes of an environment as the page reads them: with an expert's actions, demonstrations and, if wanted, models."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from magical_mj import demos
+from magical_mj.registry import sample_scene
+from magical_mj.web.catalogue import scene_data
+
+EXPERT: Final = Path(__file__).parent / "expert.json"
+"""Task-Variant -> for seeds 0, 1, ... an expert's actions as letters."""
+DEMONSTRATIONS: Final = 5
+"""How many of a task's shipped demonstrations the page can show."""
+_BETWEEN_ELEMENTS: Final = re.compile("(?<=>)(?=<)")
+
+
+def letters(actions: Sequence[int]) -> str:
+    """Actions as a text, with "a" for action 0."""
+    return "".join(chr(ord("a") + action) for action in actions)
+
+
+def environment_scenes(task: str, variant: str) -> dict[str, Any]:
+    """All that the page can show of an environment: its first scenes, or in Demo the only one, as JSON data."""
+    shipped = [letters(demo.actions.tolist()) for demo in demos.load(task)[:DEMONSTRATIONS]] if variant == "Demo" else []
+    expert: list[str] = shipped[:1] or json.loads(EXPERT.read_text())[f"{task}-{variant}"]
+    return {
+        "demonstrations": shipped,
+        "scenes": [
+            {"seed": seed, "expert": actions, "scene": scene_data(sample_scene(task, variant, seed))}
+            for seed, actions in enumerate(expert)
+        ],
+    }
+
+
+def with_models(data: dict[str, Any], models: Sequence[str]) -> dict[str, Any]:
+    """The same with a model of each scene, in a twentieth of the space.
+
+    Models have most of their XML elements in common. So each is a list of numbers of elements, whose texts, one
+    after the other, are the model.
+    """
+    numbers: dict[str, int] = {}
+    scenes = [
+        {**scene, "mjcf": [numbers.setdefault(element, len(numbers)) for element in _BETWEEN_ELEMENTS.split(model)]}
+        for scene, model in zip(data["scenes"], models, strict=True)
+    ]
+    return {**data, "scenes": scenes, "elements": list(numbers)}

@@ -1,0 +1,44 @@
+"""Writes the page on which all environments can be played, without a server: python site/play.py FOLDER."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+from fetch import MUJOCO, fetched
+
+import magical_mj
+from magical_mj.assets.robot import controls
+from magical_mj.assets.world import world_mjcf
+from magical_mj.scene import Scene
+from magical_mj.web.catalogue import catalogue
+from magical_mj.web.scenes import environment_scenes, with_models
+from magical_mj.web import PAGE
+
+
+def write_play(folder: Path) -> int:
+    """Write the page, its scenes and MuJoCo's WebAssembly build; returns the number of bytes."""
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(PAGE, folder)
+    for task, variant in magical_mj.ENVIRONMENTS:
+        data = environment_scenes(task, variant)
+        models = [world_mjcf(Scene.from_json(json.dumps(entry["scene"]))) for entry in data["scenes"]]
+        _write(folder / "scenes" / f"{task}-{variant}.json", with_models(data, models))
+    _write(folder / "catalogue.json", {**catalogue(magical_mj.ENVIRONMENTS, "browser"), "controls": controls().tolist()})
+    (folder / "mujoco").mkdir()
+    for name in ("mujoco.js", "mujoco.wasm"):
+        shutil.copy(fetched(MUJOCO) / name, folder / "mujoco" / name)
+    return sum(path.stat().st_size for path in folder.rglob("*"))
+
+
+def _write(path: Path, data: dict[str, Any]) -> None:
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps(data, separators=(",", ":")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    target = Path(sys.argv[1])
+    print(f"{target}: {write_play(target) / 1e6:.1f} MB")

@@ -1,0 +1,98 @@
+"""What Python makes of many episodes, scores and pictures, for the JavaScript to be held against: cases.py FOLDER."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+import magical_mj
+from magical_mj.assets.robot import controls
+from magical_mj.assets.world import world_mjcf
+from magical_mj.environment import Environment
+from magical_mj.scene import Scene
+from magical_mj.web.catalogue import scene_data
+from magical_mj.web.look import look
+
+ROUGH: Final = 200
+GLANCES: Final = (1, 20, 100)  # steps after which states are compared; and the last one
+SCORED: Final = 10  # every so many states of the demonstrations are scored
+PICTURES: Final = 192  # pixels
+EVERY: Final = 4  # environments from one whose pictures are compared to the next
+
+
+def episodes() -> Iterator[dict[str, Any]]:
+    """The shipped demonstrations, and drives that hold an action for a while: into blocks, walls and heaps."""
+    for task in magical_mj.TASKS:
+        for number, demo in enumerate(magical_mj.demos.load(task)):
+            yield _played(f"demonstration {number} of {task}", task, demo.scene, demo.actions.tolist())
+    rng = np.random.default_rng(0)
+    for seed in range(ROUGH):
+        task, variant = magical_mj.ENVIRONMENTS[seed % len(magical_mj.ENVIRONMENTS)]
+        scene = magical_mj.sample_scene(task, variant, 1000 + seed)
+        with_drive = [action for action in range(18) if action % 3]
+        actions = np.repeat(rng.choice(with_drive, 40), rng.integers(2, 16, 40)).tolist()
+        yield _played(f"rough drive {seed}, {task}-{variant}", task, scene, actions)
+
+
+def _played(name: str, task: str, scene: Scene, actions: list[int]) -> dict[str, Any]:
+    env = magical_mj.load(task, scene=scene, observations=())
+    env.reset()
+    glances = {}
+    for step, action in enumerate(actions, start=1):
+        last = env.step(action).last()
+        if last or step in GLANCES:
+            glances[step] = scene_data(env.scene)
+        if last:
+            break
+    score = env.score()
+    env.close()
+    return {
+        **{"name": name, "task": task, "scene": scene_data(scene), "mjcf": world_mjcf(scene)},
+        **{"actions": actions[: max(glances)], "glances": glances, "score": score},
+    }
+
+
+def scores() -> Iterator[dict[str, Any]]:
+    """States of the demonstrations, and the reference's, with their scores."""
+    for task in magical_mj.TASKS:
+        for demo in magical_mj.demos.load(task):
+            for final in demo.scenes()[::SCORED]:
+                yield _scored(task, demo.scene, final)
+    reference = Path(__file__).parents[2] / "tests" / "data" / "score_cases.json"
+    for task, cases in json.loads(reference.read_text()).items():
+        if task in magical_mj.TASKS:
+            demo_scene = magical_mj.sample_scene(task, "Demo", 0)
+            for case in cases:
+                yield {**_scored(task, demo_scene, demo_scene.moved(case["robot"], case["blocks"])), "score": case["score"]}
+
+
+def _scored(task: str, initial: Scene, final: Scene) -> dict[str, Any]:
+    score = magical_mj.score(task, initial, final)
+    return {"task": task, "initial": scene_data(initial), "final": scene_data(final), "score": score}
+
+
+def pictures() -> Iterator[dict[str, Any]]:
+    """What the renderer draws: red, green and blue of each pixel, from the top left, as hexadecimal digits."""
+    for number, (task, variant) in enumerate(magical_mj.ENVIRONMENTS):
+        if number % EVERY == 0:
+            env = magical_mj.load(task, variant, seed=number, observations=())
+            env.reset()
+            yield from (_pictured(env, view) for view in ("allo", "ego"))
+            env.close()
+
+
+def _pictured(env: Environment, view: str) -> dict[str, Any]:
+    return {"scene": scene_data(env.scene), "view": view, "size": PICTURES, "pixels": env.render(view, PICTURES).tobytes().hex()}
+
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1])
+    folder.mkdir(parents=True, exist_ok=True)
+    parts = {"episodes": list(episodes()), "scores": list(scores()), "pictures": list(pictures())}
+    for name, content in {**parts, "controls": controls().tolist(), "look": look()}.items():
+        (folder / f"{name}.json").write_text(json.dumps(content))
