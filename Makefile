@@ -9,7 +9,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
 
-.PHONY: demo test check format docs demonstrations lerobot lerobot-test constraints system
+.PHONY: demo test check format docs demonstrations lerobot lerobot-test constraints system site site-test node chromium
 
 demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all 60 environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
@@ -32,6 +32,13 @@ docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the READ
 	$(BIN)/python tools/experts_picture.py
 	$(BIN)/python research/physics_picture.py
 	$(BIN)/python tools/readme_tables.py
+
+site: $(VENV)/.installed-dev | node  ## the documentation and the page to play on, complete in out/site
+	$(BIN)/python site/play.py out/site/play
+
+site-test: site | chromium  ## the site in headless Chromium, and its simulation and scores beside Python's
+	$(BIN)/python site/tests/cases.py out/site-test
+	node --test --test-concurrency=1 site/tests/
 
 demonstrations: $(VENV)/.installed-dev  ## after a change of the physics: the shipped demonstrations and docs/experts.md, anew
 	rm -rf magical_mj/demos/data
@@ -68,6 +75,9 @@ $(VENV)/.installed-%: pyproject.toml constraints.txt magical_mj/_version.py $(BI
 
 $(BIN)/python: | system
 	$(PYTHON) -m venv $(VENV)
+
+node chromium:
+	@tools/system.sh $(PYTHON) $@
 
 system:
 	@[ -n "$(PYTHON)" ] || { echo "magical-mj needs Python 3.11 or 3.12; call make with PYTHON=/path/to/python3.11" >&2; exit 1; }

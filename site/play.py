@@ -14,9 +14,9 @@ import magical_mj
 from magical_mj.assets.robot import controls
 from magical_mj.assets.world import world_mjcf
 from magical_mj.scene import Scene
+from magical_mj.web import PAGE
 from magical_mj.web.catalogue import catalogue
 from magical_mj.web.scenes import environment_scenes, with_models
-from magical_mj.web import PAGE
 
 
 def write_play(folder: Path) -> int:
@@ -27,7 +27,9 @@ def write_play(folder: Path) -> int:
         data = environment_scenes(task, variant)
         models = [world_mjcf(Scene.from_json(json.dumps(entry["scene"]))) for entry in data["scenes"]]
         _write(folder / "scenes" / f"{task}-{variant}.json", with_models(data, models))
-    _write(folder / "catalogue.json", {**catalogue(magical_mj.ENVIRONMENTS, "browser"), "controls": controls().tolist()})
+    _write(
+        folder / "catalogue.json", {**catalogue(magical_mj.ENVIRONMENTS, "browser"), "controls": controls().tolist()}
+    )
     (folder / "mujoco").mkdir()
     for name in ("mujoco.js", "mujoco.wasm"):
         shutil.copy(fetched(MUJOCO) / name, folder / "mujoco" / name)

@@ -1,7 +1,7 @@
 #!/bin/sh
 # What pip cannot install: OpenGL without a display (EGL), and Debian's separately packaged `venv`.
 # Installs what is absent with apt-get where that is permitted, and says in one line what to install where it is not.
-# Usage: tools/system.sh PYTHON
+# Usage: tools/system.sh PYTHON [node] [chromium]
 
 missing=""
 if [ "$(uname)" = Linux ]; then
@@ -12,6 +12,8 @@ if [ "$(uname)" = Linux ]; then
 fi
 "$1" -c "import ensurepip" 2>/dev/null || missing="$missing $(basename "$("$1" -c \
     'import sys; print("python{}.{}".format(*sys.version_info))')")-venv"
+case $* in *node*) command -v npm >/dev/null || missing="$missing nodejs npm" ;; esac
+case $* in *chromium*) [ -x "${CHROMIUM:-/usr/bin/chromium}" ] || missing="$missing chromium" ;; esac
 [ -z "$missing" ] && exit 0
 
 if [ "$(id -u)" = 0 ]; then as_root=""; else as_root="sudo -n"; fi

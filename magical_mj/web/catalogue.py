@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from inspect import cleandoc
 from textwrap import dedent
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 from magical_mj import demos
 from magical_mj._version import __version__
+from magical_mj.protocol import PROTOCOL
 from magical_mj.registry import task_spec
 from magical_mj.scene import Scene
 from magical_mj.web.look import look
 
-FORMAT: Final = 1
 Simulation = Literal["browser", "server"]
 
 
@@ -35,28 +35,22 @@ def sections(task: str) -> dict[str, str]:
     return {name: dedent("\n".join(content)).strip() for name, content in found.items()}
 
 
-def catalogue(
-    environments: Sequence[tuple[str, str]], simulation: Simulation, seeds: Mapping[tuple[str, str], int] | None = None
-) -> dict[str, Any]:
+def catalogue(environments: Sequence[tuple[str, str]], simulation: Simulation) -> dict[str, Any]:
     """What the page has to know before the first scene, as JSON data.
 
     Args:
         environments: the pairs (task, variant) to choose from.
-        simulation: who simulates.
-        seeds: how many scenes there are of each environment, seeds 0, 1, ...; None: of any seed.
+        simulation: who simulates; the browser knows the scenes of a few seeds only.
     """
     tasks = list(dict.fromkeys(task for task, _ in environments))
     return {
-        "format": FORMAT,
+        "protocol": PROTOCOL,
         "package": __version__,
         "mujoco": version("mujoco"),
         "simulation": simulation,
         "look": look(),
         "tasks": {task: _task(task) for task in tasks},
-        "environments": [
-            {"task": task, "variant": variant, "seeds": seeds and seeds[task, variant]}
-            for task, variant in environments
-        ],
+        "environments": [{"task": task, "variant": variant} for task, variant in environments],
     }
 
 

@@ -66,7 +66,9 @@ def _layer(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
     mesh = model.mesh(model.geom_dataid[geom])
     first, count = mesh.vertadr[0], mesh.vertnum[0]
     turned = np.empty(9)
-    mujoco.mju_quat2Mat(turned, model.geom_quat[geom])  # the compiler moves meshes to their centre of mass and turns them
+    mujoco.mju_quat2Mat(
+        turned, model.geom_quat[geom]
+    )  # the compiler moves meshes to their centre of mass and turns them
     vertices = model.mesh_vert[first : first + count] @ turned.reshape(3, 3).T + model.geom_pos[geom]
     faces = model.mesh_face[mesh.faceadr[0] : mesh.faceadr[0] + mesh.facenum[0]]
     red, green, blue = (round(255 * float(level)) for level in model.geom_rgba[geom, :3])

@@ -1,4 +1,4 @@
-"""The scenes of an environment as the page reads them: with an expert's actions, demonstrations and, if wanted, models."""
+"""The scenes of an environment as the page reads them, with an expert's actions, demonstrations and models."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ def letters(actions: Sequence[int]) -> str:
 
 def environment_scenes(task: str, variant: str) -> dict[str, Any]:
     """All that the page can show of an environment: its first scenes, or in Demo the only one, as JSON data."""
-    shipped = [letters(demo.actions.tolist()) for demo in demos.load(task)[:DEMONSTRATIONS]] if variant == "Demo" else []
-    expert: list[str] = shipped[:1] or json.loads(EXPERT.read_text())[f"{task}-{variant}"]
+    shipped = demos.load(task)[:DEMONSTRATIONS] if variant == "Demo" else []
+    demonstrations = [letters(demo.actions.tolist()) for demo in shipped]
+    expert: list[str] = demonstrations[:1] or json.loads(EXPERT.read_text())[f"{task}-{variant}"]
     return {
-        "demonstrations": shipped,
+        "demonstrations": demonstrations,
         "scenes": [
             {"seed": seed, "expert": actions, "scene": scene_data(sample_scene(task, variant, seed))}
             for seed, actions in enumerate(expert)

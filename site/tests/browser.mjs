@@ -35,7 +35,7 @@ export async function serve(folder) {
 export async function launch() {
   const profile = await mkdtemp(join(tmpdir(), "magical-site-"));
   const context = await chromium.launchPersistentContext(profile, {
-    executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: FLAGS, viewport: { width: 1100, height: 900 }, acceptDownloads: true,
+    executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: FLAGS, viewport: { width: 600, height: 700 }, acceptDownloads: true,
   });
   const close = async () => {
     await context.close();

@@ -52,8 +52,13 @@ def _played(name: str, task: str, scene: Scene, actions: list[int]) -> dict[str,
     score = env.score()
     env.close()
     return {
-        **{"name": name, "task": task, "scene": scene_data(scene), "mjcf": world_mjcf(scene)},
-        **{"actions": actions[: max(glances)], "glances": glances, "score": score},
+        "name": name,
+        "task": task,
+        "scene": scene_data(scene),
+        "mjcf": world_mjcf(scene),
+        "actions": actions[: max(glances)],
+        "glances": glances,
+        "score": score,
     }
 
 
@@ -68,7 +73,8 @@ def scores() -> Iterator[dict[str, Any]]:
         if task in magical_mj.TASKS:
             demo_scene = magical_mj.sample_scene(task, "Demo", 0)
             for case in cases:
-                yield {**_scored(task, demo_scene, demo_scene.moved(case["robot"], case["blocks"])), "score": case["score"]}
+                scored = _scored(task, demo_scene, demo_scene.moved(case["robot"], case["blocks"]))
+                yield {**scored, "reference": case["score"]}  # rounded to 9 digits
 
 
 def _scored(task: str, initial: Scene, final: Scene) -> dict[str, Any]:
@@ -87,12 +93,17 @@ def pictures() -> Iterator[dict[str, Any]]:
 
 
 def _pictured(env: Environment, view: str) -> dict[str, Any]:
-    return {"scene": scene_data(env.scene), "view": view, "size": PICTURES, "pixels": env.render(view, PICTURES).tobytes().hex()}
+    return {
+        "scene": scene_data(env.scene),
+        "view": view,
+        "size": PICTURES,
+        "pixels": env.render(view, PICTURES).tobytes().hex(),
+    }
 
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
-    parts = {"episodes": list(episodes()), "scores": list(scores()), "pictures": list(pictures())}
-    for name, content in {**parts, "controls": controls().tolist(), "look": look()}.items():
+    cases = {"episodes": list(episodes()), "scores": list(scores()), "pictures": list(pictures())}
+    for name, content in {**cases, "controls": controls().tolist(), "look": look()}.items():
         (folder / f"{name}.json").write_text(json.dumps(content))

@@ -7,18 +7,20 @@
  */
 import { between } from "./scene.js";
 
-const PERIOD = 125;  // milliseconds for an action
+const RATE = 8;  // actions a second
 
 export class Game {
   /**
    * @param {Episode} episode
    * @param {number} horizon  actions
    * @param {() => number | null} choose  the next action; null: wait
+   * @param {number} speed  times real time
    */
-  constructor(episode, horizon, choose) {
+  constructor(episode, horizon, choose, speed = 1) {
     this.episode = episode;
     this.horizon = horizon;
     this.choose = choose;
+    this.period = 1000 / RATE / speed;  // milliseconds
     /** @type {number[]} */
     this.actions = [];
     this.initial = this.before = this.now = episode.scene;
@@ -26,6 +28,11 @@ export class Game {
     this.busy = false;
     /** @type {Error | null} */
     this.failure = null;
+  }
+
+  /** How long is left to act, in seconds. */
+  get secondsLeft() {
+    return (this.horizon - this.actions.length) / RATE;
   }
 
   get over() {
@@ -37,11 +44,11 @@ export class Game {
    * @param {number} time  milliseconds
    */
   advance(time) {
-    if (this.busy || this.over || this.failure || time - this.since < PERIOD) return;
+    if (this.busy || this.over || this.failure || time - this.since < this.period) return;
     this.before = this.now;
     const action = this.choose();
     if (action === null) return;
-    this.since = time - this.since < 2 * PERIOD ? this.since + PERIOD : time;
+    this.since = time - this.since < 2 * this.period ? this.since + this.period : time;
     this.busy = true;
     this.#act(action).catch((error) => { this.failure = error; }).finally(() => { this.busy = false; });
   }
@@ -58,6 +65,6 @@ export class Game {
    * @param {number} time  milliseconds
    */
   shown(time) {
-    return between(this.before, this.now, Math.min(1, Math.max(0, (time - this.since) / PERIOD)));
+    return between(this.before, this.now, Math.min(1, Math.max(0, (time - this.since) / this.period)));
   }
 }

@@ -1,5 +1,5 @@
 // @ts-check
-/** The page: choosing a scene, playing in it, watching, saving. */
+/** The page: choosing a scene, playing in it, watching, saving or sending. */
 import { fromLetters } from "./actions.js";
 import { Controls } from "./controls.js";
 import { draw } from "./draw.js";
@@ -7,20 +7,22 @@ import { Game } from "./game.js";
 import { recording, save } from "./recording.js";
 import { fetchJson, inBrowser, loadEnvironment } from "./scenes.js";
 import { score } from "./score.js";
+import { Seat } from "./server.js";
 
 /** @typedef {import("./scenes.js").Entry} Entry */
 
 /** @param {string} id */
 const element = (id) => /** @type {any} */ (document.getElementById(id));
-const RATE = 8;  // actions a second
+const speed = Number(new URLSearchParams(location.search).get("speed")) || 1;  // times real time
 const arena = element("arena");
 const controls = new Controls(arena, document.querySelectorAll("[data-command]"));
 const catalogue = await fetchJson("catalogue.json");
-const open = inBrowser(catalogue.controls);
+const seat = catalogue.simulation === "server" ? new Seat() : null;
+const open = seat?.open ?? inBrowser(catalogue.controls);
 
 /** What is on the page now. */
 const shown = {
-  task: "", variant: "", seed: -1, watching: false, frames: 0,
+  task: "", variant: "", seed: -1, watching: false, note: "",
   /** @type {import("./scenes.js").Environment} */ environment: { scenes: [], demonstrations: [] },
   /** @type {Game | null} */ game: null,
 };
@@ -38,19 +40,20 @@ async function choose(task, variant, seed, script = null) {
   const isOther = task !== shown.task || variant !== shown.variant;
   const environment = isOther ? await loadEnvironment(task, variant) : shown.environment;
   if (choice !== choices) return;
-  const entry = environment.scenes.find((entry) => entry.seed === seed) ?? environment.scenes[0];
-  Object.assign(shown, { task, variant, seed: entry.seed, environment, watching: script !== null });
+  const known = environment.scenes.find((entry) => entry.seed === seed);
+  const entry = known ?? (seat ? { seed, expert: "", scene: null } : environment.scenes[0]);
+  Object.assign(shown, { task, variant, seed: entry.seed, environment, watching: script !== null, note: "" });
   history.replaceState(null, "", `#${task}-${variant}-${entry.seed}`);
   showChoice(isOther);
   shown.game?.episode.close();
   shown.game = null;
-  show(entry.scene, entry.scene);
+  if (entry.scene) show(entry.scene, entry.scene);
   const actions = script === null ? null : fromLetters(script);
   let started = false;
   const next = () => actions ? actions[game.actions.length] ?? 0 : (started ||= controls.touched) ? controls.next() : null;
-  const episode = await open(environment, entry, task, variant);
-  if (choice !== choices) return episode.close();
-  const game = new Game(episode, catalogue.tasks[task].horizon, next);
+  const episode = await open(environment, entry, task, variant).catch(complain);
+  if (!episode || choice !== choices) return episode?.close();
+  const game = new Game(episode, catalogue.tasks[task].horizon, next, speed);
   shown.game = game;
 }
 
@@ -64,6 +67,8 @@ function showChoice(isOther) {
   element("variant").value = variant;
   element("summary").textContent = `${summary[0].toUpperCase()}${summary.slice(1)}.`;
   element("words").textContent = goal;
+  element("seed").value = seed;
+  element("expert").disabled = !environment.scenes.find((entry) => entry.seed === seed)?.expert;
   element("demo").disabled = variant !== "Demo" || !environment.demonstrations.length;
   if (isOther) {
     draw(element("solved"), catalogue.look, solved, "allo");
@@ -97,12 +102,19 @@ function show(initial, scene) {
     draw(canvas, catalogue.look, scene, view);
   }
   element("time").value = done / horizon;
-  element("left").textContent = `${((horizon - done) / RATE).toFixed(0)} s left`;
+  element("left").textContent = game ? `${game.secondsLeft.toFixed(0)} s left` : "";
   element("score").textContent = now.toFixed(2);
   element("save").disabled = !game?.over || watching;
-  const status = game?.failure ? game.failure.message : !game ? "Loading MuJoCo …" : game.over ? `Over: score ${now.toFixed(2)}`
+  if (game?.failure) complain(game.failure);
+  const status = shown.note ? shown.note : !game ? "Loading MuJoCo …" : game.over ? `Over: score ${now.toFixed(2)}`
     : watching ? "Watching" : done ? "Playing" : "Press a key to start";
   if (element("status").textContent !== status) element("status").textContent = status;
+}
+
+/** Says what is wrong, or was done, until another scene is shown. @param {Error | string} what */
+function complain(what) {
+  shown.note = what instanceof Error ? what.message : what;
+  element("status").textContent = shown.note;
 }
 
 /** @param {number} time */
@@ -111,7 +123,6 @@ function frame(time) {
   if (game) {
     game.advance(time);
     show(game.initial, game.shown(time));
-    shown.frames += 1;
   }
   requestAnimationFrame(frame);
 }
@@ -125,7 +136,7 @@ function play(seed, script = null) {
 
 function next() {
   const seeds = shown.environment.scenes.map(({ seed }) => seed);
-  return play(seeds[(seeds.indexOf(shown.seed) + 1) % seeds.length]);
+  return play(seat ? shown.seed + 1 : seeds[(seeds.indexOf(shown.seed) + 1) % seeds.length]);
 }
 
 const again = () => play(shown.seed);
@@ -135,6 +146,23 @@ let demonstration = 0;  // they are shown one after the other
 function demo() {
   const list = shown.environment.demonstrations;
   return play(shown.seed, list[demonstration++ % list.length]);
+}
+
+/** Gives the server what was played; it says what to play next. */
+async function send() {
+  element("save").disabled = true;
+  try {
+    const { score, next } = await /** @type {Seat} */ (seat).ask({ keep: recording(shown, catalogue.protocol) });
+    await chooseWanted(next);
+    complain(`Kept, with score ${score.toFixed(2)}. Thank you! Press a key to go on`);
+  } catch (error) {
+    complain(/** @type {Error} */ (error));
+  }
+}
+
+/** @param {{task: string, variant: string, seed: number} | null} wanted */
+async function chooseWanted(wanted) {
+  if (wanted) await choose(wanted.task, wanted.variant, wanted.seed);
 }
 
 /** `#FindDupe-All-3`; what is missing or unknown is replaced by the first there is. */
@@ -161,7 +189,8 @@ Object.assign(element("again"), { onclick: again });
 Object.assign(element("next"), { onclick: next });
 Object.assign(element("expert"), { onclick: expert });
 Object.assign(element("demo"), { onclick: demo });
-element("save").onclick = () => save(recording(shown));
+element("save").onclick = catalogue.collects ? send : () => save(recording(shown, catalogue.protocol));
+element("seed").onchange = () => play(Math.max(0, Math.floor(Number(element("seed").value))));
 addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || /** @type {any} */ (event.target).matches("select, input")) return;
   ({ KeyR: again, KeyN: next, KeyE: expert })[event.code]?.();
@@ -177,5 +206,12 @@ const resized = new ResizeObserver((entries) => {
 });
 for (const view of ["allo", "ego"]) resized.observe(element(view));
 element("task").replaceChildren(...Object.keys(catalogue.tasks).map((name) => new Option(name)));
-await chooseByAddress();
+element("seed-label").hidden = !seat;
+if (seat) element("home").removeAttribute("href");
+if (seat && catalogue.collects) {
+  element("save").textContent = "Send";
+  const { participant, next } = await seat.ask({ arrive: localStorage.getItem("participant") });
+  localStorage.setItem("participant", participant);
+  await (next ? chooseWanted(next) : chooseByAddress());
+} else await chooseByAddress();
 requestAnimationFrame(frame);

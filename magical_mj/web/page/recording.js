@@ -1,16 +1,19 @@
 // @ts-check
 /**
- * What was played as a small file: enough to replay it, and nothing about who played.
+ * What was played as a small file: enough to replay it, and nothing about who played. `magical_mj.demos` describes it.
  * @typedef {{task: string, variant: string, seed: number, game: import("./game.js").Game | null}} Played
  */
 import { poses } from "./scene.js";
 
 const FORMAT = 1;
 
-/** @param {Played} played */
-export function recording({ task, variant, seed, game }) {
+/**
+ * @param {Played} played
+ * @param {number} protocol  the number of the rules that it was played by
+ */
+export function recording({ task, variant, seed, game }, protocol) {
   if (!game) throw new Error("nothing was played");
-  return { format: FORMAT, task, variant, seed, actions: game.actions, final: poses(game.now) };
+  return { format: FORMAT, protocol, task, variant, seed, actions: game.actions, final: poses(game.now) };
 }
 
 /** Offers a recording as a download. @param {ReturnType<typeof recording>} data */

@@ -7,7 +7,7 @@
  *   a scene, the actions of an expert in it, and the numbers of the elements of which its model is made
  * @typedef {{scenes: Entry[], elements?: string[], demonstrations: string[]}} Environment
  *   demonstrations: actions in its only scene
- * @typedef {(environment: Environment, entry: Entry, task: string, variant: string) => Promise<Episode>} Opener
+ * @typedef {(environment: Environment, entry: {seed: number, mjcf?: number[], scene: Scene | null}, task: string, variant: string) => Promise<Episode>} Opener
  */
 import { Simulation } from "./simulation.js";
 
@@ -36,6 +36,7 @@ export async function fetchJson(path) {
 export function inBrowser(controls) {
   const loading = import(new URL("mujoco/mujoco.js", document.baseURI).href).then((module) => module.default());
   return async ({ elements = [] }, { scene, mjcf = [] }) => {
+    if (!scene) throw new Error("there is no such scene here");
     const simulation = new Simulation(await loading, mjcf.map((i) => elements[i]).join(""), scene, controls);
     return { scene, act: (action) => simulation.act(action), close: () => simulation.close() };
   };

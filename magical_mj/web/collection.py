@@ -1,0 +1,78 @@
+"""Demonstrations by many people: what each sends is replayed, and kept in a folder of its own."""
+
+from __future__ import annotations
+
+import re
+import secrets
+import threading
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from magical_mj import demos
+from magical_mj.demos.files import SUFFIX
+from magical_mj.errors import DemonstrationError
+
+_PARTICIPANT: Final = re.compile("[0-9a-f]{16}")
+
+
+class Collection:
+    """A folder that holds a folder for each participant, by random names, with their demonstrations.
+
+    Args:
+        folder: made if it is missing; what it holds already counts.
+        environments: the pairs (task, variant) of which demonstrations are wanted.
+        wanted: how many of each; None: as many as come.
+
+    Raises:
+        OSError: if the folder cannot be made.
+    """
+
+    def __init__(self, folder: Path, environments: Sequence[tuple[str, str]], wanted: int | None = None) -> None:
+        self._folder = folder
+        self._environments = environments
+        self._wanted = wanted
+        self._lock = threading.Lock()
+        folder.mkdir(parents=True, exist_ok=True)
+        names = {f"{task}-{variant}": (task, variant) for task, variant in environments}
+        found = ("-".join(path.name.split("-")[:2]) for path in folder.glob(f"*/*{SUFFIX}"))
+        self._kept = Counter(names[name] for name in found if name in names)
+        self._offered = Counter(self._kept)
+
+    def participant(self, name: Any) -> str:
+        """The participant's own name if it is one of ours, as when somebody comes back, or a new one."""
+        return name if isinstance(name, str) and _PARTICIPANT.fullmatch(name) else secrets.token_hex(8)
+
+    def next(self) -> dict[str, Any] | None:
+        """What to play next: of the environments that are wanted the one offered least, and its next seed.
+
+        None if there are enough of all.
+        """
+        with self._lock:
+            open_ones = [pair for pair in self._environments if self._wanted is None or self._kept[pair] < self._wanted]
+            if not open_ones:
+                return None
+            task, variant = chosen = min(open_ones, key=lambda pair: self._offered[pair])
+            self._offered[chosen] += 1
+            return {"task": task, "variant": variant, "seed": self._offered[chosen] - 1}
+
+    def keep(self, recording: str, participant: str) -> float:
+        """Replay a recording and write it as a demonstration; when this returns, it is on the disk.
+
+        Returns:
+            Its score.
+
+        Raises:
+            MagicalError: if it is no recording of these environments, or does not end as its player saw it.
+        """
+        demo, deviation, suspect = demos.from_recording(recording)
+        pair = demo.task, demo.variant
+        if pair not in self._environments:
+            raise DemonstrationError(f"demonstrations of {demo.name} are not collected here")
+        if suspect:
+            raise DemonstrationError(f"the replay ends {deviation:.3g} away from what was played: reload the page")
+        with self._lock:
+            demos.keep(demo, self._folder / participant)
+            self._kept[pair] += 1
+        return demo.score

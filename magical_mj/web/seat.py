@@ -1,0 +1,106 @@
+"""One seat at the server: who plays through one connection, and in which environment.
+
+Messages are JSON objects, each answered by one:
+
+| message | answer |
+|---|---|
+| `{"open": {"task": ..., "variant": ..., "seed": ...}}` | `{"scene": ...}`, the scene of a new episode |
+| `{"act": 0..17}` | `{"poses": {"robot": [x, y, angle], "fingers": [left, right], "blocks": [[x, y, angle], ...]}}` |
+| `{"arrive": id or null}` | `{"participant": id, "next": {"task": ..., "variant": ..., "seed": ...} or null}` |
+| `{"keep": recording}` | `{"score": ..., "next": ...}`, once the recording is a file |
+| anything else, or a mistake | `{"error": "what is wrong"}` |
+
+The last two need a collection; `magical_mj.demos` describes recordings.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection as Container
+from typing import Any
+
+from magical_mj.environment import Environment, load
+from magical_mj.errors import MagicalError
+from magical_mj.scene import Scene
+from magical_mj.web.catalogue import scene_data
+from magical_mj.web.collection import Collection
+
+
+class Seat:
+    """Answers the messages of one connection.
+
+    Args:
+        environments: the pairs (task, variant) that may be played.
+        collection: where recordings are kept; None: nowhere.
+    """
+
+    def __init__(self, environments: Container[tuple[str, str]], collection: Collection | None = None) -> None:
+        self._environments = environments
+        self._collection = collection
+        self._participant: str | None = None
+        self._env: Environment | None = None
+        self._name: tuple[str, str] | None = None
+
+    def answer(self, text: str | bytes) -> str:
+        """The answer to a message; a mistake is answered, never raised."""
+        try:
+            message = json.loads(text)
+            if not isinstance(message, dict) or len(message) != 1:
+                raise MagicalError("a message must be a JSON object with one key")
+            ((kind, content),) = message.items()
+            answers = {"open": self._open, "act": self._act, "arrive": self._arrive, "keep": self._keep}
+            if kind not in answers:
+                raise MagicalError(f"a message must be one of {', '.join(answers)}")
+            reply = answers[kind](content)
+        except (MagicalError, ValueError, RecursionError, OSError) as error:
+            reply = {"error": str(error)}
+        return json.dumps(reply, separators=(",", ":"))
+
+    def close(self) -> None:
+        """Free the simulation."""
+        if self._env is not None:
+            self._env.close()
+            self._env = None
+
+    def _open(self, content: Any) -> dict[str, Any]:
+        match content:
+            case {"task": str(task), "variant": str(variant), "seed": int(seed)}:
+                pass
+            case _:
+                raise MagicalError("open needs a task, a variant and a seed")
+        if (task, variant) not in self._environments:
+            raise MagicalError(f"{task}-{variant} is not played here")
+        if self._env is None or self._name != (task, variant):
+            self.close()
+            self._env, self._name = load(task, variant, seed=0, observations=()), (task, variant)
+        self._env.reset(seed=seed)
+        return {"scene": scene_data(self._env.scene)}
+
+    def _act(self, action: Any) -> dict[str, Any]:
+        if self._env is None:
+            raise MagicalError("open an environment before you act")
+        self._env.step(action)
+        return {"poses": poses(self._env.scene)}
+
+    def _arrive(self, name: Any) -> dict[str, Any]:
+        collection = self._collecting()
+        self._participant = collection.participant(name)
+        return {"participant": self._participant, "next": collection.next()}
+
+    def _keep(self, recording: Any) -> dict[str, Any]:
+        collection = self._collecting()
+        if self._participant is None:
+            raise MagicalError("arrive before you send a recording")
+        score = collection.keep(json.dumps(recording), self._participant)
+        return {"score": score, "next": collection.next()}
+
+    def _collecting(self) -> Collection:
+        if self._collection is None:
+            raise MagicalError("nothing is collected here")
+        return self._collection
+
+
+def poses(scene: Scene) -> dict[str, Any]:
+    """Where everything is, as JSON data."""
+    robot = scene.robot
+    return {"robot": robot.pose, "fingers": robot.fingers, "blocks": [block.pose for block in scene.blocks]}

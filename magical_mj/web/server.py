@@ -1,0 +1,130 @@
+"""The server behind the page: `magical-mj play --web`. Python simulates; the browser draws from poses.
+
+Everything lies below a secret token, `http://127.0.0.1:8008/TOKEN/`; any other address is refused. The page talks to a
+`magical_mj.web.seat.Seat` through a WebSocket, which the browser may open only from a page of the server's own origin.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import mimetypes
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from typing import Final
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from magical_mj.web import PAGE
+from magical_mj.web.catalogue import catalogue
+from magical_mj.web.collection import Collection
+from magical_mj.web.scenes import environment_scenes
+from magical_mj.web.seat import Seat
+
+LARGEST_MESSAGE: Final = 100_000  # bytes
+HEADERS: Final = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'",
+    "Referrer-Policy": "no-referrer",  # the address holds the token
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+@dataclass
+class PlayServer:
+    """Serves the page and its seats.
+
+    Args:
+        environments: the pairs (task, variant) that may be played.
+        host: the address to listen at.
+        port: 0 for any that is free.
+        token: what the address starts with; None: a random one.
+        origin: where people see the page if that is not `http://HOST:PORT`, as behind a reverse proxy.
+        collection: where recordings are kept; None: nowhere.
+    """
+
+    environments: Sequence[tuple[str, str]]
+    host: str = "127.0.0.1"
+    port: int = 8008
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(16))
+    origin: str | None = None
+    collection: Collection | None = None
+
+    def __post_init__(self) -> None:
+        known = {**catalogue(self.environments, "server"), "collects": self.collection is not None}
+        self._files = {path.name: path.read_bytes() for path in PAGE.iterdir() if path.is_file()}
+        self._files["catalogue.json"] = json.dumps(known).encode()
+        self._files[""] = self._files["index.html"]
+
+    async def start(self) -> Server:
+        """Listen; the server that is returned is an asynchronous context manager.
+
+        Raises:
+            OSError: if the port is taken.
+        """
+        server = await serve(
+            self._sit,
+            self.host,
+            self.port,
+            process_request=self._respond,
+            max_size=LARGEST_MESSAGE,
+            server_header=None,
+        )
+        self.port = next(iter(server.sockets)).getsockname()[1]
+        return server
+
+    @property
+    def address(self) -> str:
+        """Of the page, once the server has started."""
+        return f"{self.origin or self._own_origins()[0]}/{self.token}/"
+
+    def _own_origins(self) -> list[str]:
+        host = "localhost" if self.host in ("0.0.0.0", "::") else self.host  # noqa: S104 (compared, not bound)
+        return [f"http://{name}:{self.port}" for name in dict.fromkeys((host, "localhost"))]
+
+    def _respond(self, _: ServerConnection, request: Request) -> Response | None:
+        """A file or a refusal; None where a WebSocket may be opened."""
+        path = request.path.partition("?")[0]
+        start, _, name = path.removeprefix("/").partition("/")
+        if not secrets.compare_digest(start.encode(), self.token.encode()) or path == f"/{self.token}":
+            return _response(HTTPStatus.FORBIDDEN)
+        if name == "socket":
+            allowed = [self.origin] if self.origin else self._own_origins()
+            return None if request.headers.get("Origin") in allowed else _response(HTTPStatus.FORBIDDEN)
+        content = self._content(name)
+        if content is None:
+            return _response(HTTPStatus.NOT_FOUND)
+        return _response(HTTPStatus.OK, content, mimetypes.guess_type(name or "index.html")[0])
+
+    def _content(self, name: str) -> bytes | None:
+        if name.startswith("scenes/"):
+            task, _, variant = name.removeprefix("scenes/").removesuffix(".json").partition("-")
+            if (task, variant) not in self.environments:
+                return None
+            return json.dumps(environment_scenes(task, variant), separators=(",", ":")).encode()
+        return self._files.get(name)
+
+    async def _sit(self, connection: ServerConnection) -> None:
+        """One seat, until it is left. Others are answered while this one simulates."""
+        seat = Seat(self.environments, self.collection)
+        try:
+            async for message in connection:
+                await connection.send(await asyncio.to_thread(seat.answer, message))
+        except ConnectionClosed:  # without a farewell, or after a message that was too large
+            pass
+        finally:
+            seat.close()
+
+
+def _response(status: HTTPStatus, body: bytes | None = None, kind: str | None = None) -> Response:
+    content = status.phrase.encode() if body is None else body
+    headers = Headers(HEADERS)
+    headers["Content-Type"] = f"{kind or 'text/plain'}; charset=utf-8"
+    headers["Content-Length"] = str(len(content))
+    headers["Connection"] = "close"
+    return Response(status.value, status.phrase, headers, content)

@@ -1,0 +1,124 @@
+// @ts-check
+/** The built site in headless Chromium, below a sub-path: every environment is opened and driven by keys. */
+import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import { fileURLToPath } from "node:url";
+import { after, before, test } from "node:test";
+import { launch, serve } from "./browser.mjs";
+
+const OUT = fileURLToPath(new URL("../../out/", import.meta.url));
+const SPEED = 10;
+/** @type {Awaited<ReturnType<typeof serve>>} */
+let site;
+/** @type {Awaited<ReturnType<typeof launch>>} */
+let browser;
+/** @type {import("playwright-core").Page} */
+let page;
+/** @type {string[]} */
+const complaints = [];
+
+before(async () => {
+  site = await serve(`${OUT}site`);
+  browser = await launch();
+  page = await browser.context.newPage();
+  page.on("console", (message) => { if (["error", "warning"].includes(message.type())) complaints.push(message.text()); });
+  page.on("pageerror", (error) => complaints.push(error.message));
+  page.on("request", (request) => { if (!/^(blob|data):/.test(request.url()) && !request.url().startsWith(site.address)) complaints.push(`elsewhere: ${request.url()}`); });
+  await page.addInitScript(() => {  // counts frames, and takes the time of the first that is drawn
+    const watch = Object.assign(window, { frames: 0, firstDrawn: 0 }), ask = window.requestAnimationFrame;
+    window.requestAnimationFrame = (callback) => ask((time) => { watch.frames += 1; callback(time); });
+    const fill = CanvasRenderingContext2D.prototype.fill;
+    CanvasRenderingContext2D.prototype.fill = function (...rest) {
+      watch.firstDrawn ||= performance.now();
+      return fill.apply(this, /** @type {any} */ (rest));
+    };
+  });
+});
+after(async () => {
+  await browser.close();
+  site.close();
+});
+
+const frames = () => page.evaluate("frames");
+const status = () => page.textContent("#status");
+/** @param {string} text */
+const untilStatus = (text) => page.waitForFunction((text) => document.getElementById("status")?.textContent?.startsWith(text), text, { timeout: 30000 });
+const picture = () => page.$eval("#allo", (canvas) => /** @type {HTMLCanvasElement} */ (canvas).toDataURL());
+/** @param {number} count */
+const moreFrames = async (count) => {
+  const start = await frames();
+  await page.waitForFunction((wanted) => /** @type {any} */ (window).frames >= wanted, Number(start) + count, { timeout: 10000 });
+};
+
+test("it opens quickly and draws smoothly", async () => {
+  await page.goto(`${site.address}play/#FindDupe-All-3`);
+  await untilStatus("Press");
+  const ready = await page.evaluate("performance.now()"), first = await page.evaluate("firstDrawn");
+  await page.keyboard.down("ArrowUp");
+  const start = Number(await frames()), since = performance.now();
+  await page.waitForTimeout(2000);
+  const rate = (Number(await frames()) - start) / (performance.now() - since) * 1000;
+  await page.keyboard.up("ArrowUp");
+  console.log(`first frame after ${Number(first).toFixed(0)} ms, ready to play after ${Number(ready).toFixed(0)} ms, ${rate.toFixed(0)} frames/s`);
+  assert.equal(await status(), "Playing");
+});
+
+test("all environments can be played to the end", async () => {
+  await page.goto(`${site.address}play/?speed=${SPEED}`);
+  const { environments, tasks } = await page.evaluate(async () => (await fetch("catalogue.json")).json());
+  assert.equal(environments.length, 60);
+  const since = performance.now();
+  for (const { task, variant } of environments) {
+    await page.evaluate((hash) => { location.hash = hash; }, `${task}-${variant}-1`);
+    await page.waitForFunction(([task, variant]) => /** @type {any} */ (document.getElementById("task")).value === task
+      && /** @type {any} */ (document.getElementById("variant")).value === variant, [task, variant]);
+    await untilStatus("Press");
+    const before = await picture(), share = Math.min(1, 100 / tasks[task].horizon);
+    for (const key of ["ArrowUp", "Space", "KeyD"]) await page.keyboard.down(key);
+    await page.waitForFunction((share) => /** @type {any} */ (document.getElementById("time")).value >= share - 1e-9, share, { timeout: 30000 });
+    for (const key of ["ArrowUp", "Space", "KeyD"]) await page.keyboard.up(key);
+    await moreFrames(5);
+    assert.notEqual(await picture(), before, `${task}-${variant}: nothing moved`);
+    assert.deepEqual(complaints, [], `${task}-${variant}`);
+  }
+  console.log(`${environments.length} environments in ${((performance.now() - since) / 1000).toFixed(0)} s`);
+});
+
+test("the expert is watched to its full score, and what a player does is saved", async () => {
+  await page.goto(`${site.address}play/?speed=${SPEED}#MatchRegions-All-2`);
+  await untilStatus("Press");
+  await page.keyboard.press("e");
+  await untilStatus("Over");
+  assert.equal(await page.textContent("#score"), "1.00");
+  assert.ok(await page.isDisabled("#save"), "only what was played oneself can be saved");
+  await page.keyboard.press("r");
+  await untilStatus("Press");
+  await page.keyboard.down("KeyW");
+  await untilStatus("Over");
+  await page.keyboard.up("KeyW");
+  const [download] = await Promise.all([page.waitForEvent("download"), page.click("#save")]);
+  assert.equal(download.suggestedFilename(), "MatchRegions-All-2.json");
+  await download.saveAs(`${OUT}site-test/saved.json`);
+  const saved = JSON.parse(await readFile(`${OUT}site-test/saved.json`, "utf8"));
+  assert.deepEqual([saved.task, saved.variant, saved.seed, saved.actions.length], ["MatchRegions", "All", 2, 120]);
+  assert.deepEqual(complaints, []);
+});
+
+test("canvases show what the renderer shows", async () => {
+  const [look, pictures] = await Promise.all(["look", "pictures"].map(async (name) => JSON.parse(await readFile(`${OUT}site-test/${name}.json`, "utf8"))));
+  const worst = { allo: 0, ego: 0 };
+  for (const { scene, view, size, pixels } of pictures) {
+    const apart = await page.evaluate(async ({ look, scene, view, size, pixels }) => {
+      const { draw } = await import(new URL("draw.js", document.baseURI).href);
+      const canvas = Object.assign(document.createElement("canvas"), { width: size, height: size });
+      draw(canvas, look, scene, view);
+      const drawn = /** @type {any} */ (canvas.getContext("2d")).getImageData(0, 0, size, size).data;
+      let sum = 0;
+      for (let i = 0; i < size * size; i++) for (let k = 0; k < 3; k++) sum += Math.abs(drawn[4 * i + k] - parseInt(pixels.substr(2 * (3 * i + k), 2), 16));
+      return sum / (3 * size * size);
+    }, { look, scene, view, size, pixels });
+    worst[/** @type {keyof typeof worst} */ (view)] = Math.max(worst[/** @type {keyof typeof worst} */ (view)], apart);
+  }
+  console.log(`${pictures.length} pictures: mean levels apart at most ${worst.allo.toFixed(2)} from above, ${worst.ego.toFixed(2)} as the robot sees it`);
+  assert.ok(Math.max(...Object.values(worst)) < 1);
+});

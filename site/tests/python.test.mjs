@@ -1,0 +1,58 @@
+// @ts-check
+/** The page's simulation and scores beside Python's, on the cases that cases.py wrote. */
+import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import { test } from "node:test";
+import loadMujoco from "../../out/npm/node_modules/@mujoco/mujoco/mujoco.js";
+import { poses } from "../../magical_mj/web/page/scene.js";
+import { score } from "../../magical_mj/web/page/score.js";
+import { Simulation } from "../../magical_mj/web/page/simulation.js";
+
+/** @param {string} name */
+const read = async (name) => JSON.parse(await readFile(new URL(`../../out/site-test/${name}.json`, import.meta.url), "utf8"));
+
+/** Largest difference of two scenes' poses. @param {any} one @param {any} other */
+function distance(one, other) {
+  const numbers = (/** @type {any} */ scene) => Object.values(poses(scene)).flat(2);
+  const [a, b] = [numbers(one), numbers(other)];
+  return Math.max(...a.map((value, i) => Math.abs(value - b[i])));
+}
+
+test("scores are Python's", async () => {
+  const cases = await read("scores");
+  let worst = 0, worstOfReference = 0;
+  for (const { task, initial, final, score: right, reference = right } of cases) {
+    const found = score(task, initial, final);
+    worst = Math.max(worst, Math.abs(found - right));
+    worstOfReference = Math.max(worstOfReference, Math.abs(found - reference));
+  }
+  console.log(`${cases.length} states: scores differ from Python's by at most ${worst}, from the reference's by ${worstOfReference}`);
+  assert.ok(worst < 1e-12 && worstOfReference < 1e-8);
+});
+
+test("episodes go as in Python", async () => {
+  const [mujoco, episodes, controls] = await Promise.all([loadMujoco(), read("episodes"), read("controls")]);
+  const kinds = { demonstration: 0, "rough drive": 0.02 };  // share whose score may differ: heaps of blocks are chaotic
+  for (const [kind, share] of Object.entries(kinds)) {
+    const chosen = episodes.filter((/** @type {any} */ { name }) => name.startsWith(kind));
+    /** @type {Record<string, number>} */
+    const worst = { 1: 0, 20: 0, 100: 0, end: 0 };
+    const unequal = [];
+    for (const { name, task, scene, mjcf, actions, glances, score: right } of chosen) {
+      const simulation = new Simulation(mujoco, mjcf, scene, controls);
+      let now = scene;
+      actions.forEach((/** @type {number} */ action, /** @type {number} */ i) => {
+        now = simulation.act(action);
+        if (!(i + 1 in glances)) return;
+        const place = i + 1 === actions.length ? "end" : i + 1;
+        worst[place] = Math.max(worst[place], distance(now, glances[i + 1]));
+      });
+      if (Math.abs(score(task, scene, now) - right) > 1e-4) unequal.push(name);
+      simulation.close();
+    }
+    const figures = Object.entries(worst).map(([step, value]) => `${step}: ${value.toExponential(1)}`).join(", ");
+    console.log(`${chosen.length} of ${kind}: largest difference of a pose after steps ${figures}; scores differ in ${unequal.length}`);
+    assert.ok(worst[1] < 1e-12 && worst[20] < 1e-6, kind);
+    assert.ok(unequal.length <= share * chosen.length, unequal.join(", "));
+  }
+});
