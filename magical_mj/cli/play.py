@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 import magical_mj
-from magical_mj.cli.console import Seed, Size, Task, Variant, claim_folder, console
+from magical_mj.cli.console import Seed, Size, Variant, claim_folder, console
 from magical_mj.cli.film import both_views
+from magical_mj.cli.web import Collect, Host, Origin, Port, Tasks, Variants, Wanted, serve_page
 from magical_mj.cli.window import Window
 from magical_mj.constants import CONTROL_RATE
-from magical_mj.registry import variant_name
+from magical_mj.registry import TASKS, environments, variant_name
 
 if TYPE_CHECKING:
     from magical_mj.demos import Demonstration
@@ -23,17 +24,36 @@ KEYS: Final = "arrows drive, space grips, R again, N next scene, Esc quits"
 
 Record = Annotated[Path | None, typer.Option(help="Write each finished episode into this folder.", show_default=False)]
 Speed = Annotated[float, typer.Option(min=0.1, max=4.0, help="Times real time.")]
+OptionalTask = Annotated[str | None, typer.Argument(help=f"One of {', '.join(TASKS)}.", show_default=False)]
+Web = Annotated[bool, typer.Option("--web", help="Play in a browser instead of a window.")]
 
 
 def play(
-    task: Task,
+    task: OptionalTask = None,
     variant: Variant = "Demo",
     seed: Seed = 0,
     record: Record = None,
     size: Size = 480,
     speed: Speed = 1.0,
+    web: Web = False,
+    tasks: Tasks = "all",
+    variants: Variants = "all",
+    collect: Collect = None,
+    wanted: Wanted = None,
+    host: Host = "127.0.0.1",
+    port: Port = 8008,
+    origin: Origin = None,
 ) -> None:
-    """Drive the robot yourself: arrows, space to grip, R to start again, N for the next scene, Esc to quit."""
+    """Drive the robot yourself: arrows, space to grip, R to start again, N for the next scene, Esc to quit.
+
+    With --web, and any of the options below it, in a browser: on this machine, or on another one through ssh -L.
+    """
+    if web:
+        first = None if task is None else (task, variant_name(variant), seed)
+        serve_page(first, environments(tasks, variants), collect, wanted, host, port, origin)
+        return
+    if task is None:
+        raise typer.BadParameter("which task? Only --web does without")
     env = magical_mj.load(task, variant, seed=seed, observations=())
     screen = console()
     if record is not None:

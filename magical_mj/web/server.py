@@ -87,7 +87,7 @@ class PlayServer:
         host = "localhost" if self.host in ("0.0.0.0", "::") else self.host  # noqa: S104 (compared, not bound)
         return [f"http://{name}:{self.port}" for name in dict.fromkeys((host, "localhost"))]
 
-    def _respond(self, _: ServerConnection, request: Request) -> Response | None:
+    def _respond(self, _connection: ServerConnection, request: Request) -> Response | None:
         """A file or a refusal; None where a WebSocket may be opened."""
         path = request.path.partition("?")[0]
         start, _, name = path.removeprefix("/").partition("/")

@@ -1,0 +1,73 @@
+"""`magical-mj play --web`: the page in a browser, with Python's simulation behind it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from magical_mj.cli.console import claim_folder, console
+from magical_mj.errors import SettingsError
+from magical_mj.extras import missing_extra
+from magical_mj.web.collection import Collection
+
+if TYPE_CHECKING:
+    from magical_mj.web.server import PlayServer
+
+PANEL = "In a browser (--web)"
+Tasks = Annotated[str, typer.Option(help="Names with commas between.", rich_help_panel=PANEL)]
+Variants = Annotated[str, typer.Option(help="Names with commas between.", rich_help_panel=PANEL)]
+Collect = Annotated[
+    Path | None,
+    typer.Option(help="Keep what people send in this folder.", rich_help_panel=PANEL, show_default=False),
+]
+Wanted = Annotated[
+    int | None,
+    typer.Option(
+        min=1, help="How many to collect of each environment.", rich_help_panel=PANEL, show_default="as many as come"
+    ),
+]
+Host = Annotated[str, typer.Option(help="Address to listen at.", rich_help_panel=PANEL)]
+Port = Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.", rich_help_panel=PANEL)]
+Origin = Annotated[
+    str | None,
+    typer.Option(
+        help="Where people see the page, such as https://study.example.org, behind a proxy.",
+        rich_help_panel=PANEL,
+        show_default=False,
+    ),
+]
+
+
+def serve_page(
+    first: tuple[str, str, int] | None,
+    environments: Sequence[tuple[str, str]],
+    collect: Path | None,
+    wanted: int | None,
+    host: str,
+    port: int,
+    origin: str | None,
+) -> None:
+    """Serve until somebody presses Ctrl-C; `first` is the task, the variant and the seed that the link leads to."""
+    if first is not None and first[:2] not in environments:
+        raise SettingsError(f"{first[0]}-{first[1]} is not among the environments that are to be played")
+    if wanted is not None and collect is None:
+        raise SettingsError("--wanted needs --collect")
+    try:
+        from magical_mj.web.server import PlayServer
+    except ModuleNotFoundError:
+        raise missing_extra("Playing in a browser", "web") from None
+    collection = None if collect is None else Collection(claim_folder(collect), environments, wanted)
+    server = PlayServer(environments, host, port, origin=origin, collection=collection)
+    with suppress(KeyboardInterrupt):
+        asyncio.run(_serve(server, "" if first is None else "#" + "-".join(map(str, first))))
+
+
+async def _serve(server: PlayServer, place: str) -> None:
+    async with await server.start() as listening:
+        console().print(f"{server.address}{place}\nCtrl-C ends it.", soft_wrap=True)
+        await listening.serve_forever()

@@ -1,0 +1,179 @@
+"""What the page is told, and the server behind it: real processes, real sockets."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError
+from urllib.request import urlopen
+
+import pytest
+
+import magical_mj
+from magical_mj import demos
+from magical_mj.assets.world import world_mjcf
+from magical_mj.demos.recording import Recorder
+from magical_mj.protocol import PROTOCOL
+from magical_mj.web import PAGE
+from magical_mj.web.catalogue import catalogue, scene_data, sections
+from magical_mj.web.collection import Collection
+from magical_mj.web.scenes import environment_scenes, with_models
+
+websockets = pytest.importorskip("websockets")
+
+from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
+from websockets.sync.client import ClientConnection, connect  # noqa: E402
+
+
+def test_the_page_is_told_of_every_task_in_words_and_with_a_solved_example() -> None:
+    told = json.loads(json.dumps(catalogue(magical_mj.ENVIRONMENTS, "browser")))
+    assert set(told["tasks"]) == set(magical_mj.TASKS)
+    for task, facts in told["tasks"].items():
+        solved = magical_mj.Scene.from_json(json.dumps(facts["solved"]))
+        assert magical_mj.score(task, magical_mj.sample_scene(task, "Demo", 0), solved) == 1.0
+        assert facts["goal"].endswith(".")
+
+
+@pytest.mark.parametrize("task", magical_mj.TASKS)
+def test_every_task_says_the_same_things_of_itself(task: str) -> None:
+    found = sections(task)
+    assert {"Summary", "Goal", "What varies", "Score", "Differences from the original"} <= set(found)
+    assert all(found.values())
+
+
+def test_outlines_are_where_the_renderer_has_them() -> None:
+    look = catalogue(magical_mj.ENVIRONMENTS[:1], "browser")["look"]
+    square = look["blocks"]["square"][0][0]
+    assert max(square) == pytest.approx(magical_mj.constants.SQUARE_SIDE / 2, abs=1e-6)
+    assert [layer["part"] for layer in look["robot"]][-1] != "left_finger"  # the body hides the fingers' roots
+    assert {layer["part"] for layer in look["robot"]} >= {"left_finger", "right_finger"}
+    assert set(look["blocks"]) == set(magical_mj.constants.SHAPES)
+    assert all(len(layers) == 2 for layers in look["blocks"].values())
+
+
+def test_models_come_back_whole() -> None:
+    data = environment_scenes("FindDupe", "All")
+    scenes = [magical_mj.sample_scene("FindDupe", "All", entry["seed"]) for entry in data["scenes"]]
+    models = [world_mjcf(scene) for scene in scenes]
+    packed = with_models(data, models)
+    for scene, entry, model in zip(scenes, packed["scenes"], models, strict=True):
+        assert entry["scene"] == scene_data(scene)
+        assert "".join(packed["elements"][number] for number in entry["mjcf"]) == model
+    assert len(json.dumps(packed)) < sum(map(len, models)) / 2
+
+
+@pytest.mark.parametrize("task", magical_mj.TASKS)
+def test_the_expert_that_is_watched_solves_every_variant(task: str) -> None:
+    for number, variant in enumerate(magical_mj.VARIANTS):
+        if (task, variant) in magical_mj.ENVIRONMENTS:
+            entries = environment_scenes(task, variant)["scenes"]
+            assert len(entries) == (1 if variant == "Demo" else 20)
+            entry = entries[number % len(entries)]
+            env = magical_mj.load(task, variant, seed=entry["seed"], observations=())
+            env.reset()
+            for letter in entry["expert"]:
+                last = env.step(ord(letter) - ord("a")).last()
+            assert last, (task, variant)
+            assert env.score() == 1.0, (task, variant)
+            env.close()
+
+
+def recording(task: str, variant: str, seed: int, actions: list[int]) -> dict[str, Any]:
+    return {"format": 1, "protocol": PROTOCOL, "task": task, "variant": variant, "seed": seed, "actions": actions}
+
+
+def test_a_collection_asks_for_what_it_has_least_of(tmp_path: Path) -> None:
+    pairs = [("MoveToRegion", "Demo"), ("MoveToRegion", "Layout")]
+    collection = Collection(tmp_path, pairs, wanted=1)
+    asked = [collection.next(), collection.next(), collection.next()]
+    assert [(one["variant"], one["seed"]) for one in asked if one] == [("Demo", 0), ("Layout", 0), ("Demo", 1)]
+    me = collection.participant("../../somewhere")
+    assert re.fullmatch("[0-9a-f]{16}", me)
+    assert collection.participant(me) == me
+    collection.keep(json.dumps(recording(*pairs[0], 0, [0] * 40)), me)
+    assert (collection.next() or {})["variant"] == "Layout"
+    collection.keep(json.dumps(recording(*pairs[1], 0, [1] * 40)), me)
+    assert collection.next() is None
+    assert Collection(tmp_path, pairs, wanted=1).next() is None  # what was kept counts after a restart
+    with pytest.raises(magical_mj.errors.DemonstrationError, match="not collected"):
+        collection.keep(json.dumps(recording("MoveToRegion", "Jitter", 0, [0] * 40)), me)
+    assert len(list(tmp_path.rglob("*.npz"))) == 2
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str, Path]]:
+    """The process, the page's address and the folder in which it collects."""
+    command = [sys.executable, "-m", "magical_mj", "play", "--web", "--port", "0", "--tasks", "MoveToRegion,FindDupe"]
+    folder = tmp_path / "collected"
+    with subprocess.Popen([*command, "--collect", str(folder)], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        yield process, process.stdout.readline().strip(), folder
+        process.kill()
+
+
+def sit(address: str, origin: str | None = None) -> ClientConnection:
+    own = address.rsplit("/", 2)[0]
+    return connect(f"{address.replace('http', 'ws', 1)}socket", origin=own if origin is None else origin)
+
+
+def ask(seat: ClientConnection, message: Any) -> Any:
+    seat.send(json.dumps(message))
+    return json.loads(seat.recv())
+
+
+def test_an_episode_at_the_server_is_pythons_and_outlives_a_kill(server: tuple[Any, str, Path]) -> None:
+    process, address, folder = server
+    with urlopen(address) as reply:
+        assert reply.read() == (PAGE / "index.html").read_bytes()
+    env = magical_mj.load("MoveToRegion", "All", seed=7, observations=())
+    env.reset()
+    recorder, actions = Recorder(env), [1, 4, 7, 10] * 10
+    with sit(address) as seat:
+        arrived = ask(seat, {"arrive": None})
+        opened = ask(seat, {"open": {"task": "MoveToRegion", "variant": "All", "seed": 7}})
+        assert opened["scene"] == scene_data(env.scene)
+        for action in actions:
+            recorder.step(action)
+            poses = ask(seat, {"act": action})["poses"]
+        assert poses["robot"] == list(env.scene.robot.pose)
+        mine = {**recording("MoveToRegion", "All", 7, actions), "final": poses}
+        wrong = {**mine, "final": {**poses, "robot": [0.0, 0.0, 0.0]}}
+        assert "away from what was played" in ask(seat, {"keep": wrong})["error"]
+        assert ask(seat, {"keep": mine})["score"] == env.score()
+        process.send_signal(signal.SIGKILL)
+    process.wait()
+    (path,) = folder.rglob("*.npz")
+    assert path.parent.name == arrived["participant"]
+    kept = demos.read(path)
+    assert (kept.scene_seed, kept.demonstrator, kept.score) == (7, "human", env.score())
+    assert demos.verify(kept).exact
+    env.close()
+
+
+def test_strangers_are_refused(server: tuple[Any, str, Path]) -> None:
+    _, address, folder = server
+    for wrong in (address[:-2] + "/", address[:-1], address.rsplit("/", 2)[0] + "/", f"{address}../pyproject.toml"):
+        with pytest.raises(HTTPError, match=r"40[34]"):
+            urlopen(wrong)
+    for origin in ("http://evil.example", "null"):
+        with pytest.raises(InvalidStatus, match="403"):
+            sit(address, origin)
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(f"{address.replace('http', 'ws', 1)}socket")  # without an origin
+    with pytest.raises(InvalidStatus, match="403"):
+        sit(address[:-3] + "xx/", address.rsplit("/", 2)[0])
+    with sit(address) as seat:
+        elsewhere = {"open": {"task": "MakeLine", "variant": "Demo", "seed": 0}}
+        for message in ("act", {"act": 0}, {"act": 99}, elsewhere, {"dance": 1}):
+            assert "error" in ask(seat, message)
+        assert "arrive" in ask(seat, {"keep": {}})["error"]
+        seat.send("x" * 200_000)
+        with pytest.raises(ConnectionClosed):
+            seat.recv()
+    assert not any(folder.iterdir())
