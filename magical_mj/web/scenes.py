@@ -13,7 +13,9 @@ from magical_mj.registry import sample_scene
 from magical_mj.web.catalogue import scene_data
 
 EXPERT: Final = Path(__file__).parent / "expert.json"
-"""Task-Variant -> for seeds 0, 1, ... an expert's actions as letters."""
+"""Task-Variant -> for seeds 0, 1, ... an expert's actions as letters; for the long tasks only the first few."""
+SCENES: Final = 20
+"""How many the page offers of each environment but Demo, which has one."""
 DEMONSTRATIONS: Final = 5
 """How many of a task's shipped demonstrations the page can show."""
 _BETWEEN_ELEMENTS: Final = re.compile("(?<=>)(?=<)")
@@ -29,17 +31,19 @@ def environment_scenes(task: str, variant: str) -> dict[str, Any]:
     shipped = demos.load(task)[:DEMONSTRATIONS] if variant == "Demo" else []
     demonstrations = [letters(demo.actions.tolist()) for demo in shipped]
     expert: list[str] = demonstrations[:1] or json.loads(EXPERT.read_text())[f"{task}-{variant}"]
+    seeds = range(1 if variant == "Demo" else SCENES)
+    expert += [""] * (len(seeds) - len(expert))
     return {
         "demonstrations": demonstrations,
         "scenes": [
             {"seed": seed, "expert": actions, "scene": scene_data(sample_scene(task, variant, seed))}
-            for seed, actions in enumerate(expert)
+            for seed, actions in zip(seeds, expert, strict=True)
         ],
     }
 
 
 def with_models(data: dict[str, Any], models: Sequence[str]) -> dict[str, Any]:
-    """The same with a model of each scene, in a twentieth of the space.
+    """The same with a model of each scene, in a quarter of the space, or less.
 
     Models have most of their XML elements in common. So each is a list of numbers of elements, whose texts, one
     after the other, are the model.

@@ -1,0 +1,109 @@
+"""Writes the documentation site: python site/docs.py FOLDER. What README and docs/ say is taken from there."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+from task_pages import write_task_pages
+
+from magical_mj.actions import ACTIONS
+from magical_mj.web.look import look
+
+ROOT: Final = Path(__file__).parent.parent
+PAGES: Final = ROOT / "site" / "pages"
+SOURCES: Final = ROOT / "out" / "site-sources"
+PLACEHOLDER: Final = re.compile(r"^<!-- (README|file|actions|docstring|others): ?(.*?) -->$", re.MULTILINE)
+LINK: Final = re.compile(r"\[([^]]*)\]\((?!https?:|#)([\w./-]+)(#[\w-]*)?\)")
+REPOSITORY_FILES: Final = {"README.md": "index.md", "CHANGELOG.md": "changelog.md"}
+
+
+def write_docs(folder: Path) -> None:
+    """Gather all sources in one flat folder, and have Sphinx make the pages; warnings are errors."""
+    shutil.rmtree(SOURCES, ignore_errors=True)
+    media = SOURCES / "extra" / "media"
+    media.mkdir(parents=True)
+    for path in (ROOT / "docs").glob("*"):
+        if path.suffix == ".md":
+            (SOURCES / path.name).write_text(_links(path.read_text(encoding="utf-8")), encoding="utf-8")
+        elif path.is_file():
+            shutil.copy(path, SOURCES)
+    for path in PAGES.iterdir():
+        if path.suffix == ".md":
+            (SOURCES / path.name).write_text(
+                PLACEHOLDER.sub(_filled, path.read_text(encoding="utf-8")), encoding="utf-8"
+            )
+        else:
+            shutil.copy(path, SOURCES)
+    (SOURCES / "logo.svg").write_text(_logo(), encoding="utf-8")
+    write_task_pages(SOURCES, media)
+    shutil.copytree(ROOT / "site" / "style", SOURCES / "style")
+    shutil.copy(ROOT / "site" / "conf.py", SOURCES)
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", str(SOURCES), str(folder)]
+    subprocess.run([*command, "-d", str(SOURCES / ".doctrees")], check=True)
+
+
+def _filled(found: re.Match[str]) -> str:
+    """What stands for a placeholder such as `<!-- README: Quickstart -->`."""
+    kind, name = found.groups()
+    if kind == "README":
+        return _links(section((ROOT / "README.md").read_text(encoding="utf-8"), name))
+    if kind == "file":
+        return _links((ROOT / name).read_text(encoding="utf-8"))
+    if kind == "others":  # pages of docs/ that the index does not name
+        index = (PAGES / "index.md").read_text(encoding="utf-8").split()
+        return "\n".join(path.stem for path in sorted((ROOT / "docs").glob("*.md")) if path.stem not in index)
+    if kind == "docstring":
+        return (ROOT / name).read_text(encoding="utf-8").split('"""')[1]
+    rows = (
+        f"| {number} | {' | '.join(part.name.lower() for part in action)} |" for number, action in enumerate(ACTIONS)
+    )
+    return "| Action | Fingers | Turn | Drive |\n| ---: | --- | --- | --- |\n" + "\n".join(rows)
+
+
+def section(text: str, heading: str) -> str:
+    """The text below a heading of the second level.
+
+    Raises:
+        SystemExit: if there is no such heading.
+    """
+    _, found, rest = text.partition(f"\n## {heading}\n")
+    if not found:
+        raise SystemExit(f"README.md has no section {heading!r} any more, which a page of the site takes from it")
+    return rest.partition("\n## ")[0].strip()
+
+
+def _links(text: str) -> str:
+    """Links between files of the repository as links between pages of the site; others as plain text."""
+
+    def link(found: re.Match[str]) -> str:
+        label, target, anchor = found.groups()
+        name = target.removeprefix("../").removeprefix("docs/")
+        if name in REPOSITORY_FILES:
+            return f"[{label}]({REPOSITORY_FILES[name]})"
+        return f"[{label}]({name}{anchor or ''})" if (ROOT / "docs" / name).is_file() else label
+
+    return LINK.sub(link, text)
+
+
+def _logo() -> str:
+    """The robot."""
+    known: dict[str, Any] = look()
+    paths = []
+    for layer in known["robot"]:
+        x, y = known["fingerRoots"].get(layer["part"], (0, 0))
+        turn = {"left_finger": 22.5, "right_finger": -22.5}.get(layer["part"], 0)
+        loops = " ".join("M" + " ".join(f"{number:.4f}" for number in loop) + "Z" for loop in layer["loops"])
+        paths.append(f'<path fill="{layer["colour"]}" transform="translate({x} {y}) rotate({turn})" d="{loops}"/>')
+    return (
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="-0.3 -0.4 0.6 0.63">'
+        f'<g transform="scale(1 -1)">{"".join(paths)}</g></svg>'
+    )
+
+
+if __name__ == "__main__":
+    write_docs(Path(sys.argv[1]))

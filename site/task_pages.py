@@ -1,0 +1,100 @@
+"""A page for each task, made from the registry and from what the task's module says of itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pictures import animation, examples, scenes
+
+from magical_mj.constants import CONTROL_RATE
+from magical_mj.evaluation.results import published_results
+from magical_mj.registry import ENVIRONMENTS, TASKS, task_spec
+from magical_mj.web.catalogue import sections
+
+METHODS = ("BC (ST)", "BC (MT)", "GAIL (ST)", "WGAIL-GP (ST)", "AL (ST)")
+
+
+def write_task_pages(folder: Path, media: Path) -> None:
+    """Write `<Task>.md` for every task, and `tasks.md`, which shows them all; their pictures go into `media`."""
+    cards = []
+    for task in TASKS:
+        animation(task, media / f"{task}.webp")
+        (folder / f"{task}.md").write_text(_page(task, media), encoding="utf-8")
+        goal = _sentence(task_spec(task).summary)
+        cards.append(f'<a class="card" href="{task}.html">{_animation(task)}<strong>{task}</strong> {goal}</a>')
+    listed = "```{toctree}\n:hidden:\n\n" + "\n".join(TASKS) + "\n```"
+    text = f'# Tasks\n\n{listed}\n\n<div class="cards">{"".join(cards)}</div>\n'
+    (folder / "tasks.md").write_text(text, encoding="utf-8")
+
+
+def _page(task: str, media: Path) -> str:
+    spec, said = task_spec(task), sections(task)
+    variants = [variant for known, variant in ENVIRONMENTS if known == task]
+    paper, released = spec.horizon("paper"), spec.horizon("released")
+    steps = f"An episode has {paper} steps, which are {paper / CONTROL_RATE:g} s"
+    parts = [
+        f"# {task}",
+        f"{_sentence(spec.summary)} {_play(task, 'Demo', 'Play it')}",
+        _animation(task),
+        said["Goal"],
+        f"{steps}." if released == paper else f"{steps} (by the released code's rules {released}).",
+        "## Variants",
+        said["What varies"],
+        _variants(task, variants, media),
+        "## Score",
+        said["Score"],
+        _examples(task, media),
+        "## Results",
+        _results(task, variants),
+        "## Differences from the original",
+        said["Differences from the original"],
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _animation(task: str) -> str:
+    return f'<img class="wide" src="media/{task}.webp" alt="An expert at work, from above and as the robot sees it">'
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def _play(task: str, variant: str, text: str, seed: int = 0) -> str:
+    """A link to the page on which one plays; plain HTML, for the page is no document of Sphinx."""
+    return f'<a class="play" href="play/#{task}-{variant}-{seed}">{text}</a>'
+
+
+def _variants(task: str, variants: list[str], media: Path) -> str:
+    rows = []
+    for variant in variants:
+        links = (
+            _play(task, variant, f'<img src="media/{path.name}" alt="Scene {seed}" loading="lazy">', seed)
+            for seed, path in enumerate(scenes(task, variant, media))
+        )
+        rows.append(f"<tr><th>{variant}</th><td>{' '.join(links)}</td></tr>")
+    text = "Initial scenes of the first seeds; each opens where it can be played."
+    return f'{text}\n\n<table class="scenes">{"".join(rows)}</table>'
+
+
+def _examples(task: str, media: Path) -> str:
+    figures = (
+        f'<figure><img src="media/{path.name}" alt="A state with score {score:.2f}"><figcaption>{score:.2f}'
+        "</figcaption></figure>"
+        for score, path in examples(task, media)
+    )
+    return f'<div class="examples">{"".join(figures)}</div>'
+
+
+def _results(task: str, variants: list[str]) -> str:
+    table = published_results()
+    mine = table[(table["task"] == task) & table["policy"].isin(METHODS)]
+    means = mine.pivot_table(index="policy", columns="variant", values="mean").reindex(METHODS)[variants]
+    lines = [f"| Method | {' | '.join(variants)} |", f"| --- |{' ---: |' * len(variants)}"]
+    lines += [f"| {method} | {' | '.join(f'{value:.2f}' for value in row)} |" for method, row in means.iterrows()]
+    return (
+        "The paper's, in the original simulator: mean scores of five runs (ST: trained on this task, MT: on all).\n\n"
+        + "\n".join(lines)
+        + "\n\nThe expert of this package scores 1.00 in every variant ([details](experts.md)). "
+        "What this package's learners score is in [Learners](learners.md)."
+    )
