@@ -18,6 +18,10 @@ class UnknownNameError(MagicalError, ValueError):
     """A task, variant, preset, view or agent that does not exist."""
 
 
+class TaskError(MagicalError, ValueError):
+    """A task of one's own that cannot be played, or lacks what is asked of it."""
+
+
 class InvalidActionError(MagicalError, ValueError):
     """An action that is not one of the 18."""
 

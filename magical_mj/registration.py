@@ -1,27 +1,56 @@
-"""The Gymnasium ids: ``magical_mj/<Task>-<Demo|TestX>[-<Preset>]-v0`` for all environments and presets."""
+"""The Gymnasium ids: ``magical_mj/<Task>-<Demo|TestX>[-<Preset>]-v0`` for all environments and presets.
+
+Tasks that other packages announce have ids of the same form. Their modules are not imported for it, since they import
+this package: so all eight variants have ids, and one that the task lacks says so when it is made. The ids of a task
+that is given as ``"package.module:SPEC"`` are registered when `env_id` is asked for one.
+"""
 
 from __future__ import annotations
 
+import itertools
+
 import gymnasium
 
+from magical_mj import presets
+from magical_mj.announced import announced
+from magical_mj.errors import TaskError
 from magical_mj.presets import PRESETS
-from magical_mj.registry import ENVIRONMENTS
+from magical_mj.registry import ENVIRONMENTS, VARIANTS, environment_axes, task_name, task_spec, variant_name
 
 
 def env_id(task: str, variant: str = "Demo", preset: str = "") -> str:
-    """The Gymnasium id of an environment, such as ``"magical_mj/FindDupe-TestShape-LoRes4E-v0"``."""
-    test = variant if variant == "Demo" else f"Test{variant}"
-    return "-".join(filter(None, (f"magical_mj/{task}", test, preset, "v0")))
+    """The Gymnasium id of an environment, such as ``"magical_mj/FindDupe-TestShape-LoRes4E-v0"``.
+
+    Args:
+        task: a task's name, or ``"package.module:SPEC"``.
+        variant: a variant that the task has.
+        preset: one of `magical_mj.presets.PRESETS`.
+
+    Raises:
+        UnknownNameError: if there is no such task, variant or preset, or the task does not have this variant.
+        TaskError: if it is a task of one's own that cannot be played, or another one has its name.
+    """
+    environment_axes(task, variant)
+    presets.preset(preset)
+    task = task_name(task)
+    return _register(task, task_spec(task).name, variant_name(variant), preset)
 
 
 def register_all() -> None:
     """Registers every environment that is not registered yet. Importing `magical_mj` does this."""
-    for task, variant in ENVIRONMENTS:
-        for preset in PRESETS:
-            name = env_id(task, variant, preset)
-            if name not in gymnasium.registry:
-                gymnasium.register(
-                    name,
-                    entry_point="magical_mj:MagicalEnv",
-                    kwargs={"task": task, "variant": variant, "preset": preset},
-                )
+    pairs = [*ENVIRONMENTS, *itertools.product(announced(), VARIANTS)]
+    for (task, variant), preset in itertools.product(pairs, PRESETS):
+        _register(task, task, variant, preset)
+
+
+def _register(task: str, name: str, variant: str, preset: str) -> str:
+    """Registers one environment, unless it is, and returns its id."""
+    test = variant if variant == "Demo" else f"Test{variant}"
+    found = "-".join(filter(None, (f"magical_mj/{name}", test, preset, "v0")))
+    if found not in gymnasium.registry:
+        kwargs = {"task": task, "variant": variant, "preset": preset}
+        gymnasium.register(found, entry_point="magical_mj:MagicalEnv", kwargs=kwargs)
+    elif gymnasium.registry[found].kwargs["task"] != task:
+        other = gymnasium.registry[found].kwargs["task"]
+        raise TaskError(f"{found} is the id of {other}; give the task {task} another name than {name!r}")
+    return found

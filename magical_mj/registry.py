@@ -7,7 +7,9 @@ from typing import Final
 
 import numpy as np
 
+from magical_mj.announced import announced, load_spec
 from magical_mj.errors import InvalidSceneError, SettingsError, shown, unknown_name
+from magical_mj.references import is_reference
 from magical_mj.scene import Scene
 from magical_mj.tasks import RULES, SPECS, Rules, TaskSpec
 from magical_mj.variants import VARIANTS as _VARIANTS
@@ -17,7 +19,7 @@ _REGION_TOLERANCE: Final = 1e-6
 """A scene that was read back from the simulator may differ from the one put in by rounding."""
 
 TASKS: Final[tuple[str, ...]] = tuple(SPECS)
-"""The 8 tasks in the paper's order."""
+"""The benchmark's 8 tasks in the paper's order: what "all" means. Those of other packages have to be named."""
 
 VARIANTS: Final[tuple[str, ...]] = tuple(_VARIANTS)
 """The 8 variants: Demo, then the paper's test variants in its order."""
@@ -35,12 +37,30 @@ Names = str | Iterable[str]
 def task_spec(task: str) -> TaskSpec:
     """What is known about a task.
 
+    Args:
+        task: one of `TASKS`, a task that an installed package announces, or ``"package.module:SPEC"``.
+
     Raises:
         UnknownNameError: if there is no such task.
+        TaskError: if it is the task of another package, and cannot be played.
     """
-    if not isinstance(task, str) or task not in SPECS:
-        raise unknown_name("task", task, TASKS)
-    return SPECS[task]
+    if isinstance(task, str) and task in SPECS:
+        return SPECS[task]
+    if isinstance(task, str) and (task in announced() or is_reference(task)):
+        return load_spec(task)
+    raise unknown_name("task", task, (*TASKS, *announced(), "package.module:SPEC"))
+
+
+def task_name(task: str) -> str:
+    """The name by which a task is kept: a reference to one that has a name here becomes this name.
+
+    Raises:
+        UnknownNameError: if there is no such task.
+        TaskError: if it is the task of another package, and cannot be played.
+    """
+    spec = task_spec(task)
+    known = spec.name in SPECS or spec.name in announced()
+    return spec.name if known and task_spec(spec.name) is spec else task
 
 
 def variant_name(variant: str) -> str:
@@ -65,17 +85,23 @@ def environment_axes(task: str, variant: str) -> tuple[Axis, ...]:
 
 
 def environments(tasks: Names = "all", variants: Names = "all") -> list[tuple[str, str]]:
-    """The (task, variant) pairs of these tasks and variants that exist, in the benchmark's order.
+    """The (task, variant) pairs of these tasks and variants that exist: the benchmark's in its order, then others.
+
+    Args:
+        tasks: names, as `task_spec` understands them; "all" is `TASKS`.
+        variants: names, as `variant_name` understands them; "all" is `VARIANTS`.
 
     Raises:
         SettingsError: if no name is given.
         UnknownNameError: if a name is unknown, or none of the pairs exists.
+        TaskError: if the task of another package cannot be played.
     """
-    wanted_tasks = [task for task in listed(tasks, TASKS) if task_spec(task)]
-    wanted_variants = [variant_name(variant) for variant in listed(variants, VARIANTS)]
-    pairs = [(task, variant) for task, variant in ENVIRONMENTS if task in wanted_tasks and variant in wanted_variants]
+    chosen = dict.fromkeys(task_name(task) for task in listed(tasks, TASKS))
+    wanted = [variant_name(variant) for variant in listed(variants, VARIANTS)]
+    in_order = sorted(chosen, key=lambda task: TASKS.index(task) if task in TASKS else len(TASKS))
+    pairs = [(task, variant) for task in in_order for variant in variants_of(task_spec(task)) if variant in wanted]
     if not pairs:
-        environment_axes(wanted_tasks[0], wanted_variants[0])  # says which variants the task has
+        environment_axes(in_order[0], wanted[0])  # says which variants the task has
     return pairs
 
 

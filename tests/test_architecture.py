@@ -3,7 +3,7 @@
 | floor | what | may import |
 |---|---|---|
 | 0 | constants, errors, fields, scene, geometry, actions, protocol, files, extras | standard library, numpy, shapely |
-| 1 | tasks | floor 0; no simulator |
+| 1 | planning, tasks | floor 0; no simulator |
 | 2 | variants; assets | floor 0; variants also the tasks' spec, and no simulator; neither knows the other |
 | 3 | registry, environment, observations, rendering, export | 0-2, mujoco, dm_control |
 | 4 | Gymnasium, experts, demonstrations | 0-3, gymnasium |
@@ -29,11 +29,12 @@ FLOORS: dict[str, int] = {
     **dict.fromkeys(
         ["constants", "errors", "fields", "scene", "geometry", "actions", "protocol", "files", "extras"], 0
     ),
-    "_version": 0,
-    **dict.fromkeys(["tasks"], 1),
+    **dict.fromkeys(["references", "_version"], 0),
+    **dict.fromkeys(["planning", "tasks"], 1),
     **dict.fromkeys(["variants", "assets"], 2),
     **dict.fromkeys(["registry", "observations", "rendering", "export", "env_settings", "state"], 3),
     **dict.fromkeys(["environment", "scene_task", "simulation", "composer_internals", "composer_observables"], 3),
+    "announced": 3,
     **dict.fromkeys(["presets", "registration", "frames", "gym_env", "wrappers", "experts", "demos"], 4),
     **dict.fromkeys(["evaluation", "speed", "web"], 5),
     **dict.fromkeys(["cli", "__main__"], 6),

@@ -14,15 +14,15 @@ from magical_mj import ENVIRONMENTS, TASKS, Block, Robot, Scene
 from magical_mj.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.errors import InvalidSceneError, UnknownNameError
 from magical_mj.experts import Expert, make_expert, run_episode
-from magical_mj.experts.arrangements import cluster_targets, line_targets
 from magical_mj.experts.driving import follow
 from magical_mj.experts.lookahead import Lookahead, state_of
 from magical_mj.experts.manoeuvres import obstacles
 from magical_mj.experts.navigation import EMPTY, cells, explore, toll
-from magical_mj.experts.noise import Noise
-from magical_mj.experts.subgoals import Subgoal, done, subgoals
+from magical_mj.planning import Noise, Subgoal, done
+from magical_mj.planning.arrangements import cluster_targets, line_targets
+from magical_mj.registry import task_spec
 from magical_mj.tasks.cluster import blocks_right
-from magical_mj.tasks.make_line import longest_line
+from magical_mj.tasks.make_line import is_line, longest_line
 
 
 def noise(seed: int = 0, strength: float = 1.0) -> Noise:
@@ -44,7 +44,7 @@ def env_of(task: str, variant: str = "Demo", seed: int = 0) -> magical_mj.Enviro
 def test_the_subgoals_solve_the_task(task: str, variant: str) -> None:
     for seed in range(3):
         scene = magical_mj.sample_scene(task, variant, seed)
-        todo = subgoals(task, scene, scene, noise(seed))
+        todo = task_spec(task).subgoals(scene, scene, noise(seed))
         assert magical_mj.score(task, scene, done(scene, todo)) == 1.0
         assert len({subgoal.block for subgoal in todo}) == len(todo)
         assert all(max(map(abs, subgoal.target)) < 0.9 for subgoal in todo)
@@ -53,8 +53,8 @@ def test_the_subgoals_solve_the_task(task: str, variant: str) -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_a_solved_scene_leaves_nothing_to_do(task: str) -> None:
     scene = magical_mj.sample_scene(task, "Demo", 0)
-    solved = done(scene, subgoals(task, scene, scene, noise()))
-    assert subgoals(task, scene, solved, noise()) == ()
+    solved = done(scene, task_spec(task).subgoals(scene, scene, noise()))
+    assert task_spec(task).subgoals(scene, solved, noise()) == ()
 
 
 def test_a_subgoal_costs_more_the_farther_it_is() -> None:
@@ -70,7 +70,7 @@ def test_the_mistake_of_a_clumsy_expert_is_mended() -> None:
     scene = magical_mj.sample_scene("FindDupe", "Demo", 0)
     poses = [block.pose for block in scene.blocks]
     poses[0], poses[6] = (-0.3, -0.6, 0.0), (0.2, -0.1, 0.0)
-    todo = subgoals("FindDupe", scene, scene.moved(blocks=poses), noise())
+    todo = task_spec("FindDupe").subgoals(scene, scene.moved(blocks=poses), noise())
     assert {subgoal.block for subgoal in todo} == {0, 5, 6}
 
 
@@ -78,7 +78,7 @@ def test_the_mistake_of_a_clumsy_expert_is_mended() -> None:
 def test_lines_are_lines_and_move_few_blocks(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points = [(float(x), float(y)) for x, y in rng.uniform(-0.8, 0.8, (4, 2))]
-    targets = line_targets(points, noise(seed))
+    targets = line_targets(points, is_line, noise(seed))
     ends = [target or point for target, point in zip(targets, points, strict=True)]
     assert longest_line(tuple(Block("circle", "red", x, y, 0.0) for x, y in ends)) == 4
     assert targets.count(None) >= 1

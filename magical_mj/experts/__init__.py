@@ -19,7 +19,7 @@ def make_expert(env: Environment, task: str, seed: int = 0) -> Callable[[], int]
 
     Args:
         env: an environment of the task, already reset; the expert follows it through later resets.
-        task: one of `magical_mj.TASKS`.
+        task: a task's name, or "package.module:SPEC".
         seed: varies how the expert goes about it.
     """
     return Expert(env, task, seed)

@@ -22,16 +22,18 @@ class Expert:
 
     Args:
         env: an environment of the task, already reset.
-        task: one of `magical_mj.TASKS`.
+        task: a task's name, or "package.module:SPEC".
         seed: varies how the expert goes about it.
 
     Raises:
         UnknownNameError: if there is no such task.
+        TaskError: if it has no plan.
         InvalidSceneError: if the environment's scene is not one of the task.
     """
 
     def __init__(self, env: Environment, task: str, seed: int = 0) -> None:
         self._spec = task_spec(task)
+        self._spec.check_plan()
         self._spec.check(env.initial_scene)
         self._env, self._seed = env, seed
         self._plan = Plan(0.0, [], [])

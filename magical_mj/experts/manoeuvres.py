@@ -13,8 +13,8 @@ from magical_mj.actions import Drive, Gripper, Turn
 from magical_mj.experts.driving import follow
 from magical_mj.experts.lookahead import Lookahead
 from magical_mj.experts.navigation import GRIP, Goal, Ways, cells, explore, places, toll
-from magical_mj.experts.noise import Noise
-from magical_mj.experts.subgoals import CARRYING, Subgoal
+from magical_mj.planning.noise import Noise
+from magical_mj.planning.subgoals import CARRYING, Subgoal
 from magical_mj.scene import Pose, Scene
 
 BLOCK_RADIUS: Final = {"square": 0.125, "pentagon": 0.13, "star": 0.14, "circle": 0.12}

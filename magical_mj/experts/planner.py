@@ -12,8 +12,8 @@ from magical_mj.actions import ACTIONS, Gripper
 from magical_mj.experts.lookahead import Lookahead, Snapshot, State
 from magical_mj.experts.manoeuvres import manoeuvres, obstacles, perform
 from magical_mj.experts.navigation import explore, toll
-from magical_mj.experts.noise import Noise
-from magical_mj.experts.subgoals import Subgoals, done, subgoals
+from magical_mj.planning import Noise, done
+from magical_mj.planning.subgoals import Subgoals
 from magical_mj.scene import Scene
 from magical_mj.tasks import TaskSpec
 
@@ -78,7 +78,7 @@ class Planner:
             scene, left = world.scene(), steps - len(actions)
             todo = tuple(subgoal for subgoal in todo if subgoal.left(scene))
             if not todo or self._score(done(scene, todo)) < 1.0:
-                todo = subgoals(self._spec.name, self._initial, scene, noise)
+                todo = self._spec.subgoals(self._initial, scene, noise)
             here = world.save()
             if not todo or not self._do_best(here, scene, todo, left, noise):
                 world.restore(here)

@@ -22,6 +22,8 @@ from typing import Final, Literal, TypeVar
 import numpy as np
 
 from magical_mj.constants import COLOURS, SHAPES
+from magical_mj.planning import Noise, Subgoal, each_to
+from magical_mj.planning.arrangements import cluster_targets
 from magical_mj.scene import Block, Scene
 from magical_mj.tasks.rules import coloured, pick_each, require, require_regions, shaped, shuffled, whole
 from magical_mj.tasks.spec import Rules
@@ -93,3 +95,9 @@ def score(final: Scene, attribute: Attribute, rules: Rules = "paper") -> float:
     share = blocks_right(final, attribute, rules) / len(final.blocks)
     nothing = 0.75 if rules == "released" else 0.5
     return max(0.0, (share - nothing) / (1 - nothing))
+
+
+def plan(now: Scene, attribute: Attribute, noise: Noise) -> list[Subgoal]:
+    """Blocks go to their own kind, as few and as near as will do."""
+    kinds = [getattr(block, attribute) for block in now.blocks]
+    return each_to(cluster_targets([(block.x, block.y) for block in now.blocks], kinds, noise), tolerance=0.09)

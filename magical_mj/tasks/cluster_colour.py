@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from magical_mj.planning import Noise, Subgoal
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.tasks import cluster
 from magical_mj.tasks.spec import Rules, TaskSpec
@@ -49,6 +50,11 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     return cluster.score(final, "colour", rules)
 
 
+def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
+    """Every block goes to the others of its colour."""
+    return cluster.plan(now, "colour", noise)
+
+
 SPEC: Final = TaskSpec(
     name="ClusterColour",
     summary="push the blocks into clusters by colour",
@@ -57,6 +63,7 @@ SPEC: Final = TaskSpec(
     released_steps=cluster.RELEASED_STEPS,
     score=score,
     check=check,
+    plan=plan,
     colour=cluster.colour,
     shape=cluster.shape,
     count=cluster.count,

@@ -28,6 +28,8 @@ from typing import Final
 import numpy as np
 
 from magical_mj.constants import COLOURS, REGION_SIZE, SHAPES
+from magical_mj.planning import Noise, Subgoal, bring, places_inside, places_outside
+from magical_mj.planning.subgoals import CHOICE
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.tasks.rules import coloured, inside, pick, pick_each, require, require_regions, shaped, whole
 from magical_mj.tasks.spec import Rules, TaskSpec
@@ -94,6 +96,24 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     return len(alike) / len(found) if satisfied else 0.0
 
 
+def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
+    """Distractors go out of the region, the query comes back to it, and one of the duplicates joins it."""
+    (region,) = now.regions
+    (query,) = inside(region, initial.blocks)
+    alike = sorted(_alike(now, query) - {query})
+    todo = [
+        bring(now, number, places_outside(now.regions, noise), noise)
+        for number in inside(region, now.blocks)
+        if number != query and number not in alike
+    ]
+    if not region.contains(now.blocks[query]):
+        todo.append(bring(now, query, places_inside(region, noise), noise))
+    if not any(region.contains(now.blocks[number]) for number in alike):
+        choices = [bring(now, number, places_inside(region, noise), noise) for number in alike]
+        todo.append(min(choices, key=lambda subgoal: subgoal.cost(now) + noise(CHOICE)))
+    return todo
+
+
 SPEC: Final = TaskSpec(
     name="FindDupe",
     summary="bring a duplicate of the block in the goal region into the region",
@@ -101,6 +121,7 @@ SPEC: Final = TaskSpec(
     steps=100,
     score=score,
     check=check,
+    plan=plan,
     colour=colour,
     shape=shape,
     count=count,

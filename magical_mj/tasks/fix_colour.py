@@ -26,6 +26,7 @@ from typing import Final
 import numpy as np
 
 from magical_mj.constants import COLOURS, FIX_COLOUR_REGION_SIZE
+from magical_mj.planning import Noise, Subgoal, bring, done, places_inside, places_outside
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.tasks.rules import any_shapes, coloured, inside, pick, pick_each, require, whole
 from magical_mj.tasks.spec import Rules, TaskSpec
@@ -94,6 +95,21 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     return float(odd_block not in now.pop(odd) and now == homes)
 
 
+def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
+    """The mismatched block goes out of all regions, and the others go back to where they started."""
+    todo: list[Subgoal] = []
+    scene = now
+    for region in now.regions:
+        (home,) = inside(region, initial.blocks)
+        odd = initial.blocks[home].colour != region.colour
+        if odd and any(other.contains(now.blocks[home]) for other in now.regions):
+            todo.append(bring(scene, home, places_outside(now.regions, noise), noise))
+        elif not odd and not region.contains(now.blocks[home]):
+            todo.append(bring(scene, home, places_inside(region, noise), noise))
+        scene = done(scene, todo)
+    return todo
+
+
 SPEC: Final = TaskSpec(
     name="FixColour",
     summary="push the block whose colour differs from its goal region's out of it",
@@ -101,6 +117,7 @@ SPEC: Final = TaskSpec(
     steps=60,
     score=score,
     check=check,
+    plan=plan,
     colour=colour,
     shape=any_shapes,
     count=count,

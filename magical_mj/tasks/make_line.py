@@ -20,11 +20,14 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
+from magical_mj.planning import Noise, Subgoal, each_to
+from magical_mj.planning.arrangements import line_targets
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.tasks.rules import any_colours, any_shapes, require, require_regions, whole
 from magical_mj.tasks.spec import Rules, TaskSpec
@@ -73,6 +76,11 @@ def longest_line(blocks: tuple[Block, ...]) -> int:
     return longest
 
 
+def is_line(points: Sequence[tuple[float, float]]) -> bool:
+    """Whether blocks with these centres are all in one line."""
+    return longest_line(tuple(Block("circle", "red", x, y, 0.0) for x, y in points)) == len(points)
+
+
 def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     """1.0 if all blocks are in one line, 0.5 if all but one are, else 0.0."""
     in_line, total = longest_line(final.blocks), len(final.blocks)
@@ -83,6 +91,11 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     return 0.5 if in_line == total - 1 else 0.0
 
 
+def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
+    """One of the blocks stays, and the others go to places in a line through it."""
+    return each_to(line_targets([(block.x, block.y) for block in now.blocks], is_line, noise), tolerance=0.07)
+
+
 SPEC: Final = TaskSpec(
     name="MakeLine",
     summary="arrange all blocks in a line, anywhere and at any angle",
@@ -90,6 +103,7 @@ SPEC: Final = TaskSpec(
     steps=180,
     score=score,
     check=check,
+    plan=plan,
     colour=any_colours,
     shape=any_shapes,
     count=count,

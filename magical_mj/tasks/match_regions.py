@@ -24,6 +24,7 @@ from typing import Final
 import numpy as np
 
 from magical_mj.constants import COLOURS, REGION_SIZE, Colour
+from magical_mj.planning import Noise, Subgoal, bring, done, places_inside, places_outside
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.tasks.rules import any_shapes, coloured, inside, pick, require, require_regions, whole
 from magical_mj.tasks.spec import Rules, TaskSpec
@@ -89,6 +90,20 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     return (found_targets / len(targets)) * (found_targets / len(found))
 
 
+def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
+    """Targets go into the region, distractors in it go out, each to a place that is still free then."""
+    (region,) = now.regions
+    todo: list[Subgoal] = []
+    scene = now
+    for number, block in enumerate(now.blocks):
+        if block.colour == region.colour and not region.contains(block):
+            todo.append(bring(scene, number, places_inside(region, noise), noise))
+        elif block.colour != region.colour and region.contains(block):
+            todo.append(bring(scene, number, places_outside(now.regions, noise), noise))
+        scene = done(scene, todo)
+    return todo
+
+
 SPEC: Final = TaskSpec(
     name="MatchRegions",
     summary="bring all blocks of the region's colour, and no others, into the goal region",
@@ -96,6 +111,7 @@ SPEC: Final = TaskSpec(
     steps=120,
     score=score,
     check=check,
+    plan=plan,
     colour=colour,
     shape=any_shapes,
     count=count,

@@ -22,6 +22,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from magical_mj.planning import Noise, Subgoal, bring, places_anywhere
+from magical_mj.planning.subgoals import TOLERANCE
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.tasks.rules import any_colours, any_shapes, require, require_regions
 from magical_mj.tasks.spec import Rules, TaskSpec
@@ -50,6 +52,13 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     return min(1.0, max(0.0, ramp))
 
 
+def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
+    """The block goes to the nearest place that is surely near enough to the corner."""
+    near = FULL_SCORE_DISTANCE - 2 * TOLERANCE
+    places = [place for place in places_anywhere(noise) if math.dist(place, CORNER) < near]
+    return [bring(now, 0, places, noise)]
+
+
 SPEC: Final = TaskSpec(
     name="MoveToCorner",
     summary="push the block into the top left corner",
@@ -57,6 +66,7 @@ SPEC: Final = TaskSpec(
     steps=80,
     score=score,
     check=check,
+    plan=plan,
     colour=any_colours,
     shape=any_shapes,
     layout=False,

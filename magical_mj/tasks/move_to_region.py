@@ -22,6 +22,7 @@ from typing import Final
 import numpy as np
 
 from magical_mj.constants import COLOURS, REGION_SIZE
+from magical_mj.planning import Noise, Subgoal, drive, places_inside
 from magical_mj.scene import GoalRegion, Robot, Scene
 from magical_mj.tasks.rules import pick, require, require_regions
 from magical_mj.tasks.spec import Rules, TaskSpec
@@ -48,6 +49,11 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     return float(final.regions[0].contains(final.robot))
 
 
+def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
+    """The robot goes to the nearest place in the region."""
+    return [drive(now, places_inside(now.regions[0], noise), noise, tolerance=0.04)]
+
+
 SPEC: Final = TaskSpec(
     name="MoveToRegion",
     summary="drive into the goal region",
@@ -55,6 +61,7 @@ SPEC: Final = TaskSpec(
     steps=40,
     score=score,
     check=check,
+    plan=plan,
     colour=colour,
     region_size=REGION_SIZE,
 )

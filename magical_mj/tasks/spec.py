@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
 import numpy as np
 
+from magical_mj.constants import ARENA_HALF_WIDTH
+from magical_mj.errors import TaskError, shown
+from magical_mj.planning import Noise, Subgoal
 from magical_mj.scene import Scene
 
 Rules = Literal["paper", "released"]
 """Whose scores: those of the paper's appendix, or those of the original's released code where it differs."""
 RULES: Final[tuple[Rules, ...]] = get_args(Rules)
+
+Plan = Callable[[Scene, Scene, Noise], Iterable[Subgoal]]
+"""Initial scene, present scene, noise -> what is still to be done, if the task is not solved. An expert asks again
+whenever a block is not where it was expected. The noise says which of several good plans it is."""
 
 ScoreFunction = Callable[[Scene, Scene, Rules], float]
 """Initial scene, final scene, rules -> score in [0, 1]. Both must be scenes of the task with the same things in."""
@@ -33,7 +40,7 @@ class TaskSpec:
     """
 
     name: str
-    """As in the ids, such as ``"FindDupe"``."""
+    """As in ids and file names, such as ``"FindDupe"``: letters and digits."""
     summary: str
     """The goal in one line, for tables."""
     demo: Scene
@@ -47,6 +54,9 @@ class TaskSpec:
     check: Callable[[Scene], None]
     """Raises `InvalidSceneError` unless the scene is one in which this task can start."""
 
+    plan: Plan | None = None
+    """How an expert goes about it. Without one everything but the expert works."""
+
     colour: AxisRule | None = None
     shape: AxisRule | None = None
     count: AxisRule | None = None
@@ -58,8 +68,42 @@ class TaskSpec:
     """How far, in world units, a layout keeps the centre of a block that belongs in a region from the sides
     of the largest square around the region's centre."""
 
+    def __post_init__(self) -> None:
+        """Raises `TaskError` for what is no task of any kind."""
+        if not (isinstance(self.name, str) and self.name.isascii() and self.name.isalnum()):
+            raise TaskError(f"the name of a task must be made of letters and digits, not {shown(self.name)}")
+        if not isinstance(self.demo, Scene):
+            raise TaskError(f"{self.name}.demo must be a Scene, not {shown(self.demo)}")
+        for steps in (self.steps, self.steps if self.released_steps is None else self.released_steps):
+            if type(steps) is not int or steps < 1:
+                raise TaskError(f"the steps of {self.name} must be an integer above 0, not {shown(steps)}")
+        low, high = self.region_size
+        if not 0 <= low <= high <= 2 * ARENA_HALF_WIDTH or (self.demo.regions and not low):
+            raise TaskError(f"{self.name}.region_size must be the least and greatest side of its goal regions, above 0")
+        for part in ("score", "check"):
+            if not callable(getattr(self, part)):
+                raise TaskError(f"{self.name}.{part} must be a function")
+        for part in ("plan", "colour", "shape", "count"):
+            if not (getattr(self, part) is None or callable(getattr(self, part))):
+                raise TaskError(f"{self.name}.{part} must be a function, or None")
+
     def horizon(self, rules: Rules = "paper") -> int:
         """The number of control steps of an episode."""
         if rules == "released" and self.released_steps is not None:
             return self.released_steps
         return self.steps
+
+    def subgoals(self, initial: Scene, now: Scene, noise: Noise) -> tuple[Subgoal, ...]:
+        """What is still to be done; nothing if the task is solved.
+
+        Raises:
+            TaskError: if the task has no plan.
+        """
+        plan = self.check_plan()
+        return () if self.score(initial, now, "paper") >= 1.0 else tuple(plan(initial, now, noise))
+
+    def check_plan(self) -> Plan:
+        """The plan; raises `TaskError` if there is none."""
+        if self.plan is None:
+            raise TaskError(f"{self.name} has no plan, so no expert can play it; give its TaskSpec one")
+        return self.plan

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.experts.noise import Noise
-from magical_mj.scene import Block
-from magical_mj.tasks.make_line import longest_line
+from magical_mj.planning.noise import Noise
 
 Point = tuple[float, float]
 Floats = NDArray[np.float64]
@@ -46,11 +44,18 @@ CLUSTER_SPREAD: Final = 30.0  # by which noise makes a layout better or worse
 ROUNDS: Final = 24
 
 
-def line_targets(points: Sequence[Point], noise: Noise) -> list[Point | None]:
+def line_targets(
+    points: Sequence[Point], is_line: Callable[[Sequence[Point]], bool], noise: Noise
+) -> list[Point | None]:
     """A target for each block, or None for those that stay where they are.
 
     Lines go through one of the blocks, which stays. All their directions, spacings and places for that block are
     tried with all orders of the others.
+
+    Args:
+        points: where the blocks are.
+        is_line: whether blocks at these points make a line.
+        noise: which of several good lines it is.
     """
     here = np.array(points)
     count = len(here)
@@ -73,17 +78,11 @@ def line_targets(points: Sequence[Point], noise: Noise) -> list[Point | None]:
         ends = here.copy()
         moved = ways[line, np.arange(count), orders[order]] > STAYS
         ends[orders[order][moved]] = slots[line][moved]
-        if _is_line(ends):
+        if is_line([(SPARE * x, SPARE * y) for x, y in ends.tolist()]):
             break
     return [
         None if (end == start).all() else (float(end[0]), float(end[1])) for end, start in zip(ends, here, strict=True)
     ]
-
-
-def _is_line(points: Floats) -> bool:
-    """Whether blocks in these places make a line by the task's rule, with something to spare."""
-    blocks = [Block("circle", "red", SPARE * float(x), SPARE * float(y), 0.0) for x, y in points]
-    return longest_line(tuple(blocks)) == len(blocks)
 
 
 def cluster_targets(points: Sequence[Point], kinds: Sequence[str], noise: Noise) -> list[Point | None]:

@@ -1,0 +1,30 @@
+"""What a task's plan is made of: subgoals, and the places for them. Pure geometry, without a simulator.
+
+A plan says which block should go where; experts find out how. It is part of a task (`TaskSpec.plan`).
+"""
+
+from __future__ import annotations
+
+from magical_mj.planning.noise import Noise
+from magical_mj.planning.subgoals import (
+    Subgoal,
+    bring,
+    done,
+    drive,
+    each_to,
+    places_anywhere,
+    places_inside,
+    places_outside,
+)
+
+__all__ = [
+    "Noise",
+    "Subgoal",
+    "bring",
+    "done",
+    "drive",
+    "each_to",
+    "places_anywhere",
+    "places_inside",
+    "places_outside",
+]

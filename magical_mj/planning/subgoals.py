@@ -1,0 +1,124 @@
+"""Subgoals: which block should go where, and which places there are. Costs are in actions, roughly."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from magical_mj.planning.noise import Noise
+from magical_mj.scene import GoalRegion, Scene
+
+FETCHING: Final = 14  # actions to go to a block, take it and let go of it
+CARRYING: Final = 11  # actions to carry it one unit
+SPREAD: Final = 8.0  # actions by which noise makes a place better or worse
+CHOICE: Final = 20.0  # likewise for one of several blocks
+TOLERANCE: Final = 0.06  # so near its target a block is there
+APART: Final = 0.27  # between the centres of blocks that do not touch
+CROWDED: Final = 1000.0  # actions for each unit by which they are nearer
+INSIDE, OUTSIDE = 0.08, 0.06  # from the border of a goal region
+REACHABLE: Final = 0.84  # blocks are left within this square
+GRID: Final = 0.06
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Subgoal:
+    """Bring a block somewhere, or with `block` None only the robot."""
+
+    block: int | None
+    target: Point
+    tolerance: float = TOLERANCE
+
+    def left(self, scene: Scene) -> float:
+        """How far there still is to go; 0 if it is done."""
+        thing = scene.robot if self.block is None else scene.blocks[self.block]
+        way = math.dist((thing.x, thing.y), self.target)
+        return 0.0 if way <= self.tolerance else way
+
+    def cost(self, scene: Scene) -> float:
+        """About how many actions it still takes."""
+        way = self.left(scene)
+        return FETCHING + CARRYING * way if way else 0.0
+
+
+Subgoals = tuple[Subgoal, ...]
+
+
+def done(scene: Scene, todo: Iterable[Subgoal]) -> Scene:
+    """The scene as it would be if all subgoals were done, and nothing else changed."""
+    poses = [block.pose for block in scene.blocks]
+    robot = scene.robot.pose
+    for subgoal in todo:
+        if subgoal.left(scene) == 0.0:
+            continue
+        if subgoal.block is None:
+            robot = (*subgoal.target, robot[2])
+        else:
+            poses[subgoal.block] = (*subgoal.target, poses[subgoal.block][2])
+    return scene.moved(robot, poses)
+
+
+def _scattered(x_min: float, y_min: float, x_max: float, y_max: float, noise: Noise) -> list[Point]:
+    """Points that fill a box, one in each cell of a grid and nowhere exactly; its middle if the box is empty."""
+    if x_min >= x_max or y_min >= y_max:
+        return [((x_min + x_max) / 2, (y_min + y_max) / 2)]
+    columns, rows = (math.ceil((high - low) / GRID) for low, high in ((x_min, x_max), (y_min, y_max)))
+    at = np.stack(np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"), axis=-1) + noise.rng.random(
+        (columns, rows, 2)
+    )
+    points = at / (columns, rows) * (x_max - x_min, y_max - y_min) + (x_min, y_min)
+    return [(x, y) for x, y in points.reshape(-1, 2).tolist()]
+
+
+def places_anywhere(noise: Noise) -> list[Point]:
+    """Places for a block anywhere in the arena."""
+    return _scattered(-REACHABLE, -REACHABLE, REACHABLE, REACHABLE, noise)
+
+
+def places_inside(region: GoalRegion, noise: Noise) -> list[Point]:
+    """Places for a block in a region."""
+    box = (region.x_min + INSIDE, region.y_min + INSIDE, region.x_max - INSIDE, region.y_max - INSIDE)
+    x_min, y_min, x_max, y_max = (max(-REACHABLE, min(REACHABLE, side)) for side in box)
+    return _scattered(x_min, y_min, x_max, y_max, noise)
+
+
+def places_outside(regions: Sequence[GoalRegion], noise: Noise) -> list[Point]:
+    """Places for a block outside of all these regions."""
+
+    def clear(place: Point, region: GoalRegion) -> bool:
+        aside = max(region.x_min - place[0], place[0] - region.x_max, region.y_min - place[1], place[1] - region.y_max)
+        return aside >= OUTSIDE
+
+    return [place for place in places_anywhere(noise) if all(clear(place, region) for region in regions)]
+
+
+def bring(scene: Scene, block: int, places: Iterable[Point], noise: Noise) -> Subgoal:
+    """The subgoal to bring a block to the nearest of the places that no other block takes."""
+    here = scene.blocks[block]
+
+    def cost(place: Point) -> float:
+        crowding = sum(
+            max(0.0, APART - math.dist(place, (other.x, other.y)))
+            for number, other in enumerate(scene.blocks)
+            if number != block
+        )
+        return CARRYING * math.dist(place, (here.x, here.y)) + CROWDED * crowding + noise(SPREAD)
+
+    return Subgoal(block, min(places, key=cost))
+
+
+def drive(scene: Scene, places: Iterable[Point], noise: Noise, tolerance: float) -> Subgoal:
+    """The subgoal to drive to the nearest of the places."""
+    here = scene.robot
+    place = min(places, key=lambda at: CARRYING * math.dist(at, (here.x, here.y)) + noise(SPREAD))
+    return Subgoal(None, place, tolerance)
+
+
+def each_to(targets: Sequence[Point | None], tolerance: float) -> list[Subgoal]:
+    """The subgoals of an arrangement that has a target for each block, or None for those that stay."""
+    return [Subgoal(number, target, tolerance) for number, target in enumerate(targets) if target is not None]

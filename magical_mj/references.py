@@ -1,0 +1,34 @@
+"""Objects of a user's own by reference, as ``"package.module:NAME"``."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+_REFERENCE: Final = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
+
+
+def is_reference(text: object) -> bool:
+    """Whether this reads ``"package.module:NAME"``; nothing is imported."""
+    return isinstance(text, str) and _REFERENCE.fullmatch(text) is not None
+
+
+def resolve(reference: str) -> Any:
+    """The object that ``"package.module:NAME"`` names; modules in the current folder are found too.
+
+    Raises:
+        ImportError: if there is no such module, or nothing of that name in it; whatever else the module raises.
+    """
+    module, _, name = reference.partition(":")
+    here = str(Path.cwd())
+    if here not in sys.path:  # which is where a program starts, but not a command that was installed
+        sys.path.insert(0, here)
+    found: Any = importlib.import_module(module)
+    for part in name.split("."):
+        if not hasattr(found, part):
+            raise ImportError(f"{reference!r} names nothing: there is no {part!r} in {module}")
+        found = getattr(found, part)
+    return found
