@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from magical_mj import constants as c
-from magical_mj.assets import style
+from magical_mj.assets import solids, style
 from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, TIMESTEP, PhysicsSettings
 from magical_mj.assets.mjcf import numbers
 from magical_mj.assets.region import BONE
@@ -48,12 +48,13 @@ def arena_mjcf() -> str:
     """What stands still in the world: floor, walls, their look, the allo camera, and the regions' body."""
     half = c.ARENA_HALF_WIDTH
     parts = [
-        style.visual_geom("floor", style.WHITE, style.Z_FLOOR, style.FLOOR_GROUP),
-        style.visual_geom("surround", style.LIGHT_GREY, style.Z_SURROUND),
-        style.visual_geom("border", style.ARENA_BORDER, style.Z_BORDER),
+        solids.solid('type="mesh" mesh="floor"', style.WHITE),
+        style.visual_geom("surround", style.LIGHT_GREY),
+        style.visual_geom("border", style.ARENA_BORDER),
         f'<geom name="floor" class="floor" type="plane" size="0 0 1" pos="0 0 {numbers(FOOT_DEPTH - FOOT_RADIUS)}"/>',
     ]
     for side, (x, y) in {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}.items():
+        parts.append(solids.wall(x, y))
         pos, size = numbers((half + 1) * x, (half + 1) * y, 0), f"{1 + 2 * abs(y)} {1 + 2 * abs(x)} 1"
         for kind in ("wall", "finger_wall"):  # bodies of their own: what is not near them is then not tested
             geom = f'<geom name="{side}_{kind}" class="{kind}" type="box" size="{size}"/>'

@@ -6,13 +6,14 @@ from functools import lru_cache
 from typing import Final
 
 import mujoco
+import numpy as np
 
 from magical_mj import constants as c
-from magical_mj.assets import style
+from magical_mj.assets import solids, style
 from magical_mj.assets.contacts import PRESS, SETTINGS, PhysicsSettings, floor_pair, foot, softness, vertex
 from magical_mj.assets.meshes import Points, inset
 from magical_mj.assets.mjcf import move_body, numbers, planar_body
-from magical_mj.assets.style import BLOCK_FILL, BLOCK_OUTLINE, FILL_ABOVE_OUTLINE, Z_BLOCK
+from magical_mj.assets.style import BLOCK_FILL, BLOCK_OUTLINE
 from magical_mj.constants import Shape
 from magical_mj.geometry import block_outline, regular_polygon
 from magical_mj.scene import Block, Dynamics
@@ -31,9 +32,10 @@ def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSe
     name, inertia = f"block{index}", INERTIA[block.shape]
     content = (
         f'<inertial pos="0 0 0" mass="{c.BLOCK_MASS}" diaginertia="{numbers(inertia, inertia, inertia)}"/>'
-        + style.visual_geom(f"{block.shape}_outline", BLOCK_OUTLINE[block.colour], Z_BLOCK)
-        + style.visual_geom(f"{block.shape}_fill", BLOCK_FILL[block.colour], Z_BLOCK + FILL_ABOVE_OUTLINE)
+        + style.visual_geom(f"{block.shape}_outline", BLOCK_OUTLINE[block.colour])
+        + style.visual_geom(f"{block.shape}_fill", BLOCK_FILL[block.colour])
         + foot(f"{name}_foot")
+        + solids.block(block.shape, block.colour)
         + f"<body>{collision_geoms(block.shape, settings)}</body>"  # collision tests then skip what is only drawn
     )
     spin = softness("friction", 1, settings.dry_impedance)
@@ -50,9 +52,9 @@ def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dyn
     """Give a block of a compiled model another pose, colour and friction, as if compiled with them."""
     move_body(model, f"block{index}", block.pose)
     body = model.body(f"block{index}")
-    outline = body.geomadr[0]
-    for geom, palette in ((outline, BLOCK_OUTLINE), (outline + 1, BLOCK_FILL)):
-        model.geom_rgba[geom] = style.levels(palette[block.colour])
+    outline, fill, _, sides = body.geomadr[0] + np.arange(4)
+    model.geom_rgba[[outline, sides]] = style.levels(BLOCK_OUTLINE[block.colour])
+    model.geom_rgba[fill] = style.levels(BLOCK_FILL[block.colour])
     model.pair_friction[model.pair(f"block{index}_foot").id, :2] = dynamics.block_friction_force / PRESS
     model.dof_frictionloss[body.dofadr[0] + 2] = dynamics.block_friction_torque
 

@@ -140,7 +140,8 @@ def geom_classes(settings: PhysicsSettings = SETTINGS) -> str:
 
     return (
         f'<geom condim="3" group="{style.COLLISION_GROUP}" {soft}/>'
-        + kind("visual", 0, 0, 0, f'group="{style.DRAWN_GROUP}"')
+        + kind("visual", 0, 0, 0, f'type="mesh" group="{style.DRAWN_GROUP}"')
+        + kind("solid", 0, 0, 0, f'group="{style.SOLID_GROUP}"')
         + kind("floor", 0, 0, 0)
         + kind("disc", settings.friction_block, TOUCHES, meets_all, sphere)
         + kind("vertex", settings.friction_block, TOUCHES, 0, sphere)

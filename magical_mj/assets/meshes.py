@@ -1,4 +1,8 @@
-"""Flat meshes: what the visual geoms of all models show, made once.
+"""Meshes: what the visual geoms of all models show, made once.
+
+The task cameras look from straight above and see flat polygons: an outline, and on it a smaller one in the colour of
+the fill. What stands under them and makes them solid, which all others see too, is mostly boxes and cylinders; only
+pentagons and stars need meshes for their sides.
 
 Every model lists the same meshes in the same order, used or not: so one drawing context serves them all.
 """
@@ -19,9 +23,11 @@ from magical_mj.geometry import block_outline, finger_outlines, mirrored, regula
 
 Points = NDArray[np.float64]
 """Shape (n, 2), world units, counter-clockwise."""
+Vertices = NDArray[np.float64]
+"""Shape (n, 3), world units."""
 Faces = NDArray[np.int64]
-"""Shape (m, 3): triangles of points, by index."""
-Mesh = tuple[Points, Faces]
+"""Shape (m, 3): triangles of vertices, by index."""
+Mesh = tuple[Vertices, Faces]
 
 CIRCLE_SIDES, ROBOT_SIDES, EYE_SIDES, PUPIL_SIDES = 32, 40, 16, 10
 SURROUND_HALF = 3.2  # world units: reaches beyond what the ego camera sees from any corner
@@ -37,45 +43,6 @@ def square(half: float) -> Points:
     return half * np.array([[1.0, 1], [-1, 1], [-1, -1], [1, -1]])
 
 
-def convex(points: Points) -> Mesh:
-    """A convex polygon, cut by halving its arcs: stout triangles are filled faster than the slivers of a fan."""
-
-    def cut(first: int, last: int) -> list[tuple[int, int, int]]:
-        if last - first < 2:
-            return []
-        middle = (first + last) // 2
-        return [(first, middle, last), *cut(first, middle), *cut(middle, last)]
-
-    third, n = len(points) / 3, len(points)
-    a, b = round(third), round(2 * third)
-    faces = [(0, a, b), *cut(0, a), *cut(a, b), *((i, j, k % n) for i, j, k in cut(b, n))]
-    return points, np.array(faces)
-
-
-def around_centre(points: Points) -> Mesh:
-    """A star-shaped polygon as a fan around the origin."""
-    steps = np.arange(1, len(points) + 1)
-    return np.vstack([np.zeros((1, 2)), points]), np.stack([0 * steps, steps, np.roll(steps, -1)], axis=1)
-
-
-def frame(inner: float, outer: float) -> Mesh:
-    """A square frame between two half sides."""
-    k = np.arange(4)
-    n = np.roll(k, -1)
-    faces = np.vstack([np.stack([k, k + 4, n + 4], axis=1), np.stack([k, n + 4, n], axis=1)])
-    return np.vstack([square(inner), square(outer)]), faces
-
-
-def together(parts: Iterable[Mesh]) -> Mesh:
-    """Several flat meshes as one."""
-    vertices, faces, count = [], [], 0
-    for points, triangles in parts:
-        vertices.append(points)
-        faces.append(triangles + count)
-        count += len(points)
-    return np.vstack(vertices), np.vstack(faces)
-
-
 def inset(outline: Points, depth: float) -> Points:
     """The outline with every edge moved inwards by `depth`. Shape (n, 2)."""
     before, after = outline - np.roll(outline, 1, axis=0), np.roll(outline, -1, axis=0) - outline
@@ -86,49 +53,108 @@ def inset(outline: Points, depth: float) -> Points:
     return outline + depth * bisector / np.sum(bisector * normals[0], axis=1, keepdims=True)
 
 
-def _block(shape: Shape, depth: float) -> Mesh:
+def at_height(points: Points, z: float) -> Vertices:
+    """Points of the plane at this height."""
+    return np.column_stack([points, np.full(len(points), z)])
+
+
+def convex(outline: Points, z: float = 0.0) -> Mesh:
+    """A flat convex polygon, cut by halving its arcs: stout triangles are filled faster than the slivers of a fan."""
+
+    def cut(first: int, last: int) -> list[tuple[int, int, int]]:
+        if last - first < 2:
+            return []
+        middle = (first + last) // 2
+        return [(first, middle, last), *cut(first, middle), *cut(middle, last)]
+
+    third, n = len(outline) / 3, len(outline)
+    a, b = round(third), round(2 * third)
+    faces = [(0, a, b), *cut(0, a), *cut(a, b), *((i, j, k % n) for i, j, k in cut(b, n))]
+    return at_height(outline, z), np.array(faces)
+
+
+def around_centre(outline: Points, z: float = 0.0) -> Mesh:
+    """A flat star-shaped polygon, as a fan around the origin."""
+    steps = np.arange(1, len(outline) + 1)
+    vertices = at_height(np.vstack([np.zeros((1, 2)), outline]), z)
+    return vertices, np.stack([0 * steps, steps, np.roll(steps, -1)], axis=1)
+
+
+def frame(inner: float, outer: float, z: float) -> Mesh:
+    """A flat square frame between two half sides."""
+    k = np.arange(4)
+    n = np.roll(k, -1)
+    faces = np.vstack([np.stack([k, k + 4, n + 4], axis=1), np.stack([k, n + 4, n], axis=1)])
+    return at_height(np.vstack([square(inner), square(outer)]), z), faces
+
+
+def sides(outline: Points, height: float) -> Mesh:
+    """The upright faces of a prism on the floor; each has its own corners, for corners are shaded as round."""
+    ends = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1).reshape(-1, 2)
+    first, above = np.arange(0, len(ends), 2), len(ends)
+    faces = [[first, first + 1, first + 1 + above], [first, first + 1 + above, first + above]]
+    return np.vstack([at_height(ends, 0), at_height(ends, height)]), np.hstack(faces).T
+
+
+def together(parts: Iterable[Mesh]) -> Mesh:
+    """Several meshes as one."""
+    vertices, faces, count = [], [], 0
+    for points, triangles in parts:
+        vertices.append(points)
+        faces.append(triangles + count)
+        count += len(points)
+    return np.vstack(vertices), np.vstack(faces)
+
+
+def _block(shape: Shape, depth: float, z: float) -> Mesh:
     """The drawn outline of a block, moved inwards by `depth`."""
     if shape == "circle":
-        return convex(disc(CIRCLE_SIDES, c.BLOCK_SIZE - depth))
+        return convex(disc(CIRCLE_SIDES, c.BLOCK_SIZE - depth), z)
     if shape == "star":  # the original shrinks both radii
         outline = block_outline(shape)
-        return around_centre(outline * (1 - depth / np.linalg.norm(outline, axis=1, keepdims=True)))
-    return convex(inset(block_outline(shape), depth))
+        return around_centre(outline * (1 - depth / np.linalg.norm(outline, axis=1, keepdims=True)), z)
+    return convex(inset(block_outline(shape), depth), z)
 
 
-def _finger(sign: int, depth: float) -> Mesh:
+def _finger(sign: int, depth: float, z: float) -> Mesh:
     """Upper segment and forearm of the right (sign 1) or left (sign -1) finger, moved inwards by `depth`."""
     outlines = (outline if sign > 0 else mirrored(outline) for outline in finger_outlines())
-    return together(convex(inset(outline, depth)) for outline in outlines)
+    return together(convex(inset(outline, depth), z) for outline in outlines)
 
 
-def _pair(points: Points, x: float, y: float) -> Mesh:
-    """The same convex polygon at (-x, y) and (x, y)."""
-    return together(convex(points + np.array([side * x, y])) for side in (-1, 1))
+def _pair(outline: Points, x: float, y: float, z: float) -> Mesh:
+    """The same flat convex polygon at (-x, y) and (x, y)."""
+    return together(convex(outline + np.array([side * x, y]), z) for side in (-1, 1))
+
+
+@cache
+def meshes() -> dict[str, Mesh]:
+    """The shared meshes of every model, by name."""
+    half, line, lift = c.ARENA_HALF_WIDTH, style.ARENA_BORDER_WIDTH / 2, style.LIFT
+    wall, block, finger, robot = style.WALL_HEIGHT, style.BLOCK_HEIGHT, style.FINGER_HEIGHT, style.ROBOT_HEIGHT
+    made = {
+        "floor": convex(square(half)),  # floor and surround meet under the border line
+        "surround": frame(half, SURROUND_HALF, style.Z_GROUND + lift),
+        "border": frame(half - line, half + line, wall + lift),
+        "robot_outline": convex(disc(ROBOT_SIDES, c.ROBOT_RADIUS), robot),
+        "robot_fill": convex(disc(ROBOT_SIDES, c.ROBOT_RADIUS - style.ROBOT_OUTLINE_WIDTH), robot + lift),
+        "eyes": _pair(disc(EYE_SIDES, c.EYE_RADIUS), *c.EYE_CENTRE, robot + 2 * lift),
+        "pupils": _pair(disc(PUPIL_SIDES, c.PUPIL_RADIUS), *c.PUPIL_CENTRE, robot + 3 * lift),
+    }
+    for side, sign in (("left", -1), ("right", 1)):
+        made[f"{side}_finger_outline"] = _finger(sign, 0.0, finger)
+        made[f"{side}_finger_fill"] = _finger(sign, style.ROBOT_OUTLINE_WIDTH, finger + lift)
+    for shape in SHAPES:
+        made[f"{shape}_outline"] = _block(shape, 0.0, block)
+        made[f"{shape}_fill"] = _block(shape, style.BLOCK_OUTLINE_WIDTH, block + lift)
+    return made | {f"{shape}_sides": sides(block_outline(shape), block) for shape in ("pentagon", "star")}
 
 
 @cache
 def library() -> str:
     """The shared meshes of every model, as MJCF."""
-    half = c.ARENA_HALF_WIDTH
-    line = style.ARENA_BORDER_WIDTH / 2
-    meshes = {
-        "floor": convex(square(half)),  # floor and surround meet under the border line
-        "surround": frame(half, SURROUND_HALF),
-        "border": frame(half - line, half + line),
-        "robot_outline": convex(disc(ROBOT_SIDES, c.ROBOT_RADIUS)),
-        "robot_fill": convex(disc(ROBOT_SIDES, c.ROBOT_RADIUS - style.ROBOT_OUTLINE_WIDTH)),
-        "eyes": _pair(disc(EYE_SIDES, c.EYE_RADIUS), *c.EYE_CENTRE),
-        "pupils": _pair(disc(PUPIL_SIDES, c.PUPIL_RADIUS), *c.PUPIL_CENTRE),
-    }
-    for side, sign in (("left", -1), ("right", 1)):
-        meshes[f"{side}_finger_outline"] = _finger(sign, 0.0)
-        meshes[f"{side}_finger_fill"] = _finger(sign, style.ROBOT_OUTLINE_WIDTH)
-    for shape in SHAPES:
-        meshes[f"{shape}_outline"] = _block(shape, 0.0)
-        meshes[f"{shape}_fill"] = _block(shape, style.BLOCK_OUTLINE_WIDTH)
     return "".join(
-        f'<mesh name="{name}" inertia="shell" vertex="{single(np.pad(points, ((0, 0), (0, 1))).ravel().tolist())}" '
+        f'<mesh name="{name}" inertia="shell" vertex="{single(vertices.ravel().tolist())}" '
         f'face="{" ".join(map(str, faces.ravel()))}"/>'
-        for name, (points, faces) in meshes.items()
+        for name, (vertices, faces) in meshes().items()
     )

@@ -1,7 +1,7 @@
 """The look: colours, heights of the drawing layers, widths of lines.
 
-Nothing is lit: every thing is one or more flat polygons of one colour, one above the other, seen from straight
-above. RGB values are those of the original's pictures.
+The task cameras look from straight above and light nothing, so that each thing is a flat polygon of one colour. RGB
+values are those of the original's pictures.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ BLOCK_OUTLINE: Final = _palette((243, 94, 141), (183, 198, 105), (110, 170, 202)
 REGION_FILL: Final = _palette((250, 190, 209), (224, 231, 191), (194, 219, 233), (254, 234, 188))
 REGION_BORDER: Final = BLOCK_FILL
 
-# Heights (world units), in drawing order; to a camera straight above, nothing but the order matters.
-Z_FLOOR, Z_SURROUND, Z_BORDER = -0.03, -0.02, -0.01
-Z_REGION, REGION_STEP, BORDER_ABOVE_FILL = 0.01, 0.01, 0.005
-Z_BLOCK, Z_FINGER, Z_BODY, Z_EYES, Z_PUPILS = 0.10, 0.20, 0.30, 0.35, 0.40
-FILL_ABOVE_OUTLINE: Final = 0.01
+# Heights (world units). What is drawn later is higher, so that from straight above all programs show the same.
+Z_GROUND: Final = -0.01  # of the plane that goes on for ever, and on which feet stand
+Z_REGION, REGION_STEP, BORDER_ABOVE_FILL = 0.001, 0.001, 0.0005
+WALL_HEIGHT, BLOCK_HEIGHT, FINGER_HEIGHT, ROBOT_HEIGHT = 0.05, 0.08, 0.09, 0.13
+LIFT: Final = 0.001  # of a plate above what it lies on: in one plane, which of them is seen would be left to chance
 
 # Line widths (world units)
 ARENA_BORDER_WIDTH: Final = 0.0085  # 1.6 times the original's: at 96 px that would fall between two pixels
@@ -46,7 +46,7 @@ REGION_BORDER_WIDTH: Final = 0.01328125
 DASH_LENGTH: Final = 0.0425  # of a dash, and of the gap after it
 
 # Geom groups: MuJoCo's viewers show 0 to 2 and hide 3.
-FLOOR_GROUP: Final = 1  # the white floor, which our own renderer spares itself by painting on white
+SOLID_GROUP: Final = 1  # what the task cameras do without: sides, ground, and the floor, for they paint on white
 DRAWN_GROUP: Final = 2
 COLLISION_GROUP: Final = 3
 
@@ -63,6 +63,6 @@ def levels(rgb: Rgb) -> tuple[float, ...]:
     return tuple(map(float, rgba(rgb).split()))
 
 
-def visual_geom(mesh: str, rgb: Rgb, z: float, group: int = DRAWN_GROUP) -> str:
-    """A geom that is drawn and does nothing else."""
-    return f'<geom class="visual" type="mesh" mesh="{mesh}" pos="0 0 {z:.6g}" rgba="{rgba(rgb)}" group="{group}"/>'
+def visual_geom(mesh: str, rgb: Rgb) -> str:
+    """A flat polygon that all cameras see and that does nothing else."""
+    return f'<geom class="visual" mesh="{mesh}" rgba="{rgba(rgb)}"/>'

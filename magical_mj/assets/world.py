@@ -18,6 +18,7 @@ import numpy as np
 from dm_control import composer, mjcf
 from numpy.typing import NDArray
 
+from magical_mj.assets import solids
 from magical_mj.assets.arena import LOOK, arena_mjcf, options
 from magical_mj.assets.block import INERTIA, block_mjcf, block_pair, collision_geoms, rewrite_block
 from magical_mj.assets.contacts import SETTINGS, PhysicsSettings, geom_classes
@@ -77,8 +78,8 @@ class Structure(NamedTuple):
     """How many quads the model keeps for the border of each region."""
 
 
-_GEOM: Final = ("type", "size", "pos", "fromto")
-"""What the geoms of a block that collide say of themselves; their classes say the rest."""
+_GEOM: Final = ("type", "size", "pos", "fromto", "meshname")
+"""What geoms say of themselves that differ between shapes; their classes say the rest."""
 
 
 def world_spec(structure: Structure) -> mujoco.MjSpec:
@@ -89,11 +90,11 @@ def world_spec(structure: Structure) -> mujoco.MjSpec:
         block.inertia = [INERTIA[shape]] * 3
         outline = block.first_geom()
         outline.meshname, block.next_geom(outline).meshname = f"{shape}_outline", f"{shape}_fill"
-        solid = block.first_body()
-        for kind, attributes in _solid_geoms(shape):
-            geom = solid.add_geom(spec.find_default(kind))
-            for name, value in attributes:  # twice as fast as naming them to `add_geom`
-                setattr(geom, name, value)
+        for body, geoms in ((block, solids.block(shape, "red")), (block.first_body(), collision_geoms(shape))):
+            for kind, attributes in _parsed(geoms):
+                geom = body.add_geom(spec.find_default(kind))
+                for name, value in attributes:  # twice as fast as naming them to `add_geom`
+                    setattr(geom, name, value)
     return spec
 
 
@@ -103,16 +104,17 @@ def _unshaped(blocks: int, dashes: tuple[int, ...]) -> mujoco.MjSpec:
     apart = tuple(Block("circle", "red", index, 0, 0) for index in range(blocks))
     spec = mujoco.MjSpec.from_string(world_mjcf(Scene(Robot(0, 0, 0), apart), regions=blank_regions_mjcf(dashes)))
     for index in range(blocks):
-        for geom in spec.body(f"block{index}").first_body().geoms:
+        block = spec.body(f"block{index}")
+        for geom in (block.geoms[-1], *block.first_body().geoms):  # its sides, and what collides
             spec.delete(geom)
     return spec
 
 
 @cache
-def _solid_geoms(shape: Shape) -> tuple[tuple[str, tuple[tuple[str, Any], ...]], ...]:
-    """The geoms of a block of this shape that collide: class and attributes."""
+def _parsed(geoms: str) -> tuple[tuple[str, tuple[tuple[str, Any], ...]], ...]:
+    """Class and attributes of each of these geoms."""
     spec = mujoco.MjSpec.from_string(
-        f"<mujoco><default>{geom_classes()}</default><worldbody>{collision_geoms(shape)}</worldbody></mujoco>"
+        f"<mujoco><default>{geom_classes()}</default><worldbody>{geoms}</worldbody></mujoco>"
     )
     return tuple(
         (geom.classname.name, tuple((name, copy(getattr(geom, name))) for name in _GEOM)) for geom in spec.geoms

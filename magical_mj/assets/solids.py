@@ -1,0 +1,53 @@
+"""What stands under the flat polygons and makes things solid, for all cameras but the task's.
+
+Boxes and cylinders where they will do, for they cost less than meshes and are easier to read in an exported file.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from magical_mj import constants as c
+from magical_mj.assets.mjcf import numbers, quaternion
+from magical_mj.assets.style import ARENA_BORDER, BLOCK_HEIGHT, BLOCK_OUTLINE, WALL_HEIGHT, Rgb, rgba
+from magical_mj.constants import Colour, Shape
+
+WALL_THICKNESS: Final = 0.06  # world units
+
+
+def solid(shape: str, rgb: Rgb) -> str:
+    """A geom that is drawn and does nothing else.
+
+    Args:
+        shape: as MJCF attributes, such as those of `box`.
+        rgb: its colour.
+    """
+    return f'<geom class="solid" {shape} rgba="{rgba(rgb)}"/>'
+
+
+def box(x: float, y: float, half_x: float, half_y: float, height: float, angle: float = 0.0) -> str:
+    """A box that stands on the floor around (x, y), turned by an angle (rad)."""
+    turned = f'quat="{numbers(*quaternion(angle))}"' if angle else ""
+    return f'type="box" size="{numbers(half_x, half_y, height / 2)}" pos="{numbers(x, y, height / 2)}" {turned}'
+
+
+def cylinder(radius: float, height: float) -> str:
+    """A cylinder that stands on the floor around the origin."""
+    return f'type="cylinder" size="{numbers(radius, height / 2)}" pos="0 0 {numbers(height / 2)}"'
+
+
+def block(shape: Shape, colour: Colour) -> str:
+    """The sides of a block."""
+    sides = f'type="mesh" mesh="{shape}_sides"'
+    if shape == "circle":
+        sides = cylinder(c.BLOCK_SIZE, BLOCK_HEIGHT)
+    elif shape == "square":
+        sides = box(0, 0, c.SQUARE_SIDE / 2, c.SQUARE_SIDE / 2, BLOCK_HEIGHT)
+    return solid(sides, BLOCK_OUTLINE[colour])
+
+
+def wall(x: int, y: int) -> str:
+    """The wall on the side of the arena to which (x, y), a unit vector, points; at corners two walls overlap."""
+    middle, along = c.ARENA_HALF_WIDTH + WALL_THICKNESS / 2, c.ARENA_HALF_WIDTH + WALL_THICKNESS * abs(y)
+    half = (WALL_THICKNESS / 2, along) if x else (along, WALL_THICKNESS / 2)
+    return solid(box(middle * x, middle * y, *half, WALL_HEIGHT), ARENA_BORDER)
