@@ -23,7 +23,7 @@ from magical_mj.composer_observables import CurrentObservable, CurrentUpdater
 from magical_mj.env_settings import EnvironmentSettings, Reward
 from magical_mj.errors import ClosedError, StateError, unknown_name
 from magical_mj.observations import VIEWS
-from magical_mj.rendering.renderer import check_size
+from magical_mj.rendering.renderer import SOLID_VIEW, check_size
 from magical_mj.scene import Scene
 from magical_mj.scene_task import SceneTask
 from magical_mj.simulation import Simulation
@@ -75,10 +75,16 @@ class Environment(OpenEnvironment):
     def render(self, view: str = "allo", size: int = 384, *, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
         """A picture of the world as it is now, in a fresh array or in `out`.
 
-        Shape (size, size, 3), RGB, top row first.
+        Args:
+            view: "ego" or "allo", flat, or "scene": solid, from above a corner.
+            size: pixels per side.
+            out: where to write it.
+
+        Returns:
+            Shape (size, size, 3), RGB, top row first.
         """
-        if view not in VIEWS:
-            raise unknown_name("view", view, VIEWS)
+        if view not in (*VIEWS, SOLID_VIEW):
+            raise unknown_name("view", view, (*VIEWS, SOLID_VIEW))
         return self._open().draw(view, check_size(size), out)
 
     def reset(

@@ -16,7 +16,7 @@ from magical_mj.assets.world import World, world_spec
 from magical_mj.composer_internals import UnindexedPhysics
 from magical_mj.errors import StateError
 from magical_mj.rendering.canvas import Picture
-from magical_mj.rendering.renderer import Renderer
+from magical_mj.rendering.renderer import SOLID_VIEW, Renderer, SolidRenderer
 
 _RK4: Final = mujoco.mjtIntegrator.mjINT_RK4.value
 _INTEGRATION: Final = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -26,7 +26,8 @@ class Simulation(UnindexedPhysics):
     """The simulation of a world, at rest in its scene after each reset."""
 
     _ours: mujoco.MjModel | None = None
-    _renderer: tuple[mujoco.MjModel, Renderer] | None = None
+    _renderer: Renderer | None = None
+    _solid_renderer: SolidRenderer | None = None
 
     @classmethod
     def of(cls, world: World) -> Simulation:
@@ -118,15 +119,21 @@ class Simulation(UnindexedPhysics):
 
     def draw(self, view: str, size: int, out: Picture | None = None) -> Picture:
         """A picture of the present state, fresh or in `out`. Shape (size, size, 3), RGB, top row first."""
-        if self._renderer is None or self._renderer[0] is not self.model.ptr:
-            self._renderer = self.model.ptr, Renderer(self.model.ptr, ours=self.is_ours)
-        return self._renderer[1].draw(self.data.ptr, view, size, out)
+        model = self.model.ptr
+        if view == SOLID_VIEW:
+            if self._solid_renderer is None or self._solid_renderer.model is not model:
+                self._solid_renderer = SolidRenderer(model)
+            return self._solid_renderer.draw(self.data.ptr, view, size, out)
+        if self._renderer is None or self._renderer.model is not model:
+            self._renderer = Renderer(model)
+        return self._renderer.draw(self.data.ptr, view, size, out)
 
     def free(self) -> None:
         """Frees the simulation and what it drew with."""
-        if self._renderer is not None:
-            self._renderer[1].close()
-            self._renderer = None
+        for renderer in (self._renderer, self._solid_renderer):
+            if renderer is not None:
+                renderer.close()
+        self._renderer = self._solid_renderer = None
         super().free()
 
 

@@ -14,7 +14,7 @@ import magical_mj
 from magical_mj import constants as c
 from magical_mj.assets import style
 from magical_mj.assets.world import World
-from magical_mj.rendering.canvas import CANVAS
+from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS
 from magical_mj.rendering.renderer import LARGEST, Renderer, check_size, on_paper
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.simulation import Simulation
@@ -105,16 +105,20 @@ def test_later_things_hide_earlier_ones() -> None:
 
 @pytest.mark.parametrize("task", ["FixColour", "FindDupe", "ClusterShape"])
 def test_any_mujoco_viewer_shows_the_same(task: str, tmp_path: Path) -> None:
-    """MuJoCo's own renderer, with a depth buffer and its default flags, from the exported file."""
+    """MuJoCo's own renderer, with a depth buffer, if told to show what the task cameras see and to light it evenly."""
     scene = magical_mj.sample_scene(task, "Demo", 0)
     model = mujoco.MjModel.from_xml_path(str(magical_mj.export_mjcf(scene, tmp_path / "scene.xml")))
     model.vis.global_.offwidth = model.vis.global_.offheight = 768
     model.vis.quality.offsamples = 0
+    model.light_active[:] = 0
+    model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 1, 0
+    option = mujoco.MjvOption()
+    option.geomgroup[:] = option.skingroup[:] = [group in DRAWN_GROUPS for group in range(6)]
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     renderer = mujoco.Renderer(model, 768, 768)
     for view in VIEWS:
-        renderer.update_scene(data, view)
+        renderer.update_scene(data, view, option)
         theirs = renderer.render().astype(float).reshape(384, 2, 384, 2, 3).mean(axis=(1, 3))
         assert difference(theirs, draw(scene, view, 384)).max() <= 1.0
     renderer.close()

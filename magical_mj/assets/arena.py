@@ -18,13 +18,22 @@ EGO_CAMERA: Final = (
 )
 """Rides on the robot, which stands in the middle, near the bottom, and heads up."""
 
+_SKY: Final = ".91 .91 .92"
 LOOK: Final = (
-    '<visual><headlight ambient="1 1 1" diffuse="0 0 0" specular="0 0 0"/>'
-    '<global offwidth="1024" offheight="1024"/><map znear="1" zfar="3"/>'
-    '<quality shadowsize="0" offsamples="4"/></visual>'
-    '<statistic extent="1" center="0 0 0"/>'
+    '<visual><headlight ambient=".56 .56 .56" diffuse=".06 .06 .06" specular="0 0 0"/>'
+    '<global azimuth="128" elevation="-45" fovy="30" offwidth="2048" offheight="2048"/>'
+    f'<map znear="0.02" zfar="8" shadowclip="0.6"/><quality shadowsize="4096"/><rgba haze="{_SKY} 1"/></visual>'
+    '<statistic extent="3.6" center="0.08 -0.1 0"/>'
 )
-"""One flat ambient light gives the palette's colours exactly."""
+"""For all but the task cameras: a free camera that starts above a corner and sees all, and soft light."""
+SKY: Final = f'<texture type="skybox" builtin="gradient" rgb1="1 1 1" rgb2="{_SKY}" width="16" height="96"/>'
+_LAMPS: Final = ((0.32, 0.18), (0.44, 0.18), (0.32, 0.30), (0.44, 0.30))
+LIGHTS: Final = "".join(
+    f'<light directional="true" pos="{numbers(-16 * x, -16 * y, 16)}" dir="{x} {y} -1" '
+    'ambient="0 0 0" diffuse=".11 .11 .11" specular="0 0 0"/>'
+    for x, y in _LAMPS
+)
+"""Four lamps side by side, so that shadows have soft edges; far away, for shadows near a lamp are speckled."""
 
 
 def options(settings: PhysicsSettings = SETTINGS) -> str:
@@ -48,8 +57,8 @@ def arena_mjcf() -> str:
     """What stands still in the world: floor, walls, their look, the allo camera, and the regions' body."""
     half = c.ARENA_HALF_WIDTH
     parts = [
-        solids.solid('type="mesh" mesh="floor"', style.WHITE),
-        style.visual_geom("surround", style.LIGHT_GREY),
+        solids.solid(f'type="plane" size="{half} {half} 1"', style.WHITE),
+        style.visual_geom("surround", style.LIGHT_GREY, style.TASK_GROUP),
         style.visual_geom("border", style.ARENA_BORDER),
         f'<geom name="floor" class="floor" type="plane" size="0 0 1" pos="0 0 {numbers(FOOT_DEPTH - FOOT_RADIUS)}"/>',
     ]
@@ -59,4 +68,4 @@ def arena_mjcf() -> str:
         for kind in ("wall", "finger_wall"):  # bodies of their own: what is not near them is then not tested
             geom = f'<geom name="{side}_{kind}" class="{kind}" type="box" size="{size}"/>'
             parts.append(f'<body name="{side}_{kind}" pos="{pos}">{geom}</body>')
-    return "".join(parts) + ALLO_CAMERA + f'<body name="{BONE}"/>'
+    return "".join(parts) + LIGHTS + ALLO_CAMERA + f'<body name="{BONE}"/>'

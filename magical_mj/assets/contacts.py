@@ -140,9 +140,9 @@ def geom_classes(settings: PhysicsSettings = SETTINGS) -> str:
 
     return (
         f'<geom condim="3" group="{style.COLLISION_GROUP}" {soft}/>'
-        + kind("visual", 0, 0, 0, f'type="mesh" group="{style.DRAWN_GROUP}"')
+        + kind("visual", 0, 0, 0, 'type="mesh"')
         + kind("solid", 0, 0, 0, f'group="{style.SOLID_GROUP}"')
-        + kind("floor", 0, 0, 0)
+        + kind("floor", 0, 0, 0, f'group="{style.SOLID_GROUP}" rgba="{style.rgba(style.LIGHT_GREY)}"')
         + kind("disc", settings.friction_block, TOUCHES, meets_all, sphere)
         + kind("vertex", settings.friction_block, TOUCHES, 0, sphere)
         + kind("edge", settings.friction_block, 0, meets_all)

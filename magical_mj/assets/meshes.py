@@ -133,8 +133,7 @@ def meshes() -> dict[str, Mesh]:
     half, line, lift = c.ARENA_HALF_WIDTH, style.ARENA_BORDER_WIDTH / 2, style.LIFT
     wall, block, finger, robot = style.WALL_HEIGHT, style.BLOCK_HEIGHT, style.FINGER_HEIGHT, style.ROBOT_HEIGHT
     made = {
-        "floor": convex(square(half)),  # floor and surround meet under the border line
-        "surround": frame(half, SURROUND_HALF, style.Z_GROUND + lift),
+        "surround": frame(half, SURROUND_HALF, 0),  # begins under the border line
         "border": frame(half - line, half + line, wall + lift),
         "robot_outline": convex(disc(ROBOT_SIDES, c.ROBOT_RADIUS), robot),
         "robot_fill": convex(disc(ROBOT_SIDES, c.ROBOT_RADIUS - style.ROBOT_OUTLINE_WIDTH), robot + lift),

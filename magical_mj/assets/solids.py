@@ -9,7 +9,7 @@ from typing import Final
 
 from magical_mj import constants as c
 from magical_mj.assets.mjcf import numbers, quaternion
-from magical_mj.assets.style import ARENA_BORDER, BLOCK_HEIGHT, BLOCK_OUTLINE, WALL_HEIGHT, Rgb, rgba
+from magical_mj.assets.style import ARENA_BORDER, BLOCK_HEIGHT, BLOCK_OUTLINE, LIFT, WALL_HEIGHT, Rgb, rgba
 from magical_mj.constants import Colour, Shape
 
 WALL_THICKNESS: Final = 0.06  # world units
@@ -26,13 +26,15 @@ def solid(shape: str, rgb: Rgb) -> str:
 
 
 def box(x: float, y: float, half_x: float, half_y: float, height: float, angle: float = 0.0) -> str:
-    """A box that stands on the floor around (x, y), turned by an angle (rad)."""
+    """A box that stands on the floor around (x, y), turned by an angle (rad), and ends just below `height`."""
+    height -= LIFT
     turned = f'quat="{numbers(*quaternion(angle))}"' if angle else ""
     return f'type="box" size="{numbers(half_x, half_y, height / 2)}" pos="{numbers(x, y, height / 2)}" {turned}'
 
 
 def cylinder(radius: float, height: float) -> str:
-    """A cylinder that stands on the floor around the origin."""
+    """A cylinder that stands on the floor around the origin, and ends just below `height`."""
+    height -= LIFT
     return f'type="cylinder" size="{numbers(radius, height / 2)}" pos="0 0 {numbers(height / 2)}"'
 
 

@@ -45,10 +45,11 @@ ROBOT_OUTLINE_WIDTH: Final = 0.01
 REGION_BORDER_WIDTH: Final = 0.01328125
 DASH_LENGTH: Final = 0.0425  # of a dash, and of the gap after it
 
-# Geom groups: MuJoCo's viewers show 0 to 2 and hide 3.
+# Geom groups: MuJoCo's viewers show 0 to 2 and hide the others.
 SOLID_GROUP: Final = 1  # what the task cameras do without: sides, ground, and the floor, for they paint on white
 DRAWN_GROUP: Final = 2
 COLLISION_GROUP: Final = 3
+TASK_GROUP: Final = 4  # what only the task cameras see
 
 
 @cache
@@ -63,6 +64,6 @@ def levels(rgb: Rgb) -> tuple[float, ...]:
     return tuple(map(float, rgba(rgb).split()))
 
 
-def visual_geom(mesh: str, rgb: Rgb) -> str:
-    """A flat polygon that all cameras see and that does nothing else."""
-    return f'<geom class="visual" mesh="{mesh}" rgba="{rgba(rgb)}"/>'
+def visual_geom(mesh: str, rgb: Rgb, group: int = DRAWN_GROUP) -> str:
+    """A flat polygon that does nothing but be seen."""
+    return f'<geom class="visual" mesh="{mesh}" rgba="{rgba(rgb)}" group="{group}"/>'

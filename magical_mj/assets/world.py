@@ -19,7 +19,7 @@ from dm_control import composer, mjcf
 from numpy.typing import NDArray
 
 from magical_mj.assets import solids
-from magical_mj.assets.arena import LOOK, arena_mjcf, options
+from magical_mj.assets.arena import LOOK, SKY, arena_mjcf, options
 from magical_mj.assets.block import INERTIA, block_mjcf, block_pair, collision_geoms, rewrite_block
 from magical_mj.assets.contacts import SETTINGS, PhysicsSettings, geom_classes
 from magical_mj.assets.meshes import library
@@ -52,7 +52,7 @@ def world_mjcf(
     feet = "".join(block_pair(index, dynamics, settings) for index in range(len(scene.blocks)))
     return (
         f'<mujoco model="magical_mj">{options(settings)}{LOOK}{MEMORY}'
-        f"<default>{geom_classes(settings)}</default><asset>{library()}</asset>"
+        f"<default>{geom_classes(settings)}</default><asset>{SKY}{library()}</asset>"
         f"<worldbody>{arena_mjcf()}{blocks}{robot_mjcf(scene.robot, settings)}</worldbody>"
         f"<deformable>{regions}</deformable>"
         f"<contact>{feet}{robot_pairs(dynamics, settings)}"

@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.assets.style import DRAWN_GROUP
+from magical_mj.assets.style import DRAWN_GROUP, TASK_GROUP
 from magical_mj.assets.world import world_mjcf
 from magical_mj.errors import RenderingError
 from magical_mj.rendering import gl
@@ -29,8 +29,8 @@ from magical_mj.scene import GoalRegion, Robot, Scene
 Picture = NDArray[np.uint8]
 """Shape (height, width, channels)."""
 
-DRAWN_GROUPS: Final = (0, DRAWN_GROUP)
-"""Geom and skin groups that are drawn: MuJoCo's default, for what users add, and ours."""
+DRAWN_GROUPS: Final = (0, DRAWN_GROUP, TASK_GROUP)
+"""Geom and skin groups that the task cameras see: MuJoCo's default, for what users add, and ours."""
 
 KEPT_SIZES: Final = 4  # pixel buffers
 KEPT_SCENES: Final = 4  # of each drawing context
@@ -46,26 +46,32 @@ FORKED: Final = (
 
 
 def drawn(groups: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Which of these geom or skin groups are drawn."""
-    return (groups == DRAWN_GROUPS[0]) | (groups == DRAWN_GROUPS[1])
+    """Which of these geom or skin groups the task cameras see."""
+    return np.isin(groups, DRAWN_GROUPS)
 
 
 @dataclass(eq=False)
 class Context:
-    """MuJoCo's drawing context, with the model whose meshes and skins it holds."""
+    """MuJoCo's drawing context, with the model whose meshes and skins it holds.
+
+    One with lights has a depth buffer and shadows, and serves its own model only.
+    """
 
     mjr: mujoco.MjrContext
     model: mujoco.MjModel
+    lit: bool = False
     size: tuple[int, int] = (0, 0)  # of the offscreen buffer: (width, height), pixels
     scenes: dict[tuple[int, bytes], mujoco.MjvScene] = field(default_factory=dict)  # by geoms and skins
 
     def draws(self, model: mujoco.MjModel) -> bool:
         """Whether a scene of this model can be drawn here: it shows nothing but the library's meshes and skins."""
         mine = self.model
+        if self.lit:
+            return model is mine
         shown = drawn(model.geom_group)
         shown_meshes = model.geom_dataid[shown & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)]
         return (
-            model.ntex == mine.ntex == 0
+            np.array_equal(model.tex_data, mine.tex_data)
             and model.nhfield == model.nflex == 0
             and not (shown & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)).any()
             and (shown_meshes < mine.nmesh).all()
@@ -82,13 +88,14 @@ class Context:
 
         One serves all models of the same skins: it takes 160 KB, and a quarter of a millisecond to make and to free.
         """
-        count = int(drawn(model.geom_group).sum()) + model.nskin + 1
+        count = (model.ngeom if self.lit else int(drawn(model.geom_group).sum())) + model.nskin + 1
         key = -(-count // GEOMS) * GEOMS, model.skin_vertnum.tobytes()
         if key not in self.scenes:
             if len(self.scenes) >= KEPT_SCENES:
                 self.scenes.clear()
             self.scenes[key] = mujoco.MjvScene(model, key[0])
-            self.scenes[key].flags[:] = 0  # no shadows, reflections, haze or sky
+            if not self.lit:
+                self.scenes[key].flags[:] = 0  # no shadows, reflections, haze or sky
         return self.scenes[key]
 
 
@@ -140,14 +147,14 @@ class Canvas(threading.local):
         atexit.unregister(_free_all)
         atexit.register(_free_all)  # now, so that it runs before the display is closed
 
-    def context_for(self, model: mujoco.MjModel) -> Context:
+    def context_for(self, model: mujoco.MjModel, *, lit: bool = False) -> Context:
         """The shared context where the model has the library's assets, as all of ours have; else one of its own."""
         for context in self.contexts:
-            if context.draws(model):
+            if context.lit == lit and context.draws(model):
                 return context
         if len(self.contexts) >= KEPT_CONTEXTS:
             self.contexts.pop(1).mjr.free()  # whoever used it gets another
-        self.contexts.append(Context(_drawing_context(model), model))
+        self.contexts.append(Context(_drawing_context(model, lit=lit), model, lit))
         return self.contexts[-1]
 
     def draw(self, context: Context, scene: mujoco.MjvScene, height: int, width: int) -> Picture:
@@ -155,8 +162,9 @@ class Canvas(threading.local):
         if self.active is not context or context.size != (width, height):
             mujoco.mjr_resizeOffscreen(width, height, context.mjr)  # the whole buffer: clearing a part of it is slow
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context.mjr)
-            without_depth = gl.FRAMEBUFFER, gl.DEPTH_STENCIL_ATTACHMENT, gl.RENDERBUFFER, 0
-            gl.functions().framebuffer_renderbuffer(*without_depth)
+            if not context.lit:
+                without_depth = gl.FRAMEBUFFER, gl.DEPTH_STENCIL_ATTACHMENT, gl.RENDERBUFFER, 0
+                gl.functions().framebuffer_renderbuffer(*without_depth)
             self.active, context.size = context, (width, height)
         if (height, width) not in self.pixels:
             if len(self.pixels) >= KEPT_SIZES:
@@ -202,11 +210,13 @@ def _free_all() -> None:
         context._context = None  # or its finaliser would try again, and complain
 
 
-def _drawing_context(model: mujoco.MjModel) -> mujoco.MjrContext:
-    """A drawing context without shadow map (30 ms and 100 MB less) and without multisampling."""
+def _drawing_context(model: mujoco.MjModel, *, lit: bool = False) -> mujoco.MjrContext:
+    """A drawing context without multisampling, and unless lit without shadow map (30 ms and 100 MB less)."""
     quality = model.vis.quality
     kept = quality.shadowsize, quality.offsamples
-    quality.shadowsize = quality.offsamples = 0
+    quality.offsamples = 0
+    if not lit:
+        quality.shadowsize = 0
     try:
         return mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
     finally:

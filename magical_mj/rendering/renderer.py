@@ -19,10 +19,14 @@ import numpy as np
 from magical_mj.rendering import gl
 from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS, Context, Picture
 
+_FLAT: Final = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
+"""Ambient and diffuse light that give the palette's colours exactly."""
 _STILL, _MOVING = mujoco.mjtCatBit.mjCAT_STATIC.value, mujoco.mjtCatBit.mjCAT_DYNAMIC.value
 LARGEST: Final = 2048
 """Side of the largest picture, in pixels."""
 
+SOLID_VIEW: Final = "scene"
+"""The name of the view that `SolidRenderer` draws."""
 OVERSAMPLING: Final = 2
 """Drawn pixels per side of a picture's pixel."""
 
@@ -48,12 +52,10 @@ class Renderer:
 
     Args:
         model: what to draw.
-        ours: it was compiled from our spec, so the canvas need not look whether it has the library's meshes.
     """
 
-    def __init__(self, model: mujoco.MjModel, *, ours: bool = False) -> None:
-        self._model = model
-        self._ours = ours
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.model = model
         self._context: Context | None = None
         self._scene: mujoco.MjvScene | None = None
         self._cameras: dict[str, mujoco.MjvCamera] = {}
@@ -85,11 +87,13 @@ class Renderer:
     def paint(self, data: mujoco.MjData, camera: str, size: int) -> Picture:
         """What `on_paper` makes the picture of; the canvas must be current, and the next painting overwrites it."""
         if self._context is None or self._scene is None or self._context not in CANVAS.contexts:
-            self._context = CANVAS.contexts[0] if self._ours else CANVAS.context_for(self._model)
-            self._scene = self._context.scene_for(self._model)
+            self._context = CANVAS.context_for(self.model)
+            self._scene = self._context.scene_for(self.model)
         context, scene, option = self._context, self._scene, self._option
-        mujoco.mjv_updateScene(self._model, data, option, None, self._get_camera(camera), _STILL, scene)
-        mujoco.mjv_addGeoms(self._model, data, option, self._perturbation, _MOVING, scene)
+        mujoco.mjv_updateScene(self.model, data, option, None, self._get_camera(camera), _STILL, scene)
+        mujoco.mjv_addGeoms(self.model, data, option, self._perturbation, _MOVING, scene)
+        scene.nlight, light = 1, scene.lights[0]
+        light.ambient, light.diffuse = _FLAT
         return CANVAS.draw(context, scene, OVERSAMPLING * size, OVERSAMPLING * size)
 
     def close(self) -> None:
@@ -100,9 +104,27 @@ class Renderer:
         if name not in self._cameras:
             camera = mujoco.MjvCamera()
             camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
-            camera.fixedcamid = self._model.camera(name).id
+            camera.fixedcamid = self.model.camera(name).id
             self._cameras[name] = camera
         return self._cameras[name]
+
+
+class SolidRenderer(Renderer):
+    """Draws one model as viewers do: solid, with lights and shadows, by the free camera with which they start."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        super().__init__(model)
+        self._option = mujoco.MjvOption()
+        self._camera = mujoco.MjvCamera()
+        mujoco.mjv_defaultFreeCamera(model, self._camera)
+
+    def paint(self, data: mujoco.MjData, camera: str, size: int) -> Picture:
+        """As `Renderer.paint`; the camera is the free one, whatever its name."""
+        del camera
+        model, context = self.model, CANVAS.context_for(self.model, lit=True)
+        scene = context.scene_for(model)
+        mujoco.mjv_updateScene(model, data, self._option, None, self._camera, mujoco.mjtCatBit.mjCAT_ALL.value, scene)
+        return CANVAS.draw(context, scene, OVERSAMPLING * size, OVERSAMPLING * size)
 
 
 def on_paper(pixels: Picture, out: Picture | None = None) -> Picture:
