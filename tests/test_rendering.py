@@ -111,6 +111,7 @@ def test_any_mujoco_viewer_shows_the_same(task: str, tmp_path: Path) -> None:
     model.vis.global_.offwidth = model.vis.global_.offheight = 768
     model.vis.quality.offsamples = 0
     model.light_active[:] = 0
+    model.geom("workspace").group = style.TASK_GROUP  # the white that we paint on
     model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 1, 0
     option = mujoco.MjvOption()
     option.geomgroup[:] = option.skingroup[:] = [group in DRAWN_GROUPS for group in range(6)]

@@ -22,7 +22,7 @@ _SKY: Final = ".91 .91 .92"
 LOOK: Final = (
     '<visual><headlight ambient=".56 .56 .56" diffuse=".06 .06 .06" specular="0 0 0"/>'
     '<global azimuth="128" elevation="-45" fovy="30" offwidth="2048" offheight="2048"/>'
-    f'<map znear="0.02" zfar="8" shadowclip="0.6"/><quality shadowsize="4096"/><rgba haze="{_SKY} 1"/></visual>'
+    f'<map znear="0.02" zfar="8" shadowclip="0.45"/><quality shadowsize="4096"/><rgba haze="{_SKY} 1"/></visual>'
     '<statistic extent="3.6" center="0.08 -0.1 0"/>'
 )
 """For all but the task cameras: a free camera that starts above a corner and sees all, and soft light."""
@@ -57,13 +57,13 @@ def arena_mjcf() -> str:
     """What stands still in the world: floor, walls, their look, the allo camera, and the regions' body."""
     half = c.ARENA_HALF_WIDTH
     parts = [
-        solids.solid(f'type="plane" size="{half} {half} 1"', style.WHITE),
-        style.visual_geom("surround", style.LIGHT_GREY, style.TASK_GROUP),
-        style.visual_geom("border", style.ARENA_BORDER),
+        solids.solid("workspace", f'type="plane" size="{numbers(half, half, 1)}"', style.WHITE),
+        style.visual_geom("surround", "surround", style.LIGHT_GREY, style.TASK_GROUP),
+        style.visual_geom("border", "border", style.ARENA_BORDER),
         f'<geom name="floor" class="floor" type="plane" size="0 0 1" pos="0 0 {numbers(FOOT_DEPTH - FOOT_RADIUS)}"/>',
     ]
     for side, (x, y) in {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}.items():
-        parts.append(solids.wall(x, y))
+        parts.append(solids.wall(f"{side}_wall_sides", x, y))
         pos, size = numbers((half + 1) * x, (half + 1) * y, 0), f"{1 + 2 * abs(y)} {1 + 2 * abs(x)} 1"
         for kind in ("wall", "finger_wall"):  # bodies of their own: what is not near them is then not tested
             geom = f'<geom name="{side}_{kind}" class="{kind}" type="box" size="{size}"/>'

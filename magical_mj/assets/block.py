@@ -32,10 +32,10 @@ def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSe
     name, inertia = f"block{index}", INERTIA[block.shape]
     content = (
         f'<inertial pos="0 0 0" mass="{c.BLOCK_MASS}" diaginertia="{numbers(inertia, inertia, inertia)}"/>'
-        + style.visual_geom(f"{block.shape}_outline", BLOCK_OUTLINE[block.colour])
-        + style.visual_geom(f"{block.shape}_fill", BLOCK_FILL[block.colour])
+        + style.visual_geom(f"{name}_outline", f"{block.shape}_outline", BLOCK_OUTLINE[block.colour])
+        + style.visual_geom(f"{name}_fill", f"{block.shape}_fill", BLOCK_FILL[block.colour])
         + foot(f"{name}_foot")
-        + solids.block(block.shape, block.colour)
+        + solids.block(f"{name}_sides", block.shape, block.colour)
         + f"<body>{collision_geoms(block.shape, settings)}</body>"  # collision tests then skip what is only drawn
     )
     spin = softness("friction", 1, settings.dry_impedance)

@@ -87,18 +87,18 @@ def _spinner(name: str, axis: str, geom: str = "") -> str:
 def _face() -> str:
     """Body and eyes, listed after the fingers: MuJoCo draws in this order, and the disc hides the fingers' roots."""
     return (
-        style.visual_geom("robot_outline", style.DARK_GREY)
-        + style.visual_geom("robot_fill", style.GREY)
-        + solids.solid(solids.cylinder(c.ROBOT_RADIUS, style.ROBOT_HEIGHT), style.DARK_GREY)
-        + style.visual_geom("eyes", style.WHITE)
-        + style.visual_geom("pupils", style.BLACK)
+        style.visual_geom("robot_outline", "robot_outline", style.DARK_GREY)
+        + style.visual_geom("robot_fill", "robot_fill", style.GREY)
+        + solids.solid("robot_sides", solids.cylinder(c.ROBOT_RADIUS, style.ROBOT_HEIGHT), style.DARK_GREY)
+        + style.visual_geom("eyes", "eyes", style.WHITE)
+        + style.visual_geom("pupils", "pupils", style.BLACK)
     )
 
 
 def _finger(side: Side, angle: float, settings: PhysicsSettings) -> str:
     """The body `<side>_finger`: a box for each segment, and spheres at the three corners that stick out."""
     sign, name, inertia = SIGN[side], f"{side}_finger", FINGER_INERTIA[side]
-    half, bend, tall = c.FINGER_THICKNESS / 2, SIGN[side] * c.FINGER_BEND, style.FINGER_HEIGHT
+    half, bend = c.FINGER_THICKNESS / 2, SIGN[side] * c.FINGER_BEND
 
     def forearm(inwards: float, onwards: float) -> tuple[float, float]:
         """A point of the forearm, from its hinge: the outer corner of the upper segment's tip."""
@@ -111,6 +111,8 @@ def _finger(side: Side, angle: float, settings: PhysicsSettings) -> str:
     thin, rim = half - settings.finger_overlap, settings.vertex_radius + settings.finger_overlap
     length = c.FINGER_FOREARM_LENGTH
     corners = (forearm(rim, length - rim), forearm(c.FINGER_THICKNESS - rim, length - rim), forearm(rim, 0))
+    upper = solids.box(0, c.FINGER_UPPER_LENGTH / 2, half, c.FINGER_UPPER_LENGTH / 2, style.FINGER_HEIGHT)
+    lower = solids.box(*forearm(half, length / 2), half, length / 2, style.FINGER_HEIGHT, bend)
     low, high = sorted((0.0, -sign * c.FINGER_OPEN))
     return (
         f'<body name="{name}" pos="{numbers(sign * c.FINGER_ROOT[0], c.FINGER_ROOT[1], 0)}" '
@@ -119,10 +121,10 @@ def _finger(side: Side, angle: float, settings: PhysicsSettings) -> str:
         f'armature="{numbers(settings.finger_armature)}" '
         f"{softness('limit', settings.limit_stiffness, settings.limit_impedance)}/>"
         f'<inertial pos="0 0 0" mass="{c.FINGER_MASS}" diaginertia="{numbers(inertia, inertia, inertia)}"/>'
-        + style.visual_geom(f"{name}_outline", style.GREY)
-        + style.visual_geom(f"{name}_fill", style.LIGHT_GREY)
-        + solids.solid(solids.box(0, c.FINGER_UPPER_LENGTH / 2, half, c.FINGER_UPPER_LENGTH / 2, tall), style.GREY)
-        + solids.solid(solids.box(*forearm(half, length / 2), half, length / 2, tall, bend), style.GREY)
+        + style.visual_geom(f"{name}_outline", f"{name}_outline", style.GREY)
+        + style.visual_geom(f"{name}_fill", f"{name}_fill", style.LIGHT_GREY)
+        + solids.solid(f"{name}_upper_sides", upper, style.GREY)
+        + solids.solid(f"{name}_forearm_sides", lower, style.GREY)
         + f'<geom class="finger_edge" type="box" size="{numbers(thin, c.FINGER_UPPER_LENGTH / 2, 0.1)}" '
         f'pos="0 {numbers(c.FINGER_UPPER_LENGTH / 2)} 0"/>'
         f'<geom class="finger_edge" type="box" size="{numbers(thin, length / 2 - settings.finger_overlap, 0.1)}" '

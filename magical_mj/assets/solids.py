@@ -15,14 +15,9 @@ from magical_mj.constants import Colour, Shape
 WALL_THICKNESS: Final = 0.06  # world units
 
 
-def solid(shape: str, rgb: Rgb) -> str:
-    """A geom that is drawn and does nothing else.
-
-    Args:
-        shape: as MJCF attributes, such as those of `box`.
-        rgb: its colour.
-    """
-    return f'<geom class="solid" {shape} rgba="{rgba(rgb)}"/>'
+def solid(name: str, shape: str, rgb: Rgb) -> str:
+    """A geom that does nothing but be seen; shape: as MJCF attributes, such as those of `box`."""
+    return f'<geom name="{name}" class="solid" {shape} rgba="{rgba(rgb)}"/>'
 
 
 def box(x: float, y: float, half_x: float, half_y: float, height: float, angle: float = 0.0) -> str:
@@ -38,18 +33,18 @@ def cylinder(radius: float, height: float) -> str:
     return f'type="cylinder" size="{numbers(radius, height / 2)}" pos="0 0 {numbers(height / 2)}"'
 
 
-def block(shape: Shape, colour: Colour) -> str:
+def block(name: str, shape: Shape, colour: Colour) -> str:
     """The sides of a block."""
     sides = f'type="mesh" mesh="{shape}_sides"'
     if shape == "circle":
         sides = cylinder(c.BLOCK_SIZE, BLOCK_HEIGHT)
     elif shape == "square":
         sides = box(0, 0, c.SQUARE_SIDE / 2, c.SQUARE_SIDE / 2, BLOCK_HEIGHT)
-    return solid(sides, BLOCK_OUTLINE[colour])
+    return solid(name, sides, BLOCK_OUTLINE[colour])
 
 
-def wall(x: int, y: int) -> str:
+def wall(name: str, x: int, y: int) -> str:
     """The wall on the side of the arena to which (x, y), a unit vector, points; at corners two walls overlap."""
     middle, along = c.ARENA_HALF_WIDTH + WALL_THICKNESS / 2, c.ARENA_HALF_WIDTH + WALL_THICKNESS * abs(y)
     half = (WALL_THICKNESS / 2, along) if x else (along, WALL_THICKNESS / 2)
-    return solid(box(middle * x, middle * y, *half, WALL_HEIGHT), ARENA_BORDER)
+    return solid(name, box(middle * x, middle * y, *half, WALL_HEIGHT), ARENA_BORDER)

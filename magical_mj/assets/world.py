@@ -78,7 +78,7 @@ class Structure(NamedTuple):
     """How many quads the model keeps for the border of each region."""
 
 
-_GEOM: Final = ("type", "size", "pos", "fromto", "meshname")
+_GEOM: Final = ("name", "type", "size", "pos", "fromto", "meshname")
 """What geoms say of themselves that differ between shapes; their classes say the rest."""
 
 
@@ -90,7 +90,10 @@ def world_spec(structure: Structure) -> mujoco.MjSpec:
         block.inertia = [INERTIA[shape]] * 3
         outline = block.first_geom()
         outline.meshname, block.next_geom(outline).meshname = f"{shape}_outline", f"{shape}_fill"
-        for body, geoms in ((block, solids.block(shape, "red")), (block.first_body(), collision_geoms(shape))):
+        for body, geoms in (
+            (block, solids.block(f"block{index}_sides", shape, "red")),
+            (block.first_body(), collision_geoms(shape)),
+        ):
             for kind, attributes in _parsed(geoms):
                 geom = body.add_geom(spec.find_default(kind))
                 for name, value in attributes:  # twice as fast as naming them to `add_geom`
