@@ -86,10 +86,10 @@ class Renderer:
 
     def paint(self, data: mujoco.MjData, camera: str, size: int) -> Picture:
         """What `on_paper` makes the picture of; the canvas must be current, and the next painting overwrites it."""
-        if self._context is None or self._scene is None or self._context not in CANVAS.contexts:
-            self._context = CANVAS.context_for(self.model)
-            self._scene = self._context.scene_for(self.model)
         context, scene, option = self._context, self._scene, self._option
+        if context is None or scene is None or context not in CANVAS.contexts:
+            context = self._context = CANVAS.context_for(self.model)
+            scene = self._scene = context.scene_for(self.model)
         mujoco.mjv_updateScene(self.model, data, option, None, self._get_camera(camera), _STILL, scene)
         mujoco.mjv_addGeoms(self.model, data, option, self._perturbation, _MOVING, scene)
         scene.nlight, light = 1, scene.lights[0]
