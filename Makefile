@@ -1,13 +1,14 @@
 # `make demo` and `make test` work on a bare machine with Python 3.11 or 3.12: they create .venv and install what is
-# missing, in the versions of constraints.txt. `make demo` needs no torch. `make test` and `make check` do: on Linux, point
-# PIP_EXTRA_INDEX_URL to PyTorch's index of CPU builds to be spared the CUDA packages.
+# missing, in the versions of constraints.txt. With Python 3.13: `make PYTHON=python3.13 VENV=.venv-3.13 test`.
+# `make demo` needs no torch. `make test` and `make check` do: on Linux, point PIP_EXTRA_INDEX_URL to PyTorch's index of
+# CPU builds to be spared the CUDA packages.
 
-SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 13))
-PYTHON ?= $(shell for p in python3.11 python3.12 python3 python; do \
+SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))
+PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3 python; do \
 	$$p -c '$(SUPPORTED)' 2>/dev/null && echo $$p && break; done)
 VENV := .venv
 BIN := $(VENV)/bin
-INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: demo test check format docs demonstrations lerobot lerobot-test constraints system site site-test node chromium
 
@@ -71,7 +72,8 @@ constraints:  ## write constraints.txt: the newest versions that a fresh environ
 
 $(VENV)/.installed-%: pyproject.toml constraints.txt magical_mj/_version.py $(BIN)/python | system
 	@echo "installing magical-mj[$*] into $(VENV) ..."
-	@$(INSTALL) '.[$*]'
+	@$(INSTALL) --editable '.[$*]'
+	@$(BIN)/python -c "import dm_control" 2>/dev/null || $(INSTALL) --no-deps dm_control  # Python 3.13: see pyproject.toml
 	@touch $@ $(VENV)/.installed-all
 
 $(BIN)/python: | system
@@ -81,5 +83,6 @@ node chromium:
 	@tools/system.sh $(PYTHON) $@
 
 system:
-	@[ -n "$(PYTHON)" ] || { echo "magical-mj needs Python 3.11 or 3.12; call make with PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@$(or $(PYTHON),false) -c '$(SUPPORTED)' || { \
+		echo "magical-mj needs Python 3.11 to 3.13; call make with PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@tools/system.sh $(PYTHON)
