@@ -10,6 +10,7 @@ import { score } from "./score.js";
 import { Seat } from "./server.js";
 
 /** @typedef {import("./scenes.js").Entry} Entry */
+/** @typedef {{task: string, variant: string}} Name */
 
 /** @param {string} id */
 const element = (id) => /** @type {any} */ (document.getElementById(id));
@@ -62,8 +63,8 @@ function showChoice(isOther) {
   const { task, variant, seed, environment } = shown;
   const { summary, goal, solved } = catalogue.tasks[task];
   element("task").value = task;
-  const variants = catalogue.environments.filter((/** @type {any} */ one) => one.task === task);
-  element("variant").replaceChildren(...variants.map(({ variant }) => new Option(variant)));
+  const variants = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);
+  element("variant").replaceChildren(...variants.map((/** @type {Name} */ { variant }) => new Option(variant)));
   element("variant").value = variant;
   element("summary").textContent = `${summary[0].toUpperCase()}${summary.slice(1)}.`;
   element("words").textContent = goal;
@@ -169,9 +170,13 @@ async function chooseWanted(wanted) {
 function chooseByAddress() {
   const [task, variant, seed] = location.hash.slice(1).split("-");
   const tasks = Object.keys(catalogue.tasks), known = tasks.includes(task) ? task : tasks[0];
-  const variants = catalogue.environments.filter((/** @type {any} */ one) => one.task === known).map(({ variant }) => variant);
+  const variants = catalogue.environments.filter((/** @type {Name} */ one) => one.task === known)
+    .map((/** @type {Name} */ one) => one.variant);
   return choose(known, variants.includes(variant) ? variant : variants[0], Number(seed ?? 0));
 }
+
+/** @type {Record<string, () => Promise<void>>} */
+const SHORTCUTS = { KeyR: again, KeyN: next, KeyE: expert };
 
 /** Selects keep the focus while they are used by keyboard, and give it to the arena when used by pointer. */
 for (const id of ["task", "variant"]) {
@@ -181,19 +186,16 @@ for (const id of ["task", "variant"]) {
   element(id).addEventListener("change", async () => {
     if (byPointer) arena.focus({ preventScroll: true });
     const task = element("task").value, variant = element("variant").value;
-    const exists = catalogue.environments.some((/** @type {any} */ one) => one.task === task && one.variant === variant);
+    const exists = catalogue.environments.some((/** @type {Name} */ one) => one.task === task && one.variant === variant);
     await choose(task, exists ? variant : "Demo", 0);
   });
 }
-Object.assign(element("again"), { onclick: again });
-Object.assign(element("next"), { onclick: next });
-Object.assign(element("expert"), { onclick: expert });
-Object.assign(element("demo"), { onclick: demo });
+for (const [id, press] of Object.entries({ again, next, expert, demo })) element(id).onclick = () => press();
 element("save").onclick = catalogue.collects ? send : () => save(recording(shown, catalogue.protocol));
 element("seed").onchange = () => play(Math.max(0, Math.floor(Number(element("seed").value))));
 addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || /** @type {any} */ (event.target).matches("select, input")) return;
-  ({ KeyR: again, KeyN: next, KeyE: expert })[event.code]?.();
+  SHORTCUTS[event.code]?.();
 });
 addEventListener("hashchange", chooseByAddress);
 
