@@ -51,7 +51,14 @@ async function choose(task, variant, seed, script = null) {
   if (entry.scene) show(entry.scene, entry.scene);
   const actions = script === null ? null : fromLetters(script);
   let started = false;
-  const next = () => actions ? actions[game.actions.length] ?? 0 : (started ||= controls.touched) ? controls.next() : null;
+  const next = () => {
+    if (actions) return actions[game.actions.length] ?? 0;
+    if (!started && controls.touched) {
+      started = true;
+      shown.note = "";
+    }
+    return started ? controls.next() : null;
+  };
   const episode = await open(environment, entry, task, variant).catch(complain);
   if (!episode || choice !== choices) return episode?.close();
   const game = new Game(episode, catalogue.tasks[task].horizon, next, speed);
@@ -96,7 +103,7 @@ function sceneButton({ seed, scene }) {
  */
 function show(initial, scene) {
   const { task, game, watching } = shown, { horizon } = catalogue.tasks[task];
-  const done = game?.actions.length ?? 0, now = score(task, initial, scene);
+  const done = game?.actions.length ?? 0, now = score(task, initial, game?.now ?? scene);
   for (const view of /** @type {const} */ (["allo", "ego"])) {
     const canvas = element(view);
     canvas.ariaLabel = `${view === "allo" ? "From above" : "As the robot sees it"}: ${scene.blocks.length} blocks, ${scene.regions.length} goal regions`;
@@ -155,7 +162,7 @@ async function send() {
   try {
     const { score, next } = await /** @type {Seat} */ (seat).ask({ keep: recording(shown, catalogue.protocol) });
     await chooseWanted(next);
-    complain(`Kept, with score ${score.toFixed(2)}. Thank you! Press a key to go on`);
+    complain(`Kept, with score ${score.toFixed(2)}. Thank you! ${next ? "Press a key to go on" : "That was everything"}`);
   } catch (error) {
     complain(/** @type {Error} */ (error));
   }
@@ -176,7 +183,7 @@ function chooseByAddress() {
 }
 
 /** @type {Record<string, () => Promise<void>>} */
-const SHORTCUTS = { KeyR: again, KeyN: next, KeyE: expert };
+const SHORTCUTS = { KeyR: again, KeyN: next, KeyH: expert };
 
 /** Selects keep the focus while they are used by keyboard, and give it to the arena when used by pointer. */
 for (const id of ["task", "variant"]) {
@@ -194,7 +201,8 @@ for (const [id, press] of Object.entries({ again, next, expert, demo })) element
 element("save").onclick = catalogue.collects ? send : () => save(recording(shown, catalogue.protocol));
 element("seed").onchange = () => play(Math.max(0, Math.floor(Number(element("seed").value))));
 addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey || /** @type {any} */ (event.target).matches("select, input")) return;
+  const elsewhere = /** @type {any} */ (event.target).matches("select, input");
+  if (elsewhere || controls.held.size || event.ctrlKey || event.metaKey || event.altKey) return;  // R and W are neighbours
   SHORTCUTS[event.code]?.();
 });
 addEventListener("hashchange", chooseByAddress);
