@@ -16,7 +16,7 @@ demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in 
 	$(BIN)/magical-mj demo
 
 test: $(VENV)/.installed-dev  ## run all tests; ARGS="-k scene" selects some
-	$(BIN)/python -m pytest -n auto --maxprocesses 8 $(ARGS)
+	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadgroup $(ARGS)
 
 check: $(VENV)/.installed-dev  ## lint and type check
 	$(BIN)/ruff check
@@ -40,9 +40,7 @@ site: $(VENV)/.installed-dev | node  ## the documentation and the page to play o
 
 site-test: site | chromium  ## the site in headless Chromium, and its simulation and scores beside Python's
 	$(BIN)/python site/tests/cases.py out/site-test
-	node --test --test-concurrency=1 --test-reporter=spec site/tests/
-	$(BIN)/python site/tests/saved.py out/site-test/saved.json
-	$(BIN)/python site/seats.py 10 10
+	node --test --test-concurrency=1 site/tests/
 
 demonstrations: $(VENV)/.installed-dev  ## after a change of the physics: the shipped demonstrations and docs/experts.md, anew
 	rm -rf magical_mj/demos/data

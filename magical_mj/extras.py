@@ -9,6 +9,7 @@ from magical_mj.errors import MissingExtraError
 
 MODULES: Final = {
     "eval": ("joblib", "matplotlib", "pandas", "scipy"),
+    "gpu": ("mujoco_warp", "torch", "warp"),
     "il": ("kornia", "safetensors", "stable_baselines3", "tensorboard", "torch"),
 }
 """What is imported from the packages of an extra; see pyproject.toml."""

@@ -1,0 +1,81 @@
+"""Worlds by the hundred on one accelerator: physics by MuJoCo Warp, pictures by a kernel of ours, tensors all the way.
+
+Arithmetic is in single precision, so episodes are statistically like those of `magical_mj.load`, not digit by digit:
+made for learning. Official results come from `magical_mj.evaluate`.
+
+Example:
+    >>> env = magical_mj.batched.make("MoveToRegion", "Demo", num_envs=1024, device="cuda", seed=0)
+    >>> observations, info = env.reset()  # (1024, 96, 96, 12) uint8, on the device
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from gymnasium.vector import AutoresetMode
+
+from magical_mj.env_settings import Reward
+from magical_mj.errors import SettingsError
+from magical_mj.extras import check_extra
+from magical_mj.registry import environments
+from magical_mj.tasks.spec import Rules
+
+if TYPE_CHECKING:
+    from magical_mj.batched.environment import BatchedEnv
+
+__all__ = ["make"]
+
+
+def make(
+    task: str | Sequence[str],
+    variant: str | Sequence[str] = "Demo",
+    num_envs: int = 256,
+    *,
+    preset: str = "LoRes4E",
+    device: str = "cuda",
+    seed: int = 0,
+    image_size: int | None = None,
+    rules: Rules = "paper",
+    reward: Reward = "none",
+    autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
+    workers: int = 0,
+) -> BatchedEnv:
+    """A vector environment of many worlds on one device.
+
+    Args:
+        task: a task, or several (as a sequence or separated by commas) for batches of several tasks.
+        variant: a variant, or several; the worlds take turns among all pairs that exist.
+        num_envs: how many worlds.
+        preset: of the observations; one of `magical_mj.presets.PRESETS`.
+        device: "cuda", "cuda:1" or "cpu" (slow; for tests).
+        seed: of the scenes that are drawn when `reset` is given no seed.
+        image_size: side of the pictures in pixels, instead of the preset's.
+        rules: "paper" or "released".
+        reward: "none", or "score" for the score as reward at the last step.
+        autoreset_mode: SAME_STEP or DISABLED.
+        workers: processes that draw scenes ahead; 0 draws them when they are needed, half a millisecond each.
+
+    Raises:
+        MissingExtraError: if the extra `gpu` is not installed.
+        SettingsError: if there is no such device, or a setting is not possible.
+        UnknownNameError: if there is no such task, variant or preset.
+    """
+    check_extra("batched worlds", "gpu")
+    from magical_mj.batched.environment import BatchedEnv
+    from magical_mj.batched.physics import check_device
+
+    if num_envs < 1:
+        raise SettingsError(f"num_envs must be at least 1, not {num_envs}")
+    pairs = environments(task, variant)
+    return BatchedEnv(
+        [pairs[world % len(pairs)] for world in range(num_envs)],
+        preset=preset,
+        device=check_device(device),
+        seed=seed,
+        image_size=image_size,
+        rules=rules,
+        reward=reward,
+        autoreset_mode=autoreset_mode,
+        workers=workers,
+    )

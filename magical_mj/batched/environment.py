@@ -1,0 +1,198 @@
+"""A vector environment of hundreds to thousands of worlds, whose observations, rewards and ends are torch tensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode
+from torch import Tensor
+
+from magical_mj import constants as c
+from magical_mj.actions import ACTIONS
+from magical_mj.assets.region import DASHES
+from magical_mj.batched.drawing import Pair, SceneDrawer
+from magical_mj.batched.observations import Frames, Observation, States
+from magical_mj.batched.physics import Physics
+from magical_mj.batched.scenes import Capacity
+from magical_mj.batched.scores import Start, score
+from magical_mj.env_settings import REWARDS, Reward
+from magical_mj.errors import InvalidActionError, SettingsError, unknown_name
+from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS
+from magical_mj.presets import preset as preset_named
+from magical_mj.registry import check_rules, sample_scene, task_spec
+from magical_mj.rendering.renderer import check_size
+from magical_mj.tasks.spec import Rules
+from magical_mj.variants.axes import varied_axes
+
+MODES: Final = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
+
+
+class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
+    """Worlds of one or more environments, stepped and drawn together on one device; see `magical_mj.batched.make`.
+
+    As in every vector environment, `reset(seed=7)` gives the worlds the scenes of seeds 7, 8, 9..., and a list gives
+    each its own. With SAME_STEP, a world whose episode ends starts the next one at once: the observation is the new
+    episode's, and `info["final_obs"]` holds that of the episode that ended. With DISABLED,
+    `reset(options={"reset_mask": mask})` resets the masked worlds.
+
+    `info` holds tensors of shape (num_envs,): `eval_score` and `is_success` of episodes that end (0 in the others),
+    `broken` (the state is not finite: the episode ends with score 0), and `overflowed` (since the reset there were more
+    contacts than there is room for, and some were dropped).
+    """
+
+    def __init__(
+        self,
+        pairs: Sequence[Pair],
+        *,
+        preset: str,
+        device: str,
+        seed: int,
+        image_size: int | None,
+        rules: Rules,
+        reward: Reward,
+        autoreset_mode: AutoresetMode,
+        workers: int,
+    ) -> None:
+        if autoreset_mode not in MODES:
+            raise SettingsError(f"autoreset_mode must be SAME_STEP or DISABLED, not {autoreset_mode}")
+        if reward not in REWARDS:
+            raise unknown_name("reward", reward, REWARDS)
+        self.num_envs = len(pairs)
+        self.metadata = {"autoreset_mode": autoreset_mode, "render_fps": c.CONTROL_RATE}
+        self._same_step = autoreset_mode == AutoresetMode.SAME_STEP
+        self._rules: Rules = check_rules(rules)
+        self._reward, self.device = reward, device
+        self._tasks = {task: self._numbers(pairs, task) for task in dict.fromkeys(task for task, _ in pairs)}
+        horizons = [task_spec(task).horizon(rules) for task, _ in pairs]
+        self._horizons = torch.tensor(horizons, device=device)
+        self._drawer = SceneDrawer(pairs, _capacity(pairs), workers)
+        self._drawer.seed(seed)
+        self._scenes = self._drawer.scenes(list(range(self.num_envs)), [0] * self.num_envs)
+        self._start = Start.of(self._scenes, device)
+        self._physics = Physics(self._scenes, device)
+        made = preset_named(preset)
+        if made.layout == "state":
+            self._observer: States | Frames = States(self.num_envs, device)
+        else:
+            size = made.image_size if image_size is None else check_size(image_size)
+            self._observer = Frames(made, size, self._scenes, device)
+        self.single_observation_space = self._observer.space
+        self.observation_space = gymnasium.vector.utils.batch_space(self._observer.space, self.num_envs)
+        self.single_action_space = spaces.Discrete(len(ACTIONS))
+        self.action_space = spaces.MultiDiscrete([len(ACTIONS)] * self.num_envs)
+        self._steps = torch.zeros(self.num_envs, dtype=torch.int64, device=device)
+        self._running = torch.zeros(self.num_envs, dtype=torch.bool, device=device)
+
+    def _numbers(self, pairs: Sequence[Pair], task: str) -> Tensor:
+        return torch.tensor([world for world, (name, _) in enumerate(pairs) if name == task], device=self.device)
+
+    def reset(
+        self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Tensor]]:
+        """Starts episodes in all worlds, or in those of `options["reset_mask"]`, shape (num_envs,), bool.
+
+        Args:
+            seed: of the first world's scene, the others have the next ones; or one for each world; None: scenes are
+                drawn by the environment's own seed.
+            options: see above.
+        """
+        mask = (options or {}).get("reset_mask")
+        worlds = range(self.num_envs) if mask is None else np.flatnonzero(np.asarray(torch.as_tensor(mask).cpu()))
+        chosen = [int(world) for world in worlds]
+        seeds = None
+        if seed is not None:
+            each = [seed + world for world in range(self.num_envs)] if isinstance(seed, int) else list(seed)
+            if len(each) != self.num_envs:
+                raise SettingsError(f"there are {self.num_envs} worlds, and {len(each)} seeds were given")
+            seeds = [each[world] for world in chosen]
+        observation = self._begin(chosen, seeds)
+        return observation, self._info(torch.zeros(self.num_envs, dtype=torch.float64, device=self.device))
+
+    def _begin(self, worlds: list[int], seeds: list[int] | None = None) -> Observation:
+        scenes, where = self._drawer.scenes(worlds, seeds), torch.tensor(worlds, device=self.device)
+        self._scenes.write(scenes, np.asarray(worlds))
+        for name, column in zip(Start._fields, self._start, strict=True):
+            column[where] = torch.from_numpy(getattr(scenes, name)).to(column)
+        self._physics.reset(scenes, where)
+        self._observer.start(scenes, where)
+        self._steps[where] = 0
+        self._running[where] = True
+        return self._observer.begin(self._physics, where)
+
+    def step(self, actions: Any) -> tuple[Observation, Tensor, Tensor, Tensor, dict[str, Any]]:
+        """One action in every world.
+
+        Args:
+            actions: numbers in 0..17, a tensor or an array. Shape (num_envs,).
+
+        Raises:
+            InvalidActionError: if they are anything else.
+            ResetNeeded: if the episode of a world has ended and was not reset.
+        """
+        if not self._running.all():
+            raise ResetNeeded("episodes have ended: reset them, with options={'reset_mask': ...} or all at once")
+        self._physics.step(self._checked(actions))
+        self._steps += 1
+        broken = self._physics.broken
+        ended = (self._steps >= self._horizons) | broken
+        scores = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
+        if bool(ended.any()):
+            scores = torch.where(ended & ~broken, self._scores(), 0.0)
+        info: dict[str, Any] = self._info(scores, broken)
+        if bool(broken.any()):  # put at rest what cannot be drawn
+            self._physics.reset(self._scenes.rows(broken.nonzero()[:, 0].cpu().numpy()), broken.nonzero()[:, 0])
+        observation = self._observer.look(self._physics)
+        reward = scores.float() if self._reward == "score" else torch.zeros(self.num_envs, device=self.device)
+        self._running &= ~ended
+        if self._same_step and bool(ended.any()):
+            info["final_obs"], info["_final_obs"] = observation, ended
+            observation = self._begin(ended.nonzero()[:, 0].tolist())
+        return observation, reward, torch.zeros_like(ended), ended, info
+
+    def _checked(self, actions: Any) -> Tensor:
+        given = torch.as_tensor(actions, device=self.device)
+        whole = not given.is_floating_point() and given.dtype != torch.bool
+        if given.shape != (self.num_envs,) or not whole or bool(((given < 0) | (given >= len(ACTIONS))).any()):
+            raise InvalidActionError(
+                f"actions must be {self.num_envs} integers in 0..{len(ACTIONS) - 1}, one for each world, "
+                f"not a {given.dtype} of shape {tuple(given.shape)}"
+            )
+        return given.long()
+
+    def _scores(self) -> Tensor:
+        poses = self._physics.poses.double()
+        scores = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
+        for task, worlds in self._tasks.items():
+            start = Start(*(column[worlds] for column in self._start))
+            scores[worlds] = score(task, start, poses[worlds], self._rules)
+        return scores
+
+    def _info(self, scores: Tensor, broken: Tensor | None = None) -> dict[str, Tensor]:
+        return {
+            "eval_score": scores,
+            "is_success": scores == 1.0,
+            "broken": torch.zeros_like(self._running) if broken is None else broken,
+            "overflowed": self._physics.overflowed,
+        }
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Ends the processes that draw scenes."""
+        del kwargs
+        self._drawer.close()
+
+
+def _capacity(pairs: Sequence[Pair]) -> Capacity:
+    """Room for all scenes of these environments."""
+    blocks, regions = 1, 1
+    for task, variant in dict.fromkeys(pairs):
+        demo = sample_scene(task, "Demo", 0)
+        more = "count" in varied_axes(task_spec(task), variant)
+        blocks = max(blocks, MAX_BLOCKS if more else len(demo.blocks))
+        regions = max(regions, MAX_REGIONS if more else len(demo.regions))
+    return Capacity(blocks, regions, DASHES)

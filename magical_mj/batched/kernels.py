@@ -1,0 +1,252 @@
+"""The Warp kernel that paints a batch: a thread for each pixel of each world.
+
+A pixel is the mean of 2 x 2 samples, rounded as the renderer rounds. Each sample looks for the topmost thing that
+covers it: robot, blocks, regions, the arena's border. So pictures differ from the renderer's only where a sample lies
+within rounding of an edge.
+
+Warp compiles these functions from their source and reads their annotations, which are its own types, not Python's.
+"""
+
+from typing import Final
+
+import warp as wp
+
+from magical_mj import constants as c
+from magical_mj.assets import style
+
+ROBOT_LAYERS: Final = (
+    ("pupils", 0, style.BLACK),
+    ("eyes", 0, style.WHITE),
+    ("robot_fill", 0, style.GREY),
+    ("robot_outline", 0, style.DARK_GREY),
+    ("right_finger_fill", 2, style.LIGHT_GREY),
+    ("right_finger_outline", 2, style.GREY),
+    ("left_finger_fill", 1, style.LIGHT_GREY),
+    ("left_finger_outline", 1, style.GREY),
+)
+"""From the top down: the part, whether it moves with the body (0), the left (1) or the right finger (2), its colour."""
+
+_LAYERS: Final = wp.constant(len(ROBOT_LAYERS))
+_ARENA: Final = wp.constant(c.ARENA_HALF_WIDTH)
+_BORDER: Final = wp.constant(style.ARENA_BORDER_WIDTH / 2)
+_LINE: Final = wp.constant(style.REGION_BORDER_WIDTH / 2)
+_ROOT_X: Final = wp.constant(c.FINGER_ROOT[0])
+_ROOT_Y: Final = wp.constant(c.FINGER_ROOT[1])
+_ROBOT_REACH: Final = wp.constant(0.45)  # of the open fingers' tips, world units
+_BLOCK_REACH: Final = wp.constant(0.16)  # of a star's tips
+
+
+def packed(rgb: style.Rgb) -> int:
+    """A colour as one number."""
+    red, green, blue = rgb
+    return red << 16 | green << 8 | blue
+
+
+_BORDER_COLOUR: Final = wp.constant(packed(style.ARENA_BORDER))
+_SURROUND_COLOUR: Final = wp.constant(packed(style.LIGHT_GREY))
+_NOTHING: Final = wp.constant(-1)
+
+
+@wp.struct
+class Outlines:
+    """Polygons: a part is one or two loops of points."""
+
+    points: wp.array(dtype=wp.vec2)
+    loops: wp.array(dtype=wp.vec2i)
+    """The first point of each loop, and the one after its last."""
+    parts: wp.array(dtype=wp.vec2i)
+    """Likewise of loops. First the layers of the robot, then outline and fill of each block shape."""
+    reach: wp.array(dtype=float)
+    """Squared distance of each part's furthest point from its origin."""
+    colours: wp.array(dtype=int)
+    """Of the robot's layers."""
+    palette: wp.array2d(dtype=int)
+    """By what is filled (block's outline, block, region, region's border) and colour."""
+
+
+@wp.struct
+class Worlds:
+    """What is where, in every world."""
+
+    places: wp.array2d(dtype=wp.vec4)
+    """x, y, cosine and sine of the robot and of each block."""
+    fingers: wp.array2d(dtype=wp.vec2)
+    """Cosine and sine of both fingers' angles."""
+    shapes: wp.array2d(dtype=int)
+    colours: wp.array2d(dtype=int)
+    regions: wp.array2d(dtype=wp.vec4)
+    region_colours: wp.array2d(dtype=int)
+    dashes: wp.array3d(dtype=wp.vec4)
+
+
+@wp.func
+def covers(part: int, x: float, y: float, outlines: Outlines) -> bool:
+    """Whether a point lies in one of the part's loops: an odd number of edges crosses the ray to its right."""
+    if x * x + y * y > outlines.reach[part]:
+        return False
+    loops = outlines.parts[part]
+    for loop in range(loops[0], loops[1]):
+        ends = outlines.loops[loop]
+        odd = bool(False)
+        before = outlines.points[ends[1] - 1]
+        for number in range(ends[0], ends[1]):
+            point = outlines.points[number]
+            if (point[1] > y) != (before[1] > y):
+                if x < (before[0] - point[0]) * (y - point[1]) / (before[1] - point[1]) + point[0]:
+                    odd = not odd
+            before = point
+        if odd:
+            return True
+    return False
+
+
+@wp.func
+def robot_colour(world: int, x: float, y: float, worlds: Worlds, outlines: Outlines) -> int:
+    """The colour of the robot at a point, or -1."""
+    place = worlds.places[world, 0]
+    dx, dy = x - place[0], y - place[1]
+    px = place[2] * dx + place[3] * dy
+    py = place[2] * dy - place[3] * dx
+    for layer in range(_LAYERS):
+        qx, qy = px, py
+        frame = _frame(layer)
+        if frame > 0:
+            turn = worlds.fingers[world, frame - 1]
+            fx = px + _ROOT_X
+            if frame == 2:
+                fx = px - _ROOT_X
+            fy = py - _ROOT_Y
+            qx = turn[0] * fx + turn[1] * fy
+            qy = turn[0] * fy - turn[1] * fx
+        if covers(layer, qx, qy, outlines):
+            return outlines.colours[layer]
+    return _NOTHING
+
+
+@wp.func
+def _frame(layer: int) -> int:
+    if layer >= 6:
+        return 1
+    if layer >= 4:
+        return 2
+    return 0
+
+
+@wp.func
+def block_colour(world: int, slot: int, x: float, y: float, worlds: Worlds, outlines: Outlines) -> int:
+    """The colour of a block at a point, or -1."""
+    place = worlds.places[world, 1 + slot]
+    dx, dy = x - place[0], y - place[1]
+    px = place[2] * dx + place[3] * dy
+    py = place[2] * dy - place[3] * dx
+    part = _LAYERS + 2 * worlds.shapes[world, slot]
+    if covers(part + 1, px, py, outlines):
+        return outlines.palette[1, worlds.colours[world, slot]]
+    if covers(part, px, py, outlines):
+        return outlines.palette[0, worlds.colours[world, slot]]
+    return _NOTHING
+
+
+@wp.func
+def region_colour(world: int, slot: int, x: float, y: float, worlds: Worlds, outlines: Outlines) -> int:
+    """The colour of a region at a point, or -1."""
+    box = worlds.regions[world, slot]
+    depth = wp.min(wp.min(x - box[0], box[2] - x), wp.min(y - box[1], box[3] - y))  # negative outside
+    if wp.abs(depth) <= _LINE:
+        for number in range(worlds.dashes.shape[2]):
+            dash = worlds.dashes[world, slot, number]
+            if x > dash[0] and x < dash[2] and y > dash[1] and y < dash[3]:
+                return outlines.palette[3, worlds.region_colours[world, slot]]
+    if depth > 0.0:
+        return outlines.palette[2, worlds.region_colours[world, slot]]
+    return _NOTHING
+
+
+@wp.func
+def sample(world: int, x: float, y: float, near: int, worlds: Worlds, outlines: Outlines) -> int:
+    """The colour at a point, topmost first; -1 for the white floor. `near` says what can be there, a bit for each."""
+    blocks = worlds.shapes.shape[1]
+    regions = worlds.regions.shape[1]
+    if near & 1:
+        colour = robot_colour(world, x, y, worlds, outlines)
+        if colour >= 0:
+            return colour
+    for number in range(blocks):
+        slot = blocks - 1 - number
+        if (near >> (1 + slot)) & 1:
+            colour = block_colour(world, slot, x, y, worlds, outlines)
+            if colour >= 0:
+                return colour
+    for number in range(regions):
+        slot = regions - 1 - number
+        if (near >> (1 + blocks + slot)) & 1:
+            colour = region_colour(world, slot, x, y, worlds, outlines)
+            if colour >= 0:
+                return colour
+    far = wp.max(wp.abs(x), wp.abs(y))
+    if wp.abs(far - _ARENA) < _BORDER:
+        return _BORDER_COLOUR
+    if far > _ARENA:
+        return _SURROUND_COLOUR
+    return _NOTHING
+
+
+@wp.func
+def neighbours(world: int, x: float, y: float, margin: float, worlds: Worlds) -> int:
+    """What may cover points within `margin` of this one: bits for the robot, the blocks, the regions."""
+    blocks = worlds.shapes.shape[1]
+    near = int(0)
+    place = worlds.places[world, 0]
+    if wp.length(wp.vec2(x - place[0], y - place[1])) < _ROBOT_REACH + margin:
+        near = 1
+    for slot in range(blocks):
+        if worlds.shapes[world, slot] >= 0:
+            place = worlds.places[world, 1 + slot]
+            if wp.length(wp.vec2(x - place[0], y - place[1])) < _BLOCK_REACH + margin:
+                near = near | (1 << (1 + slot))
+    for slot in range(worlds.regions.shape[1]):
+        if worlds.region_colours[world, slot] >= 0:
+            box = worlds.regions[world, slot]
+            reach = margin + _LINE
+            if x > box[0] - reach and x < box[2] + reach and y > box[1] - reach and y < box[3] + reach:
+                near = near | (1 << (1 + blocks + slot))
+    return near
+
+
+@wp.kernel
+def paint(
+    worlds: Worlds,
+    outlines: Outlines,
+    ego: int,
+    visible: float,
+    forward: float,
+    out: wp.array4d(dtype=wp.uint8),
+):
+    """One pixel of one world."""
+    world, row, column = wp.tid()
+    size = float(out.shape[1])
+    step = visible / size
+    turn = wp.vec4(0.0, 0.0, 1.0, 0.0)
+    if ego > 0:
+        turn = worlds.places[world, 0]
+    red, green, blue, alpha = int(0), int(0), int(0), int(0)
+    u = step * (float(column) + 0.5) - visible / 2.0
+    v = visible / 2.0 - step * (float(row) + 0.5) + forward * float(ego)
+    middle_x = turn[0] + turn[2] * u - turn[3] * v
+    middle_y = turn[1] + turn[3] * u + turn[2] * v
+    near = neighbours(world, middle_x, middle_y, step, worlds)
+    for number in range(4):
+        su = u + step * (float(number % 2) * 0.5 - 0.25)
+        sv = v + step * (float(number >> 1) * 0.5 - 0.25)
+        x = turn[0] + turn[2] * su - turn[3] * sv
+        y = turn[1] + turn[3] * su + turn[2] * sv
+        colour = sample(world, x, y, near, worlds, outlines)
+        if colour >= 0:
+            red += (colour >> 16) & 255
+            green += (colour >> 8) & 255
+            blue += colour & 255
+            alpha += 255
+    white = 255 - ((alpha + 2) >> 2)
+    out[world, row, column, 0] = wp.uint8(((red + 2) >> 2) + white)
+    out[world, row, column, 1] = wp.uint8(((green + 2) >> 2) + white)
+    out[world, row, column, 2] = wp.uint8(((blue + 2) >> 2) + white)

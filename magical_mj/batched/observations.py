@@ -1,0 +1,126 @@
+"""What learners see of a batch: stacks of frames, or state vectors, on the device."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from torch import Tensor
+
+from magical_mj.batched.physics import Physics
+from magical_mj.batched.pictures import Painter, View
+from magical_mj.batched.scenes import ABSENT, SceneArrays
+from magical_mj.gym_env import STATE_BOUND
+from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
+from magical_mj.presets import Preset
+
+Observation = Tensor | dict[str, Tensor]
+
+_BLOCK: Final = STATE_NAMES.index("block0.present")
+_BLOCK_ENTRIES: Final = STATE_NAMES.index("block1.present") - _BLOCK
+_REGION: Final = STATE_NAMES.index("region0.present")
+_REGION_ENTRIES: Final = STATE_NAMES.index("region1.present") - _REGION
+
+
+class States:
+    """The state vectors of `magical_mj.observations.STATE_NAMES`, shape (worlds, entries), float32."""
+
+    def __init__(self, worlds: int, device: str) -> None:
+        self._fixed = torch.zeros((worlds, len(STATE_NAMES)), device=device)
+        self.space: spaces.Space[Any] = spaces.Box(-STATE_BOUND, STATE_BOUND, (len(STATE_NAMES),), np.float32)
+
+    def start(self, scenes: SceneArrays, worlds: Tensor) -> None:
+        """Episodes begin in these worlds: writes what stays as it is."""
+        count, blocks = scenes.shapes.shape
+        fixed = np.zeros((count, len(STATE_NAMES)), np.float32)
+        rows = fixed[:, _BLOCK:_REGION].reshape(count, MAX_BLOCKS, _BLOCK_ENTRIES)[:, :blocks]
+        present = scenes.shapes != ABSENT
+        rows[..., 0] = present
+        shape, colour = np.eye(4)[scenes.shapes.clip(0)], np.eye(4)[scenes.colours]
+        rows[..., -8:] = np.concatenate([shape, colour], axis=-1) * present[..., None]
+        regions = scenes.region_colours.shape[1]
+        rows = fixed[:, _REGION:].reshape(count, MAX_REGIONS, _REGION_ENTRIES)[:, :regions]
+        present = scenes.region_colours != ABSENT
+        colour = np.eye(4)[scenes.region_colours.clip(0)]
+        rows[:] = np.concatenate([present[..., None], scenes.regions, colour], axis=-1) * present[..., None]
+        self._fixed[worlds] = torch.from_numpy(fixed).to(self._fixed)
+
+    def look(self, physics: Physics) -> Tensor:
+        """The present states, in a fresh tensor."""
+        state, poses, speeds = self._fixed.clone(), physics.poses, physics.velocities
+        state[:, :8] = torch.cat([poses[:, 0], speeds[:, 0], physics.fingers], dim=-1)
+        rows = state[:, _BLOCK:_REGION].view(len(state), MAX_BLOCKS, _BLOCK_ENTRIES)[:, : physics.blocks]
+        rows[..., 1:7] = torch.cat([poses[:, 1:], speeds[:, 1:]], dim=-1) * rows[..., :1]
+        return state
+
+    def begin(self, physics: Physics, worlds: Tensor) -> Tensor:
+        """Observations after resets: the same as any."""
+        del worlds
+        return self.look(physics)
+
+
+class Frames:
+    """Stacks of pictures as a preset orders them, uint8: one tensor, or by view for the layout "dict"."""
+
+    def __init__(self, preset: Preset, size: int, scenes: SceneArrays, device: str) -> None:
+        self._painter = Painter(scenes, device)
+        self._layout, worlds = preset.layout, len(scenes.shapes)
+        groups = {view: ((view, count),) for view, count in preset.frames}
+        self._groups = groups if preset.layout == "dict" else {"all": preset.frames}
+        self._stacks = {
+            name: torch.zeros((worlds, size, size, 3 * sum(count for _, count in frames)), dtype=torch.uint8)
+            for name, frames in self._groups.items()
+        }
+        self._stacks = {name: stack.to(device) for name, stack in self._stacks.items()}
+        boxes = {
+            name: spaces.Box(0, 255, self._shaped(one[:1])[0].shape, np.uint8) for name, one in self._stacks.items()
+        }
+        self.space: spaces.Space[Any] = spaces.Dict(dict(boxes)) if preset.layout == "dict" else boxes["all"]
+
+    def start(self, scenes: SceneArrays, worlds: Tensor) -> None:
+        """Episodes begin in these worlds."""
+        self._painter.change(scenes, worlds)
+
+    def look(self, physics: Physics) -> Observation:
+        """Adds the present pictures to the stacks; fresh tensors."""
+        for name, frames in self._groups.items():
+            last, first = self._stacks[name], 0
+            moved = last.clone()
+            for _, count in frames:
+                moved[..., first : first + 3 * (count - 1)] = last[..., first + 3 : first + 3 * count]
+                first += 3 * count
+            self._stacks[name] = moved
+        self._draw(physics)
+        return self._seen()
+
+    def begin(self, physics: Physics, worlds: Tensor) -> Observation:
+        """Fills the stacks of these worlds with their present pictures; fresh tensors, of all worlds."""
+        self._stacks = {name: stack.clone() for name, stack in self._stacks.items()}
+        self._draw(physics)
+        for name, frames in self._groups.items():
+            stack, first = self._stacks[name], 0
+            for _, count in frames:
+                newest = stack[worlds, :, :, first + 3 * (count - 1) : first + 3 * count]
+                stack[worlds, :, :, first : first + 3 * count] = newest.repeat(1, 1, 1, count)
+                first += 3 * count
+        return self._seen()
+
+    def _draw(self, physics: Physics) -> None:
+        """The present pictures, each where the newest of its view belongs."""
+        self._painter.place(physics.poses, physics.fingers)
+        for name, frames in self._groups.items():
+            end = 0
+            for view, count in frames:
+                end += 3 * count
+                seen: View = "ego" if view == "ego" else "allo"
+                self._painter.draw(seen, self._stacks[name][..., end - 3 : end])
+
+    def _seen(self) -> Observation:
+        if self._layout == "dict":
+            return {name: self._shaped(stack) for name, stack in self._stacks.items()}
+        return self._shaped(self._stacks["all"])
+
+    def _shaped(self, stack: Tensor) -> Tensor:
+        return stack.permute(0, 3, 1, 2) if self._layout == "chw" else stack

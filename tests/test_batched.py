@@ -1,0 +1,212 @@
+"""Batched worlds on Warp's CPU device, beside the environments that they stand for; one process compiles kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+import magical_mj
+from magical_mj import batched
+from magical_mj.batched import physics as physics_module
+from magical_mj.batched.physics import Physics
+from magical_mj.batched.pictures import Painter, View
+from magical_mj.batched.scenes import Capacity, SceneArrays
+from magical_mj.errors import InvalidActionError, SettingsError, UnknownNameError
+from magical_mj.presets import PRESETS
+from magical_mj.scene import Scene
+
+pytestmark = [pytest.mark.xdist_group("warp"), pytest.mark.filterwarnings("default")]
+
+MIXED = [("MoveToRegion", "Demo"), ("FixColour", "All"), ("ClusterShape", "CountPlus"), ("FindDupe", "Dynamics")]
+
+
+def arrays(scenes: list[Scene]) -> SceneArrays:
+    return SceneArrays.of(scenes, Capacity.of(scenes))
+
+
+def table(scene: Scene) -> NDArray[np.float64]:
+    return np.array([scene.robot.pose, *(block.pose for block in scene.blocks)])
+
+
+def distances(physics: Physics, envs: list[magical_mj.Environment]) -> list[float]:
+    """How far the worst thing of each world is from where it should be, world units."""
+    wanted = [table(env.scene) for env in envs]
+    return [
+        float(np.abs(poses[: len(rows), :2].numpy() - rows[:, :2]).max())
+        for poses, rows in zip(physics.poses, wanted, strict=True)
+    ]
+
+
+def running(scenes: list[Scene]) -> list[magical_mj.Environment]:
+    envs = [magical_mj.load_scene(scene, observations=()) for scene in scenes]
+    for env in envs:
+        env.reset()
+    return envs
+
+
+@pytest.mark.parametrize("view", ["ego", "allo"])
+def test_pictures_of_all_environments(view: View) -> None:
+    scenes = [magical_mj.sample_scene(*pair, 1) for pair in magical_mj.ENVIRONMENTS]
+    out = torch.zeros((len(scenes), 96, 96, 3), dtype=torch.uint8)
+    Painter(arrays(scenes)).draw(view, out)
+    for env, picture in zip(running(scenes), out, strict=True):
+        wanted = env.render(view, 96).astype(float)
+        assert np.abs(wanted - picture.numpy()).mean() < 0.05
+        env.close()
+
+
+def test_one_action_in_every_environment() -> None:
+    """Scenes of all counts, shapes and dynamics side by side in one model."""
+    scenes = [magical_mj.sample_scene(*pair, 0) for pair in magical_mj.ENVIRONMENTS]
+    physics, envs = Physics(arrays(scenes)), running(scenes)
+    actions = np.random.default_rng(0).integers(18, size=len(scenes))
+    physics.step(torch.from_numpy(actions))
+    for env, action in zip(envs, actions, strict=True):
+        env.step(int(action))
+    assert max(distances(physics, envs)) < 1e-5
+    assert not physics.overflowed.any()
+
+
+def test_ten_actions_and_what_is_alone_moves_alike() -> None:
+    scenes = [magical_mj.sample_scene(*pair, 2) for pair in MIXED]
+    physics, envs = Physics(arrays(scenes)), running(scenes)
+    alone = Physics(SceneArrays.of(scenes[1:2], Capacity.of(scenes)))
+    for step in range(10):
+        actions = torch.tensor([1, 10, 13, 4] if step < 6 else [3, 10, 1, 16])
+        physics.step(actions)
+        alone.step(actions[1:2])
+        for env, action in zip(envs, actions.tolist(), strict=True):
+            env.step(action)
+    assert np.median(distances(physics, envs)) < 1e-4
+    torch.testing.assert_close(alone.poses[0], physics.poses[1], atol=1e-5, rtol=0.0)
+
+
+def test_overflows_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(physics_module, "ROWS", 8)
+    scene = magical_mj.sample_scene("MoveToCorner", "Demo", 0)
+    physics = Physics(arrays([scene]))
+    physics.step(torch.tensor([1]))
+    assert physics.overflowed.tolist() == [True]
+    physics.reset(arrays([scene]), torch.tensor([0]))
+    assert physics.overflowed.tolist() == [False]
+
+
+@pytest.fixture(scope="module")
+def env() -> Iterator[Any]:
+    made = batched.make("MoveToRegion,FixColour", "Demo", 3, device="cpu", reward="score", preset="LoResCHW4E")
+    yield made
+    made.close()
+
+
+def test_episodes_are_those_of_the_single_environments(env: Any) -> None:
+    """Two tasks whose horizons differ, resets included; the demonstrations, played open loop, score 1."""
+    demos = [magical_mj.demos.load(task)[0] for task in ("MoveToRegion", "FixColour", "MoveToRegion")]
+    single = gymnasium.make(magical_mj.env_id("MoveToRegion", "Demo", "LoResCHW4E"))
+    observations, info = env.reset(seed=0)
+    wanted, _ = single.reset(seed=0)
+    assert observations.shape == env.observation_space.shape == (3, 12, 96, 96)
+    assert not info["eval_score"].any()
+    ends = []
+    for step in range(60):
+        assert np.abs(observations[0].numpy().astype(float) - wanted).mean() < 0.05
+        actions = [int(demo.actions[step % len(demo.actions)]) for demo in demos]
+        observations, rewards, terminated, truncated, info = env.step(actions)
+        assert not terminated.any()
+        assert torch.equal(rewards.double(), info["eval_score"])
+        if truncated.any():
+            ends.append((step + 1, truncated.tolist(), info["eval_score"].tolist()))
+        if step < 40:
+            wanted, *_ = single.step(actions[0])
+        if step == 39:
+            assert np.abs(info["final_obs"][0].numpy().astype(float) - wanted).mean() < 0.05
+            wanted, _ = single.reset(seed=0)  # the demo variant always starts alike
+        elif step > 39:
+            wanted, *_ = single.step(actions[0])
+    assert ends == [(40, [True, False, True], [1.0, 0.0, 1.0]), (60, [False, True, False], [0.0, 1.0, 0.0])]
+    single.close()
+
+
+def test_what_is_not_finite_stays_in_its_world(env: Any) -> None:
+    env.reset(seed=0)
+    env._physics._state["qvel"][1] = float("nan")
+    _, _, _, truncated, info = env.step([1, 1, 1])
+    assert info["broken"].tolist() == truncated.tolist() == [False, True, False]
+    assert info["eval_score"][1] == 0.0
+    observations, *_, info = env.step([1, 1, 1])
+    assert not info["broken"].any()
+    assert env._physics.poses.isfinite().all()
+    assert observations[1].float().std() > 1
+
+
+@pytest.mark.parametrize("actions", [[1, 2], [0, 1, 18], [0.5, 1.0, 2.0], [-1, 0, 0]])
+def test_wrong_actions_are_refused(env: Any, actions: Any) -> None:
+    env.reset(seed=0)
+    with pytest.raises(InvalidActionError, match="3 integers"):
+        env.step(actions)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_preset_begins_alike(preset: str) -> None:
+    made = batched.make("FindDupe", "All", 1, device="cpu", preset=preset)
+    single = gymnasium.make(magical_mj.env_id("FindDupe", "All", preset))
+    seen, wanted = made.reset(seed=5)[0], single.reset(seed=5)[0]
+    parts = [(seen[name][0], wanted[name]) for name in wanted] if isinstance(wanted, dict) else [(seen[0], wanted)]
+    for one, other in parts:
+        assert one.shape == other.shape
+        limit = 1e-4 if other.dtype == np.float32 else 0.05
+        assert np.abs(one.numpy().astype(float) - other).mean() < limit
+    made.close()
+    single.close()
+
+
+def test_without_autoreset_worlds_wait_for_a_mask() -> None:
+    made = batched.make(
+        "MoveToRegion", "Layout", 2, device="cpu", preset="State", autoreset_mode=AutoresetMode.DISABLED
+    )
+    first, _ = made.reset(seed=3)
+    made._steps[1] = 39  # an episode that is nearly over
+    _, _, _, truncated, _ = made.step([1, 1])
+    assert truncated.tolist() == [False, True]
+    with pytest.raises(ResetNeeded):
+        made.step([1, 1])
+    after, _ = made.reset(seed=[9, 4], options={"reset_mask": truncated})
+    torch.testing.assert_close(after[1], first[1])
+    assert not torch.equal(after[0], first[0])
+    made.step([1, 1])
+    made.close()
+
+
+def test_scenes_do_not_depend_on_who_draws_them() -> None:
+    """Those of an episode follow from the seed, the world and the episode, whoever ends when."""
+    from magical_mj.batched.drawing import SceneDrawer
+
+    pairs = [("FindDupe", "All")] * 3
+    drawn = []
+    for workers, order in ((0, [[0, 1, 2], [1], [0, 1, 2]]), (1, [[0, 1, 2], [1], [0, 1, 2]]), (0, [[1], [1], [0, 1]])):
+        drawer = SceneDrawer(pairs, Capacity(10, 3, 42), workers)
+        drawer.seed(7)
+        drawn.append([drawer.scenes(worlds) for worlds in order])
+        drawer.close()
+    for here, there in zip(drawn[0], drawn[1], strict=True):
+        np.testing.assert_array_equal(here.poses, there.poses)
+    np.testing.assert_array_equal(drawn[2][1].poses[0], drawn[0][1].poses[0])
+    np.testing.assert_array_equal(drawn[2][2].poses[0], drawn[0][0].poses[0])
+
+
+def test_wrong_settings_are_named() -> None:
+    with pytest.raises(SettingsError, match="no device 'cuda:7'"):
+        batched.make("MoveToRegion", num_envs=1, device="cuda:7")
+    with pytest.raises(SettingsError, match="at least 1"):
+        batched.make("MoveToRegion", num_envs=0, device="cpu")
+    with pytest.raises(UnknownNameError, match="preset"):
+        batched.make("MoveToRegion", num_envs=1, device="cpu", preset="HiRes")
+    with pytest.raises(SettingsError, match="SAME_STEP or DISABLED"):
+        batched.make("MoveToRegion", num_envs=1, device="cpu", autoreset_mode=AutoresetMode.NEXT_STEP)
