@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from magical_mj.presets import Preset
+
 Images = NDArray[np.uint8]
 
 See = Callable[[str, Images], object]
@@ -28,13 +30,15 @@ class FrameStack:
 
     def __init__(self, frames: tuple[tuple[str, int], ...], size: int, *, channels_first: bool = False) -> None:
         count = 3 * sum(number for _, number in frames)
+        self.remembers = any(number > 1 for _, number in frames)
+        """Whether a stack depends on the one before."""
         self.shape = (count, size, size) if channels_first else (size, size, count)
         self._channels_last = (1, 2, 0) if channels_first else (0, 1, 2)
         ends = np.cumsum([3 * number for _, number in frames]).tolist()
         self._channels = [(view, end - 3 * number, end) for (view, number), end in zip(frames, ends, strict=True)]
         self._shift = 3 * size * size if channels_first else 3
         self.last = np.empty(self.shape, np.uint8)
-        """The latest stack."""
+        """The latest stack. Later ones depend on it; others get copies, with which they do what they like."""
 
     def start(self, see: See) -> Images:
         """The stack of an episode's first pictures, which fill it. A fresh array."""
@@ -44,20 +48,64 @@ class FrameStack:
         for _, first, end in self._channels:
             for channel in range(first, end - 3):
                 pixels[..., channel] = pixels[..., end - 3 + (channel - first) % 3]
-        return self.last
+        return self.given()
 
     def push(self, see: See) -> Images:
         """The stack with the newest pictures added and the oldest gone. A fresh array."""
         stack = np.empty(self.shape, np.uint8)
-        stack.ravel()[: -self._shift] = self.last.ravel()[self._shift :]
+        if self.remembers:
+            stack.ravel()[: -self._shift] = self.last.ravel()[self._shift :]
         self.last = stack
         self._draw_newest(see)
-        return stack
+        return self.given()
+
+    def given(self) -> Images:
+        """The latest stack, for somebody who may change it."""
+        return self.last.copy() if self.remembers else self.last
 
     def _draw_newest(self, see: See) -> None:
         pixels = self.last.transpose(self._channels_last)
         for view, _, end in self._channels:
             see(view, pixels[..., end - 3 : end])
+
+
+class Stacks:
+    """All stacks of a preset: by view in the layout "dict", none for the state vector, else one under the name "all".
+
+    Args:
+        made: the preset.
+        size: side of the frames in pixels.
+    """
+
+    def __init__(self, made: Preset, size: int) -> None:
+        self._stacks: dict[str, FrameStack] = {}
+        if made.layout == "dict":
+            self._stacks = {view: FrameStack(((view, count),), size) for view, count in made.frames}
+        elif made.layout != "state":
+            self._stacks = {"all": FrameStack(made.frames, size, channels_first=made.layout == "chw")}
+
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """The shape of each stack."""
+        return {name: stack.shape for name, stack in self._stacks.items()}
+
+    def start(self, see: See, frames: Mapping[str, Images] | None = None) -> dict[str, Images]:
+        """The stacks of an episode's first pictures, or those that `save` gave, where they fit."""
+        for name, stack in self._stacks.items():
+            saved = (frames or {}).get(name)
+            if saved is not None and saved.shape == stack.shape and stack.remembers:
+                stack.last = saved.astype(np.uint8)
+            else:
+                stack.start(see)
+        return {name: stack.given() for name, stack in self._stacks.items()}
+
+    def push(self, see: See) -> dict[str, Images]:
+        """The stacks with the newest pictures added."""
+        return {name: stack.push(see) for name, stack in self._stacks.items()}
+
+    def save(self) -> dict[str, Images]:
+        """Copies of the stacks, without those that hold present pictures alone."""
+        return {name: stack.last.copy() for name, stack in self._stacks.items() if stack.remembers}
 
 
 def seen(pictures: Mapping[str, Images]) -> See:

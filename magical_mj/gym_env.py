@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import warnings
 from collections.abc import Mapping
 from typing import Any, Final, Literal, get_args
 
@@ -18,9 +19,10 @@ from magical_mj.actions import ACTIONS, to_discrete
 from magical_mj.env_settings import Reward
 from magical_mj.environment import Environment, load
 from magical_mj.errors import InvalidSceneError, unknown_name
-from magical_mj.frames import FrameStack, Images
-from magical_mj.observations import STATE_NAMES
-from magical_mj.presets import Preset, preset
+from magical_mj.frames import Images, Stacks
+from magical_mj.observations import STATE_NAMES, VIEWS
+from magical_mj.presets import Layout
+from magical_mj.presets import preset as preset_named
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
 from magical_mj.state import State
@@ -31,7 +33,7 @@ ActionForm = Literal["discrete", "continuous"]
 ACTION_FORMS: Final[tuple[str, ...]] = get_args(ActionForm)
 Observation = NDArray[Any] | dict[str, Images]
 
-RENDER_SIZE: Final = 384  # px, side of what `render` gives
+RENDER_VIEWS: Final = (*VIEWS, "both")
 STATE_BOUND: Final = 1000.0  # of any entry of the state vector; angles add up to 100 rad in the longest episode
 
 
@@ -60,7 +62,11 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         reward: "none", or "score" for the score as reward at the last step.
         rules: "paper" or "released".
         action: "discrete" or "continuous".
-        render_mode: "rgb_array" (the allo view, 384 px); Gymnasium makes "human" (a window) from it.
+        render_mode: "rgb_array"; Gymnasium makes "human" (a window) from it.
+        render_view: what `render` shows: "ego", "allo", or "both" side by side.
+        render_size: side of each view in pixels.
+        score_every_step: gives `info["score"]`, the score if the episode ended now, at every step and reset. This
+            takes up to a tenth of a step's time.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": c.CONTROL_RATE}  # noqa: RUF012
@@ -76,28 +82,39 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         rules: Rules = "paper",
         action: ActionForm = "discrete",
         render_mode: str | None = None,
+        render_view: str = "allo",
+        render_size: int = 384,
+        score_every_step: bool = False,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise unknown_name("render mode", render_mode, self.metadata["render_modes"])
         if action not in ACTION_FORMS:
             raise unknown_name("form of actions", action, ACTION_FORMS)
+        if render_view not in RENDER_VIEWS:
+            raise unknown_name("view", render_view, RENDER_VIEWS)
         self.render_mode = render_mode
-        self._preset = _preset(preset)
-        size = self._preset.image_size if image_size is None else check_size(image_size)
+        self._views = VIEWS if render_view == "both" else (render_view,)
+        self._render_size = check_size(render_size, "render_size")
+        made = preset_named(preset)
+        size = made.image_size if image_size is None else check_size(image_size)
+        self._layout = made.layout
+        self._stacks = Stacks(made, size)
         self._env = load(
             task,
             variant,
-            seed=0,
-            observations=["state"] if self._preset.layout == "state" else [],  # pictures are drawn into the stacks
+            seed=0,  # of an episode that is never played: every reset gives a seed
+            observations=["state"] if made.layout == "state" else [],  # pictures are drawn into the stacks
             image_size=size,
             reward=reward,
             rules=rules,
         )
         self._continuous = action == "continuous"
         self.action_space = CONTINUOUS_SPACE if self._continuous else spaces.Discrete(len(ACTIONS))
-        self._stacks = _stacks(self._preset, size)
-        self.observation_space = _space(self._preset, self._stacks)
+        self.observation_space = _space(made.layout, self._stacks.shapes)
+        self._score_every_step = score_every_step
         self._begun = self._running = False
+        self._seeded: int | None = None
+        self._unknown_options: set[str] = set()
 
     @property
     def dm_env(self) -> Environment:
@@ -123,21 +140,30 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Starts an episode; see the class.
 
+        Args:
+            seed: of this episode's scene, and of `np_random`, which draws the seeds of later ones. If no step follows,
+                the next reset without a seed starts in the same scene: the `set_seed` of some libraries resets once.
+            options: "scene" or "state"; others are ignored, with a warning.
+
         Raises:
-            InvalidSceneError: if `options` has unknown keys, or the scene is not one of the task.
+            InvalidSceneError: if the scene is not one of the task.
             StateError: if the state is none of an episode of the task that goes on.
         """
         super().reset(seed=seed)
-        scene, state = _scene_option(options or {}), (options or {}).get("state")
+        options = options or {}
+        self._warn_of_unknown(options)
+        scene, state = _scene_option(options), options.get("state")
         if state is not None:
             first = self._env.reset(state=state)
         elif scene is not None:
             first = self._env.reset(scene=scene)
         else:
-            first = self._env.reset(seed=int(self.np_random.integers(2**63)) if seed is None else seed)
+            again = self._seeded if seed is None else seed
+            first = self._env.reset(seed=int(self.np_random.integers(2**63)) if again is None else again)
         self._begun = self._running = True
-        stacks = self._start_stacks({} if state is None else state.frames)
-        return self._observation(first.observation, stacks), {"eval_score": 0.0, "is_success": False}
+        self._seeded = seed if scene is None and state is None else None
+        stacks = self._stacks.start(self._see, None if state is None else state.frames)
+        return self._observation(first.observation, stacks), self._info(last=False)
 
     def get_state(self) -> State:
         """The present state of the episode, to the bit, the pictures in the stacks included.
@@ -147,8 +173,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """
         if not self._begun:
             raise ResetNeeded("no episode has begun; call reset() before get_state()")
-        frames = {name: stack.last.copy() for name, stack in self._stacks.items()}
-        return dataclasses.replace(self._env.get_state(), frames=frames)
+        return dataclasses.replace(self._env.get_state(), frames=self._stacks.save())
 
     def set_state(self, state: State) -> None:
         """Goes back to a state, of this environment or another with the same task: what follows is the same to the bit.
@@ -163,7 +188,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._env.set_state(state)
         self._begun = True
         self._running = self._env.horizon is None or state.steps < self._env.horizon
-        self._start_stacks(state.frames)
+        self._seeded = None
+        self._stacks.start(self._see, state.frames)
 
     def clone(self) -> MagicalEnv:
         """Another environment like this one, in the same state; both go on alike, later episodes included."""
@@ -179,69 +205,54 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         if not self._running:
             raise ResetNeeded("the episode has ended; call reset() before the next step")
         now = self._env.step(to_discrete(action) if self._continuous else action)
-        stacks = {name: stack.push(self._see) for name, stack in self._stacks.items()}
-        last = now.last()
-        self._running = not last
-        score = self._env.score() if last else 0.0
-        info = {"eval_score": score, "is_success": score == 1.0}
-        return self._observation(now.observation, stacks), float(now.reward or 0.0), False, last, info
+        self._running, self._seeded = not now.last(), None
+        observation = self._observation(now.observation, self._stacks.push(self._see))
+        return observation, float(now.reward or 0.0), False, now.last(), self._info(last=now.last())
 
     def render(self) -> Images | None:
-        """The allo view, shape (384, 384, 3), if `render_mode` is "rgb_array"."""
+        """The view of `render_view` if `render_mode` is "rgb_array". Shape (size, size, 3); "both": twice as wide."""
         if self.render_mode is None:
             gymnasium.logger.warn('render() draws nothing: make the environment with render_mode="rgb_array"')
             return None
-        return self._env.render("allo", RENDER_SIZE)
+        return np.concatenate([self._env.render(view, self._render_size) for view in self._views], axis=1)
 
     def close(self) -> None:
         """Frees the simulation; closing twice is fine."""
         self._env.close()
         super().close()
 
-    def _start_stacks(self, frames: Mapping[str, Images]) -> dict[str, Images]:
-        """Fills the stacks with these frames if they fit, else with the present pictures."""
-        fit = {name: array.shape for name, array in frames.items()} == {n: s.shape for n, s in self._stacks.items()}
-        for name, stack in self._stacks.items():
-            if fit:
-                stack.last = frames[name].copy()
-            else:
-                stack.start(self._see)
-        return {name: stack.last for name, stack in self._stacks.items()}
+    def _info(self, *, last: bool) -> dict[str, Any]:
+        """The same keys always. TorchRL reads the `dtype` of each value; vectors would lose that of a `numpy.bool`."""
+        score = self.score() if last or self._score_every_step else 0.0
+        reached = np.float64(score if last else 0.0)
+        info = {"eval_score": reached, "is_success": np.array(reached == 1.0)}
+        return info | {"score": np.float64(score)} if self._score_every_step else info
+
+    def _warn_of_unknown(self, options: Mapping[str, Any]) -> None:
+        unknown = options.keys() - {"scene", "state"} - self._unknown_options
+        if unknown:
+            self._unknown_options |= unknown
+            names = ", ".join(sorted(map(repr, unknown)))
+            warnings.warn(f'reset ignores the options {names}; it knows "scene" and "state"', stacklevel=3)
 
     def _see(self, view: str, place: Images) -> None:
         self._env.render(view, len(place), out=place)
 
     def _observation(self, seen: Mapping[str, NDArray[Any]], stacks: dict[str, Images]) -> Observation:
-        if self._preset.layout == "state":
+        if self._layout == "state":
             return seen["state"]
-        return stacks if self._preset.layout == "dict" else stacks["all"]
+        return stacks if self._layout == "dict" else stacks["all"]
 
 
-_preset = preset  # the constructor's argument of this name hides the function
-
-
-def _stacks(made: Preset, size: int) -> dict[str, FrameStack]:
-    """By view for the layout "dict"; else one of all views, under the name "all"."""
-    if made.layout == "state":
-        return {}
-    if made.layout == "dict":
-        return {view: FrameStack(((view, count),), size) for view, count in made.frames}
-    return {"all": FrameStack(made.frames, size, channels_first=made.layout == "chw")}
-
-
-def _space(made: Preset, stacks: Mapping[str, FrameStack]) -> spaces.Space[Any]:
-    if made.layout == "state":
+def _space(layout: Layout, shapes: Mapping[str, tuple[int, ...]]) -> spaces.Space[Any]:
+    """The space of the observations in this layout, of stacks of these shapes."""
+    if layout == "state":
         return spaces.Box(-STATE_BOUND, STATE_BOUND, (len(STATE_NAMES),), np.float32)
-    boxes: dict[str, spaces.Space[Any]] = {
-        name: spaces.Box(0, 255, stack.shape, np.uint8) for name, stack in stacks.items()
-    }
-    return spaces.Dict(boxes) if made.layout == "dict" else boxes["all"]
+    boxes: dict[str, spaces.Space[Any]] = {name: spaces.Box(0, 255, shape, np.uint8) for name, shape in shapes.items()}
+    return spaces.Dict(boxes) if layout == "dict" else boxes["all"]
 
 
 def _scene_option(options: Mapping[str, Any]) -> Scene | None:
-    unknown = options.keys() - {"scene", "state"}
-    if unknown:
-        raise InvalidSceneError(f'unknown options {sorted(unknown)}; reset understands options={{"scene": ...}}')
     scene = options.get("scene")
     if scene is None or isinstance(scene, Scene):
         return scene

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 
 import gymnasium
+from gymnasium.envs.registration import WrapperSpec
 
 from magical_mj import presets
 from magical_mj.announced import announced
@@ -33,23 +34,29 @@ def env_id(task: str, variant: str = "Demo", preset: str = "") -> str:
     environment_axes(task, variant)
     presets.preset(preset)
     task = task_name(task)
-    return _register(task, task_spec(task).name, variant_name(variant), preset)
+    return _register(task, task_spec(task).name, variant_name(variant), preset, task_spec(task).horizon())
 
 
 def register_all() -> None:
     """Registers every environment that is not registered yet. Importing `magical_mj` does this."""
-    pairs = [*ENVIRONMENTS, *itertools.product(announced(), VARIANTS)]
-    for (task, variant), preset in itertools.product(pairs, PRESETS):
-        _register(task, task, variant, preset)
+    for (task, variant), preset in itertools.product(ENVIRONMENTS, PRESETS):
+        _register(task, task, variant, preset, task_spec(task).horizon())
+    for task, variant, preset in itertools.product(announced(), VARIANTS, PRESETS):
+        _register(task, task, variant, preset, None)
 
 
-def _register(task: str, name: str, variant: str, preset: str) -> str:
-    """Registers one environment, unless it is, and returns its id."""
+def _register(task: str, name: str, variant: str, preset: str, steps: int | None) -> str:
+    """Registers one environment, unless it is, and returns its id. Its horizon may not be known yet."""
     test = variant if variant == "Demo" else f"Test{variant}"
     found = "-".join(filter(None, (f"magical_mj/{name}", test, preset, "v0")))
     if found not in gymnasium.registry:
-        kwargs = {"task": task, "variant": variant, "preset": preset}
-        gymnasium.register(found, entry_point="magical_mj:MagicalEnv", kwargs=kwargs)
+        gymnasium.register(
+            found,
+            entry_point="magical_mj:MagicalEnv",
+            kwargs={"task": task, "variant": variant, "preset": preset},
+            max_episode_steps=steps,
+            additional_wrappers=(WrapperSpec("ScoreAtTheEnd", "magical_mj.wrappers:ScoreAtTheEnd", {}),),
+        )
     elif gymnasium.registry[found].kwargs["task"] != task:
         other = gymnasium.registry[found].kwargs["task"]
         raise TaskError(f"{found} is the id of {other}; give the task {task} another name than {name!r}")

@@ -7,10 +7,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from magical_mj.actions import ACTIONS, to_discrete, to_vector
-from magical_mj.errors import InvalidActionError
+from magical_mj.errors import InvalidActionError, SettingsError
 
 CONTINUOUS_SPACE = spaces.Box(-1.0, 1.0, (3,), np.float32)
 
@@ -44,3 +45,48 @@ class ContinuousActions(gymnasium.ActionWrapper[Any, NDArray[np.float32], Any], 
 
     to_discrete = staticmethod(to_discrete)
     to_vector = staticmethod(to_vector)
+
+
+def _registered(spec: EnvSpec | None) -> EnvSpec | None:
+    return gymnasium.registry.get(spec.id) if spec else None
+
+
+class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
+    """Has the last step of an episode tell the score, also where `max_episode_steps` ends it before the task's horizon.
+
+    `gymnasium.make` puts it around every environment. Where a wrapper of your own ends episodes, put this around it.
+
+    Args:
+        env: a `magical_mj` environment, with any wrappers.
+
+    Raises:
+        SettingsError: if `max_episode_steps` is longer than the episodes of the task.
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        self._world = self.unwrapped.dm_env  # type: ignore[attr-defined]
+        asked, registered = ((spec.max_episode_steps or 0) if spec else 0 for spec in (env.spec, _registered(env.spec)))
+        if asked > self._world.horizon and asked != registered:
+            raise SettingsError(
+                f"max_episode_steps={asked} is more than the {self._world.horizon} steps after which every episode of "
+                f"{self._world.task.settings.task} ends; give fewer, or none for the task's own"
+            )
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """As what is wrapped, with the number of steps after which episodes end under the environment's rules."""
+        spec = super().spec
+        if spec is not None:
+            spec.max_episode_steps = min(spec.max_episode_steps or self._world.horizon, self._world.horizon)
+        return spec
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """One action."""
+        observation, reward, terminated, truncated, info = super().step(action)
+        if terminated or truncated:
+            score = np.float64(self._world.score())
+            info = info | {"eval_score": score, "is_success": np.array(score == 1.0)}
+            reward = float(score) if self._world.task.settings.reward == "score" else reward
+        return observation, reward, terminated, truncated, info

@@ -16,6 +16,7 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
+from magical_mj.errors import SettingsError
 from magical_mj.rendering import gl
 from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS, Context, Picture
 
@@ -36,14 +37,18 @@ _ROUND, _LEVELS, _COLOURS = np.uint64(2 * _LANES), np.uint64(0xFF * _LANES), np.
 _TWO_BITS, _THREE_LANES, _FULL = np.uint64(2), np.uint64(48), np.uint64(0xFF)
 
 
-def check_size(image_size: Any) -> int:
-    """`image_size` as an int; a ValueError unless it is an integer in 1..LARGEST."""
+def check_size(value: Any, name: str = "image_size") -> int:
+    """The side of a picture as an int.
+
+    Raises:
+        SettingsError: unless it is an integer in 1..LARGEST; the error calls it `name`.
+    """
     try:
-        size = 0 if isinstance(image_size, bool) else operator.index(image_size)
+        size = 0 if isinstance(value, bool) else operator.index(value)
     except TypeError:
         size = 0
     if not 1 <= size <= LARGEST:
-        raise ValueError(f"image_size must be an integer in 1..{LARGEST} (pixels per side), not {image_size!r}")
+        raise SettingsError(f"{name} must be an integer in 1..{LARGEST} (pixels per side), not {value!r}")
     return size
 
 
