@@ -7,7 +7,7 @@
 | 2 | variants; assets | floor 0; variants also the tasks' spec, and no simulator; neither knows the other |
 | 3 | registry, environment, observations, rendering, export | 0-2, mujoco, dm_control |
 | 4 | Gymnasium, experts, demonstrations | 0-3, gymnasium |
-| 5 | evaluation, speed, web | 0-4 |
+| 5 | batched, evaluation, speed, web | 0-4 |
 | 6 | cli | 0-5 |
 | 7 | baselines | anything; nobody imports them: commands and loaders of policies are plug-ins, by their entry points |
 """
@@ -36,9 +36,9 @@ FLOORS: dict[str, int] = {
     **dict.fromkeys(["environment", "scene_task", "simulation", "composer_internals", "composer_observables"], 3),
     "announced": 3,
     **dict.fromkeys(["presets", "registration", "frames", "gym_env", "wrappers", "experts", "demos"], 4),
-    **dict.fromkeys(["evaluation", "speed", "web"], 5),
+    **dict.fromkeys(["batched", "evaluation", "speed", "web"], 5),
     **dict.fromkeys(["cli", "__main__"], 6),
-    **dict.fromkeys(["baselines", "batched", "integrations"], 7),
+    **dict.fromkeys(["baselines", "integrations"], 7),
 }
 FACADE = "__init__"
 """``magical_mj/__init__.py`` gathers the public names from floors 0 to 4, so only higher floors may use it."""

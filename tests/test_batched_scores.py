@@ -27,7 +27,7 @@ def batched(task: str, initial: list[Scene], final: list[Scene], rules: Rules) -
 
 
 @pytest.mark.parametrize("rules", ["paper", "released"])
-@pytest.mark.parametrize("task", CASES.keys() - {"_conventions"})
+@pytest.mark.parametrize("task", [name for name in CASES if name != "_conventions"])
 def test_known_final_states(task: str, rules: Rules) -> None:
     demo = magical_mj.sample_scene(task, "Demo", 0)
     final = [demo.moved(robot=case["robot"], blocks=case["blocks"]) for case in CASES[task]]

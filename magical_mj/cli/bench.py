@@ -21,6 +21,7 @@ from rich.table import Table
 
 from magical_mj._version import __version__
 from magical_mj.cli.console import Tasks, Variants, console
+from magical_mj.extras import check_extra
 from magical_mj.presets import PRESETS, preset
 from magical_mj.registry import environments, listed
 from magical_mj.rendering.backend import check_backend
@@ -46,6 +47,9 @@ Presets = Annotated[str, typer.Option(help="Presets, separated by commas; or all
 Steps = Annotated[int, typer.Option(min=1, help="At least so many in each environment, in whole episodes.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, times in seconds.")]
 Markdown = Annotated[bool, typer.Option("--markdown", help="Print a Markdown table.")]
+Batched = Annotated[bool, typer.Option("--batched", help="Measure batched worlds instead (extra gpu).")]
+Worlds = Annotated[str, typer.Option(help="With --batched: numbers of worlds, separated by commas.")]
+Device = Annotated[str, typer.Option(help="With --batched: cuda, cuda:1 or cpu.")]
 Profile = Annotated[bool, typer.Option("--profile", help="Print where the time goes instead.")]
 
 
@@ -57,6 +61,9 @@ def bench(
     as_json: Json = False,
     markdown: Markdown = False,
     profile: Profile = False,
+    batched: Batched = False,
+    worlds: Worlds = "256,1024,4096,16384",
+    device: Device = "cuda",
 ) -> None:
     """Measure steps per second with resets, the bare MuJoCo loop in turn with them, and resets alone."""
     check_backend()  # before the simulator is loaded, which would not say why it fails
@@ -64,6 +71,9 @@ def bench(
     for name in names:
         preset(name)  # or its error
     chosen = [(*pair, name) for name in names for pair in environments(tasks, variants)]
+    if batched:
+        _print_batched(chosen, _counts(worlds), device)
+        return
     with cProfile.Profile() if profile else nullcontext() as profiler:
         measurements, yardstick = _measure(chosen, steps)
     if profiler is not None:
@@ -74,6 +84,34 @@ def bench(
         typer.echo(markdown_table(measurements, yardstick))
     else:
         _print_table(measurements, yardstick)
+
+
+def _counts(text: str) -> list[int]:
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError:
+        raise typer.BadParameter(f"--worlds takes numbers separated by commas, not {text!r}.") from None
+
+
+def _print_batched(chosen: Sequence[tuple[str, str, str]], counts: Sequence[int], device: str) -> None:
+    """A row for each environment and number of worlds, as soon as it is measured."""
+    check_extra("batched worlds", "gpu")
+    from magical_mj.speed.batched import measure_batched, single_rate
+
+    screen = console()
+    screen.print("environment, preset: worlds, steps/s (times the single environments on all cores) | ms of a step's")
+    screen.print("physics, of its observations, of a reset | kernel launches a step | kB a world")
+    for task, variant, name in chosen:
+        single = single_rate(task, variant, name)
+        for worlds in counts:
+            made = measure_batched(task, variant, worlds, name, device)
+            times = (made.physics_seconds, made.observation_seconds, made.reset_seconds)
+            screen.print(
+                f"{task} {variant}, {name}: {worlds}, {made.rate:,.0f} ({made.rate / single:.2f}) | "
+                f"{' '.join(f'{1000 * seconds:.2f}' for seconds in times)} | {made.launches} | "
+                f"{made.world_bytes / 1000:.0f}",
+                soft_wrap=True,
+            )
 
 
 def _measure(chosen: Sequence[tuple[str, str, str]], steps: int) -> tuple[list[Measurement], float | None]:

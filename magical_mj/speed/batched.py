@@ -1,0 +1,141 @@
+"""Measures batched worlds: steps per second, the time of each part, memory, and single environments beside them."""
+
+from __future__ import annotations
+
+import dataclasses
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any, Final
+
+import torch
+import warp as wp
+
+from magical_mj import batched
+from magical_mj.actions import ACTIONS
+from magical_mj.presets import preset
+from magical_mj.registry import task_spec
+from magical_mj.speed.measure import episode, plans
+
+WARM_UP: Final = 3
+"""Steps before the clock starts: kernels are compiled, the graph is captured."""
+SINGLE_EPISODES: Final = 3
+"""Of the single environment, on each core."""
+
+
+@dataclass(frozen=True)
+class BatchedMeasurement:
+    """What was measured of one environment at one number of worlds. Seconds, by the wall clock.
+
+    Attributes:
+        rate: environment steps per second of the whole, observations and resets included.
+        physics_seconds: of one control step of all worlds.
+        observation_seconds: of their observations.
+        reset_seconds: of a reset of all worlds.
+        launches: kernel launches of one control step with its observations.
+        world_bytes: memory of one world's simulation.
+    """
+
+    task: str
+    variant: str
+    preset: str
+    worlds: int
+    rate: float
+    physics_seconds: float
+    observation_seconds: float
+    reset_seconds: float
+    launches: int
+    world_bytes: int
+
+
+def measure_batched(task: str, variant: str, worlds: int, preset_name: str, device: str) -> BatchedMeasurement:
+    """Plays one episode of random actions in all worlds, with the reset after it; then the parts alone."""
+    env = batched.make(task, variant, worlds, preset=preset_name, device=device, workers=_workers(worlds))
+    generator = torch.Generator().manual_seed(0)
+    actions = torch.randint(len(ACTIONS), (task_spec(task).horizon(), worlds), generator=generator).to(device)
+    env.reset(seed=0)
+    for step in range(WARM_UP):
+        env.step(actions[step])
+    with counted_launches() as count:
+        env.step(actions[0])
+    env.reset()
+    seconds = _seconds(device, lambda: [env.step(row) for row in actions])
+    measured = BatchedMeasurement(
+        task=task,
+        variant=variant,
+        preset=preset_name,
+        worlds=worlds,
+        rate=worlds * len(actions) / seconds,
+        physics_seconds=_seconds(device, lambda: env._physics.step(actions[0])),
+        observation_seconds=_seconds(device, lambda: env._observer.look(env._physics)),
+        reset_seconds=_seconds(device, lambda: env.reset(seed=0)),
+        launches=count[0],
+        world_bytes=_bytes(env._physics._data, worlds),
+    )
+    env.close()
+    return measured
+
+
+def _workers(worlds: int) -> int:
+    return min(8, max(1, (os.cpu_count() or 2) - 1)) if worlds > 64 else 0
+
+
+def _seconds(device: str, work: Callable[[], object]) -> float:
+    wp.synchronize_device(device)
+    start = perf_counter()
+    work()
+    wp.synchronize_device(device)
+    return perf_counter() - start
+
+
+@contextmanager
+def counted_launches() -> Iterator[list[int]]:
+    """Counts the kernels that are launched within, graphs aside; the only element of the list is the count."""
+    count, launch = [0], wp.launch
+
+    def counting(*args: Any, **kwargs: Any) -> Any:
+        count[0] += 1
+        return launch(*args, **kwargs)
+
+    wp.launch = counting
+    try:
+        yield count
+    finally:
+        wp.launch = launch
+
+
+def _bytes(data: Any, worlds: int) -> int:
+    """Of all arrays of the simulation, shared out among the worlds."""
+    total = 0
+    for entry in dataclasses.fields(data):
+        value = getattr(data, entry.name)
+        if isinstance(value, wp.array):
+            total += value.capacity
+        elif dataclasses.is_dataclass(value):
+            total += sum(item.capacity for item in vars(value).values() if isinstance(item, wp.array))
+    return total // worlds
+
+
+def single_rate(task: str, variant: str, preset_name: str) -> float:
+    """Steps per second of the single environments, one process on each core, all at once."""
+    cores = os.cpu_count() or 1
+    with ProcessPoolExecutor(cores, mp_context=multiprocessing.get_context("spawn")) as pool:
+        jobs = [pool.submit(_single, task, variant, preset_name) for _ in range(cores)]
+        return sum(job.result() for job in jobs)
+
+
+def _single(task: str, variant: str, preset_name: str) -> float:
+    from magical_mj.gym_env import MagicalEnv
+
+    env = MagicalEnv(task, variant, preset_name)
+    env.reset(seed=0)
+    steps, seconds = 0, 0.0
+    for seed, plan in zip(range(SINGLE_EPISODES), plans(env), strict=False):
+        seconds += episode(env, seed, plan, preset(preset_name))[0]
+        steps += len(plan)
+    env.close()
+    return steps / seconds
