@@ -96,13 +96,18 @@ def environments(tasks: Names = "all", variants: Names = "all") -> list[tuple[st
         UnknownNameError: if a name is unknown, or none of the pairs exists.
         TaskError: if the task of another package cannot be played.
     """
-    chosen = dict.fromkeys(task_name(task) for task in listed(tasks, TASKS))
+    chosen = in_order(task_name(task) for task in listed(tasks, TASKS))
     wanted = [variant_name(variant) for variant in listed(variants, VARIANTS)]
-    in_order = sorted(chosen, key=lambda task: TASKS.index(task) if task in TASKS else len(TASKS))
-    pairs = [(task, variant) for task in in_order for variant in variants_of(task_spec(task)) if variant in wanted]
+    pairs = [(task, variant) for task in chosen for variant in variants_of(task_spec(task)) if variant in wanted]
     if not pairs:
-        environment_axes(in_order[0], wanted[0])  # says which variants the task has
+        environment_axes(chosen[0], wanted[0])  # says which variants the task has
     return pairs
+
+
+def in_order(tasks: Iterable[str]) -> list[str]:
+    """Different tasks as tables list them: the benchmark's in its order, then the others as they come."""
+    rank = {task: index for index, task in enumerate(TASKS)}
+    return sorted(dict.fromkeys(tasks), key=lambda task: rank.get(task, len(rank)))
 
 
 def listed(names: Names, every: Iterable[str]) -> list[str]:

@@ -16,7 +16,7 @@ from magical_mj.errors import SettingsError, unknown_name
 from magical_mj.evaluation.backends import check_backend, spread
 from magical_mj.evaluation.report import report
 from magical_mj.evaluation.run import EPISODES, evaluate
-from magical_mj.registry import TASKS, check_rules, environments, listed
+from magical_mj.registry import TASKS, check_rules, environments, listed, task_name, task_spec
 
 ENTRIES: Final = {
     "methods": '["bc"]',
@@ -54,7 +54,7 @@ class Run:
     def name(self) -> str:
         """Of its folder: the method, the task and the seed."""
         tasks = self.settings.tasks
-        return f"{self.settings.method}-{tasks[0] if len(tasks) == 1 else 'multi'}-{self.settings.seed}"
+        return f"{self.settings.method}-{task_spec(tasks[0]).name if len(tasks) == 1 else 'multi'}-{self.settings.seed}"
 
     @property
     def method(self) -> str:
@@ -109,7 +109,7 @@ def runs(file: Path, out: Path) -> list[Run]:
             raise SettingsError(f"{file} must give {name}, such as: {name} = {ENTRIES[name]}")
     evaluation = {**EVALUATION, **table.get("evaluation", {})}
     _check(f"entry of [evaluation] in {file}", evaluation, EVALUATION)
-    tasks = listed(table["tasks"], TASKS)
+    tasks = [task_name(task) for task in listed(table["tasks"], TASKS)]
     environments(tasks, evaluation["variants"])
     check_rules(evaluation["rules"])
     _check("method", table["methods"], METHODS)

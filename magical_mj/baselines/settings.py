@@ -9,7 +9,7 @@ from typing import Any, Final, TypeVar, get_type_hints
 
 from magical_mj.errors import SettingsError, unknown_name
 from magical_mj.presets import PRESETS, preset
-from magical_mj.registry import TASKS
+from magical_mj.registry import TASKS, listed, task_name, task_spec
 
 STATE: Final = "State"
 """The preset of the state track."""
@@ -118,8 +118,7 @@ class TrainingSettings:
     def __post_init__(self) -> None:
         """Raises a `SettingsError` or an `UnknownNameError` for what cannot be."""
         for task in self.tasks:
-            if task not in TASKS:
-                raise unknown_name("task", task, TASKS)
+            task_spec(task)  # or its error
         if not self.tasks or len(set(self.tasks)) < len(self.tasks):
             raise SettingsError(f"give one or several different tasks, not {list(self.tasks)}")
         preset(self.preset)
@@ -232,7 +231,7 @@ def load_settings(
         changes: by field; those of parts with dots, as in ``**{"ppo.clip": 0.02}``.
     """
     if isinstance(tasks, str):
-        tasks = TASKS if tasks == "all" else tuple(filter(None, (task.strip() for task in tasks.split(","))))
+        tasks = tuple(task_name(task) for task in listed(tasks, TASKS))
     if changes.get("preset") == STATE:
         if quick:
             raise SettingsError("quick is for pictures: learning from states is quick as it is")

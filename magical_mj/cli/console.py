@@ -10,11 +10,13 @@ import typer
 from rich.console import Console
 
 from magical_mj import TASKS, VARIANTS
-from magical_mj.registry import variant_name
+from magical_mj.registry import task_spec, variant_name
 
 PLAIN_WIDTH = 120  # columns where the output is a file or a pipe
 
-Task = Annotated[str, typer.Argument(help=f"One of {', '.join(TASKS)}.", show_default=False)]
+TASK_HELP = f"One of {', '.join(TASKS)}, a task that a package announces, or package.module:SPEC."
+
+Task = Annotated[str, typer.Argument(help=TASK_HELP, show_default=False)]
 Variant = Annotated[str, typer.Argument(help=f"One of {', '.join(VARIANTS)}.")]
 Tasks = Annotated[str, typer.Option(help="Tasks, separated by commas; or all.")]
 Variants = Annotated[str, typer.Option(help="Variants, separated by commas; or all.")]
@@ -38,7 +40,7 @@ def complain(message: str) -> None:
 
 def file_name(task: str, variant: str, seed: int, suffix: str) -> str:
     """What a file about one scene is called unless the user says otherwise."""
-    return f"{task}-{variant_name(variant)}-{seed}{suffix}"
+    return f"{task_spec(task).name}-{variant_name(variant)}-{seed}{suffix}"
 
 
 def check_suffix(path: Path | None, suffix: str) -> None:

@@ -16,7 +16,7 @@ from magical_mj.cli.console import Force, Size, Tasks, Variants, check_suffix, c
 from magical_mj.cli.film import film
 from magical_mj.cli.parallel import Jobs, in_parallel
 from magical_mj.errors import DemonstrationError, MagicalError
-from magical_mj.registry import environments, score
+from magical_mj.registry import environments, score, task_spec
 
 if TYPE_CHECKING:  # magical_mj.demos starts OpenGL, which help and wrong arguments do without
     from magical_mj.demos import Demonstration, Imported, Verdict
@@ -65,7 +65,7 @@ def generate(
     claim_folder(out)
     screen = console()
     keys = [(*pair, number) for pair in pairs for number in range(count)]
-    paths = {key: out / "{}-{}-{:03}{}".format(*key, SUFFIX) for key in keys}
+    paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}-{key[2]:03}{SUFFIX}" for key in keys}
     there = {key for key, path in paths.items() if path.exists() and magical_mj.demos.read(path, key[0])}
     if there:
         screen.print(f"{len(there)} of {len(paths)} are there already")

@@ -11,9 +11,10 @@ from rich.table import Table
 
 import magical_mj
 from magical_mj import ENVIRONMENTS, TASKS, VARIANTS, env_id
-from magical_mj.cli.console import Force, Seed, Task, Variant, check_suffix, claim, console, file_name
+from magical_mj.announced import announced
+from magical_mj.cli.console import TASK_HELP, Force, Seed, Task, Variant, check_suffix, claim, console, file_name
 from magical_mj.cli.film import both_views
-from magical_mj.registry import environment_axes, task_spec
+from magical_mj.registry import environment_axes, environments, task_spec
 
 GAP: Final = 6  # pixels between the cells of the contact sheet
 MARGIN: Final = 28  # pixels above and left of the cells, for the labels
@@ -23,7 +24,7 @@ PAPER: Final = (255, 255, 255)
 ABSENT: Final = (242, 242, 242)  # a cell whose task does not have the variant
 
 Ids = Annotated[bool, typer.Option("--ids", help="Print only the Gymnasium ids, one per line.")]
-OptionalTask = Annotated[str | None, typer.Argument(help=f"One of {', '.join(TASKS)}.", show_default=False)]
+OptionalTask = Annotated[str | None, typer.Argument(help=TASK_HELP, show_default=False)]
 Grid = Annotated[bool, typer.Option("--grid", help="All environments on one sheet, instead of TASK and VARIANT.")]
 Picture = Annotated[Path | None, typer.Option("--out", help="The PNG file.", show_default="TASK-VARIANT-SEED.png")]
 Size = Annotated[
@@ -34,14 +35,15 @@ Folder = Annotated[Path, typer.Option("--out", help="The folder to write the mod
 
 
 def list_environments(ids: Ids = False) -> None:
-    """List the environments, with their horizon and what varies between their scenes."""
+    """List the environments, with their horizon and what varies between their scenes; other packages' at the end."""
     out = console()
+    pairs = environments([*TASKS, *announced()])
     if ids:
-        for task, variant in ENVIRONMENTS:
+        for task, variant in pairs:
             out.print(env_id(task, variant))
         return
     table = Table("task", "variant", "steps", "what varies", box=None, pad_edge=False, header_style="bold")
-    for task, variant in ENVIRONMENTS:
+    for task, variant in pairs:
         axes = ", ".join(environment_axes(task, variant)) or "nothing"
         table.add_row(task, variant, str(task_spec(task).horizon()), axes)
     out.print(table)

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 import magical_mj
-from magical_mj.cli.console import Seed, Size, Variant, claim_folder, console
+from magical_mj.cli.console import TASK_HELP, Seed, Size, Variant, claim_folder, console
 from magical_mj.cli.film import both_views
 from magical_mj.cli.web import Collect, Host, Origin, Port, Tasks, Variants, Wanted, serve_page
 from magical_mj.cli.window import Window
 from magical_mj.constants import CONTROL_RATE
-from magical_mj.registry import TASKS, environments, variant_name
+from magical_mj.registry import environments, variant_name
 
 if TYPE_CHECKING:
     from magical_mj.demos import Demonstration
@@ -24,7 +24,7 @@ KEYS: Final = "arrows drive, space grips, R again, N next scene, Esc quits"
 
 Record = Annotated[Path | None, typer.Option(help="Write each finished episode into this folder.", show_default=False)]
 Speed = Annotated[float, typer.Option(min=0.1, max=4.0, help="Times real time.")]
-OptionalTask = Annotated[str | None, typer.Argument(help=f"One of {', '.join(TASKS)}.", show_default=False)]
+OptionalTask = Annotated[str | None, typer.Argument(help=TASK_HELP, show_default=False)]
 Web = Annotated[bool, typer.Option("--web", help="Play in a browser instead of a window.")]
 
 

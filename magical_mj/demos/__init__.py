@@ -19,7 +19,7 @@ from magical_mj.demos.recording import Recorder, demonstrate
 from magical_mj.demos.replay import Verdict, see, verify
 from magical_mj.demos.variety import Diversity, diversity
 from magical_mj.errors import DemonstrationError
-from magical_mj.registry import task_spec
+from magical_mj.registry import task_name, task_spec
 
 __all__ = [
     "MAX_BYTES",
@@ -51,15 +51,15 @@ SHIPPED: Final = Path(__file__).parent / "data"
 
 
 def load(task: str, folder: Path | str | None = None) -> list[Demonstration]:
-    """The shipped demonstrations of a task, or those in a folder: its files ``<Task>-<anything>.npz``.
+    """The demonstrations that come with a task, or those in a folder: its files ``<Task>-<anything>.npz``.
 
     Raises:
         UnknownNameError: if there is no such task.
         DemonstrationError: if there are none, or a file is damaged.
     """
-    task_spec(task)
-    folder = SHIPPED if folder is None else Path(folder)
-    paths = files_in(folder, f"{task}-")
+    task, spec = task_name(task), task_spec(task)
+    folder = Path(folder or spec.demonstrations or SHIPPED)
+    paths = files_in(folder, f"{spec.name}-")
     if not paths:
         raise DemonstrationError(
             f"there are no demonstrations of {task} in {folder}; to make some: "

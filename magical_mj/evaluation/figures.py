@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from magical_mj.evaluation.results import Results
-from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS
+from magical_mj.evaluation.results import Results, counted_tasks
+from magical_mj.registry import ENVIRONMENTS, VARIANTS, in_order
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,18 +42,19 @@ def heat_map(results: Results) -> Figure:
 
 def _panel(axes: Axes, results: Results, policy: str) -> Any:
     found = results.environments[results.environments["policy"] == policy]
-    scores = np.full((len(TASKS), len(VARIANTS)), np.nan)
+    tasks = in_order([*counted_tasks(results.environments), *results.environments["task"]])
+    scores = np.full((len(tasks), len(VARIANTS)), np.nan)
     for row in found.itertuples():
-        scores[TASKS.index(str(row.task)), VARIANTS.index(str(row.variant))] = row.mean
+        scores[tasks.index(str(row.task)), VARIANTS.index(str(row.variant))] = row.mean
     image = axes.imshow(scores, vmin=0, vmax=1, cmap="Blues", aspect="auto")
     for (y, x), score in np.ndenumerate(scores):
         if not np.isnan(score):
             text, colour = f"{score:.2f}", "white" if score > DARK else "black"
         else:
-            text, colour = "?" if (TASKS[y], VARIANTS[x]) in ENVIRONMENTS else "", "black"
+            text, colour = "?" if (tasks[y], VARIANTS[x]) in ENVIRONMENTS else "", "black"
         axes.text(x, y, text, ha="center", va="center", fontsize=8, color=colour)
     axes.set_xticks(range(len(VARIANTS)), VARIANTS, rotation=45, ha="right", rotation_mode="anchor", fontsize=9)
-    axes.set_yticks(range(len(TASKS)), TASKS, fontsize=9)
+    axes.set_yticks(range(len(tasks)), tasks, fontsize=9)
     axes.set_facecolor(NO_ENVIRONMENT)
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)

@@ -13,7 +13,7 @@ import numpy as np
 from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.scores import Key, Score, frame, read
 from magical_mj.evaluation.statistics import COLUMNS, by_environment, by_variant
-from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS
+from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS, in_order
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -99,7 +99,8 @@ def results(folders: Sequence[Path], with_published: bool = False, mixed_presets
     scores = frame(gather(folders, mixed_presets))
     rules = str(scores["rules"].iloc[0])
     environments = by_environment(scores).assign(published=False, rules=rules)
-    variants = by_variant(scores).assign(published=False, rules=rules)
+    counted = scores[scores["task"].isin(counted_tasks(scores))]
+    variants = by_variant(counted).assign(published=False, rules=rules)
     if with_published:
         marks = {"published": True, "rules": PUBLISHED_RULES}
         environments = pd.concat([environments, published_by_environment().assign(**marks)])
@@ -109,13 +110,19 @@ def results(folders: Sequence[Path], with_published: bool = False, mixed_presets
     )
     environments = _sorted(environments, order)
     variants = _sorted(variants, order)
-    variants["missing"] = [_missing(scores, row) for row in variants.itertuples()]
+    variants["missing"] = [_missing(counted, row) for row in variants.itertuples()]
     return Results(scores, environments, variants, tuple(_notes(scores, variants, with_published)))
+
+
+def counted_tasks(scores: pd.DataFrame) -> list[str]:
+    """The tasks over which means are taken: the benchmark's; where there are none, those of one's own."""
+    played = in_order(scores["task"])
+    return list(TASKS) if set(played) & set(TASKS) else played
 
 
 def _sorted(table: pd.DataFrame, policies: list[str]) -> pd.DataFrame:
     """In the order of policies, tasks and variants."""
-    ranks = {"policy": policies, "task": TASKS, "variant": VARIANTS}
+    ranks = {"policy": policies, "task": in_order(table["task"]) if "task" in table else (), "variant": VARIANTS}
     keys = [name for name in ranks if name in table]
     return table.sort_values(keys, key=lambda column: column.map(list(ranks[column.name]).index), ignore_index=True)
 
@@ -124,12 +131,17 @@ def _missing(scores: pd.DataFrame, row: Any) -> str:
     if row.published:
         return ""
     there = set(scores[(scores["policy"] == row.policy) & (scores["variant"] == row.variant)]["task"])
-    return ", ".join(task for task, variant in ENVIRONMENTS if variant == row.variant and task not in there)
+    own = scores[["task", "variant"]].drop_duplicates().itertuples(index=False)  # somebody played them
+    needed = ENVIRONMENTS if set(scores["task"]) & set(TASKS) else [(task, variant) for task, variant in own]
+    return ", ".join(task for task, variant in needed if variant == row.variant and task not in there)
 
 
 def _notes(scores: pd.DataFrame, variants: pd.DataFrame, with_published: bool) -> Iterator[str]:
     if (variants["missing"] != "").any():
         yield "(1/8) after a figure: it is made of one of the eight tasks that have the variant."
+    own = [task for task in in_order(scores["task"]) if task not in counted_tasks(scores)]
+    if own:
+        yield f"Tasks that are not of the benchmark, and so not part of the means over tasks: {', '.join(own)}."
     for policy, group in variants[~variants["published"]].groupby("policy", sort=False):
         lacking: dict[str, list[str]] = {}
         for row in group.itertuples():

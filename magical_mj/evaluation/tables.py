@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from magical_mj.evaluation.results import Results
-from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS
+from magical_mj.registry import ENVIRONMENTS, VARIANTS, in_order
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -122,10 +122,9 @@ def result_tables(results: Results) -> list[Table]:
         (("", _iqm_rows(results)),),
     )
     groups = []
-    for task in TASKS:
+    for task in in_order(results.environments["task"]):
         found = results.environments[results.environments["task"] == task]
-        if len(found):
-            groups.append((task, _rows(results, found, _mean_and_std, task)))
+        groups.append((task, _rows(results, found, _mean_and_std, task)))
     every = Table(
         "environments",
         "Mean score in each environment, ± standard deviation of the run means",

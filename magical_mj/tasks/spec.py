@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final, Literal, get_args
 
 import numpy as np
@@ -56,6 +57,8 @@ class TaskSpec:
 
     plan: Plan | None = None
     """How an expert goes about it. Without one everything but the expert works."""
+    demonstrations: Path | None = None
+    """The folder of the demonstrations that come with a task of another package; learners learn from them."""
 
     colour: AxisRule | None = None
     shape: AxisRule | None = None
