@@ -40,7 +40,9 @@ site: $(VENV)/.installed-dev | node  ## the documentation and the page to play o
 
 site-test: site | chromium  ## the site in headless Chromium, and its simulation and scores beside Python's
 	$(BIN)/python site/tests/cases.py out/site-test
-	node --test --test-concurrency=1 site/tests/
+	node --test --test-concurrency=1 --test-reporter=spec site/tests/
+	$(BIN)/python site/tests/saved.py out/site-test/saved.json
+	$(BIN)/python site/seats.py 10 10
 
 demonstrations: $(VENV)/.installed-dev  ## after a change of the physics: the shipped demonstrations and docs/experts.md, anew
 	rm -rf magical_mj/demos/data

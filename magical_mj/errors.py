@@ -62,6 +62,10 @@ class MissingExtraError(MagicalError, ImportError):
     """A package that is needed is not installed; the message says how to install it."""
 
 
+class WorkerError(MagicalError, RuntimeError):
+    """Worker processes that died again and again, or a cluster that does not answer."""
+
+
 class EvaluationError(MagicalError, RuntimeError):
     """An evaluation, or the files of one, that cannot be used."""
 

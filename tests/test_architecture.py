@@ -5,8 +5,8 @@
 | 0 | constants, errors, fields, scene, geometry, actions, protocol, files, extras | standard library, numpy, shapely |
 | 1 | planning, tasks | floor 0; no simulator |
 | 2 | variants; assets | floor 0; variants also the tasks' spec, and no simulator; neither knows the other |
-| 3 | registry, environment, observations, rendering, export | 0-2, mujoco, dm_control |
-| 4 | Gymnasium, experts, demonstrations | 0-3, gymnasium |
+| 3 | registry, environment, observations, rendering, export, parallel | 0-2, mujoco, dm_control |
+| 4 | Gymnasium, episodes, agents, experts, demonstrations | 0-3, gymnasium |
 | 5 | batched, evaluation, speed, web | 0-4 |
 | 6 | cli | 0-5 |
 | 7 | baselines | anything; nobody imports them: commands and loaders of policies are plug-ins, by their entry points |
@@ -34,7 +34,8 @@ FLOORS: dict[str, int] = {
     **dict.fromkeys(["variants", "assets"], 2),
     **dict.fromkeys(["registry", "observations", "rendering", "export", "env_settings", "state"], 3),
     **dict.fromkeys(["environment", "scene_task", "simulation", "composer_internals", "composer_observables"], 3),
-    "announced": 3,
+    **dict.fromkeys(["announced", "parallel"], 3),
+    **dict.fromkeys(["episodes", "agents"], 4),
     **dict.fromkeys(["presets", "registration", "frames", "gym_env", "wrappers", "experts", "demos"], 4),
     **dict.fromkeys(["batched", "evaluation", "speed", "web"], 5),
     **dict.fromkeys(["cli", "__main__"], 6),

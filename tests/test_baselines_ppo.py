@@ -20,7 +20,7 @@ from magical_mj.baselines.policy import load_policy, save_policy
 from magical_mj.baselines.ppo import EvenBuffer, Improver
 from magical_mj.baselines.reinforced import RewardNormaliser
 from magical_mj.baselines.settings import TrainingSettings
-from magical_mj.evaluation.policies import Episode
+from magical_mj.episodes import Episode
 
 CPU = torch.device("cpu")
 

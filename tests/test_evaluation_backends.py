@@ -1,4 +1,4 @@
-"""Clusters: the same scores as here, also when a worker dies."""
+"""Where evaluations are played: the same scores on clusters and in several processes as here, when one dies."""
 
 from __future__ import annotations
 
@@ -78,17 +78,27 @@ def test_a_cluster_that_is_not_there() -> None:
     distributed = pytest.importorskip("distributed")
     with (
         distributed.dask.config.set({"distributed.comm.timeouts.connect": "1s"}),
-        pytest.raises(EvaluationError, match="9"),
+        pytest.raises(EvaluationError, match=r"no dask scheduler answers at .*9"),
     ):
         magical_mj.evaluate("noop", backend="dask", address="tcp://127.0.0.1:9", **SETTINGS)
 
 
-def test_a_worker_that_dies_is_said() -> None:
-    def fatal(observation: Any) -> int:
-        os._exit(1)
+def test_a_dead_worker_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its unit is played again; so the scores are those of an evaluation in which nobody died."""
+    mark = tmp_path / "mark"
+    monkeypatch.setenv("FATAL_MARK", str(mark))
+    found = magical_mj.evaluate("agents:Fatal", jobs=2, out=tmp_path / "dying", **SETTINGS)
+    assert mark.exists()
+    assert len(found) == 120
+    magical_mj.evaluate("agents:Fatal", jobs=1, out=tmp_path / "living", **SETTINGS)
+    assert rows(read(tmp_path / "dying")) == rows(read(tmp_path / "living"))
 
-    with pytest.raises(EvaluationError, match="worker process died"):
-        magical_mj.evaluate(fatal, jobs=2, preset="State", **SETTINGS)
+
+def test_a_policy_that_kills_every_worker_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "mark").write_text("always")
+    monkeypatch.setenv("FATAL_MARK", str(tmp_path / "mark"))
+    with pytest.raises(EvaluationError, match=r"3 worker processes died .*SIGKILL.* --resume goes on"):
+        magical_mj.evaluate("agents:Fatal", jobs=2, **SETTINGS)
 
 
 def test_missing_extras_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

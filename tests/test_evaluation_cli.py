@@ -61,10 +61,25 @@ def test_resume_says_what_is_done(shell: Shell, tmp_path: Path) -> None:
 
 
 def test_failures_are_counted(shell: Shell, tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text("def act(observation):\n    return 99\n")
-    code, out, _ = shell("evaluate", "--policy", "mine:act", "--preset", "State", "--out", "o", *SMALL)
+    """The agent is right in the first scene only."""
+    (tmp_path / "mine.py").write_text(
+        "class Agent:\n    blind = True\n    def reset(self, episode):\n        self.seed = episode.seed\n"
+        "    def __call__(self, _):\n        return 99 if self.seed else 0\n"
+    )
+    code, out, _ = shell("evaluate", "--policy", "mine:Agent", "--out", "o", *SMALL)
     assert code == 0
-    assert "act: mean score 0.000 over 2 environments; 4 episodes failed, such as: InvalidActionError: 99" in out
+    assert "Agent: mean score 0.000 over 2 environments; 2 episodes failed, such as: InvalidActionError: 99" in out
+
+
+def test_a_policy_that_always_fails_is_stopped(shell: Shell, tmp_path: Path) -> None:
+    """After ten episodes; what the other policy did is kept."""
+    (tmp_path / "theirs.py").write_text("def act(observation):\n    raise KeyError('position')\n")
+    policies = ("evaluate", "--policy", "noop,theirs:act", "--preset", "State", "--tasks", "MoveToRegion")
+    code, _, error = shell(*policies, "--episodes", "30", "--jobs", "1", "--out", "o")
+    assert code == 1
+    assert "the first 10 episodes of act failed, so nothing of it is kept" in error
+    assert "KeyError: 'position'" in error
+    assert {score.policy for score in read(tmp_path / "o")} == {"noop"}
 
 
 def test_a_replay_that_ends_otherwise_is_refused(shell: Shell, tmp_path: Path) -> None:
@@ -88,7 +103,7 @@ def test_a_replay_that_ends_otherwise_is_refused(shell: Shell, tmp_path: Path) -
         ("evaluate --policy noop --out o --variants Color", 2, "Did you mean 'Colour'"),
         ("evaluate --policy noop --out o --tasks MoveToRegion --variants Shape", 2, "It has: Demo"),
         ("evaluate --policy noop --out o --preset LoRes5E", 2, "Did you mean 'LoRes4E'"),
-        ("evaluate --policy noop --out o --rules mine", 2, "--rules"),
+        ("evaluate --policy noop --out o --rules mine", 2, "paper"),
         ("evaluate --policy noop --out o --episodes 0", 2, "--episodes"),
         ("evaluate --policy noop --out o --backend dask", 2, "needs the scheduler's address"),
         ("evaluate --policy noop --out o --backend mars", 2, "--backend"),

@@ -16,7 +16,7 @@ import pytest
 from gymnasium import spaces
 
 import magical_mj
-from magical_mj.errors import SettingsError
+from magical_mj.errors import EvaluationError, SettingsError
 from magical_mj.evaluation.models import load_onnx, load_sb3
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
@@ -59,10 +59,33 @@ def test_evaluating_an_archive(tmp_path: Path) -> None:
     pd.testing.assert_frame_equal(*frames)
 
 
-def test_the_wrong_preset_is_a_failure_with_its_reason(tmp_path: Path) -> None:
-    ppo(tmp_path / "model.zip", "MlpPolicy", STATE)
-    frame = magical_mj.evaluate(str(tmp_path / "model.zip"), preset="LoRes4E", **SMALL)
-    assert frame["failure"].str.contains("shape").all()
+@pytest.mark.parametrize(("kind", "name", "fits"), [("MlpPolicy", STATE, "State"), ("CnnPolicy", PIXELS, "LoRes4E")])
+def test_the_wrong_preset_is_refused_before_anything_is_played(tmp_path: Path, kind: str, name: str, fits: str) -> None:
+    ppo(tmp_path / "model.zip", kind, name)
+    wrong = {"State": "LoRes4E", "LoRes4E": "State"}[fits]
+    with pytest.raises(
+        SettingsError, match=f"takes observations of shape .* and {wrong} gives .*: give --preset {fits}"
+    ):
+        magical_mj.evaluate(str(tmp_path / "model.zip"), preset=wrong, out=tmp_path / "out", **SMALL)
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_answer_that_is_no_number_is_a_failure(tmp_path: Path) -> None:
+    model = ppo(tmp_path / "model.zip", "MlpPolicy", STATE)
+    torch = pytest.importorskip("torch")
+    with torch.no_grad():
+        model.policy.action_net.bias.fill_(float("nan"))
+    model.save(tmp_path / "model.zip")
+    with pytest.raises(EvaluationError, match=r"the first 2 episodes of model failed.*nan"):
+        magical_mj.evaluate(str(tmp_path / "model.zip"), preset="State", **SMALL)
+
+
+def test_networks_of_dicts_need_trust(tmp_path: Path) -> None:
+    ppo(tmp_path / "model.zip", "MultiInputPolicy", "magical_mj/MoveToRegion-Demo-LoResStack-v0")
+    with pytest.raises(SettingsError, match=r"--trust \(trust=True\)"):
+        load_sb3(tmp_path / "model.zip")
+    frame = magical_mj.evaluate(str(tmp_path / "model.zip"), preset="LoResStack", trust=True, **SMALL)
+    assert frame["failure"].isna().all()
 
 
 def test_special_networks_need_trust(tmp_path: Path) -> None:
@@ -160,6 +183,9 @@ def test_onnx_files_that_do_not_fit(tmp_path: Path) -> None:
     linear(tmp_path / "model.onnx", 4)
     with pytest.raises(SettingsError, match="gives 4 values, and there are 18 actions"):
         magical_mj.evaluate(str(tmp_path / "model.onnx"), preset="State", **SMALL)
+    linear(tmp_path / "state.onnx", 18)
+    with pytest.raises(SettingsError, match=r"takes observations of shape .* give --preset State"):
+        magical_mj.evaluate(str(tmp_path / "state.onnx"), **SMALL)
     (tmp_path / "broken.onnx").write_bytes(b"nothing")
     with pytest.raises(SettingsError, match="not an ONNX file"):
         magical_mj.evaluate(str(tmp_path / "broken.onnx"), preset="State", **SMALL)

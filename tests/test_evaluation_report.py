@@ -15,11 +15,14 @@ from typing import Final
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 from PIL import Image
 
 from magical_mj.errors import EvaluationError, SettingsError
 from magical_mj.evaluation.compare import compare
+from magical_mj.evaluation.figures import bars, heat_map
 from magical_mj.evaluation.report import extremes, report
+from magical_mj.evaluation.results import results
 from magical_mj.evaluation.scores import SCORES, Score
 
 GOLDEN: Final = Path(__file__).parent / "data" / "evaluation"
@@ -142,6 +145,18 @@ def test_figures_are_drawn(made: Path) -> None:
             assert picture.width > 800
             assert len(picture.convert("RGB").resize((400, 200)).getcolors(80_000)) > 20
         assert (made / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_figures_mark_what_is_published_and_what_is_incomplete(tmp_path: Path) -> None:
+    """In the bars and in the heat map, as in the tables."""
+    found = results([write(tmp_path, example())], with_published=True)
+    for figure in (bars(found), heat_map(found)):
+        drawn = [text.get_text() for text in figure.findobj(Text)]
+        assert any(text.replace("\n", " ") == "GAIL (ST)†" for text in drawn)
+        assert "BC_4 & more" in drawn
+    drawn = [text.get_text() for text in bars(found).findobj(Text)]
+    assert drawn.count("(1/8)") == 1
+    assert any("hatched: only some of the tasks" in text for text in drawn)
 
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="pdflatex is not installed")

@@ -14,9 +14,9 @@ from evaluations import evaluate
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 import magical_mj
+from magical_mj.episodes import LETTERS, actions_of
 from magical_mj.errors import SettingsError, UnknownNameError
 from magical_mj.evaluation import Episode, rollouts
-from magical_mj.evaluation.episodes import LETTERS, actions_of
 
 TESTS = Path(__file__).parent
 
@@ -158,6 +158,12 @@ def test_a_failure_side_by_side_costs_nobody_else(kind: str) -> None:
     pd.testing.assert_frame_equal(side_by_side, evaluate(Half()))
 
 
+@pytest.mark.parametrize("how", [{}, {"jobs": 2}, {"envs": 3}])
+def test_a_policy_that_exits_has_failed(how: dict[str, int]) -> None:
+    frame = evaluate("agents:Leaving", preset="State", variants="Demo", **how)
+    assert frame["failure"].fillna("").tolist() == ["", "SystemExit: enough", ""]
+
+
 # what is asked for
 
 
@@ -175,8 +181,8 @@ def test_a_failure_side_by_side_costs_nobody_else(kind: str) -> None:
         ("noop", {"tasks": ""}, "at least one of"),
         ("noop", {"variants": "Color"}, "Did you mean 'Colour'"),
         ("noop", {"tasks": "MoveToRegion", "variants": "Shape"}, "It has: Demo"),
-        ("noop", {"episodes": 0}, "episodes must be positive"),
-        ("noop", {"time_limit": -1}, "time_limit must be positive"),
+        ("noop", {"episodes": 0}, "episodes must be at least 1"),
+        ("noop", {"time_limit": -1}, "time_limit must be at least 0.1"),
         ("noop", {"preset": "LoRes5E"}, "LoRes4E"),
         ("noop", {"rules": "mine"}, "paper"),
         ("noop", {"jobs": 0}, "jobs must be at least 1"),
@@ -184,9 +190,20 @@ def test_a_failure_side_by_side_costs_nobody_else(kind: str) -> None:
         ("noop", {"backend": "dask"}, "needs the scheduler's address"),
         ("noop", {"address": "tcp://there:1"}, "choose the dask or the ray backend"),
         ("noop", {"vectorization": "fast"}, "sync, async"),
+        ("noop", {"episods": 3}, "Did you mean 'episodes'"),
+        ("agents:Needy", {}, "is a class, and calling it fails: TypeError"),
+        (agents.Needy, {}, "is a class, and calling it fails: TypeError"),
+        ("leaving:act", {}, "cannot be imported: SystemExit: 3"),
+        (agents.Seeing((97,)), {}, "observations of shape (97,), and LoRes4E gives (96, 96, 12): no preset"),
+        (agents.Seeing((None, 96, 12)), {"preset": "State"}, "give --preset LoRes4E or LoRes4A or LoRes3EA"),
+        (agents.Seeing((96, 96, 12)), {"preset": ""}, "gives a dict: give --preset LoRes4E"),
     ],
 )
-def test_bad_settings_are_explained(policy: Any, settings: dict[str, Any], hint: str) -> None:
+def test_bad_settings_are_explained(
+    policy: Any, settings: dict[str, Any], hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "leaving.py").write_text("import sys\nsys.exit(3)\n")
+    monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises((SettingsError, UnknownNameError)) as caught:
         evaluate(policy, **settings)
     assert hint in str(caught.value)

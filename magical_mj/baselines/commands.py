@@ -22,7 +22,7 @@ from rich.text import Text
 from magical_mj import baselines
 from magical_mj.cli.console import console
 from magical_mj.errors import SettingsError, unknown_name
-from magical_mj.evaluation.backends import Backend
+from magical_mj.parallel import Backend
 
 if TYPE_CHECKING:
     from magical_mj.baselines import Progress as Trained

@@ -13,9 +13,10 @@ from magical_mj.baselines.policy import is_done
 from magical_mj.baselines.run import METHODS, train
 from magical_mj.baselines.settings import TrainingSettings, load_settings
 from magical_mj.errors import SettingsError, unknown_name
-from magical_mj.evaluation.backends import check_backend, spread
 from magical_mj.evaluation.report import report
-from magical_mj.evaluation.run import EPISODES, evaluate
+from magical_mj.evaluation.run import evaluate
+from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.parallel import check_backend, spread
 from magical_mj.registry import TASKS, check_rules, environments, listed, task_name, task_spec
 
 ENTRIES: Final = {
@@ -28,7 +29,7 @@ ENTRIES: Final = {
     "evaluation": "{}",
 }
 """Of an experiment's file, with examples; the first three must be there."""
-EVALUATION: Final = {"variants": "all", "episodes": EPISODES, "rules": "paper"}
+EVALUATION: Final = {name: getattr(EvaluationSettings, name) for name in ("variants", "episodes", "rules")}
 SIDE_BY_SIDE: Final = 10
 """Episodes that are played at once, for networks like batches."""
 ABLATIONS: Final = {"all": "", "none": ", no aug.", "no-trans-rot": ", no trans./rot. aug."}
@@ -83,6 +84,7 @@ class Run:
             out=self.scores,
             resume=True,
             envs=SIDE_BY_SIDE,
+            jobs=1,
             **self.evaluation,
         )
         means = frame.groupby("variant", sort=False)["score"].mean()
@@ -142,7 +144,7 @@ def conduct(
     if backend == "local" and jobs == 1:
         yield from (run.play() for run in planned)
     else:
-        yield from spread(methodcaller("play"), planned, backend, jobs, address)
+        yield from spread(methodcaller("play"), planned, jobs, backend, address)
     yield str(report([run.scores for run in planned], out / "report", with_published=True))
 
 

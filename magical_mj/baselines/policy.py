@@ -16,8 +16,8 @@ from magical_mj.baselines import checkpoint
 from magical_mj.baselines.network import SHAPE, Actor, as_input
 from magical_mj.baselines.settings import STATE, Network, TrainingSettings
 from magical_mj.baselines.states import History
+from magical_mj.episodes import Episode
 from magical_mj.errors import SettingsError, TrainingError
-from magical_mj.evaluation.policies import Episode
 from magical_mj.observations import STATE_NAMES
 
 POLICY: Final = "policy.safetensors"

@@ -5,22 +5,24 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
+from magical_mj import files
 from magical_mj.baselines import checkpoint
 from magical_mj.baselines.adversarial import GAIL, WGAILGP
 from magical_mj.baselines.apprenticeship import Apprenticeship
 from magical_mj.baselines.bc import BehaviouralCloning
-from magical_mj.baselines.config import from_toml, to_toml
+from magical_mj.baselines.config import flattened, from_toml, to_toml
 from magical_mj.baselines.learner import Learner
 from magical_mj.baselines.metrics import Metrics
 from magical_mj.baselines.policy import TrainedPolicy, save_policy
 from magical_mj.baselines.settings import TrainingSettings
-from magical_mj.errors import SettingsError, TrainingError, unknown_name
+from magical_mj.errors import TrainingError, unknown_name
 from magical_mj.evaluation.run import evaluate
+from magical_mj.evaluation.settings import check_unchanged
 
 METHODS: Final[Mapping[str, Callable[[TrainingSettings], Learner]]] = MappingProxyType(
     {"bc": BehaviouralCloning, "gail": GAIL, "wgail-gp": WGAILGP, "al": Apprenticeship}
@@ -90,16 +92,13 @@ def _check(folder: Path, settings: TrainingSettings, resume: bool) -> None:
         return
     if not resume:
         raise TrainingError(f"{folder} holds a training already; --resume goes on with it (resume=True)")
-    before, now = to_toml(from_toml(config)).splitlines(), to_toml(settings).splitlines()
-    differences = [f"{was} there, {line} now" for was, line in zip(before, now, strict=True) if was != line]
-    if differences:
-        raise SettingsError(f"{folder} was started with other settings: {'; '.join(differences)}")
+    check_unchanged(folder, flattened(asdict(from_toml(config))), flattened(asdict(settings)))
 
 
 def _start(folder: Path, settings: TrainingSettings) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / CONFIG).write_text(to_toml(settings))
+        files.write(folder / CONFIG, to_toml(settings), overwrite=True)
     except OSError as error:
         raise TrainingError(f"cannot write into {folder}: {error.strerror}") from error
 
@@ -145,6 +144,7 @@ class _Run:
             episodes=episodes,
             preset=self._settings.preset,
             envs=min(episodes, 10),
+            jobs=1,
         )
         return {str(task): float(score) for task, score in frame.groupby("task")["score"].mean().items()}
 

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import inspect
 import tempfile
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from magical_mj import TASKS, VARIANTS
-from magical_mj.registry import task_spec, variant_name
+from magical_mj.evaluation.settings import described
+from magical_mj.registry import Names, task_spec, variant_name
+
+Result = TypeVar("Result")
 
 PLAIN_WIDTH = 120  # columns where the output is a file or a pipe
 
@@ -22,7 +28,26 @@ Tasks = Annotated[str, typer.Option(help="Tasks, separated by commas; or all.")]
 Variants = Annotated[str, typer.Option(help="Variants, separated by commas; or all.")]
 Seed = Annotated[int, typer.Option(min=0, help="Which of the variant's scenes.")]
 Size = Annotated[int, typer.Option(min=16, max=2048, help="Side of each picture in pixels.")]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Worker processes.", show_default="one per core")]
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there already.")]
+
+
+def add_options(command: Callable[..., None], settings: type) -> None:
+    """Gives a command that takes `**options` one option for each of the settings that it does not name itself."""
+    *named, _ = inspect.signature(command, eval_str=True).parameters.values()
+    options = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=getattr(settings, name), annotation=option)
+        for name, option in _options(settings)
+        if name not in [parameter.name for parameter in named]
+    ]
+    command.__signature__ = inspect.Signature([*named, *options])  # type: ignore[attr-defined]
+
+
+def _options(settings: type) -> Iterator[tuple[str, Any]]:
+    for name, (kind, about) in described(settings).items():
+        declared = [f"--{name.replace('_', '-')}"] if kind is bool else []
+        shown = str if kind == Names else kind  # a list is given with commas
+        yield name, Annotated[shown, typer.Option(*declared, help=about.text, min=about.least)]
 
 
 def console() -> Console:
@@ -31,6 +56,16 @@ def console() -> Console:
     if not out.is_terminal:
         out.width = PLAIN_WIDTH
     return out
+
+
+def with_bar(screen: Console, label: str, results: Iterable[Result], total: int) -> Iterator[Result]:
+    """The results as they come, with a bar that counts them."""
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=screen) as progress:
+        bar = progress.add_task(label, total=total)
+        for result in results:
+            yield result
+            progress.advance(bar)
 
 
 def complain(message: str) -> None:

@@ -8,14 +8,14 @@ from typing import Annotated, Final
 
 import typer
 
-from magical_mj.cli.console import Tasks, claim_folder, console
+from magical_mj.cli.console import Jobs, Tasks, claim_folder, console
 from magical_mj.cli.environments import contact_sheet
-from magical_mj.cli.evaluate import Jobs, show_progress, summary
+from magical_mj.cli.evaluate import show_progress, summary
 from magical_mj.cli.results import film_episodes
 from magical_mj.evaluation.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES, SETTINGS
-from magical_mj.extras import check_extra
+from magical_mj.evaluation.settings import EvaluationSettings
 
 AGENTS: Final = ("expert", "random", "noop")
 SHEET: Final = "environments.png"
@@ -28,15 +28,15 @@ def demo(out: Out = Path("out/demo"), tasks: Tasks = "all", episodes: Episodes =
     """Evaluate the expert, the random and the no-op agent in all 60 environments, and write the report."""
     screen = console()
     start = time.perf_counter()
-    check_extra("evaluations", "eval")
+    settings = EvaluationSettings(tasks=tasks, episodes=episodes, jobs=jobs, out=out)
     claim_folder(out)
     old = [path for path in (out / SCORES, out / SETTINGS, *out.glob("best-*.mp4")) if path.exists()]
     if old:
         screen.print(f"replacing an earlier run in {out}", soft_wrap=True)
     for path in old:
         path.unlink()
-    evaluation = Evaluation(AGENTS, tasks=tasks, episodes=episodes, out=out)
-    show_progress(screen, evaluation, jobs)
+    evaluation = Evaluation(AGENTS, settings)
+    show_progress(screen, evaluation)
     for line in summary(evaluation.scores):
         screen.print(line, soft_wrap=True)
     contact_sheet(0, size=128).save(out / SHEET)

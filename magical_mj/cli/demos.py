@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from functools import partial
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -12,10 +13,22 @@ import typer
 from rich.table import Table
 
 import magical_mj
-from magical_mj.cli.console import Force, Size, Tasks, Variants, check_suffix, claim, claim_folder, complain, console
+from magical_mj.cli.console import (
+    Force,
+    Jobs,
+    Size,
+    Tasks,
+    Variants,
+    check_suffix,
+    claim,
+    claim_folder,
+    complain,
+    console,
+    with_bar,
+)
 from magical_mj.cli.film import film
-from magical_mj.cli.parallel import Jobs, in_parallel
 from magical_mj.errors import DemonstrationError, MagicalError
+from magical_mj.parallel import spread
 from magical_mj.registry import environments, score, task_spec
 
 if TYPE_CHECKING:  # magical_mj.demos starts OpenGL, which help and wrong arguments do without
@@ -71,14 +84,16 @@ def generate(
         screen.print(f"{len(there)} of {len(paths)} are there already")
     longest_first = sorted(keys, key=lambda key: -pairs.index(key[:2]))
     todo = [(*key, least_score, paths[key]) for key in longest_first if key not in there]
-    failures = [failure for failure in in_parallel(screen, "demonstrating", make, todo, jobs) if failure]
+    reasons = with_bar(screen, "demonstrating", spread(make, todo, jobs), len(todo))
+    failures = [reason for reason in reasons if reason]
     describe([magical_mj.demos.read(path) for path in paths.values() if path.exists()])
     if failures:
         raise DemonstrationError(f"{len(failures)} demonstrations are missing: {'; '.join(sorted(failures))}")
 
 
-def make(task: str, variant: str, number: int, least_score: float, path: Path) -> str:
+def make(work: tuple[str, str, int, float, Path]) -> str:
     """What a worker does: one demonstration; why there is none, if there is none."""
+    task, variant, number, least_score, path = work
     try:
         magical_mj.demos.write(magical_mj.demos.demonstrate(task, variant, number, least_score), path)
     except DemonstrationError as error:
@@ -150,8 +165,9 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
     """Check digests, replay all actions, and draw all states again; exit code 1 if anything is wrong."""
     screen = console()
     wanted = environments(tasks, variants) if (tasks, variants) != ("all", "all") else None
-    work = [(path, wanted) for path in _files(paths)]
-    found = [(path, verdict) for path, verdict in in_parallel(screen, "verifying", check, work, jobs) if verdict]
+    files = _files(paths)
+    checked = with_bar(screen, "verifying", spread(partial(check, wanted), files, jobs), len(files))
+    found = [(path, verdict) for path, verdict in checked if verdict]
     verdicts = [verdict for _, verdict in found if not isinstance(verdict, str)]
     good, exact, alike = (sum(getattr(verdict, name) for verdict in verdicts) for name in ("good", "exact", "pictures"))
     screen.print(
@@ -167,7 +183,7 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
         raise typer.Exit(1)
 
 
-def check(path: Path, wanted: Collection[tuple[str, str]] | None) -> tuple[Path, Verdict | str | None]:
+def check(wanted: Collection[tuple[str, str]] | None, path: Path) -> tuple[Path, Verdict | str | None]:
     """What a worker does: one file, and what is wrong with it; None if it is of an environment that is not wanted."""
     try:
         demo = magical_mj.demos.read(path)

@@ -6,24 +6,22 @@ from collections import defaultdict
 from contextlib import nullcontext
 from pathlib import Path
 from statistics import fmean
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich import progress as bars
 from rich.console import Console
 from rich.text import Text
 
-from magical_mj.cli.console import Force, Seed, Size, Task, Tasks, Variant, Variants, check_suffix, claim, console
+from magical_mj.cli.console import Force, Seed, Size, Task, Variant, add_options, check_suffix, claim, console
 from magical_mj.cli.film import film, replay
-from magical_mj.evaluation.backends import Backend, check_backend
 from magical_mj.evaluation.loading import sources
 from magical_mj.evaluation.policies import check_fit
-from magical_mj.evaluation.run import EPISODES, TIME_LIMIT, Evaluation
+from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES, Score
-from magical_mj.evaluation.worker import Unit, Vectorization, player
-from magical_mj.extras import check_extra
-from magical_mj.registry import environments, task_spec
-from magical_mj.tasks.spec import Rules
+from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.evaluation.worker import Unit, player
+from magical_mj.registry import task_spec
 
 _POLICIES = (
     "expert, random, noop, module:object, the folder of a training, or a file (.zip of stable-baselines3, .onnx); "
@@ -40,69 +38,29 @@ Policies = Annotated[
 ]
 AnyPolicy = Annotated[str, typer.Option(help=_POLICIES)]
 Out = Annotated[Path, typer.Option(help="The folder for the scores.", show_default=False)]
-Episodes = Annotated[int, typer.Option(min=1, help="In each environment: in the scenes of seeds 0, 1, ...")]
 Preset = Annotated[str, typer.Option(help="The observations: a preset's name, or an empty one.")]
-RulesName = Annotated[Rules, typer.Option(help="Scores and horizons of the paper, or of the released code.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with what is in the folder.")]
-Jobs = Annotated[int | None, typer.Option(min=1, help="Processes.", show_default="one per core")]
-Where = Annotated[Backend, typer.Option(help="Where they run: on this machine or on a cluster.")]
-Address = Annotated[str | None, typer.Option(help="Of the cluster, such as tcp://host:8786.", show_default=False)]
-Run = Annotated[int, typer.Option(min=0, help="The number of the (first) run of each method.")]
-Limit = Annotated[float, typer.Option(min=0.1, help="Seconds for one episode; then it has failed.")]
-Envs = Annotated[int, typer.Option(min=1, help="Episodes played side by side in each process, for batches.")]
-Side = Annotated[Vectorization, typer.Option(help="How: in the process itself, or in one each.")]
 Number = Annotated[int, typer.Option("--episodes", min=1, help="How many; in the scenes of SEED, SEED + 1, ...")]
 Video = Annotated[Path | None, typer.Option(help="Write an MP4 file of the episodes, both views.", show_default=False)]
 Trust = Annotated[bool, typer.Option("--trust", help="Load model files that hold code, which then runs.")]
 
 
-def evaluate(
-    policy: Policies,
-    out: Out,
-    tasks: Tasks = "all",
-    variants: Variants = "all",
-    episodes: Episodes = EPISODES,
-    preset: Preset = "LoRes4E",
-    rules: RulesName = "paper",
-    resume: Resume = False,
-    jobs: Jobs = None,
-    backend: Where = "local",
-    address: Address = None,
-    run: Run = 0,
-    time_limit: Limit = TIME_LIMIT,
-    envs: Envs = 1,
-    vectorization: Side = "sync",
-    trust: Trust = False,
-) -> None:
+def evaluate(policy: Policies, out: Out, **options: Any) -> None:
     """Play policies on the evaluation scenes; every episode's score is kept in OUT/scores.jsonl."""
-    check_extra("evaluations", "eval")
-    check_backend(backend, jobs, address)
-    evaluation = Evaluation(
-        policy,
-        tasks=tasks,
-        variants=variants,
-        episodes=episodes,
-        preset=preset,
-        rules=rules,
-        out=out,
-        resume=resume,
-        run=run,
-        time_limit=time_limit,
-        envs=envs,
-        vectorization=vectorization,
-        trust=trust,
-    )
+    evaluation = Evaluation(policy, EvaluationSettings(out=out, **options))
     screen = console()
     if evaluation.scores:
         screen.print(f"{len(evaluation.scores)} episodes are done already")
     try:
-        show_progress(screen, evaluation, jobs, backend, address)
+        show_progress(screen, evaluation)
     except KeyboardInterrupt:
         screen.print("stopped; the same command with --resume goes on")
         raise
     for line in summary(evaluation.scores):
         screen.print(line, soft_wrap=True)
     screen.print(f"{out / SCORES}; tables and figures: magical-mj report {out}", soft_wrap=True)
+
+
+add_options(evaluate, EvaluationSettings)
 
 
 def rollout(
@@ -119,7 +77,8 @@ def rollout(
 ) -> None:
     """Play some episodes with a policy, print the scores, and film them. `evaluate` plays whole benchmarks."""
     check_suffix(video, ".mp4")
-    (pair,) = environments([task], [variant])
+    settings = EvaluationSettings(tasks=[task], variants=[variant], preset=preset, trust=trust)
+    (pair,) = settings.environments
     listed = sources(policy, trust=trust)
     for source in listed:
         check_fit(source.load(), [pair], preset)
@@ -128,7 +87,7 @@ def rollout(
     screen = console()
     with nullcontext() if video is None else film(video, size) as made:
         for source in listed:
-            units = [Unit(source, *pair, (seed + k,), preset, "paper", TIME_LIMIT) for k in range(episodes)]
+            units = [Unit(source, *pair, (seed + k,), settings) for k in range(episodes)]
             scores = []
             for unit in bars.track(
                 units, f"playing {source.name}", console=screen, transient=True, disable=not screen.is_terminal
@@ -157,9 +116,7 @@ class Rate(bars.ProgressColumn):
         return Text(f"{done}/{total} episodes, {rate:.1f}/s")
 
 
-def show_progress(
-    screen: Console, evaluation: Evaluation, jobs: int | None, backend: str = "local", address: str | None = None
-) -> None:
+def show_progress(screen: Console, evaluation: Evaluation) -> None:
     """Plays what is left, with a bar that counts steps, since episodes differ in length."""
     left = sum(len(unit.seeds) for unit in evaluation.units)
     known = len(evaluation.scores)
@@ -168,8 +125,8 @@ def show_progress(
     with bars.Progress(*columns, console=screen, speed_estimate_period=120) as progress:
         steps = sum(unit.steps for unit in evaluation.units)
         bar = progress.add_task("playing", total=steps, done=known, total_episodes=known + left, fresh=0)
-        for count, score in enumerate(evaluation.play(jobs, backend, address), start=1):
-            length = task_spec(score.task).horizon(evaluation.rules)
+        for count, score in enumerate(evaluation.play(), start=1):
+            length = task_spec(score.task).horizon(evaluation.settings.rules)
             progress.update(bar, advance=length, done=known + count, fresh=count)
 
 

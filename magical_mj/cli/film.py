@@ -16,8 +16,8 @@ import magical_mj
 from magical_mj import files
 from magical_mj.actions import ACTIONS, Drive, Gripper, Turn
 from magical_mj.constants import CONTROL_RATE
+from magical_mj.episodes import actions_of, play
 from magical_mj.errors import EvaluationError
-from magical_mj.evaluation.episodes import actions_of
 from magical_mj.evaluation.scores import Score
 from magical_mj.extras import missing_extra
 from magical_mj.registry import check_rules
@@ -151,8 +151,7 @@ def replay(made: Film, score: Score) -> None:
         env.reset(seed=score.seed)
         title = f"{score.task} {score.variant}, seed {score.seed}: {score.policy}"
         made.begin(title, both_views(env, made.size), env.score())
-        for step, action in enumerate(actions_of(score.actions), start=1):
-            env.step(action)
+        for step, (action, _) in enumerate(play(env, actions_of(score.actions)), start=1):
             made.add(both_views(env, made.size), step, action, env.score())
         made.end()
         found = env.score()

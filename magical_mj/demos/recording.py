@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from magical_mj.demos.demonstration import Demonstration, Demonstrator
 from magical_mj.environment import Environment, load
+from magical_mj.episodes import forever, play
 from magical_mj.errors import DemonstrationError
 from magical_mj.experts import Expert
 from magical_mj.registry import variant_name
@@ -79,7 +80,7 @@ def demonstrate(task: str, variant: str, number: int, least_score: float = 1.0) 
             env.reset(seed=number)
             seed = number + attempt * STRIDE
             expert, recorder = Expert(env, task, seed), Recorder(env)
-            while not recorder.step(expert()).last():
+            for _ in play(recorder, forever(expert)):
                 pass
             if env.score() >= least_score:
                 return recorder.demonstration(task, variant, number, "expert", seed)

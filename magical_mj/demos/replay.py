@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.recording import Recorder
 from magical_mj.environment import Environment, load
+from magical_mj.episodes import play
 from magical_mj.registry import sample_scene
 
 Picture = NDArray[np.uint8]
@@ -47,8 +48,7 @@ def verify(demo: Demonstration) -> Verdict:
     drawn = [pictures["allo"] for pictures in itertools.islice(see(demo), 0, None, GLANCE)]
     with _world(demo) as env:
         recorder, seen = Recorder(env), [env.render("allo", SIZE)]
-        for step, action in enumerate(demo.actions.tolist(), start=1):
-            recorder.step(action)
+        for step, _ in enumerate(play(recorder, demo.actions.tolist()), start=1):
             if step % GLANCE == 0:
                 seen.append(env.render("allo", SIZE))
         positions, velocities = recorder.states()

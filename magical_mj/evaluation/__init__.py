@@ -5,10 +5,21 @@
 
 from __future__ import annotations
 
-from magical_mj.evaluation.episodes import Outcome
-from magical_mj.evaluation.policies import BatchPolicy, Episode, Policy
+from magical_mj.episodes import Episode, Policy
+from magical_mj.evaluation.playing import Outcome, rollouts
+from magical_mj.evaluation.policies import BatchPolicy
 from magical_mj.evaluation.run import Evaluation, evaluate
 from magical_mj.evaluation.scores import Score
-from magical_mj.evaluation.vector import rollouts
+from magical_mj.evaluation.settings import EvaluationSettings
 
-__all__ = ["BatchPolicy", "Episode", "Evaluation", "Outcome", "Policy", "Score", "evaluate", "rollouts"]
+__all__ = [
+    "BatchPolicy",
+    "Episode",
+    "Evaluation",
+    "EvaluationSettings",
+    "Outcome",
+    "Policy",
+    "Score",
+    "evaluate",
+    "rollouts",
+]

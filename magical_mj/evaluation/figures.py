@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from magical_mj.evaluation.results import Results, counted_tasks
+from magical_mj.evaluation.tables import DAGGER, marked, share
 from magical_mj.registry import ENVIRONMENTS, VARIANTS, in_order
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ def _panel(axes: Axes, results: Results, policy: str) -> Any:
     axes.set_facecolor(NO_ENVIRONMENT)
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
-    axes.set_title(policy, fontsize=11)
+    axes.set_title(marked(policy, bool(found["published"].any())), fontsize=11)
     return image
 
 
@@ -74,7 +75,21 @@ def bars(results: Results) -> Figure:
         if index == 0:
             handles = axes.get_legend_handles_labels()
             figure.legend(*handles, loc="outside upper center", ncols=8, frameon=False, fontsize=9, handlelength=1)
+    _explain(figure, results)
     return figure
+
+
+def _explain(figure: Figure, results: Results) -> None:
+    """Says below the bars what their marks mean, if there are any."""
+    marks = {
+        f"{DAGGER} published, in the original simulator": results.variants["published"].any(),
+        "hatched: only some of the tasks that have the variant, as many as stand above": (
+            results.variants["missing"].ne("").any()
+        ),
+    }
+    text = "; ".join(mark for mark, needed in marks.items() if needed)
+    if text:
+        figure.supxlabel(text, fontsize=8, color="#444")
 
 
 def _bar_row(axes: Axes, results: Results, policies: list[str], columns: int) -> None:
@@ -87,11 +102,18 @@ def _bar_row(axes: Axes, results: Results, policies: list[str], columns: int) ->
         means = found["mean"].to_numpy(float)
         ends = np.stack([means - found["low"].to_numpy(float), found["high"].to_numpy(float) - means]).clip(min=0)
         places = np.arange(len(policies)) + (index - (len(VARIANTS) - 1) / 2) * width
-        axes.bar(places, means, width * 0.92, color=colour, label=variant)
+        drawn = axes.bar(places, means, width * 0.92, color=colour, label=variant)
+        for bar, end, row in zip(drawn, ends[1], found.itertuples(), strict=True):
+            if isinstance(row.missing, str) and row.missing:
+                bar.set(hatch="////", edgecolor="white", linewidth=0)
+                place = bar.get_x() + bar.get_width() / 2, bar.get_height() + np.nan_to_num(end) + 0.015
+                axes.annotate(share(row), place, ha="center", va="bottom", rotation=90, fontsize=6, color="#444")
         known = ~np.isnan(ends).any(axis=0)
         lines: dict[str, Any] = {"fmt": "none", "ecolor": "#444", "elinewidth": 0.8, "capsize": 1.5}
         axes.errorbar(places[known], means[known], ends[:, known], **lines)
-    axes.set_xticks(range(len(policies)), [name.replace(", ", ",\n") for name in policies])
+    published = set(results.variants[results.variants["published"]]["policy"])
+    names = [marked(name, name in published).replace(", ", ",\n") for name in policies]
+    axes.set_xticks(range(len(policies)), names)
     axes.tick_params(axis="x", length=0)
     axes.set_xlim(-0.55, columns - 0.45)
     axes.set_ylim(0, 1)

@@ -7,20 +7,18 @@ import importlib
 import inspect
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Final
 
+from magical_mj.agents import AGENTS
 from magical_mj.errors import SettingsError, unknown_name
 from magical_mj.evaluation.models import LOADERS
-from magical_mj.evaluation.policies import BUILT_IN
+from magical_mj.evaluation.playing import Act, reason
 
-Act = Callable[[Any], Any]
-"""A policy, or a plain function from observation to action."""
-
-LEGEND: Final = f"{', '.join(BUILT_IN)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
+LEGEND: Final = f"{', '.join(AGENTS)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
 FOLDERS: Final = "magical_mj.policy_folders"
 """The group of entry points, of this package or another, that load the policy in a folder; see pyproject.toml."""
 
@@ -49,8 +47,8 @@ class Source:
         """
         if not isinstance(self.origin, str):
             return self.origin
-        if self.origin in BUILT_IN:
-            return BUILT_IN[self.origin]()
+        if self.origin in AGENTS:
+            return AGENTS[self.origin]()
         suffix = Path(self.origin).suffix
         if suffix in LOADERS:
             if not Path(self.origin).is_file():
@@ -60,7 +58,7 @@ class Source:
             return _folder_loader(self.origin).load()(self.origin)
         if ":" in self.origin:
             return _imported(self.origin)
-        raise unknown_name("policy", self.origin, (*BUILT_IN, "module:object", *(f"FILE{s}" for s in LOADERS)))
+        raise unknown_name("policy", self.origin, (*AGENTS, "module:object", *(f"FILE{s}" for s in LOADERS)))
 
     def describe(self) -> dict[str, Any]:
         """What must not change between a run and its continuation."""
@@ -71,7 +69,7 @@ class Source:
 
     def _file(self) -> Path | None:
         """The file that the policy is in, if it is in one."""
-        if not isinstance(self.origin, str) or self.origin in BUILT_IN:
+        if not isinstance(self.origin, str) or self.origin in AGENTS:
             return None
         path = Path(self.origin)
         if path.suffix in LOADERS:
@@ -111,7 +109,7 @@ def _each(policies: Any) -> Iterator[Source]:
         for given in policies:
             yield from _each(given)
     elif isinstance(policies, type):
-        yield Source(policies.__name__, 0, policies())
+        yield Source(policies.__name__, 0, _made(policies, policies.__name__))
     elif callable(policies):
         yield Source(getattr(policies, "__name__", type(policies).__name__), 0, policies)
     else:
@@ -144,10 +142,21 @@ def _imported(origin: str) -> Act:
         found: Any = importlib.import_module(module)
         for part in name.split("."):
             found = getattr(found, part)
-    except (ImportError, AttributeError) as error:
-        raise SettingsError(f"the policy {origin} cannot be imported: {error}") from error
+    except (Exception, SystemExit) as error:
+        raise SettingsError(f"the policy {origin} cannot be imported: {reason(error)}") from error
     if inspect.isclass(found):
-        found = found()
+        found = _made(found, origin)
     if not callable(found):
         raise SettingsError(f"the policy {origin} is a {type(found).__name__}, which cannot be called")
     return found
+
+
+def _made(kind: type, name: str) -> Any:
+    """A policy of a class, which must need no arguments."""
+    try:
+        return kind()
+    except (Exception, SystemExit) as error:
+        raise SettingsError(
+            f"the policy {name} is a class, and calling it fails: {reason(error)}. Give a function or an object, "
+            "or a class that needs no arguments"
+        ) from error

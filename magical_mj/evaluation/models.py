@@ -20,17 +20,25 @@ import numpy as np
 from gymnasium import spaces
 
 from magical_mj.actions import ACTIONS
-from magical_mj.errors import EvaluationError, SettingsError
-from magical_mj.evaluation.policies import Episode
+from magical_mj.episodes import Episode
+from magical_mj.errors import MissingExtraError, SettingsError
+from magical_mj.evaluation.policies import Shape
+from magical_mj.extras import missing_extra
 
 TRUST: Final = "--trust (trust=True) loads it, and thereby runs what code it holds: do that only with files of your own"
 
 
 class Model:
-    """A policy that maps a batch of observations to a batch of actions and remembers nothing."""
+    """A policy that maps a batch of observations to a batch of actions and remembers nothing.
 
-    def __init__(self, act: Callable[[Any], Any]) -> None:
+    Args:
+        act: the map.
+        shapes: that single observations may have; None if that is not known.
+    """
+
+    def __init__(self, act: Callable[[Any], Any], shapes: Sequence[Shape] | None = None) -> None:
         self._act = act
+        self.observation_shapes = shapes
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
         """There is nothing to forget."""
@@ -51,7 +59,7 @@ def load_sb3(path: Path, trust: bool = False) -> Model:
     try:
         import torch
     except ModuleNotFoundError:
-        raise EvaluationError(f"{path} needs stable-baselines3: pip install stable-baselines3") from None
+        raise MissingExtraError(f"{path} needs stable-baselines3: pip install stable-baselines3") from None
     torch.set_num_threads(1)  # sums depend on how they are split, and workers must not fight for cores
     try:
         with zipfile.ZipFile(path) as archive:
@@ -69,7 +77,32 @@ def load_sb3(path: Path, trust: bool = False) -> Model:
     except RuntimeError as error:
         raise SettingsError(f"{path} is not of a standard network; {TRUST}") from error
     policy.set_training_mode(False)
-    return Model(lambda observations: policy.predict(observations, deterministic=True)[0])
+    return Model(lambda observations: _best_actions(policy, observations), _accepted(policy.observation_space))
+
+
+def _best_actions(policy: Any, observations: Any) -> Any:
+    """Shape (n,)."""
+    if not hasattr(policy, "get_distribution"):
+        return policy.predict(observations, deterministic=True)[0]
+    import torch
+
+    with torch.no_grad():
+        chosen = policy.get_distribution(policy.obs_to_tensor(observations)[0])
+        _check_numbers(chosen.distribution.logits.cpu().numpy())
+        return chosen.get_actions(deterministic=True).cpu().numpy()
+
+
+def _check_numbers(values: Any) -> None:
+    if np.isnan(values).any():
+        raise ValueError("the network's answer is no number (NaN)")
+
+
+def _accepted(space: spaces.Space[Any]) -> list[Shape] | None:
+    """The shapes of observations that a stable-baselines3 policy takes; those of pictures it transposes itself."""
+    shape = space.shape
+    if shape is None:  # of a dict
+        return None
+    return [shape, (*shape[1:], shape[0]), (shape[-1], *shape[:-1])] if len(shape) == 3 else [shape]
 
 
 def _rebuilt(path: Path, data: dict[str, Any], weights: dict[str, Any]) -> Any:
@@ -79,7 +112,7 @@ def _rebuilt(path: Path, data: dict[str, Any], weights: dict[str, Any]) -> Any:
     kwargs: Any = data.get("policy_kwargs")
     seen, acted = data.get("observation_space", {}), data.get("action_space", {})
     plain = isinstance(kwargs, dict) and ":serialized:" not in kwargs
-    if not plain or "action_net.weight" not in weights or "_shape" not in seen:
+    if not plain or "action_net.weight" not in weights or not seen.get("_shape"):
         raise SettingsError(f"{path} keeps how its network is built as a pickle; {TRUST}")
     if "n" not in acted or int(acted["n"]) != len(ACTIONS):
         raise SettingsError(f"{path} was trained with other actions than the environments' Discrete({len(ACTIONS)})")
@@ -109,7 +142,7 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
     try:
         import onnxruntime
     except ModuleNotFoundError:
-        raise EvaluationError(f"{path} needs ONNX Runtime: pip install onnxruntime") from None
+        raise missing_extra(f"{path}", "onnx") from None
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     try:
@@ -126,9 +159,11 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
 
     def act(observations: Any) -> Any:
         values = np.asarray(session.run([output.name], {entry.name: np.asarray(observations, kind)})[0])
+        _check_numbers(values)
         return values.reshape(len(values)) if values.size == len(values) else values.argmax(axis=1)
 
-    return Model(act)
+    known = [size if isinstance(size, int) else None for size in entry.shape[1:]]
+    return Model(act, [tuple(known)])
 
 
 LOADERS: Final[dict[str, Callable[[Path, bool], Model]]] = {".zip": load_sb3, ".onnx": load_onnx}

@@ -1,57 +1,17 @@
-"""Policies: what an agent must offer to be evaluated, and the three that need no training."""
+"""What a policy must offer to be evaluated, beyond being callable, and whether it fits what it is asked to do."""
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from collections.abc import Iterable, Sequence
+from typing import Any, Protocol, runtime_checkable
 
-import numpy as np
-
-from magical_mj.actions import ACTIONS, NOOP
+from magical_mj.episodes import Episode, is_blind
 from magical_mj.errors import SettingsError
+from magical_mj.gym_env import MagicalEnv
+from magical_mj.presets import PRESETS
 
-if TYPE_CHECKING:
-    from magical_mj.environment import Environment
-
-
-@dataclass(frozen=True)
-class Episode:
-    """What a policy is told about the episode that begins.
-
-    Attributes:
-        task: the task's name.
-        variant: the variant's name.
-        seed: the episode starts in `sample_scene(task, variant, seed)`.
-        run: which of several runs of a method this policy is.
-        env: the simulation itself, for policies that say `blind = True`; None for all others.
-    """
-
-    task: str
-    variant: str
-    seed: int
-    run: int = 0
-    env: Environment | None = None
-
-    def rng(self) -> np.random.Generator:
-        """A generator for the policy's own draws: the same wherever and whenever this episode is played."""
-        return np.random.default_rng([self.run, self.seed, zlib.crc32(f"{self.task}-{self.variant}".encode())])
-
-
-class Policy(Protocol):
-    """An agent. A plain function from observation to action will do as well.
-
-    A class attribute `blind = True` says that the policy looks at no observations: none are made, which is much
-    faster, and `reset` gets the simulation instead. Attributes `preset` and `tasks` say which observations it was
-    trained on and in which tasks it can act; others are then refused before anything is played.
-    """
-
-    def reset(self, episode: Episode) -> None:
-        """Called before each episode. Nothing may be carried over from one to the next."""
-
-    def __call__(self, observation: Any) -> Any:
-        """The action, an integer in 0..17, for an observation of the preset."""
+Shape = tuple[int | None, ...]
+"""Of observations; None stands for any number."""
 
 
 @runtime_checkable
@@ -66,72 +26,14 @@ class BatchPolicy(Protocol):
         ...
 
 
-class Noop:
-    """Does nothing."""
-
-    blind = True
-
-    def reset(self, episode: Episode) -> None:
-        """Nothing to do here either."""
-
-    def __call__(self, observation: Any) -> int:
-        """An action; the observation does not matter."""
-        del observation
-        return NOOP
-
-
-class Random:
-    """Draws each action independently and uniformly."""
-
-    blind = True
-
-    def reset(self, episode: Episode) -> None:
-        """Starts the episode's own sequence."""
-        self._rng = episode.rng()
-
-    def __call__(self, observation: Any) -> int:
-        """An action; the observation does not matter."""
-        del observation
-        return int(self._rng.integers(len(ACTIONS)))
-
-
-class Expert:
-    """The scripted demonstrator, which looks at the state of the simulation."""
-
-    blind = True
-
-    def reset(self, episode: Episode) -> None:
-        """Makes an expert for this episode."""
-        from magical_mj.experts import make_expert
-
-        if episode.env is None:
-            raise SettingsError("the expert needs the simulation itself; it cannot play in vector environments")
-        self._next = make_expert(episode.env, episode.task, episode.run)
-
-    def __call__(self, observation: Any) -> int:
-        """An action; the observation does not matter."""
-        del observation
-        return self._next()
-
-
-BUILT_IN: dict[str, Callable[[], Policy]] = {"expert": Expert, "random": Random, "noop": Noop}
-"""By the names that the command line knows them by."""
-
-
-def begin(policy: Callable[[Any], Any], episode: Episode) -> None:
-    """Tells the policy, if it wants to know, that an episode begins."""
-    reset = getattr(policy, "reset", None)
-    if reset is not None:
-        reset(episode)
-
-
-def is_blind(policy: object) -> bool:
-    """Whether the policy looks at no observations."""
-    return bool(getattr(policy, "blind", False))
-
-
 def check_fit(policy: object, pairs: Sequence[tuple[str, str]], preset: str) -> None:
-    """Raises a `SettingsError` if the policy was made for other tasks than those of the pairs, or another preset."""
+    """Raises a `SettingsError` if the policy's attributes say that it was made for something else.
+
+    Args:
+        policy: its `preset`, `tasks` and `observation_shapes` are looked at, if it has them.
+        pairs: of tasks and variants.
+        preset: of the observations.
+    """
     made_for = getattr(policy, "preset", preset)
     if made_for != preset:
         raise SettingsError(f"the policy was trained on the preset {made_for}, not {preset}: give --preset {made_for}")
@@ -139,3 +41,30 @@ def check_fit(policy: object, pairs: Sequence[tuple[str, str]], preset: str) -> 
     others = sorted({task for task, _ in pairs} - set(tasks)) if tasks is not None else []
     if others:
         raise SettingsError(f"the policy cannot act in {', '.join(others)}: give --tasks {','.join(tasks or ())}")
+    shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
+    if shapes is not None and not is_blind(policy):
+        _check_shape(list(shapes), pairs[0][0], preset)
+
+
+def _check_shape(wanted: Sequence[Shape], task: str, preset: str) -> None:
+    """Raises a `SettingsError` unless observations of the preset have one of these shapes."""
+    if _fits(wanted, _shape(task, preset)):
+        return
+    others = [name for name in PRESETS if _fits(wanted, _shape(task, name))]
+    remedy = f"give --preset {' or '.join(others)}" if others else "no preset has such observations"
+    given = _shape(task, preset) or "a dict"
+    raise SettingsError(f"the policy takes observations of shape {wanted[0]}, and {preset} gives {given}: {remedy}")
+
+
+def _shape(task: str, preset: str) -> tuple[int, ...] | None:
+    """The shape of the preset's observations; None if they are dicts."""
+    env = MagicalEnv(task, preset=preset)
+    env.close()
+    return env.observation_space.shape
+
+
+def _fits(wanted: Sequence[Shape], given: tuple[int, ...] | None) -> bool:
+    return given is not None and any(
+        len(shape) == len(given) and all(size in (None, real) for size, real in zip(shape, given, strict=True))
+        for shape in wanted
+    )

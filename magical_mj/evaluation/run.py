@@ -2,186 +2,169 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator
+import inspect
+import pickle
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import mujoco
 
 from magical_mj._version import __version__
-from magical_mj.errors import EvaluationError, SettingsError, unknown_name
-from magical_mj.evaluation.backends import check_backend, play_units
+from magical_mj.errors import EvaluationError, SettingsError, WorkerError
 from magical_mj.evaluation.loading import sources
 from magical_mj.evaluation.policies import check_fit
 from magical_mj.evaluation.scores import Score, ScoreFile, frame, prepare
-from magical_mj.evaluation.worker import plan
+from magical_mj.evaluation.settings import EvaluationSettings, described, settings_from
+from magical_mj.evaluation.worker import plan, play_unit, player
 from magical_mj.extras import check_extra
-from magical_mj.presets import preset as check_preset
-from magical_mj.registry import Names, check_rules, environments
-from magical_mj.tasks.spec import Rules
+from magical_mj.parallel import cores, spread
 
 if TYPE_CHECKING:
     import pandas as pd
 
-EPISODES: Final = 100
-"""As many as the paper's."""
-TIME_LIMIT: Final = 300.0
-"""Seconds for one episode: many times what any episode takes with a policy that answers at all."""
+STEPS_PER_WORKER: Final = 2000
+"""A process is not started for fewer: that would take longer than playing them, with most policies."""
+FIRST_EPISODES: Final = 10
+"""If so many episodes of a policy, its first, all fail for the same kind of reason, it is no use to go on."""
 
 
-def evaluate(
-    policy: Any,
-    *,
-    tasks: Names = "all",
-    variants: Names = "all",
-    episodes: int = EPISODES,
-    preset: str = "LoRes4E",
-    rules: str = "paper",
-    out: Path | str | None = None,
-    resume: bool = False,
-    jobs: int | None = 1,
-    backend: str = "local",
-    address: str | None = None,
-    run: int = 0,
-    time_limit: float = TIME_LIMIT,
-    envs: int = 1,
-    vectorization: str = "sync",
-    trust: bool = False,
-    watch: Callable[[Score], None] = lambda _: None,
-) -> pd.DataFrame:
+def evaluate(policy: Any, *, watch: Callable[[Score], None] = lambda _: None, **settings: Any) -> pd.DataFrame:
     """Plays a policy's episodes in the evaluation scenes of some environments, and returns all scores.
 
     Args:
         policy: "expert", "random", "noop", "module:object", the folder of a training, a model file (.zip of
             stable-baselines3, .onnx), a `Policy`, or a function from observation to action; or several, as a list or
             as a mapping of names to them. Those of the same name are successive runs of one method.
-        tasks: the tasks, as a list or separated by commas; "all" is all 8.
-        variants: the variants, likewise; pairs that do not exist are left out.
-        episodes: how many in each environment: those of the scenes of seeds 0, 1, ...
-        preset: the observations that the policy is given, one of `magical_mj.presets.PRESETS`.
-        rules: "paper", or "released" for the scores and horizons of the original's released code.
-        out: a folder for the scores; None: they are only returned.
-        resume: go on with what is in the folder.
-        jobs: how many processes work; None: one for each core, or as many as the cluster has.
-        backend: "local", "dask" or "ray".
-        address: of the cluster.
-        run: the number of the (first) run, to tell apart several trained policies of one method.
-        time_limit: for one episode, in seconds.
-        envs: how many episodes each process plays side by side, in a vector environment.
-        vectorization: of the vector environment: "sync", or "async" for a process each.
-        trust: load model files that hold code.
         watch: called with each episode that ends.
+        settings: those of `magical_mj.evaluation.EvaluationSettings`, such as ``tasks="FindDupe", episodes=10``.
 
     Returns:
         A pandas frame with a row for each episode: see `magical_mj.evaluation.Score`.
 
     Raises:
         SettingsError, UnknownNameError: if something that is asked for does not exist, or was different before.
-        EvaluationError: if the folder holds something else, a worker dies, or an extra is not installed.
+        EvaluationError: if the folder holds something else, a worker dies again and again, or the first episodes of a
+            policy all fail.
+        MissingExtraError: if an extra is not installed.
     """
-    check_extra("evaluations", "eval")
-    check_backend(backend, jobs, address)
-    evaluation = Evaluation(
-        policy,
-        tasks=tasks,
-        variants=variants,
-        episodes=episodes,
-        preset=preset,
-        rules=rules,
-        out=out,
-        resume=resume,
-        run=run,
-        time_limit=time_limit,
-        envs=envs,
-        vectorization=vectorization,
-        trust=trust,
-    )
-    for score in evaluation.play(jobs, backend, address):
+    evaluation = Evaluation(policy, settings_from(settings))
+    for score in evaluation.play():
         watch(score)
     return frame(evaluation.scores)
 
 
+def _signature() -> inspect.Signature:
+    """What `evaluate` understands, for `help` and editors."""
+    kind = inspect.Parameter.KEYWORD_ONLY
+    known = [
+        inspect.Parameter(name, kind, default=getattr(EvaluationSettings, name), annotation=type_)
+        for name, (type_, _) in described(EvaluationSettings).items()
+    ]
+    *given, _ = inspect.signature(evaluate).parameters.values()
+    return inspect.Signature([*given, *known], return_annotation="pd.DataFrame")
+
+
+evaluate.__signature__ = _signature()
+
+
 class Evaluation:
-    """What `evaluate` does, in steps: prepare, then play. Its arguments are those of `evaluate`.
+    """What `evaluate` does, in two steps: it is checked and prepared when it is made, then played.
 
     Attributes:
-        rules: by which scores are given.
+        settings: of the evaluation.
         scores: of the episodes that are done.
-        units: what is left to do when it starts.
+        units: what was left to do when it was made.
     """
 
-    def __init__(
-        self,
-        policy: Any,
-        *,
-        tasks: Names = "all",
-        variants: Names = "all",
-        episodes: int = EPISODES,
-        preset: str = "LoRes4E",
-        rules: str = "paper",
-        out: Path | str | None = None,
-        resume: bool = False,
-        run: int = 0,
-        time_limit: float = TIME_LIMIT,
-        envs: int = 1,
-        vectorization: str = "sync",
-        trust: bool = False,
-    ) -> None:
-        """Checks everything and reads what is done; plays nothing yet."""
-        pairs = environments(tasks, variants)
-        check_preset(preset)
-        for what, number in (("episodes", episodes), ("envs", envs), ("time_limit", time_limit)):
-            if not number > 0:
-                raise SettingsError(f"{what} must be positive, not {number}")
-        if vectorization not in ("sync", "async"):
-            raise unknown_name("vectorization", vectorization, ("sync", "async"))
-        listed = sources(policy, run, trust)
+    def __init__(self, policy: Any, settings: EvaluationSettings) -> None:
+        """Checks everything and reads what is done; plays nothing yet. Raises what `evaluate` raises."""
+        check_extra("evaluations", "eval")
+        self.settings = settings
+        listed = sources(policy, settings.run, settings.trust)
         for source in listed:
-            check_fit(source.load(), pairs, preset)  # so that what is wrong with it is said now
-        self.rules: Rules = check_rules(rules)
-        self._out = None if out is None else Path(out)
-        self._settings = {
-            "policies": [source.describe() for source in listed],
-            "environments": [f"{task}-{variant}" for task, variant in pairs],
-            "episodes": episodes,
-            "preset": preset,
-            "rules": self.rules,
-            "time_limit": time_limit,
-            "version": __version__,
-            "mujoco": mujoco.__version__,
-            "gl": os.environ.get("MUJOCO_GL", ""),
-        }
-        self.scores = [] if self._out is None else prepare(self._out, self._settings, resume)
-        self.units = plan(
-            listed,
-            pairs,
-            episodes,
-            {score.key for score in self.scores},
-            preset=preset,
-            rules=self.rules,
-            time_limit=time_limit,
-            envs=envs,
-            vectorization=vectorization,
-        )
+            check_fit(source.load(), settings.environments, settings.preset)  # so that what is wrong is said now
+        self._out = None if settings.out is None else Path(settings.out)
+        recorded = {"policies": [source.describe() for source in listed], **settings.recorded()}
+        self.scores = [] if self._out is None else prepare(self._out, recorded, settings.resume)
+        self.units = plan(listed, settings, {score.key for score in self.scores})
 
-    def play(self, jobs: int | None = 1, backend: str = "local", address: str | None = None) -> Iterator[Score]:
+    def play(self) -> Iterator[Score]:
         """Plays what is left and yields each score once it is in the file."""
-        if self._out is None:
-            yield from self._play(None, jobs, backend, address)
-        else:
-            with ScoreFile(self._out) as file:
-                yield from self._play(file, jobs, backend, address)
+        with ScoreFile(self._out) if self._out else nullcontext() as file:
+            for found in _without_hopeless(self._play_units(), {(score.policy, score.run) for score in self.scores}):
+                _check_versions(found)
+                if file is not None:
+                    file.add(found)
+                self.scores += found
+                yield from found
 
-    def _play(self, file: ScoreFile | None, jobs: int | None, backend: str, address: str | None) -> Iterator[Score]:
-        for found in play_units(self.units, backend, jobs, address):
-            for score in found:
-                if (score.version, score.mujoco) != (__version__, mujoco.__version__):
-                    raise EvaluationError(
-                        f"a worker has magical_mj {score.version} and mujoco {score.mujoco}, "
-                        f"and this process {__version__} and {mujoco.__version__}: install the same everywhere"
-                    )
-            if file is not None:
-                file.add(found)
-            self.scores += found
-            yield from found
+    def _play_units(self) -> Iterator[list[Score]]:
+        """The scores of all units as they come in, in any order."""
+        jobs, backend = self.settings.jobs, self.settings.backend
+        if backend == "local":
+            enough = max(1, sum(unit.steps for unit in self.units) // STEPS_PER_WORKER)
+            jobs = jobs or min(cores(), enough)
+        if backend == "local" and jobs == 1:
+            for unit in self.units:
+                yield from ([score] for score in player().play(unit))
+            return
+        try:
+            yield from spread(play_unit, self.units, jobs, backend, self.settings.address)
+        except WorkerError as error:
+            raise EvaluationError(f"{error}; --resume goes on (resume=True)") from error
+        except (pickle.PicklingError, TypeError) as error:
+            raise SettingsError(
+                f"the policy cannot be sent to other processes ({error}); give it as module:object, or jobs=1"
+            ) from error
+
+
+def _without_hopeless(played: Iterable[list[Score]], fine: set[tuple[str, int]]) -> Iterator[list[Score]]:
+    """The scores, each policy's once it is certain that it does not fail always and alike.
+
+    Args:
+        played: scores as they come in.
+        fine: names and runs of the policies that need not be waited for.
+
+    Raises:
+        EvaluationError: if the first episodes of a policy, or all, fail alike. Their scores are not yielded.
+    """
+    held: dict[tuple[str, int], list[Score]] = defaultdict(list)
+    for found in played:
+        for score in found:
+            key = score.policy, score.run
+            held[key].append(score)
+            if len({_kind(one) for one in held[key]}) > 1 or score.failure is None:
+                fine.add(key)
+            if key in fine:
+                yield held.pop(key)
+            elif len(held[key]) == FIRST_EPISODES:
+                raise _hopeless(held[key])
+    for scores in held.values():
+        raise _hopeless(scores)
+
+
+def _kind(score: Score) -> str | None:
+    """Of a failure."""
+    return None if score.failure is None else score.failure.partition(":")[0]
+
+
+def _hopeless(scores: list[Score]) -> EvaluationError:
+    score, count = scores[0], len(scores)
+    which = "the first episode" if count == 1 else f"the first {count} episodes"
+    return EvaluationError(
+        f"{which} of {score.policy} failed, so nothing of it is kept; {score.task} {score.variant}, seed {score.seed}: "
+        f"{score.failure}"
+    )
+
+
+def _check_versions(scores: Iterable[Score]) -> None:
+    """Raises an `EvaluationError` if a worker has other versions than this process."""
+    for score in scores:
+        if (score.version, score.mujoco) != (__version__, mujoco.__version__):
+            raise EvaluationError(
+                f"a worker has magical_mj {score.version} and mujoco {score.mujoco}, "
+                f"and this process {__version__} and {mujoco.__version__}: install the same everywhere"
+            )

@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import IO, Any, Final, Self
 
 from magical_mj import files
-from magical_mj.errors import EvaluationError, SettingsError
+from magical_mj.errors import EvaluationError
+from magical_mj.evaluation.settings import check_unchanged
 
 SCORES: Final = "scores.jsonl"
 SETTINGS: Final = "run.json"
-SHOWN: Final = 300
-"""Letters of a setting that an error shows."""
 
 Key = tuple[str, int, str, str, int]
 """What makes an episode the one it is: policy, run, task, variant, seed."""
@@ -214,26 +213,13 @@ def prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[Score]
         except OSError as error:
             raise EvaluationError(f"cannot write into {folder}: {error.strerror}") from error
         return []
-    _compare(folder, settings)
+    check_unchanged(folder, _read_settings(folder), settings)
     with ScoreFile(folder):  # which mends its end
         return read(folder) if (folder / SCORES).stat().st_size else []
 
 
-def _compare(folder: Path, settings: dict[str, Any]) -> None:
-    """Raises a `SettingsError` that names what differs from the settings that the folder was started with."""
+def _read_settings(folder: Path) -> dict[str, Any]:
     try:
-        before = json.loads((folder / SETTINGS).read_text())
+        return json.loads((folder / SETTINGS).read_text())
     except (OSError, ValueError) as error:
         raise EvaluationError(f"{folder / SETTINGS} cannot be read ({error}); start again in another folder") from error
-    differences = [
-        f"{name} was {_short(before.get(name))} and is {_short(now)}"
-        for name, now in settings.items()
-        if before.get(name) != now
-    ]
-    if differences:
-        raise SettingsError(f"{folder} was started with other settings: {'; '.join(differences)}")
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= SHOWN else f"{text[: SHOWN // 2]} ... {text[-SHOWN // 2 :]}"

@@ -139,17 +139,24 @@ def _rows(results: Results, frame: pd.DataFrame, text: Callable[[Any], str], tas
     for policy in results.policies:
         mine = {row.variant: row for row in frame[frame["policy"] == policy].itertuples()}
         if mine:
-            mark = DAGGER if next(iter(mine.values())).published else ""
-            rows.append((policy + mark, *(text(mine[name]) if name in mine else _gap(task, name) for name in VARIANTS)))
+            name = marked(policy, next(iter(mine.values())).published)
+            rows.append(
+                (name, *(text(mine[variant]) if variant in mine else _gap(task, variant) for variant in VARIANTS))
+            )
     return tuple(rows)
 
 
 def _iqm_rows(results: Results) -> Rows:
     """Two for each method: the interquartile means, and below them their intervals."""
     mine = results.variants[~results.variants["published"]]
-    means = _rows(results, mine, lambda row: f"{row.iqm:.2f}{_share(row)}")
+    means = _rows(results, mine, lambda row: f"{row.iqm:.2f} {share(row)}".rstrip())
     intervals = _rows(results, mine, lambda row: f"[{row.iqm_low:.2f}, {row.iqm_high:.2f}]".replace("[nan, nan]", NONE))
     return tuple(row for mean, interval in zip(means, intervals, strict=True) for row in (mean, ("", *interval[1:])))
+
+
+def marked(policy: str, published: bool) -> str:
+    """The method's name, with a dagger if its results are published ones."""
+    return policy + DAGGER if published else policy
 
 
 def _gap(task: str | None, variant: str) -> str:
@@ -158,11 +165,11 @@ def _gap(task: str | None, variant: str) -> str:
 
 def _mean_and_std(row: Any) -> str:
     spread = "" if math.isnan(row.std) else f" {PLUS_MINUS} {row.std:.2f}"
-    return f"{row.mean:.2f}{spread}{_share(row)}"
+    return f"{row.mean:.2f}{spread} {share(row)}".rstrip()
 
 
-def _share(row: Any) -> str:
-    """How many of the variant's tasks a figure is made of, if not all."""
+def share(row: Any) -> str:
+    """How many of the variant's tasks a mean is made of, such as "(1/8)"; nothing if it is all of them."""
     if not getattr(row, "missing", ""):
         return ""
-    return f" ({row.tasks}/{row.tasks + row.missing.count(',') + 1})"
+    return f"({row.tasks}/{row.tasks + row.missing.count(',') + 1})"

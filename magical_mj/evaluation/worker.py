@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import multiprocessing
 import os
 import queue
 import threading
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, TypeVar
 
 import gymnasium
 import mujoco
 
 from magical_mj._version import __version__
-from magical_mj.evaluation.episodes import BlindWorld, Outcome, World, play, reason, seen_world
-from magical_mj.evaluation.loading import Act, Source
-from magical_mj.evaluation.policies import BatchPolicy, Episode, is_blind
+from magical_mj.episodes import Episode, is_blind
+from magical_mj.evaluation.loading import Source
+from magical_mj.evaluation.playing import Act, Copies, Envs, Outcome, play, play_side_by_side, reason, world_for
+from magical_mj.evaluation.policies import BatchPolicy
 from magical_mj.evaluation.scores import Key, Score
-from magical_mj.evaluation.vector import Copies, Envs, play_wave
+from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.registration import env_id
 from magical_mj.registry import task_spec
-from magical_mj.tasks.spec import Rules
 
-Vectorization = Literal["sync", "async"]
 T = TypeVar("T")
 
 SEEDS_PER_UNIT: Final = 10
@@ -36,47 +34,38 @@ GRACE: Final = 1.0
 
 @dataclass(frozen=True)
 class Unit:
-    """Some episodes of one environment with one policy.
+    """Some episodes of one environment with one policy: independent of all others, and repeatable.
 
     Attributes:
         source: of the policy.
         task: the task's name.
         variant: the variant's name.
         seeds: of the scenes.
-        preset: of the observations, for policies that look at any.
-        rules: by which scores are given.
-        time_limit: for each episode, in seconds.
-        envs: how many episodes are played side by side.
-        vectorization: how: in this process, or in one process each.
+        settings: of the evaluation.
     """
 
     source: Source
     task: str
     variant: str
     seeds: tuple[int, ...]
-    preset: str
-    rules: Rules
-    time_limit: float
-    envs: int = 1
-    vectorization: Vectorization = "sync"
+    settings: EvaluationSettings
 
     @property
     def steps(self) -> int:
         """How many actions it takes."""
-        return len(self.seeds) * task_spec(self.task).horizon(self.rules)
+        return len(self.seeds) * task_spec(self.task).horizon(self.settings.rules)
 
 
-def plan(
-    listed: Sequence[Source], pairs: Iterable[tuple[str, str]], episodes: int, done: Collection[Key], **settings: Any
-) -> list[Unit]:
+def plan(listed: Sequence[Source], settings: EvaluationSettings, done: Collection[Key]) -> list[Unit]:
     """The units that are still to be done, the longest first, so that all workers end at about the same time."""
     units = []
-    size = max(SEEDS_PER_UNIT, settings.get("envs", 1))
-    for task, variant in pairs:
+    size = max(SEEDS_PER_UNIT, settings.envs)
+    for task, variant in settings.environments:
         for source in listed:
-            left = [seed for seed in range(episodes) if (source.name, source.run, task, variant, seed) not in done]
+            seeds = range(settings.episodes)
+            left = [seed for seed in seeds if (source.name, source.run, task, variant, seed) not in done]
             units += [
-                Unit(source, task, variant, tuple(left[start : start + size]), **settings)
+                Unit(source, task, variant, tuple(left[start : start + size]), settings)
                 for start in range(0, len(left), size)
             ]
     return sorted(units, key=lambda unit: -unit.steps)
@@ -110,17 +99,19 @@ class Player:
             SettingsError: if the policy cannot be loaded.
             RenderingError: if no pictures can be drawn here.
         """
-        for start in range(0, len(unit.seeds), unit.envs):
-            seeds = unit.seeds[start : start + unit.envs]
+        envs = unit.settings.envs
+        for start in range(0, len(unit.seeds), envs):
+            seeds = unit.seeds[start : start + envs]
             episodes = [Episode(unit.task, unit.variant, seed, unit.source.run) for seed in seeds]
-            yield from map(functools.partial(_score, unit), episodes, self._outcomes(unit, episodes))
+            preset = None if is_blind(self._policy_of(unit)) else unit.settings.preset
+            yield from map(functools.partial(_score, unit, preset), episodes, self._outcomes(unit, episodes))
 
     def _outcomes(self, unit: Unit, episodes: list[Episode]) -> list[Outcome]:
         policy = self._policy_of(unit)
-        if unit.envs > 1 and not is_blind(policy):
+        if unit.settings.envs > 1 and not is_blind(policy):
             try:
-                limit = unit.time_limit * len(episodes)
-                wave = self._bench.call(lambda: play_wave(*self._vector(unit, policy), episodes), limit)
+                limit = unit.settings.time_limit * len(episodes)
+                wave = self._bench.call(lambda: play_side_by_side(*self._vector(unit, policy), episodes), limit)
             except TimeLimitError:
                 self._forget()
             else:
@@ -129,20 +120,20 @@ class Player:
         return [self._single(unit, episode) for episode in episodes]  # which tells whose failure it was
 
     def _single(self, unit: Unit, episode: Episode) -> Outcome:
-        policy = self._policy_of(unit)
-        world = self._keep("world", _world_key(unit, policy), lambda: _world(unit, policy))
-        known = Episode(episode.task, episode.variant, episode.seed, episode.run, world.env)
+        policy, settings = self._policy_of(unit), unit.settings
+        make = functools.partial(world_for, policy, unit.task, unit.variant, settings.preset, settings.rules)
+        world = self._keep("world", _world_key(unit, policy), make)
         try:
-            return self._bench.call(lambda: play(world, policy, known), unit.time_limit)
+            return self._bench.call(lambda: play(world, policy, episode), settings.time_limit)
         except TimeLimitError as error:
             self._forget()
-            return Outcome(0.0, "", unit.time_limit, reason(error))
+            return Outcome(0.0, "", settings.time_limit, reason(error))
 
     def _policy_of(self, unit: Unit) -> Act:
         return self._keep("policy", unit.source, lambda: self._bench.call(unit.source.load, None))
 
     def _vector(self, unit: Unit, policy: Act) -> tuple[Envs, BatchPolicy]:
-        key = (*_world_key(unit, policy), unit.envs, unit.vectorization)
+        key = (*_world_key(unit, policy), unit.settings.envs, unit.settings.vectorization)
         envs = self._keep("vector", key, lambda: _vector_env(unit))
         if isinstance(policy, BatchPolicy):
             return envs, policy
@@ -165,26 +156,20 @@ class Player:
 
 
 def _world_key(unit: Unit, policy: Act) -> tuple[Any, ...]:
-    return unit.task, unit.variant, unit.rules, None if is_blind(policy) else unit.preset
-
-
-def _world(unit: Unit, policy: Act) -> World:
-    if is_blind(policy):
-        return BlindWorld(unit.task, unit.variant, unit.rules)
-    return seen_world(unit.task, unit.variant, unit.preset, unit.rules)
+    return unit.task, unit.variant, unit.settings.rules, None if is_blind(policy) else unit.settings.preset
 
 
 def _vector_env(unit: Unit) -> Envs:
     kwargs: dict[str, Any] = {"autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
-    if unit.vectorization == "async":
+    if unit.settings.vectorization == "async":
         kwargs["context"] = "spawn"  # OpenGL does not survive a fork
-        if multiprocessing.get_start_method(allow_none=True) == "loky":  # in joblib's workers; it means nothing to ours
-            multiprocessing.set_start_method("spawn", force=True)
-    name = f"magical_mj:{env_id(unit.task, unit.variant, unit.preset)}"
-    return gymnasium.make_vec(name, unit.envs, unit.vectorization, vector_kwargs=kwargs, rules=unit.rules)
+    name = f"magical_mj:{env_id(unit.task, unit.variant, unit.settings.preset)}"
+    return gymnasium.make_vec(
+        name, unit.settings.envs, unit.settings.vectorization, vector_kwargs=kwargs, rules=unit.settings.rules
+    )
 
 
-def _score(unit: Unit, episode: Episode, outcome: Outcome) -> Score:
+def _score(unit: Unit, preset: str | None, episode: Episode, outcome: Outcome) -> Score:
     return Score(
         policy=unit.source.name,
         run=unit.source.run,
@@ -194,8 +179,8 @@ def _score(unit: Unit, episode: Episode, outcome: Outcome) -> Score:
         score=outcome.score,
         steps=len(outcome.actions),
         seconds=round(outcome.seconds, 4),
-        rules=unit.rules,
-        preset=None if is_blind(player()._policy_of(unit)) else unit.preset,
+        rules=unit.settings.rules,
+        preset=preset,
         version=__version__,
         mujoco=mujoco.__version__,
         gl=os.environ.get("MUJOCO_GL", ""),

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from magical_mj.environment import Environment
+from magical_mj.episodes import forever, play
 from magical_mj.experts.expert import Expert
 
 __all__ = ["Expert", "make_expert", "run_episode"]
@@ -28,7 +29,6 @@ def make_expert(env: Environment, task: str, seed: int = 0) -> Callable[[], int]
 def run_episode(env: Environment, task: str, scene_seed: int, seed: int = 0) -> float:
     """Play one episode in the scene of `scene_seed` with an expert, and return its score."""
     env.reset(seed=scene_seed)
-    expert = Expert(env, task, seed)
-    while not env.step(expert()).last():
+    for _ in play(env, forever(Expert(env, task, seed))):
         pass
     return env.score()

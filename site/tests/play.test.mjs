@@ -87,7 +87,7 @@ test("all environments can be played to the end", async () => {
 test("the expert is watched to its full score, and what a player does is saved", async () => {
   await page.goto(`${site.address}play/?speed=${SPEED}#MatchRegions-All-2`);
   await untilStatus("Press");
-  await page.keyboard.press("e");
+  await page.keyboard.press("h");
   await untilStatus("Over");
   assert.equal(await page.textContent("#score"), "1.00");
   assert.ok(await page.isDisabled("#save"), "only what was played oneself can be saved");

@@ -10,8 +10,8 @@ import numpy as np
 
 from magical_mj.actions import to_discrete
 from magical_mj.demos.lerobot import NO_STATE, VIEWS, image_keys, missing_lerobot, state
+from magical_mj.episodes import Episode
 from magical_mj.errors import SettingsError
-from magical_mj.evaluation.policies import Episode
 from magical_mj.registry import task_spec
 
 try:

@@ -10,6 +10,7 @@ import { score } from "./score.js";
 import { Seat } from "./server.js";
 
 /** @typedef {import("./scenes.js").Entry} Entry */
+/** @typedef {{task: string, variant: string}} Name */
 
 /** @param {string} id */
 const element = (id) => /** @type {any} */ (document.getElementById(id));
@@ -50,7 +51,14 @@ async function choose(task, variant, seed, script = null) {
   if (entry.scene) show(entry.scene, entry.scene);
   const actions = script === null ? null : fromLetters(script);
   let started = false;
-  const next = () => actions ? actions[game.actions.length] ?? 0 : (started ||= controls.touched) ? controls.next() : null;
+  const next = () => {
+    if (actions) return actions[game.actions.length] ?? 0;
+    if (!started && controls.touched) {
+      started = true;
+      shown.note = "";
+    }
+    return started ? controls.next() : null;
+  };
   const episode = await open(environment, entry, task, variant).catch(complain);
   if (!episode || choice !== choices) return episode?.close();
   const game = new Game(episode, catalogue.tasks[task].horizon, next, speed);
@@ -62,8 +70,8 @@ function showChoice(isOther) {
   const { task, variant, seed, environment } = shown;
   const { summary, goal, solved } = catalogue.tasks[task];
   element("task").value = task;
-  const variants = catalogue.environments.filter((/** @type {any} */ one) => one.task === task);
-  element("variant").replaceChildren(...variants.map(({ variant }) => new Option(variant)));
+  const variants = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);
+  element("variant").replaceChildren(...variants.map((/** @type {Name} */ { variant }) => new Option(variant)));
   element("variant").value = variant;
   element("summary").textContent = `${summary[0].toUpperCase()}${summary.slice(1)}.`;
   element("words").textContent = goal;
@@ -95,7 +103,7 @@ function sceneButton({ seed, scene }) {
  */
 function show(initial, scene) {
   const { task, game, watching } = shown, { horizon } = catalogue.tasks[task];
-  const done = game?.actions.length ?? 0, now = score(task, initial, scene);
+  const done = game?.actions.length ?? 0, now = score(task, initial, game?.now ?? scene);
   for (const view of /** @type {const} */ (["allo", "ego"])) {
     const canvas = element(view);
     canvas.ariaLabel = `${view === "allo" ? "From above" : "As the robot sees it"}: ${scene.blocks.length} blocks, ${scene.regions.length} goal regions`;
@@ -154,7 +162,7 @@ async function send() {
   try {
     const { score, next } = await /** @type {Seat} */ (seat).ask({ keep: recording(shown, catalogue.protocol) });
     await chooseWanted(next);
-    complain(`Kept, with score ${score.toFixed(2)}. Thank you! Press a key to go on`);
+    complain(`Kept, with score ${score.toFixed(2)}. Thank you! ${next ? "Press a key to go on" : "That was everything"}`);
   } catch (error) {
     complain(/** @type {Error} */ (error));
   }
@@ -169,9 +177,13 @@ async function chooseWanted(wanted) {
 function chooseByAddress() {
   const [task, variant, seed] = location.hash.slice(1).split("-");
   const tasks = Object.keys(catalogue.tasks), known = tasks.includes(task) ? task : tasks[0];
-  const variants = catalogue.environments.filter((/** @type {any} */ one) => one.task === known).map(({ variant }) => variant);
+  const variants = catalogue.environments.filter((/** @type {Name} */ one) => one.task === known)
+    .map((/** @type {Name} */ one) => one.variant);
   return choose(known, variants.includes(variant) ? variant : variants[0], Number(seed ?? 0));
 }
+
+/** @type {Record<string, () => Promise<void>>} */
+const SHORTCUTS = { KeyR: again, KeyN: next, KeyH: expert };
 
 /** Selects keep the focus while they are used by keyboard, and give it to the arena when used by pointer. */
 for (const id of ["task", "variant"]) {
@@ -181,19 +193,17 @@ for (const id of ["task", "variant"]) {
   element(id).addEventListener("change", async () => {
     if (byPointer) arena.focus({ preventScroll: true });
     const task = element("task").value, variant = element("variant").value;
-    const exists = catalogue.environments.some((/** @type {any} */ one) => one.task === task && one.variant === variant);
+    const exists = catalogue.environments.some((/** @type {Name} */ one) => one.task === task && one.variant === variant);
     await choose(task, exists ? variant : "Demo", 0);
   });
 }
-Object.assign(element("again"), { onclick: again });
-Object.assign(element("next"), { onclick: next });
-Object.assign(element("expert"), { onclick: expert });
-Object.assign(element("demo"), { onclick: demo });
+for (const [id, press] of Object.entries({ again, next, expert, demo })) element(id).onclick = () => press();
 element("save").onclick = catalogue.collects ? send : () => save(recording(shown, catalogue.protocol));
 element("seed").onchange = () => play(Math.max(0, Math.floor(Number(element("seed").value))));
 addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey || /** @type {any} */ (event.target).matches("select, input")) return;
-  ({ KeyR: again, KeyN: next, KeyE: expert })[event.code]?.();
+  const elsewhere = /** @type {any} */ (event.target).matches("select, input");
+  if (elsewhere || controls.held.size || event.ctrlKey || event.metaKey || event.altKey) return;  // R and W are neighbours
+  SHORTCUTS[event.code]?.();
 });
 addEventListener("hashchange", chooseByAddress);
 

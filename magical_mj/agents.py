@@ -1,0 +1,65 @@
+"""The agents that need no training, in one table for everything that plays them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Final
+
+from magical_mj.actions import ACTIONS, NOOP
+from magical_mj.episodes import Episode, Policy
+from magical_mj.errors import SettingsError
+
+
+class NoopAgent:
+    """Does nothing."""
+
+    blind = True
+
+    def reset(self, episode: Episode) -> None:
+        """Nothing to do here either."""
+
+    def __call__(self, observation: Any) -> int:
+        """An action; the observation does not matter."""
+        del observation
+        return NOOP
+
+
+class RandomAgent:
+    """Draws each action independently and uniformly."""
+
+    blind = True
+
+    def reset(self, episode: Episode) -> None:
+        """Starts the episode's own sequence."""
+        self._rng = episode.rng()
+
+    def __call__(self, observation: Any) -> int:
+        """An action; the observation does not matter."""
+        del observation
+        return int(self._rng.integers(len(ACTIONS)))
+
+
+class ExpertAgent:
+    """The scripted demonstrator, which looks at the state of the simulation; the run's number is its seed."""
+
+    blind = True
+
+    def reset(self, episode: Episode) -> None:
+        """Makes an expert for this episode."""
+        from magical_mj.experts import make_expert
+
+        if episode.env is None:
+            raise SettingsError("the expert needs the simulation itself; it cannot play in vector environments")
+        self._next = make_expert(episode.env, episode.task, episode.run)
+
+    def __call__(self, observation: Any) -> int:
+        """An action; the observation does not matter."""
+        del observation
+        return self._next()
+
+
+AGENTS: Final[Mapping[str, type[Policy]]] = MappingProxyType(
+    {"expert": ExpertAgent, "random": RandomAgent, "noop": NoopAgent}
+)
+"""By the names that they are asked for with."""

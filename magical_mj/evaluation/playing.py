@@ -1,0 +1,182 @@
+"""Playing episodes with policies: one after another, or side by side; and what becomes of policies that fail.
+
+All episodes of an environment have the same length. So a vector environment is reset with one scene for each of its
+environments and stepped until all have ended, together. Whether and when it would reset itself does not matter, for
+it is always reset to the next scenes first.
+"""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import dm_env
+import gymnasium
+import numpy as np
+from gymnasium.vector.utils import iterate
+
+import magical_mj
+from magical_mj.actions import action_number
+from magical_mj.environment import Environment
+from magical_mj.episodes import LETTERS, Episode, begin, is_blind
+from magical_mj.episodes import play as play_actions
+from magical_mj.errors import EvaluationError, RenderingError
+from magical_mj.evaluation.policies import BatchPolicy
+from magical_mj.tasks.spec import Rules
+
+Act = Callable[[Any], Any]
+"""A policy, or a plain function from observation to action."""
+World = Environment | gymnasium.Env[Any, Any]
+Envs = gymnasium.vector.VectorEnv[Any, Any, Any]
+
+REASON_LENGTH: Final = 300
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How an episode ended.
+
+    Attributes:
+        score: in [0, 1]; 0 if the policy failed.
+        actions: what was done, one of `LETTERS` for each step.
+        seconds: of the whole episode.
+        failure: why the policy failed; None if it did not.
+    """
+
+    score: float
+    actions: str
+    seconds: float
+    failure: str | None = None
+
+
+def world_for(policy: Act, task: str, variant: str, preset: str, rules: Rules) -> World:
+    """The environment that a policy plays in: Gymnasium's with the preset's observations, or the bare simulation.
+
+    Gymnasium's is without the wrappers of `gymnasium.make`, which check at each step what the tests have checked.
+    """
+    if is_blind(policy):
+        return magical_mj.load(task, variant, seed=0, observations=(), rules=rules)
+    return gymnasium.make(magical_mj.env_id(task, variant, preset), rules=rules).unwrapped
+
+
+def simulation(world: World) -> Environment:
+    """The dm_env environment that a world is, or that it runs."""
+    return world if isinstance(world, Environment) else world.unwrapped.dm_env  # type: ignore[attr-defined]
+
+
+def play(world: World, policy: Act, episode: Episode) -> Outcome:
+    """Plays one episode; whatever the policy does wrong is its failure, and costs it the score.
+
+    Args:
+        world: one of the package's environments, through any wrappers.
+        policy: what acts.
+        episode: what is played. Policies that look at no observations get the simulation in it.
+
+    Raises:
+        RenderingError: if no pictures can be drawn here, which is not the policy's fault.
+    """
+    start = time.perf_counter()
+    word: list[str] = []
+    score, failure = 0.0, None
+    try:
+        observation = _observation(world.reset(seed=episode.seed))
+        begin(policy, replace(episode, env=simulation(world)) if is_blind(policy) else episode)
+
+        def answers() -> Iterator[int]:
+            while True:
+                yield action_number(policy(observation))
+
+        for action, result in play_actions(world, answers()):
+            word.append(LETTERS[action])
+            observation = _observation(result)
+        score = simulation(world).score()
+    except RenderingError:
+        raise
+    except (Exception, SystemExit) as error:  # noqa: BLE001 a policy may raise anything
+        failure = reason(error)
+    return Outcome(score, "".join(word), time.perf_counter() - start, failure)
+
+
+def _observation(result: Any) -> Any:
+    """Of what an environment's reset or step returned; None if it is the simulation's."""
+    return None if isinstance(result, dm_env.TimeStep) else result[0]
+
+
+def reason(error: BaseException) -> str:
+    """One line about an error."""
+    return " ".join(f"{type(error).__name__}: {error}".split())[:REASON_LENGTH]
+
+
+class Copies:
+    """A policy for single observations in several episodes at once: one copy of it for each."""
+
+    def __init__(self, policy: Act, envs: Envs) -> None:
+        self._copies = [copy.deepcopy(policy) for _ in range(envs.num_envs)]
+        self._space = envs.observation_space
+
+    def reset_batch(self, episodes: Sequence[Episode]) -> None:
+        """Begins one of the episodes with each copy."""
+        for policy, episode in zip(self._copies, episodes, strict=True):
+            begin(policy, episode)
+
+    def act_batch(self, observations: Any) -> list[Any]:
+        """Each copy's action for its own observation."""
+        single = iterate(self._space, observations)
+        return [policy(observation) for policy, observation in zip(self._copies, single, strict=True)]
+
+
+def rollouts(
+    env: gymnasium.Env[Any, Any] | Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode]
+) -> Iterator[Outcome]:
+    """Plays the episodes in an environment, or side by side in a vector environment, and yields how they end, in order.
+
+    Args:
+        env: one of the package's environments (through any wrappers), or a vector of one of them.
+        policy: what acts; for plain environments it takes single observations. In a vector, a `BatchPolicy` acts for
+            all environments at once, and of any other policy each environment gets a copy.
+        episodes: with seeds for the scenes.
+
+    Raises:
+        RenderingError: if no pictures can be drawn here.
+    """
+    if isinstance(env, gymnasium.vector.VectorEnv):
+        acting = policy if isinstance(policy, BatchPolicy) else Copies(policy, env)
+        for start in range(0, len(episodes), env.num_envs):
+            yield from play_side_by_side(env, acting, episodes[start : start + env.num_envs])
+    elif callable(policy):
+        yield from (play(env, policy, episode) for episode in episodes)
+    else:
+        raise EvaluationError(f"{type(policy).__name__} takes only batches, and the environment is a single one")
+
+
+def play_side_by_side(envs: Envs, policy: BatchPolicy, episodes: Sequence[Episode]) -> list[Outcome]:
+    """Plays at most as many episodes as there are environments. What the policy does wrong costs them all."""
+    start = time.perf_counter()
+    count = len(episodes)
+    padded = [*episodes, *[episodes[-1]] * (envs.num_envs - count)]
+    words: list[str] = [""] * count
+    scores, failure = np.zeros(count), None
+    try:
+        seeds: Any = [episode.seed for episode in padded]  # the base class knows only of one seed
+        observations, _ = envs.reset(seed=seeds)
+        policy.reset_batch(padded)
+
+        def answers() -> Iterator[Any]:
+            while True:
+                yield np.array([action_number(action) for action in policy.act_batch(observations)])
+
+        for actions, result in play_actions(envs, answers()):
+            words = [word + LETTERS[action] for word, action in zip(words, actions, strict=False)]
+            observations, _, _, ended, info = result
+            if ended.any() and not ended.all():
+                raise EvaluationError("the vector holds environments whose episodes differ in length")
+            scores = info.get("final_info", info).get("eval_score", scores)
+    except (RenderingError, EvaluationError):
+        raise
+    except (Exception, SystemExit) as error:  # noqa: BLE001 a policy may raise anything
+        failure, scores = reason(error), np.zeros(count)
+    seconds = (time.perf_counter() - start) / count
+    return [Outcome(float(score), word, seconds, failure) for score, word in zip(scores, words, strict=False)]

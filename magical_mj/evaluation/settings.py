@@ -1,0 +1,128 @@
+"""The settings of an evaluation: each with its type, default, bounds and meaning in one place."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, get_args, get_type_hints
+
+import mujoco
+
+from magical_mj._version import __version__
+from magical_mj.errors import SettingsError, unknown_name
+from magical_mj.parallel import Backend, check_backend
+from magical_mj.presets import preset as check_preset
+from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
+from magical_mj.registry import Names, check_rules, environments
+from magical_mj.tasks.spec import Rules
+
+Vectorization = Literal["sync", "async"]
+
+SHOWN: Final = 300
+"""Letters of a setting that an error shows."""
+
+
+@dataclass(frozen=True)
+class About:
+    """What is to be said about a setting.
+
+    Attributes:
+        text: its meaning.
+        least: the least number that it may be.
+    """
+
+    text: str
+    least: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationSettings:
+    """What `evaluate` is asked to do. `magical-mj evaluate` has an option for each setting, with the same default.
+
+    Raises:
+        SettingsError, UnknownNameError: if something does not exist, is out of bounds, or does not go together.
+    """
+
+    tasks: Annotated[Names, About("Tasks, separated by commas.")] = "all"
+    variants: Annotated[Names, About("Variants, separated by commas; pairs that do not exist are left out.")] = "all"
+    episodes: Annotated[int, About("In each environment, in the scenes of seeds 0, 1, ...; the paper's: 100.", 1)] = 100
+    preset: Annotated[str, About("The observations: a preset's name, or an empty one.")] = "LoRes4E"
+    rules: Annotated[Rules, About("Scores and horizons of the paper, or of the released code.")] = "paper"
+    out: Annotated[Path | str | None, About("The folder for the scores.")] = None
+    resume: Annotated[bool, About("Go on with what is in the folder.")] = False
+    jobs: Annotated[int | None, About("Processes. By default one per core, where there is work for several.", 1)] = None
+    backend: Annotated[Backend, About("Where they run: on this machine or on a cluster.")] = "local"
+    address: Annotated[str | None, About("Of the cluster, such as tcp://host:8786.")] = None
+    run: Annotated[int, About("The number of the (first) run of each method.", 0)] = 0
+    time_limit: Annotated[float, About("Seconds for one episode; then it has failed.", 0.1)] = 300.0
+    envs: Annotated[int, About("Episodes played side by side in each process, for batches.", 1)] = 1
+    vectorization: Annotated[Vectorization, About("How: in the process itself, or in one each.")] = "sync"
+    trust: Annotated[bool, About("Load model files that hold code, which then runs.")] = False
+
+    def __post_init__(self) -> None:
+        for name, (_, about) in described(type(self)).items():
+            value = getattr(self, name)
+            if about.least is not None and value is not None and not value >= about.least:
+                raise SettingsError(f"{name} must be at least {about.least}, not {value}")
+        _ = self.environments
+        check_preset(self.preset)
+        check_rules(self.rules)
+        check_backend(self.backend, self.jobs, self.address)
+        if self.vectorization not in get_args(Vectorization):
+            raise unknown_name("vectorization", self.vectorization, get_args(Vectorization))
+
+    @property
+    def environments(self) -> list[tuple[str, str]]:
+        """The pairs of tasks and variants that are played."""
+        return environments(self.tasks, self.variants)
+
+    def recorded(self) -> dict[str, Any]:
+        """What scores depend on, beside the policies; a folder goes on only with the same."""
+        return {
+            "environments": [f"{task}-{variant}" for task, variant in self.environments],
+            **{name: getattr(self, name) for name in ("episodes", "preset", "rules", "time_limit")},
+            "protocol": PROTOCOL,
+            "demonstrations": DEMONSTRATIONS,
+            "version": __version__,
+            "mujoco": mujoco.__version__,
+            "gl": os.environ.get("MUJOCO_GL", ""),
+        }
+
+
+def described(settings: type) -> dict[str, tuple[Any, About]]:
+    """The type of each setting, and what is to be said about it, by their names."""
+    hints = get_type_hints(settings, include_extras=True)
+    return {setting.name: get_args(hints[setting.name]) for setting in fields(settings)}  # type: ignore[misc]
+
+
+def settings_from(arguments: Mapping[str, Any]) -> EvaluationSettings:
+    """The settings with these values.
+
+    Raises:
+        UnknownNameError: if there is no such setting.
+        SettingsError: see `EvaluationSettings`.
+    """
+    known = described(EvaluationSettings)
+    for name in arguments:
+        if name not in known:
+            raise unknown_name("setting", name, known)
+    return EvaluationSettings(**arguments)
+
+
+def check_unchanged(folder: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Raises a `SettingsError` that names what differs from the settings that a folder was started with."""
+    differences = [
+        f"{name} was {_short(before.get(name))} and is {_short(value)}"
+        for name, value in now.items()
+        if before.get(name) != value
+    ]
+    if differences:
+        raise SettingsError(f"{folder} was started with other settings: {'; '.join(differences)}")
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= SHOWN else f"{text[: SHOWN // 2]} ... {text[-SHOWN // 2 :]}"

@@ -1,0 +1,72 @@
+"""Worker processes of a dask or ray cluster, through joblib."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, Final, TypeVar
+
+from magical_mj.errors import WorkerError
+from magical_mj.extras import missing_extra
+
+Piece = TypeVar("Piece")
+Result = TypeVar("Result")
+
+ROUND: Final = 4
+"""Pieces for each worker between two looks at the results, where results cannot be had one by one (ray)."""
+
+
+def spread_there(
+    function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int | None, backend: str, address: str | None
+) -> Iterator[Result]:
+    """See `magical_mj.parallel.spread`."""
+    try:
+        import joblib
+    except ModuleNotFoundError:
+        raise missing_extra(f"the {backend} backend", backend) from None
+    task, arguments = joblib.delayed(function), {"n_jobs": jobs or -1, "batch_size": 1}
+    if backend == "dask":
+        with _dask_client(address) as client, joblib.parallel_config("dask", client=client), _deaths():
+            yield from joblib.Parallel(return_as="generator_unordered", **arguments)(task(piece) for piece in pieces)
+    else:
+        _start_ray(address)
+        with joblib.parallel_config("ray"):
+            size = ROUND * joblib.effective_n_jobs(arguments["n_jobs"])
+            for start in range(0, len(pieces), size):
+                yield from joblib.Parallel(**arguments)(task(piece) for piece in pieces[start : start + size])
+
+
+@contextmanager
+def _deaths() -> Iterator[None]:
+    from distributed import KilledWorker
+
+    try:
+        yield
+    except KilledWorker as error:
+        raise WorkerError(f"several workers of the cluster died of the same piece of work: {error}") from error
+
+
+def _dask_client(address: str | None) -> Any:
+    try:
+        from distributed import Client
+    except ModuleNotFoundError:
+        raise missing_extra("the dask backend", "dask") from None
+    try:
+        return Client(address)
+    except OSError as error:
+        raise WorkerError(f"no dask scheduler answers at {address}") from error
+
+
+def _start_ray(address: str | None) -> None:
+    try:
+        import ray  # pyright: ignore[reportMissingImports]
+        from ray.util.joblib import register_ray  # pyright: ignore[reportMissingImports]
+    except ModuleNotFoundError:
+        raise missing_extra("the ray backend", "ray") from None
+    register_ray()
+    if not ray.is_initialized():
+        try:
+            ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+        except (ConnectionError, ValueError) as error:
+            raise WorkerError(f"no ray cluster answers at {address}: {error}") from error

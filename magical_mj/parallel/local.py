@@ -1,0 +1,165 @@
+"""Worker processes of this machine.
+
+They are started afresh, for OpenGL does not survive a fork, and without the caller's `__main__`, so that scripts need
+no guard. A worker's standard input is a pipe from the caller's process, which closes when that process ends, in
+whatever way; then the worker ends at once.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from typing import IO, Any, Final, TypeVar
+
+import cloudpickle
+
+from magical_mj.errors import WorkerError
+
+Piece = TypeVar("Piece")
+Result = TypeVar("Result")
+Answer = tuple[bool, Any]
+"""Whether all went well, and the result or the error."""
+
+LIVES: Final = 3
+"""Workers that may die of one piece of work."""
+GRACE: Final = 10.0
+"""Seconds that a worker gets to close what it has open."""
+ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Sums depend on how they are split, and workers must not fight for cores."""
+
+
+def spread_here(function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int) -> Iterator[Result]:
+    """See `magical_mj.parallel.spread`."""
+    todo: queue.SimpleQueue[tuple[Callable[[Any], Any], Any]] = queue.SimpleQueue()
+    for piece in pieces:
+        todo.put((function, piece))
+    done: queue.SimpleQueue[Answer] = queue.SimpleQueue()
+    workers = [_Worker() for _ in range(min(jobs, len(pieces)))]
+    try:
+        for worker in workers:
+            threading.Thread(target=_attend, args=(worker, todo, done), daemon=True).start()
+        for _ in pieces:
+            fine, result = done.get()
+            if not fine:
+                raise result
+            yield result
+        for worker in workers:
+            worker.end()
+    finally:
+        for worker in workers:
+            worker.kill()
+
+
+def _attend(worker: _Worker, todo: queue.SimpleQueue[Any], done: queue.SimpleQueue[Answer]) -> None:
+    """Hands one piece of work after another to a worker, until there are no more."""
+    with suppress(queue.Empty):
+        while True:
+            work = todo.get_nowait()
+            try:
+                done.put(worker.do(cloudpickle.dumps(work)))
+            except Exception as error:  # noqa: BLE001 it cannot be pickled
+                done.put((False, error))
+
+
+class _Worker:
+    """A process that works; if it dies, another takes its place."""
+
+    def __init__(self) -> None:
+        self._lock, self._killed = threading.Lock(), False
+        self._start()
+
+    def do(self, piece: bytes) -> Answer:
+        """The answer to a piece of work: a pickled function and its argument."""
+        code = 0
+        for _ in range(LIVES):
+            try:
+                _send(self._process.stdin, piece)
+                return _receive(self._process.stdout)
+            except (EOFError, OSError, ValueError, pickle.UnpicklingError):
+                code = self._process.wait()
+                self._start()
+        cause = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+        return False, WorkerError(
+            f"{LIVES} worker processes died of the same piece of work ({cause}), perhaps for want of memory"
+        )
+
+    def end(self) -> None:
+        """Lets the process close what it has open, and waits for it."""
+        with suppress(OSError, subprocess.TimeoutExpired):
+            _send(self._process.stdin, None)
+            self._process.wait(GRACE)
+
+    def kill(self) -> None:
+        """Ends the process, whatever it does."""
+        with self._lock:
+            self._killed = True
+            self._process.kill()
+            self._close()
+
+    def _start(self) -> None:
+        with self._lock:
+            if self._killed:
+                return
+            if hasattr(self, "_process"):
+                self._close()
+            program = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve()"
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", program],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env={**ONE_THREAD, **os.environ},
+            )
+
+    def _close(self) -> None:
+        self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            with suppress(OSError):
+                pipe.close()  # type: ignore[union-attr]
+
+
+def serve() -> None:
+    """What a worker process does. Whatever is printed goes to standard error."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the caller's process too, which decides
+    source, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.dup2(2, 1)
+    pieces: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(source, pieces), daemon=True).start()
+    while (piece := pieces.get()) is not None:
+        _send(answers, _answer(piece))
+
+
+def _listen(source: IO[bytes], pieces: queue.SimpleQueue[bytes | None]) -> None:
+    with suppress(EOFError):
+        while True:
+            pieces.put(_receive(source))
+    os._exit(0)  # the caller's process is gone
+
+
+def _answer(piece: bytes) -> Answer:
+    try:
+        function, argument = pickle.loads(piece)  # noqa: S301 from the process that started this one
+        answer = True, function(argument)
+        cloudpickle.dumps(answer)
+    except Exception as error:  # noqa: BLE001 the caller gets it
+        error.add_note(f"in a worker process:\n{''.join(traceback.format_exception(error))}")
+        return False, error
+    return answer
+
+
+def _send(pipe: IO[bytes] | None, message: Any) -> None:
+    cloudpickle.dump(message, pipe)
+    pipe.flush()  # type: ignore[union-attr]
+
+
+def _receive(pipe: IO[bytes] | None) -> Any:
+    return pickle.load(pipe)  # type: ignore[arg-type]  # noqa: S301 from our own process

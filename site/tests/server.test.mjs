@@ -1,0 +1,52 @@
+// @ts-check
+/** The same page with Python behind it: `magical-mj play --web --collect`, in headless Chromium. */
+import assert from "node:assert/strict";
+import { spawn } from "node:child_process";
+import { mkdtemp, readdir } from "node:fs/promises";
+import { createInterface } from "node:readline";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { fileURLToPath } from "node:url";
+import { test } from "node:test";
+import { launch } from "./browser.mjs";
+
+const PYTHON = fileURLToPath(new URL("../../.venv/bin/python", import.meta.url));
+
+test("people play at the server and send what they did", async () => {
+  const folder = await mkdtemp(join(tmpdir(), "magical-study-"));
+  const server = spawn(PYTHON, ["-m", "magical_mj", "play", "--web", "--port", "0", "--collect", folder,
+    "--tasks", "MoveToRegion", "--variants", "Demo,Layout", "--wanted", "1"]);
+  const browser = await launch();
+  try {
+    const { value: address } = await createInterface(server.stdout)[Symbol.asyncIterator]().next();
+    const page = await browser.context.newPage();
+    /** @type {string[]} */
+    const complaints = [];
+    page.on("console", (message) => { if (message.type() === "error") complaints.push(message.text()); });
+    page.on("pageerror", (error) => complaints.push(error.message));
+    const untilStatus = (/** @type {string} */ text) => page.waitForFunction(
+      (text) => document.getElementById("status")?.textContent?.includes(text), text, { timeout: 20000 });
+    await page.goto(`${address}?speed=10`);
+    for (const variant of ["Demo", "Layout"]) {
+      await untilStatus("ress a key");
+      assert.equal(await page.inputValue("#variant"), variant);
+      await page.keyboard.down("ArrowUp");
+      await untilStatus("Over");
+      await page.keyboard.up("ArrowUp");
+      await page.click("#save");
+      await untilStatus("Kept");
+    }
+    assert.match(await page.textContent("#status") ?? "", /everything/);
+    await page.fill("#seed", "12345");
+    await page.press("#seed", "Enter");
+    await page.waitForFunction(() => location.hash.endsWith("-12345"));
+    const [participant, ...others] = await readdir(folder);
+    assert.match(participant, /^[0-9a-f]{16}$/);
+    assert.deepEqual(others, []);
+    assert.equal((await readdir(join(folder, participant))).length, 2);
+    assert.deepEqual(complaints, []);
+  } finally {
+    await browser.close();
+    server.kill();
+  }
+});

@@ -1,0 +1,121 @@
+"""Worker processes of this machine: all work is done, the dead are replaced, and none outlives its caller."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from magical_mj.errors import UnknownNameError, WorkerError
+from magical_mj.parallel import spread
+
+
+def square(number: int) -> int:
+    return number**2
+
+
+def test_all_the_work_is_done() -> None:
+    assert sorted(spread(square, range(20), jobs=2)) == [number**2 for number in range(20)]
+    assert list(spread(square, [], jobs=2)) == []
+
+
+def test_closures_are_sent_and_noise_does_no_harm(capfd: pytest.CaptureFixture[str]) -> None:
+    factor = 3
+
+    def loud(number: int) -> int:
+        sys.stdout.write("noise\n")
+        os.system("echo noise")
+        assert sys.stdin.read() == ""
+        return factor * number
+
+    assert sorted(spread(loud, range(4), jobs=2)) == [0, 3, 6, 9]
+    assert capfd.readouterr().err.count("noise") == 8
+
+
+def test_errors_come_back_with_their_origin() -> None:
+    def fail(number: int) -> int:
+        raise UnknownNameError(f"no {number}")
+
+    with pytest.raises(UnknownNameError, match="no 7") as caught:
+        list(spread(fail, [7], jobs=1))
+    assert "in fail" in caught.value.__notes__[0]
+
+
+def test_what_cannot_be_sent_is_an_error() -> None:
+    with pytest.raises(TypeError, match="pickle"):
+        list(spread(square, [(_ for _ in ())], jobs=1))  # type: ignore[list-item]
+
+
+def dies(once: Path) -> Callable[[int], int]:
+    def work(number: int) -> int:
+        if number == 1 and not once.exists():
+            once.touch()
+            os._exit(3)
+        return number
+
+    return work
+
+
+def test_a_dead_worker_is_replaced(tmp_path: Path) -> None:
+    assert sorted(spread(dies(tmp_path / "once"), range(6), jobs=2)) == list(range(6))
+
+
+def test_work_that_kills_every_worker_is_given_up() -> None:
+    with pytest.raises(WorkerError, match=r"3 worker processes died of the same piece of work \(exit code 3\)"):
+        list(spread(lambda _: os._exit(3), [0], jobs=1))
+
+
+PROGRAM = """
+import os, time
+import magical_mj
+from magical_mj.parallel import spread
+
+def work(number):
+    with open({folder!r} + f"/{{os.getpid()}}", "w"):
+        pass
+    if number < 2:
+        return number
+    if number == 2:
+        time.sleep(1000)
+    while True:
+        pass
+
+for result in spread(work, [0, 1, 2, 3], jobs=2):
+    print(result, flush=True)
+"""
+
+
+def running(folder: Path) -> list[int]:
+    """The processes that left their number in the folder and are still there."""
+    return [int(path.name) for path in folder.iterdir() if Path(f"/proc/{path.name}/cmdline").exists()]
+
+
+def wait_for(condition: Callable[[], Any], seconds: float = 60) -> None:
+    start = time.monotonic()
+    while not condition():
+        assert time.monotonic() - start < seconds
+        time.sleep(0.05)
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL, signal.SIGINT])
+def test_workers_end_with_their_caller(how: signal.Signals, tmp_path: Path) -> None:
+    """One of them idle, one busy for ever; from a script without a guard for `__main__`."""
+    script, folder = tmp_path / "script.py", tmp_path / "workers"
+    folder.mkdir()
+    script.write_text(PROGRAM.format(folder=str(folder)))
+    caller = subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    with caller:
+        assert caller.stdout is not None
+        assert sorted(caller.stdout.readline() for _ in range(2)) == ["0\n", "1\n"]
+        wait_for(lambda: len(running(folder)) == 2)
+        caller.send_signal(how)
+        caller.wait(30)
+        wait_for(lambda: not running(folder), 10)
