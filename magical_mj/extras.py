@@ -8,7 +8,7 @@ from typing import Final
 from magical_mj.errors import MissingExtraError
 
 MODULES: Final = {
-    "eval": ("joblib", "matplotlib", "pandas", "scipy"),
+    "eval": ("joblib", "jsonschema", "matplotlib", "pandas", "scipy"),
     "gpu": ("mujoco_warp", "torch", "warp"),
     "il": ("kornia", "safetensors", "stable_baselines3", "tensorboard", "torch"),
 }

@@ -7,7 +7,7 @@
 | 2 | variants; assets | floor 0; variants also the tasks' spec, and no simulator; neither knows the other |
 | 3 | registry, environment, observations, rendering, export, parallel | 0-2, mujoco, dm_control |
 | 4 | Gymnasium, episodes, agents, experts, demonstrations | 0-3, gymnasium |
-| 5 | batched, evaluation, speed, web | 0-4 |
+| 5 | batched, evaluation, leaderboard, speed, web | 0-4 |
 | 6 | cli | 0-5 |
 | 7 | baselines | anything; nobody imports them: commands and loaders of policies are plug-ins, by their entry points |
 """
@@ -37,7 +37,7 @@ FLOORS: dict[str, int] = {
     **dict.fromkeys(["announced", "parallel"], 3),
     **dict.fromkeys(["episodes", "agents"], 4),
     **dict.fromkeys(["presets", "registration", "frames", "gym_env", "wrappers", "experts", "demos"], 4),
-    **dict.fromkeys(["batched", "evaluation", "speed", "web"], 5),
+    **dict.fromkeys(["batched", "evaluation", "leaderboard", "speed", "web"], 5),
     **dict.fromkeys(["cli", "__main__"], 6),
     **dict.fromkeys(["baselines", "integrations"], 7),
 }

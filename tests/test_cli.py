@@ -21,7 +21,20 @@ from magical_mj.errors import RenderingError
 from magical_mj.evaluation.scores import read
 from magical_mj.rendering.backend import osmesa_works
 
-TOP = ("list", "view", "rollout", "evaluate", "report", "compare", "export", "bench", "doctor", "demo")
+TOP = (
+    "list",
+    "view",
+    "rollout",
+    "evaluate",
+    "report",
+    "compare",
+    "verify",
+    "submit",
+    "export",
+    "bench",
+    "doctor",
+    "demo",
+)
 
 
 class Shell:

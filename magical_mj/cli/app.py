@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 import magical_mj
-from magical_mj.cli import bench, demo, demos, doctor, environments, evaluate, play, results
+from magical_mj.cli import bench, demo, demos, doctor, environments, evaluate, leaderboard, play, results
 from magical_mj.cli.console import complain
 from magical_mj.errors import MagicalError
 
@@ -26,6 +26,8 @@ app.command("rollout")(evaluate.rollout)
 app.command("evaluate")(evaluate.evaluate)
 app.command("report")(results.make_report)
 app.command("compare")(results.make_comparison)
+app.command("verify")(leaderboard.verify_folder)
+app.command("submit")(leaderboard.make_entry)
 app.add_typer(demos.app, name="demos")
 app.command("play")(play.play)
 app.command("export")(environments.export)

@@ -22,7 +22,7 @@ from magical_mj.rendering.backend import REMEDY
 CORE: Final = ("magical-mj", "mujoco", "dm_control", "dm-env", "gymnasium", "numpy", "shapely", "pillow")
 EXTRAS: Final = {
     "cli": ("typer", "rich"),
-    "eval": ("joblib", "matplotlib", "pandas", "scipy"),
+    "eval": ("joblib", "jsonschema", "matplotlib", "pandas", "scipy"),
     "video": ("imageio-ffmpeg",),
     "window": ("pygame-ce",),
 }

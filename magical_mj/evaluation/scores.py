@@ -44,6 +44,7 @@ class Score:
         gl: the OpenGL backend.
         actions: a letter for each action, from which the episode can be played again.
         failure: why the policy failed; None if it did not.
+        scene: the digest of the scene in which the episode started; None in files of older versions.
     """
 
     policy: str
@@ -61,6 +62,7 @@ class Score:
     gl: str
     actions: str
     failure: str | None = None
+    scene: str | None = None
 
     @property
     def key(self) -> Key:
@@ -76,13 +78,15 @@ _TYPES: Final[dict[str, tuple[type, ...]]] = {
     **dict.fromkeys(("policy", "task", "variant", "rules", "version", "mujoco", "gl", "actions"), (str,)),
     **dict.fromkeys(("run", "seed", "steps"), (int,)),
     **dict.fromkeys(("score", "seconds"), (int, float)),
-    **dict.fromkeys(("preset", "failure"), (str, type(None))),
+    **dict.fromkeys(("preset", "failure", "scene"), (str, type(None))),
 }
 
 
 def parse(line: str) -> Score:
     """The episode of a line; a ValueError that says what is wrong with it."""
     entry = json.loads(line)
+    if isinstance(entry, dict):
+        entry.setdefault("scene", None)
     if not isinstance(entry, dict) or entry.keys() != _TYPES.keys():
         raise ValueError(f"it must be an object with the keys {', '.join(_TYPES)}")
     for name, types in _TYPES.items():

@@ -22,7 +22,7 @@ from magical_mj.evaluation.policies import BatchPolicy
 from magical_mj.evaluation.scores import Key, Score
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.registration import env_id
-from magical_mj.registry import task_spec
+from magical_mj.registry import sample_scene, task_spec
 
 T = TypeVar("T")
 
@@ -186,6 +186,7 @@ def _score(unit: Unit, preset: str | None, episode: Episode, outcome: Outcome) -
         gl=os.environ.get("MUJOCO_GL", ""),
         actions=outcome.actions,
         failure=outcome.failure,
+        scene=sample_scene(unit.task, unit.variant, episode.seed).digest(),
     )
 
 

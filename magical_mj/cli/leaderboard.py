@@ -1,0 +1,79 @@
+"""`magical-mj verify`, `submit` and `leaderboard`: results that are replayed, packed, and put into tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+from rich import progress as bars
+from rich.console import Console
+
+from magical_mj.cli.console import Jobs, complain, console
+from magical_mj.evaluation.scores import read
+from magical_mj.leaderboard import Findings, submit, verify
+from magical_mj.leaderboard.claims import Checked
+
+SHOWN: Final = 20
+"""Problems that are printed; the rest is counted."""
+
+Folder = Annotated[Path, typer.Argument(help="The folder of an evaluation.", show_default=False)]
+Folders = Annotated[list[Path], typer.Argument(help="Folders of evaluations of one method.", show_default=False)]
+Out = Annotated[Path, typer.Option(help="The entry's file, which ends in .json.gz.", show_default=False)]
+Card = Annotated[Path | None, typer.Option(help="TOML that says what the method is; see docs/leaderboard.md.")]
+Name = Annotated[str | None, typer.Option("--policy", help="Which method, if the folders hold several.")]
+
+
+def verify_folder(folder: Folder, jobs: Jobs = None) -> None:
+    """Replay every episode of an evaluation, and compare scenes, scores and what the protocol asks for."""
+    screen = console()
+    with _bar(screen, f"replaying {folder}", len(read(folder))) as watch:
+        found = verify(folder, jobs=jobs, watch=watch)
+    screen.print(describe(found), soft_wrap=True)
+    if not _complained(str(folder), found):
+        screen.print("everything is there, and is what it says")
+    else:
+        raise typer.Exit(1)
+
+
+def make_entry(folders: Folders, out: Out, card: Card = None, policy: Name = None) -> None:
+    """Pack the evaluations of one method, with its card, into an entry for the leaderboard."""
+    entry = submit(folders, out, card=card, policy=policy)
+    unsaid = [name for name, value in entry.card.items() if value is None]
+    screen = console()
+    screen.print(
+        f"{entry.method}: {len(entry.episodes)} episodes of {len(entry.runs)} runs, {out.stat().st_size / 1e6:.2f} MB"
+    )
+    if unsaid:
+        screen.print(f"the card does not say: {', '.join(unsaid)} (--card)")
+    screen.print(out, soft_wrap=True)
+
+
+def describe(found: Findings) -> str:
+    """How much was replayed, and how fast."""
+    rate = found.steps / found.seconds if found.seconds else 0.0
+    return f"{found.episodes} episodes replayed, {found.steps} steps in {found.seconds:.0f} s ({rate:.0f} steps/s)"
+
+
+def _complained(name: str, found: Findings) -> bool:
+    """Whether there were problems, which are printed."""
+    for problems, what in (
+        (found.unfit, "does not fit"),
+        (found.differing, "differs"),
+        (found.missing, "is incomplete"),
+    ):
+        for problem in problems[:SHOWN]:
+            complain(f"{name} {what}: {problem}")
+        if len(problems) > SHOWN:
+            complain(f"{name} {what}: {len(problems) - SHOWN} more")
+    return not found.good
+
+
+@contextmanager
+def _bar(screen: Console, label: str, total: int | None) -> Iterator[Callable[[Checked], None]]:
+    columns = bars.TextColumn("{task.description}"), bars.BarColumn(), bars.MofNCompleteColumn()
+    with bars.Progress(*columns, bars.TimeRemainingColumn(), console=screen, transient=True) as progress:
+        bar = progress.add_task(label, total=total)
+        yield lambda checked: progress.advance(bar, checked.episodes)

@@ -1,0 +1,142 @@
+"""Checking results: folders of evaluations, and entries."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from magical_mj.errors import EvaluationError
+from magical_mj.evaluation.scores import read
+from magical_mj.extras import check_extra
+from magical_mj.leaderboard.claims import Checked, Claim, check_claims, missing
+from magical_mj.leaderboard.entry import Entry, claim_of, recorded, unpacked
+from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
+from magical_mj.registry import TASKS, check_rules
+from magical_mj.tasks.spec import Rules
+
+SHARE: Final = 0.1
+"""Of an entry's episodes that are played again, unless all are asked for."""
+MOST: Final = 1000
+"""Episodes of an entry that are played again, unless all are asked for."""
+
+Watch = Callable[[Checked], None]
+
+
+@dataclass
+class Findings:
+    """What came of a check.
+
+    Attributes:
+        episodes: how many were played again.
+        steps: how many actions these have.
+        seconds: that it took.
+        differing: a sentence for each episode that is not what is claimed.
+        missing: a sentence for each run and environment that lacks episodes.
+        unfit: what else does not fit this version's protocol.
+    """
+
+    episodes: int = 0
+    steps: int = 0
+    seconds: float = 0.0
+    differing: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+    unfit: list[str] = field(default_factory=list)
+
+    @property
+    def good(self) -> bool:
+        """Whether all episodes are there, fit, and are what is claimed."""
+        return not (self.differing or self.missing or self.unfit)
+
+    def replay(self, episodes: Sequence[Claim], rules: Rules, jobs: int | None, watch: Watch) -> None:
+        """Plays episodes again and takes down what differs."""
+        start = time.perf_counter()
+        for found in check_claims(episodes, rules, jobs):
+            self.episodes += found.episodes
+            self.steps += found.steps
+            self.differing += found.problems
+            watch(found)
+        self.seconds += time.perf_counter() - start
+
+
+def verify(folder: Path | str, *, jobs: int | None = None, watch: Watch = lambda _: None) -> Findings:
+    """Plays every episode of an evaluation again, and compares it with the protocol.
+
+    Args:
+        folder: of the evaluation.
+        jobs: how many processes work; None: one for each core.
+        watch: called with each chunk of episodes that was played.
+
+    Raises:
+        EvaluationError: if the folder is no evaluation.
+    """
+    folder = Path(folder)
+    settings = recorded(folder)
+    findings = Findings()
+    for what, here in (("protocol", PROTOCOL), ("demonstrations", DEMONSTRATIONS)):
+        findings.unfit += _unfit(settings, what, here)
+    kinds: dict[tuple[str, Rules], list[Claim]] = defaultdict(list)
+    for score in read(folder):
+        kinds[score.policy, check_rules(score.rules)].append(claim_of(score))
+    for (policy, rules), episodes in kinds.items():
+        findings.unfit += _unfit(settings, "rules", rules)
+        ours = [episode for episode in episodes if episode.task in TASKS]
+        if len(ours) < len(episodes):
+            findings.unfit.append(f"{policy}: {len(episodes) - len(ours)} episodes are of tasks outside the benchmark")
+        findings.missing += [f"{policy}, {problem}" for problem in missing(ours)]
+        findings.replay(ours, rules, jobs, watch)
+    return findings
+
+
+def _unfit(settings: Mapping[str, Any], what: str, here: Any) -> list[str]:
+    """A sentence if a setting that was recorded is not what it must be here."""
+    if settings.get(what) == here:
+        return []
+    said = f"{settings[what]!r} is recorded" if what in settings else "nothing is recorded"
+    return [f"{what}: {said}, and it must be {here!r}"]
+
+
+def check_entry(
+    path: Path, *, everything: bool = False, jobs: int | None = None, watch: Watch = lambda _: None
+) -> tuple[Entry, Findings]:
+    """Reads an entry, and plays a random part of its episodes again.
+
+    Which episodes these are follows from the file's content, so that a check can be repeated.
+
+    Args:
+        path: of the file.
+        everything: play all of them.
+        jobs: how many processes work; None: one for each core.
+        watch: called with each chunk of episodes that was played.
+
+    Raises:
+        EvaluationError: if the file is no entry; see `magical_mj.leaderboard.entry.unpacked`.
+    """
+    check_extra("leaderboards", "eval")
+    data = path.read_bytes()
+    entry = unpacked(data, path)
+    chosen = entry.episodes if everything else _sample(entry.episodes, data)
+    findings = Findings(unfit=[] if entry.protocol == PROTOCOL else ["no protocol's number was recorded"])
+    findings.replay(chosen, entry.rules, jobs, watch)
+    return entry, findings
+
+
+def _sample(episodes: Sequence[Claim], data: bytes) -> list[Claim]:
+    count = min(MOST, max(1, round(SHARE * len(episodes))))
+    return random.Random(data).sample(episodes, count)  # noqa: S311 no secret
+
+
+def entries(folder: Path | str) -> Iterator[Path]:
+    """The files of a folder that are called as entries are, by their names.
+
+    Raises:
+        EvaluationError: if there are none.
+    """
+    found = sorted(Path(folder).glob("*.json.gz"))
+    if not found:
+        raise EvaluationError(f"{folder} holds no entries (*.json.gz); magical-mj submit makes them")
+    yield from found

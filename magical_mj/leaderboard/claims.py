@@ -1,0 +1,137 @@
+"""Episodes as they are claimed to have gone: they are played again from their actions, and what differs is named."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, NamedTuple
+
+import magical_mj
+from magical_mj.environment import Environment
+from magical_mj.episodes import LETTERS, actions_of, play
+from magical_mj.parallel import spread
+from magical_mj.registry import ENVIRONMENTS, sample_scene
+from magical_mj.tasks.spec import Rules
+
+SEEDS: Final = 100
+"""Of each environment: what the protocol asks for."""
+SAME: Final = 1e-9
+"""Two scores that differ by less are equal."""
+CHUNK: Final = 50
+"""Episodes that a worker replays before it reports."""
+
+
+class Claim(NamedTuple):
+    """One episode, as it is claimed to have gone.
+
+    Attributes:
+        run: which run of the method played it.
+        task: the task's name.
+        variant: the variant's name.
+        seed: of the scene.
+        scene: the scene's digest; None if it was not kept.
+        score: in [0, 1].
+        actions: one of `magical_mj.episodes.LETTERS` for each step.
+        failure: why the policy failed; None if it did not.
+    """
+
+    run: int
+    task: str
+    variant: str
+    seed: int
+    scene: str | None
+    score: float
+    actions: str
+    failure: str | None
+
+    def __str__(self) -> str:
+        return f"run {self.run}, {self.task} {self.variant}, seed {self.seed}"
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What came of playing a chunk of episodes again.
+
+    Attributes:
+        episodes: how many.
+        steps: how many actions were taken.
+        problems: a sentence for each episode that is not what is claimed.
+    """
+
+    episodes: int
+    steps: int
+    problems: list[str]
+
+
+def check_claims(episodes: Iterable[Claim], rules: Rules, jobs: int | None = None) -> Iterator[Checked]:
+    """Plays episodes again in the scenes of their seeds and compares scenes and scores, chunk after chunk.
+
+    Args:
+        episodes: what is claimed.
+        rules: by which they were scored.
+        jobs: how many processes work; None: one for each core.
+    """
+    environments: dict[tuple[str, str], list[Claim]] = defaultdict(list)
+    for episode in episodes:
+        environments[episode.task, episode.variant].append(episode)
+    chunks = [found[start : start + CHUNK] for found in environments.values() for start in range(0, len(found), CHUNK)]
+    check = partial(check_chunk, rules=rules)
+    return map(check, chunks) if jobs == 1 or len(chunks) == 1 else spread(check, chunks, jobs)
+
+
+def check_chunk(episodes: Sequence[Claim], rules: Rules) -> Checked:
+    """What a worker does: some episodes of one environment."""
+    first = episodes[0]
+    env = magical_mj.load(first.task, first.variant, seed=0, observations=(), rules=rules)
+    try:
+        problems = [f"{episode}: {problem}" for episode in episodes if (problem := check_claim(episode, env))]
+    finally:
+        env.close()
+    return Checked(len(episodes), sum(len(episode.actions) for episode in episodes), problems)
+
+
+def check_claim(claim: Claim, env: Environment) -> str | None:
+    """What is wrong with an episode; None if playing it again leads to the same.
+
+    Args:
+        claim: what is claimed.
+        env: an environment of its task, variant and rules.
+    """
+    digest = sample_scene(claim.task, claim.variant, claim.seed).digest()
+    if claim.scene is not None and claim.scene != digest:
+        return f"it was played in the scene {claim.scene}, and the seed's scene is {digest}"
+    if claim.failure is not None:
+        return None if claim.score == 0 else f"the policy failed, and its score is {claim.score:g} instead of 0"
+    if set(claim.actions) - set(LETTERS):
+        return "its actions are not all among the 18"
+    if len(claim.actions) != env.horizon:
+        return f"it has {len(claim.actions)} actions, and episodes have {env.horizon}"
+    env.reset(seed=claim.seed)
+    for _ in play(env, actions_of(claim.actions)):
+        pass
+    if abs(env.score() - claim.score) > SAME:
+        return f"the score is {claim.score:g}, and its actions lead to {env.score():g}"
+    return None
+
+
+def missing(episodes: Iterable[Claim], tasks: Iterable[str] | None = None) -> list[str]:
+    """What the protocol asks for and is not there, a sentence for each run and environment.
+
+    Args:
+        episodes: what there is.
+        tasks: in all of whose environments each run must have played; None: those in which any run has.
+    """
+    found: dict[tuple[int, str, str], set[int]] = defaultdict(set)
+    for episode in episodes:
+        found[episode.run, episode.task, episode.variant].add(episode.seed)
+    wanted = set(tasks) if tasks is not None else {task for _, task, _ in found}
+    problems = []
+    for run in sorted({run for run, _, _ in found}):
+        for task, variant in ENVIRONMENTS:
+            absent = set(range(SEEDS)) - found[run, task, variant]
+            if task in wanted and absent:
+                seeds = "all" if len(absent) == SEEDS else f"{len(absent)}, such as seed {min(absent)},"
+                problems.append(f"run {run}, {task} {variant}: {seeds} of the {SEEDS} episodes are missing")
+    return problems

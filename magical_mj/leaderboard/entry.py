@@ -1,0 +1,249 @@
+"""Entries: the results of one method in one file, with a card that says what it is and a hash of it all."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import io
+import json
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files as resources
+from pathlib import Path
+from typing import Any, Final
+
+from magical_mj import files
+from magical_mj.errors import EvaluationError, SettingsError, unknown_name
+from magical_mj.evaluation.results import check_same
+from magical_mj.evaluation.scores import SETTINGS, Score, read
+from magical_mj.leaderboard.claims import Claim
+from magical_mj.protocol import PROTOCOL
+from magical_mj.registry import ENVIRONMENTS, check_rules
+from magical_mj.tasks.spec import Rules
+
+FORMAT: Final = 1
+SUFFIX: Final = ".json.gz"
+MOST_BYTES: Final = 500_000_000
+"""Of an unpacked entry: a small file may hold an endless one."""
+CARD: Final[dict[str, Any]] = {
+    "method": None,
+    "description": None,
+    "authors": None,
+    "links": None,
+    "demonstrations": {"set": None, "per_task": None, "other": None},
+    "training": {"hours": None, "device": None, "steps": None},
+    "hardware": None,
+}
+"""What a card may say, each of which is null unless somebody says it."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """The results of one method.
+
+    Attributes:
+        card: what the method is; see `CARD`.
+        observations: the preset that it looked at; None if it looked at no observations.
+        rules: by which it was scored.
+        protocol: the protocol's number; None if it was not recorded.
+        versions: of the packages that played it.
+        episodes: all that were played.
+    """
+
+    card: dict[str, Any]
+    observations: str | None
+    rules: Rules
+    protocol: int | None
+    versions: dict[str, list[str]]
+    episodes: list[Claim]
+
+    @property
+    def method(self) -> str:
+        """The method's name."""
+        return self.card["method"]
+
+    @property
+    def runs(self) -> list[int]:
+        """The numbers of its runs."""
+        return sorted({episode.run for episode in self.episodes})
+
+
+def submit(
+    folders: Sequence[Path | str], out: Path | str, *, card: Path | str | None = None, policy: str | None = None
+) -> Entry:
+    """Makes an entry of the evaluations in some folders, and writes it.
+
+    Args:
+        folders: of evaluations of one method, such as one for each run.
+        out: the file, whose name must end in .json.gz; one that is there is not replaced.
+        card: a TOML file that says what `CARD` lists. What it does not say is null; the method is then called as in
+            the evaluations.
+        policy: which method, if the folders hold several.
+
+    Raises:
+        SettingsError, UnknownNameError: if the card says what no card says, or it is not clear which method is meant.
+        EvaluationError: if a folder is no evaluation, or they do not go together.
+        OSError: if the file exists or cannot be written.
+    """
+    out = Path(out)
+    if not out.name.endswith(SUFFIX):
+        raise SettingsError(f"{out} must end in {SUFFIX}")
+    said = _card({} if card is None else _read_toml(Path(card)), card)
+    found = [(score, folder) for folder in map(Path, folders) for score in read(folder)]
+    names = list(dict.fromkeys(score.policy for score, _ in found))
+    if policy is not None and policy not in names:
+        raise unknown_name("policy", policy, names)
+    if policy is None and len(names) > 1:
+        raise SettingsError(f"the folders hold {', '.join(names)}: say which is meant (--policy NAME)")
+    found = [(score, folder) for score, folder in found if score.policy == (policy or names[0])]
+    for what in ("rules", "preset"):
+        check_same(found, what, "an entry is of one kind")
+    entry = Entry(
+        card={**said, "method": said["method"] or policy or names[0]},
+        observations=next((score.preset for score, _ in found if score.preset is not None), None),
+        rules=check_rules(found[0][0].rules),
+        protocol=_protocol(folders),
+        versions={what: sorted({getattr(score, what) for score, _ in found}) for what in ("version", "mujoco", "gl")},
+        episodes=[claim_of(score) for score, _ in found],
+    )
+    files.write(out, packed(entry))
+    return entry
+
+
+def claim_of(score: Score) -> Claim:
+    """An episode of an evaluation, as it is kept in entries."""
+    return Claim(
+        *(score.run, score.task, score.variant, score.seed, score.scene, score.score, score.actions, score.failure)
+    )
+
+
+def _protocol(folders: Sequence[Path | str]) -> int | None:
+    """The number that the evaluations recorded.
+
+    Raises:
+        EvaluationError: if they recorded different ones.
+    """
+    numbers = {recorded(Path(folder)).get("protocol") for folder in folders}
+    if len(numbers) > 1:
+        raise EvaluationError(f"the evaluations follow different protocols: {', '.join(map(str, numbers))}")
+    return numbers.pop()
+
+
+def recorded(folder: Path) -> dict[str, Any]:
+    """The settings that an evaluation recorded; empty if there are none."""
+    try:
+        return dict(json.loads((folder / SETTINGS).read_text()))
+    except (OSError, ValueError, TypeError):
+        return {}
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text())
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise SettingsError(f"{path} cannot be read as TOML: {error}") from error
+
+
+def _card(said: dict[str, Any], where: object, known: dict[str, Any] = CARD) -> dict[str, Any]:
+    """All that a card may say, with what this one says."""
+    for name in said:
+        if name not in known:
+            raise unknown_name(f"entry of {where}", name, known)
+    whole = dict(known)
+    for name, value in said.items():
+        whole[name] = _card(value, where, known[name]) if isinstance(known[name], dict) else value
+    return whole
+
+
+def packed(entry: Entry) -> bytes:
+    """The bytes of the entry's file: the same entry always has the same."""
+    content = {
+        "format": FORMAT,
+        "card": entry.card,
+        "observations": entry.observations,
+        "rules": entry.rules,
+        "protocol": entry.protocol,
+        "versions": entry.versions,
+        "runs": entry.runs,
+        "environments": _environments(entry.episodes),
+    }
+    return gzip.compress(_text({**content, "sha256": _hash(content)}).encode(), compresslevel=9, mtime=0)
+
+
+def _text(content: dict[str, Any]) -> str:
+    return json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+
+
+def _hash(content: dict[str, Any]) -> str:
+    return hashlib.sha256(_text(content).encode()).hexdigest()
+
+
+def _environments(episodes: Sequence[Claim]) -> dict[str, list[Any]]:
+    """Of each environment, a row for each episode: run, seed, scene, score, actions, failure."""
+    rows: dict[str, list[Any]] = {}
+    for run, task, variant, seed, *rest in sorted(episodes, key=lambda episode: episode[:4]):
+        rows.setdefault(f"{task}-{variant}", []).append([run, seed, *rest])
+    return rows
+
+
+def unpacked(data: bytes, name: object = "the entry") -> Entry:
+    """The entry in a file's bytes.
+
+    Args:
+        data: of the file.
+        name: what errors call it.
+
+    Raises:
+        EvaluationError: if it is no entry, is damaged or was altered, or is of another format or protocol.
+    """
+    content = _content(data, name)
+    _check_schema(content, name)
+    if content.pop("sha256") != _hash(content):
+        raise EvaluationError(f"{name} was altered after it was made: its hash is not that of its content")
+    if content["protocol"] not in (None, PROTOCOL):
+        raise EvaluationError(f"{name} follows protocol {content['protocol']}, and this version plays {PROTOCOL}")
+    episodes = [
+        Claim(run, *environment.split("-", 1), *rest)
+        for environment, rows in content["environments"].items()
+        for run, *rest in rows
+    ]
+    _check_unique(episodes, name)
+    kept = {what: content[what] for what in ("card", "observations", "rules", "protocol", "versions")}
+    return Entry(**kept, episodes=episodes)
+
+
+def _content(data: bytes, name: object) -> dict[str, Any]:
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
+            text = file.read(MOST_BYTES + 1)
+        if len(text) > MOST_BYTES:
+            raise ValueError("it is too large")
+        return json.loads(text)
+    except (OSError, EOFError, ValueError, RecursionError) as error:
+        raise EvaluationError(f"{name} cannot be read: {error}") from error
+
+
+def schema() -> dict[str, Any]:
+    """The JSON schema of entries."""
+    return json.loads((resources("magical_mj.leaderboard") / "entry.schema.json").read_text())
+
+
+def _check_schema(content: Any, name: object) -> None:
+    import jsonschema
+    from jsonschema.exceptions import best_match
+
+    wrong = best_match(jsonschema.Draft202012Validator(schema()).iter_errors(content))
+    if wrong is not None:
+        raise EvaluationError(f"{name} does not follow the schema at {wrong.json_path}: {wrong.message[:200]}")
+    for environment in content["environments"]:
+        if tuple(environment.split("-", 1)) not in ENVIRONMENTS:
+            raise EvaluationError(f"{name} has results in {environment}, which is no environment")
+
+
+def _check_unique(episodes: Sequence[Claim], name: object) -> None:
+    seen: set[tuple[Any, ...]] = set()
+    for episode in episodes:
+        if episode[:4] in seen:
+            raise EvaluationError(f"{name} holds an episode twice: {episode}")
+        seen.add(episode[:4])
