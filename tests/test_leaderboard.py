@@ -189,9 +189,10 @@ def test_what_is_no_entry_is_named(folder: Path, tmp_path: Path, change: dict[st
         check_entry(path)
 
 
-@pytest.mark.parametrize(
-    "data", [b"", b"no", gzip.compress(b"[1"), gzip.compress(b"[]"), gzip.compress(b"1" * 20)[:-3]]
-)
+DAMAGED = {"empty": b"", "text": b"no", "half": gzip.compress(b"[1"), "list": gzip.compress(b"[]"), "cut": b"\x1f\x8b"}
+
+
+@pytest.mark.parametrize("data", DAMAGED.values(), ids=DAMAGED)
 def test_damaged_files_are_named(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "entry.json.gz").write_bytes(data)
     with pytest.raises(EvaluationError, match=r"entry.json.gz (cannot be read|does not follow)"):
