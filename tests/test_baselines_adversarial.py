@@ -156,6 +156,22 @@ def test_the_autoencoder_is_its_own_mirror(network: Network) -> None:
     assert inwards == outwards[::-1]  # a transposed convolution's weights are those of the convolution it mirrors
 
 
+def test_features_that_are_always_0_are_drawn_anew() -> None:
+    coder = Autoencoder(playing().network, 6)
+    weight, bias = coder.encoder.linear[2].parameters()
+    with torch.no_grad():
+        bias.fill_(1.0)
+        weight.abs_()
+        bias[[1, 4]] = -1e3
+    samples = torch.rand(5, 12, 96, 96), torch.tensor([0, 3, 3, 8, 17])
+    before = coder.features(*samples)
+    assert (before <= 0).all(0).tolist() == [False, True, False, False, True, False]
+    assert coder.restart(before) == 2
+    after = coder.features(*samples)
+    assert (after > 0).any(0).all()
+    torch.testing.assert_close(after[:, [0, 2, 3, 5]], before[:, [0, 2, 3, 5]])
+
+
 def test_the_autoencoder_learns_and_then_stays() -> None:
     changes = {"features.batches": 30, "features.learning_rate": 0.01, "ppo.total_steps": 32}
     learner = Apprenticeship(playing(**changes))
@@ -188,6 +204,25 @@ def test_batches_are_half_and_half() -> None:
     learner.loss = loss
     learner.study(learner._ppo.collect())
     assert seen == [[0, 0, 1, 1, 0, 0, 1, 1]] * 2
+    learner.close()
+
+
+def test_the_policys_samples_are_of_the_latest_rollouts(tmp_path: Path) -> None:
+    """As many as the settings say; what is resumed has them all."""
+    learner = GAIL(playing(preset="State", **{"discriminator.rollouts": 3}))
+    played, seen = [], []
+    learner._step = lambda rollout: seen.append(rollout) or {}  # type: ignore[method-assign,func-returns-value]
+    for _ in range(4):
+        played.append(learner._ppo.collect())
+        learner.study(played[-1])
+    expected = np.concatenate([rollout.observations for rollout in played[1:]])
+    np.testing.assert_array_equal(seen[-1].observations, expected)
+    checkpoint.write(tmp_path / "kept.safetensors", learner.state())
+    learner.restore(checkpoint.read(tmp_path / "kept.safetensors"))
+    played.append(learner._ppo.collect())
+    learner.study(played[-1])
+    expected = np.concatenate([rollout.actions for rollout in played[2:]])
+    np.testing.assert_array_equal(seen[-1].actions, expected)
     learner.close()
 
 

@@ -246,3 +246,14 @@ def test_none_changes_nothing() -> None:
 def test_unknown_presets_are_refused() -> None:
     with pytest.raises(UnknownNameError, match="no-trans-rot"):
         Augmentation("no-trans-rots")
+
+
+def test_recolouring_a_few_at_a_time_is_the_same_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    stacks = random_stacks(9)
+    light, hue = 1 + torch.linspace(-0.01, 0.01, 9), torch.linspace(-0.15, 0.15, 9)
+    results = []
+    for chunk in (1, 4, 9):
+        monkeypatch.setattr("magical_mj.baselines.augmentation.CHUNK", chunk)
+        results.append(recolour(stacks, light, hue))
+    assert torch.equal(results[0], results[2])
+    assert torch.equal(results[1], results[2])

@@ -119,6 +119,42 @@ def _after_one_draw(learner: BehaviouralCloning) -> torch.Generator:
     return generator
 
 
+def test_only_normal_heads_learn_by_the_papers_sgd() -> None:
+    """With a small network and three demonstrations; docs/learners.md has the command for the full setting."""
+    losses = {}
+    for heads in ("normal", "uniform"):
+        sizes = {"network.first_channels": 16, "network.channels": 32, "network.hidden": 64, "augment": "none"}
+        sgd = {"bc.optimizer": "sgd", "bc.final_learning_rate": 1e-3, "bc.batch_size": 32, "bc.batches": 120}
+        learner = BehaviouralCloning(tiny(tasks="FixColour", **sizes, **sgd, **{"bc.heads": heads}))
+        losses[heads] = np.mean([learner.update()["loss"] for _ in range(learner.updates)][-20:])
+    assert losses["normal"] < 1.0
+    assert losses["uniform"] > 2.0
+
+
+def test_recalibration_makes_batch_norms_averages_those_of_the_present_weights() -> None:
+    """And changes nothing of the training to come."""
+    learner, other = BehaviouralCloning(tiny(augment="none")), BehaviouralCloning(tiny(augment="none"))
+    for one in (learner, other):
+        for _ in range(3):
+            one.update()
+    learner.recalibrate()
+    norm = next(layer for layer in learner.actor.modules() if isinstance(layer, torch.nn.BatchNorm2d))
+    images, _, _ = learner._data.rows([torch.arange(learner._data.sizes[0])])
+    with torch.no_grad():
+        expected = learner.actor.torso.convolutions[0](as_input(images, learner.device)).mean((0, 2, 3))
+    torch.testing.assert_close(norm.running_mean, expected, atol=0.02, rtol=0.1)
+    assert learner.update() == other.update()
+
+
+def test_bfloat16_learns_the_same_within_its_precision() -> None:
+    losses = [
+        [learner.update()["loss"] for _ in range(5)]
+        for learner in (BehaviouralCloning(tiny(precision=precision)) for precision in ("float32", "bfloat16"))
+    ]
+    np.testing.assert_allclose(losses[1], losses[0], rtol=0.1)
+    assert losses[0] != losses[1]
+
+
 def test_equal_seeds_give_equal_weights() -> None:
     def trained(seed: int) -> torch.Tensor:
         learner = BehaviouralCloning(tiny(seed=seed))

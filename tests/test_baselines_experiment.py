@@ -14,6 +14,7 @@ from magical_mj.baselines.policy import POLICY
 from magical_mj.cli.app import run
 from magical_mj.errors import SettingsError, UnknownNameError
 
+EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 SET = [part for name, value in {**TINY, "bc.batches": 8}.items() for part in ("--set", f"{name}={value}")]
 TRAIN = ["train", "bc", "--tasks", "MoveToRegion", "--quick", *SET]
 EXPERIMENT = """
@@ -111,6 +112,12 @@ def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
         ("bc.batches = 4", "bc.batch = 4", "bc.batches"),
         ('"Demo"', '"Demos"', "Demo"),
         ("episodes = 2", "runs = 2", "episodes"),
+        ("episodes = 2", 'episodes = "x"', "episodes = 'x'; it must look like: episodes = 100"),
+        ("episodes = 2", "episodes = 0", "episodes must be at least 1"),
+        ("seeds = [0, 1]", "seeds = 3", "seeds = 3; it must look like"),
+        ("seeds = [0, 1]", 'seeds = ["x"]', "seed must be a number"),
+        ("quick = true", 'quick = "no"', "quick = 'no'; it must look like: quick = false"),
+        ('["bc"]', '"bc"', "methods = 'bc'; it must look like"),
     ],
 )
 def test_wrong_experiments_are_refused(old: str, new: str, says: str, tmp_path: Path) -> None:
@@ -120,3 +127,18 @@ def test_wrong_experiments_are_refused(old: str, new: str, says: str, tmp_path: 
         runs(file, tmp_path / "out")
     with pytest.raises(SettingsError, match="cannot be read"):
         runs(tmp_path / "none.toml", tmp_path / "out")
+
+
+def test_changed_settings_show_in_the_methods_name(tmp_path: Path) -> None:
+    file = tmp_path / "experiment.toml"
+    file.write_text(EXPERIMENT)
+    name = "BC (ST), ours, quick, demonstrations 2, bc.batches 4, network.channels 4"
+    assert {run.method for run in runs(file, tmp_path)} == {name}
+
+
+@pytest.mark.parametrize("file", sorted(EXPERIMENTS.glob("*.toml")), ids=lambda file: file.stem)
+def test_the_packages_experiments_can_be_run(file: Path, tmp_path: Path) -> None:
+    """Each says how, and plans as many runs as it has methods, groups of tasks and seeds."""
+    assert f"magical-mj experiment experiments/{file.name} --out runs/{file.stem}" in file.read_text()
+    planned = runs(file, tmp_path)
+    assert len({run.name for run in planned}) == len(planned) >= 5

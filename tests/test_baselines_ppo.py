@@ -264,15 +264,20 @@ def test_the_score_is_that_of_the_last_episodes_that_ended(ppo: Improver) -> Non
     assert 0 <= scores[2] <= 1
 
 
-def test_rewards_are_normalised_by_all_so_far() -> None:
-    normalise = RewardNormaliser(0.1)
+def test_rewards_are_normalised_by_all_of_their_task_so_far() -> None:
+    tasks = np.array([0, 0, 1, 1])
+    normalise = RewardNormaliser(0.1, tasks)
     rng = np.random.default_rng(0)
-    first, second = rng.normal(5, 3, (8, 4)), rng.normal(9, 1, (8, 4))
+    sizes = np.array([1.0, 1.0, 50.0, 50.0])
+    first, second = rng.normal(5, 3, (8, 4)) * sizes, rng.normal(9, 1, (8, 4)) * sizes
     normalise(first)
-    so_far = np.concatenate([first, second])
-    np.testing.assert_allclose(normalise(second), (second - so_far.mean()) / so_far.std() * 0.1, atol=1e-4)
-    other = RewardNormaliser(0.1)
+    so_far, expected = np.concatenate([first, second]), np.empty((8, 4))
+    for task in (0, 1):
+        own = so_far[:, tasks == task]
+        expected[:, tasks == task] = (second[:, tasks == task] - own.mean()) / own.std() * 0.1
+    np.testing.assert_allclose(normalise(second), expected, atol=1e-4)
+    other = RewardNormaliser(0.1, tasks)
     other.restore(normalise.state())
     np.testing.assert_array_equal(other(first), normalise(first))
-    same = RewardNormaliser(0.1)(np.full((100, 100), 7.0))
+    same = RewardNormaliser(0.1, tasks)(np.full((100, 4), 7.0))
     assert np.abs(same).max() < 1e-3

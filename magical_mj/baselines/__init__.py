@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any
 from magical_mj.extras import check_extra
 
 if TYPE_CHECKING:
+    from magical_mj.baselines.config import load_settings
     from magical_mj.baselines.experiment import conduct, runs
     from magical_mj.baselines.learner import Learner
     from magical_mj.baselines.policy import TrainedPolicy, load_policy
     from magical_mj.baselines.run import METHODS, Progress, train
-    from magical_mj.baselines.settings import TrainingSettings, load_settings
+from magical_mj.baselines.settings import TrainingSettings
 
 _LAZY = {  # loaded at first use: the command line knows these commands before anybody needs PyTorch
     "METHODS": "run",
@@ -30,7 +31,7 @@ _LAZY = {  # loaded at first use: the command line knows these commands before a
     "TrainedPolicy": "policy",
     "conduct": "experiment",
     "load_policy": "policy",
-    "load_settings": "settings",
+    "load_settings": "config",
     "runs": "experiment",
     "train": "run",
 }

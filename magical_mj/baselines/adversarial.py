@@ -1,4 +1,4 @@
-"""GAIL and WGAIL-GP: the policy is paid for what a discriminator takes for the demonstrator's (section 4.1).
+"""GAIL and WGAIL-GP: the policy is rewarded for fooling the discriminator (section 4.1).
 
 The discriminator D is near 1 for the policy's samples and near 0 for the demonstrator's, as in the paper.
 """
@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from magical_mj.baselines.augmentation import augmentation
-from magical_mj.baselines.data import Rollout
+from magical_mj.baselines.data import Rollout, joined
 from magical_mj.baselines.learner import restore_optimizer, seeded
 from magical_mj.baselines.network import Heads, Torso
 from magical_mj.baselines.reinforced import RewardLearner, Samples
@@ -38,11 +38,12 @@ class Discriminator(nn.Module):
 
 
 class Adversarial(RewardLearner):
-    """Trains the discriminator on the last rollout and the demonstrations, and PPO on its rewards."""
+    """Trains the discriminator on the latest rollouts and the demonstrations, and PPO on its rewards."""
 
     def __init__(self, settings: TrainingSettings) -> None:
         self._augment = augmentation(settings)  # an unknown one is refused before environments are made
         super().__init__(settings)
+        self._latest: list[Rollout] = []
         self._noise = torch.Generator(self.device).manual_seed(settings.seed)
         with seeded(settings.seed + 1):
             self._judge = Discriminator(settings.network, len(settings.tasks), states=settings.states).to(self.device)
@@ -55,7 +56,9 @@ class Adversarial(RewardLearner):
     def study(self, rollout: Rollout) -> Mapping[str, float]:
         """The discriminator's steps. Means of their figures."""
         steps = self.settings.discriminator.steps
-        figures = [self._step(rollout) for _ in range(steps)]
+        self._latest = [*self._latest, rollout][-self.settings.discriminator.rollouts :]
+        played = joined(self._latest)
+        figures = [self._step(played) for _ in range(steps)]
         return {name: sum(one[name] for one in figures) / steps for name in figures[0]}
 
     @abstractmethod
@@ -64,14 +67,19 @@ class Adversarial(RewardLearner):
 
     def state(self) -> dict[str, Any]:
         """Of all that plays, of the discriminator and of the augmentations."""
-        kept = {"judge": self._judge.state_dict(), "judge optimizer": self._optimizer.state_dict()}
+        kept: dict[str, Any] = {"judge": self._judge.state_dict(), "judge optimizer": self._optimizer.state_dict()}
+        before = (
+            self._latest[1 - self.settings.discriminator.rollouts :] if self.settings.discriminator.rollouts > 1 else []
+        )
+        kept["latest"] = [rollout._asdict() for rollout in before]
         return {**super().state(), **kept, "noise": self._noise.get_state()}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Takes up a `state`."""
+        """Restores a `state`."""
         super().restore(state)
         self._judge.load_state_dict(state["judge"])
         restore_optimizer(self._optimizer, state["judge optimizer"])
+        self._latest = [Rollout(**kept) for kept in state["latest"]]
         self._noise.set_state(state["noise"])
 
     def _step(self, rollout: Rollout) -> Mapping[str, float]:

@@ -90,7 +90,7 @@ class Apprenticeship(RewardLearner):
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Takes up a `state`."""
+        """Restores a `state`."""
         super().restore(state)
         self._coder.load_state_dict(state["coder"])
         restore_optimizer(self._optimizer, state["coder optimizer"])

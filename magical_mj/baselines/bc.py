@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import torch
 from torch import nn
@@ -14,7 +14,9 @@ from magical_mj.baselines.learner import Learner, seeded
 from magical_mj.baselines.network import Actor, as_input
 from magical_mj.baselines.policy import TrainedPolicy
 from magical_mj.baselines.settings import Cloning, TrainingSettings
-from magical_mj.errors import SettingsError
+
+CALIBRATION: Final = 20
+"""Batches over which batch norm's averages are taken."""
 
 
 class BehaviouralCloning(Learner):
@@ -54,13 +56,32 @@ class BehaviouralCloning(Learner):
         observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._draw)
         actions, tasks = actions.to(self.device), tasks.to(self.device)
         self._actor.train()
-        logits = self._actor(self._augment(as_input(observations, self.device), self._noise), tasks)
-        loss = nn.functional.cross_entropy(logits, actions)
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.settings.precision == "bfloat16"):
+            logits = self._actor(self._augment(as_input(observations, self.device), self._noise), tasks)
+        loss = nn.functional.cross_entropy(logits.float(), actions)
         self._optimizer.zero_grad()
         loss.backward()
         self._optimizer.step()
         self._rate.step()
         return {"loss": loss.item(), "accuracy": (logits.argmax(1) == actions).float().mean().item()}
+
+    def recalibrate(self) -> None:
+        """Batch norm's averages are taken anew, over batches drawn for this: training's own lag behind."""
+        norms = [layer for layer in self._actor.modules() if isinstance(layer, nn.BatchNorm2d)]
+        draw = torch.Generator().manual_seed(self.settings.seed)
+        noise = torch.Generator(self.device).manual_seed(self.settings.seed)
+        for norm in norms:
+            norm.reset_running_stats()
+            norm.momentum = None  # the plain mean
+        self._actor.train()
+        for _ in range(CALIBRATION if norms else 0):
+            batch = self._data.sample(self.settings.bc.batch_size, draw)
+            with torch.no_grad():
+                self._actor(
+                    self._augment(as_input(batch.observations, self.device), noise), batch.tasks.to(self.device)
+                )
+        for norm in norms:
+            norm.momentum = 0.1  # PyTorch's
 
     def state(self) -> dict[str, Any]:
         """Weights, the optimizer's memory, where the learning rate is, and where the generators are."""
@@ -73,7 +94,7 @@ class BehaviouralCloning(Learner):
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Takes up a `state`."""
+        """Restores a `state`."""
         self._actor.load_state_dict(state["actor"])
         self._optimizer.load_state_dict(state["optimizer"])
         self._rate.load_state_dict(state["rate"])
@@ -97,6 +118,4 @@ def clone(settings: TrainingSettings, demonstrations: Demonstrations | None = No
 def _optimizer(bc: Cloning, actor: Actor) -> torch.optim.Optimizer:
     if bc.optimizer == "sgd":
         return torch.optim.SGD(actor.parameters(), bc.learning_rate, bc.momentum)
-    if bc.optimizer == "adam":
-        return torch.optim.Adam(actor.parameters(), bc.learning_rate, fused=True)
-    raise SettingsError(f"bc.optimizer must be sgd or adam, not {bc.optimizer!r}")
+    return torch.optim.Adam(actor.parameters(), bc.learning_rate, fused=True)

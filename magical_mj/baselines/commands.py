@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +19,7 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.table import Column
 from rich.text import Text
 
 from magical_mj import baselines
@@ -26,6 +29,9 @@ from magical_mj.parallel import Backend
 
 if TYPE_CHECKING:
     from magical_mj.baselines import Progress as Trained
+
+MINUTE = 60.0
+"""Seconds between two lines where no bar can be shown."""
 
 Method = Annotated[str, typer.Argument(help="bc, gail, wgail-gp or al.", show_default=False)]
 Tasks = Annotated[str, typer.Option(help="A task; with --multi-task several, separated by commas, or all.")]
@@ -75,7 +81,7 @@ def train(
     resume: Resume = False,
 ) -> None:
     """Train a policy; OUT then holds it, for `magical-mj evaluate --policy OUT`, with the settings and the figures."""
-    if method not in baselines.METHODS:
+    if method not in baselines.METHODS:  # which also says what to install, if something is missing
         raise unknown_name("method", method, baselines.METHODS)
     given = {"seed": seed, "augment": augment, "preset": preset, "device": device}
     changes = given | dict(_change(text) for text in change or [])
@@ -84,8 +90,17 @@ def train(
         raise SettingsError(
             "one policy for several tasks needs --multi-task; magical-mj experiment trains one for each"
         )
+    from magical_mj.baselines.learner import keep_freed_memory
+
+    keep_freed_memory()
     screen = console()
-    columns = TextColumn("{task.description}"), BarColumn(), Rate(), TimeElapsedColumn(), TimeRemainingColumn()
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        Rate(Column(no_wrap=True, overflow="ellipsis")),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
     try:
         with Progress(*columns, console=screen, speed_estimate_period=120) as progress:
             baselines.train(settings, out, resume=resume, watch=Watch(screen, progress, method))
@@ -115,11 +130,13 @@ class Rate(ProgressColumn):
 
 
 class Watch:
-    """Shows a training: a bar with the latest figures, and a line for each evaluation."""
+    """Shows a training: a bar with the latest figures, or else a line a minute; and a line for each evaluation."""
 
     def __init__(self, screen: Console, progress: Progress, method: str) -> None:
         self._screen, self._progress = screen, progress
         self._bar = progress.add_task(method, total=None, figures="")
+        self._started = self._told = time.monotonic()
+        self._first, self._figures = 0, ""
 
     def __call__(self, trained: Trained) -> None:
         """Called after each update."""
@@ -127,6 +144,17 @@ class Watch:
         if trained.figures:
             shown = "  ".join(f"{name} {value:.3g}" for name, value in trained.figures.items())
             self._progress.update(self._bar, figures=shown)
+            self._figures = shown
+        if not self._screen.is_terminal and time.monotonic() - self._told >= MINUTE:
+            self._tell(trained)
+        self._first = self._first or trained.update
         if trained.scores:
             shown = ", ".join(f"{task} {score:.2f}" for task, score in trained.scores.items())
             self._screen.print(f"after {trained.update} updates: mean score on Demo: {shown}", soft_wrap=True)
+
+    def _tell(self, trained: Trained) -> None:
+        self._told = time.monotonic()
+        rate = (trained.update - self._first) / (self._told - self._started)
+        left = timedelta(seconds=round((trained.updates - trained.update) / rate)) if rate else "?"
+        done = f"{trained.update}/{trained.updates} updates, {rate:.2g}/s, {left} left"
+        self._screen.print(f"{done}  {self._figures}", soft_wrap=True)

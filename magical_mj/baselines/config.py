@@ -1,37 +1,191 @@
-"""Settings as plain TOML."""
+"""Settings by name: the paper's, the quick ones and those of the state track, with changes; and as plain TOML."""
 
 from __future__ import annotations
 
 import json
 import tomllib
-from dataclasses import fields, is_dataclass
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Final, TypeVar, get_type_hints
 
-from magical_mj.baselines.settings import TrainingSettings, changed
-from magical_mj.errors import SettingsError
+from magical_mj.baselines.settings import STATE, TrainingSettings
+from magical_mj.errors import SettingsError, unknown_name
+from magical_mj.registry import TASKS, listed, task_name
+
+PARTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "bc": ("network", "bc"),
+        "gail": ("network", "ppo", "discriminator"),
+        "wgail-gp": ("network", "ppo", "discriminator"),
+        "al": ("network", "ppo", "features"),
+    }
+)
+"""The parts of the settings that mean something to a method; of one that is not here, all of them may."""
+
+QUICK: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        "network.first_stride": 4,
+        "network.first_channels": 32,
+        "network.channels": 64,
+        "evaluations": 5,
+        "bc.batches": 1_500,
+        "bc.optimizer": "adam",
+        "bc.final_learning_rate": 1e-5,
+        "ppo.total_steps": 80_000,
+        "ppo.steps": 16,
+        "ppo.epochs": 4,
+        "ppo.learning_rate": 3e-4,
+        "ppo.discount": 0.9,
+        "ppo.entropy": 0.003,
+        "ppo.clip": 0.2,
+        "ppo.anneal_clip": False,
+        "ppo.normalise_advantages": True,
+        "discriminator.steps": 6,
+        "discriminator.batch_size": 32,
+        "discriminator.learning_rate": 1e-4,
+        "features.batches": 1_000,
+        "features.learning_rate": 1e-3,
+    }
+)
+"""What `quick` changes: a smaller network and shorter training, for two cores without an accelerator."""
+
+STATE_TRACK: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        "evaluations": 2,
+        "checkpoints": 2,
+        "bc.batches": 3_000,
+        "bc.batch_size": 64,
+        "bc.optimizer": "adam",
+        "bc.learning_rate": 2e-3,
+        "bc.final_learning_rate": 1e-5,
+        "bc.heads": "uniform",
+        "ppo.total_steps": 300_000,
+        "ppo.steps": 16,
+        "ppo.epochs": 4,
+        "ppo.minibatch": 128,
+        "ppo.learning_rate": 3e-4,
+        "ppo.discount": 0.9,
+        "ppo.entropy": 0.003,
+        "ppo.clip": 0.2,
+        "ppo.anneal_clip": False,
+        "ppo.normalise_advantages": True,
+        "discriminator.steps": 6,
+        "discriminator.batch_size": 128,
+        "discriminator.learning_rate": 1e-4,
+        "features.batches": 1_000,
+        "features.learning_rate": 1e-3,
+    }
+)
+"""What the preset State changes: the paper has no such track."""
+
+T = TypeVar("T")
+
+
+def load_settings(
+    method: str, tasks: str | tuple[str, ...], *, quick: bool = False, **changes: Any
+) -> TrainingSettings:
+    """The settings of a method: the paper's, those of `quick`, and then the `changes`.
+
+    Args:
+        method: one of `magical_mj.baselines.METHODS`, or the name of a method of the user's own.
+        tasks: the tasks, as a tuple or separated by commas; "all" is all eight.
+        quick: use a smaller network and a shorter training on pictures.
+        changes: by field; those of parts with dots, as in ``**{"ppo.clip": 0.02}``.
+    """
+    if isinstance(tasks, str):
+        tasks = tuple(task_name(task) for task in listed(tasks, TASKS))
+    if changes.get("preset") == STATE:
+        if quick:
+            raise SettingsError("quick is for pictures: learning from states is quick as it is")
+        changes = {**STATE_TRACK, **changes}
+    return changed(TrainingSettings(method, tasks), {**(QUICK if quick else {}), **changes})
+
+
+def changed(settings: TrainingSettings, changes: Mapping[str, Any]) -> TrainingSettings:
+    """The settings with other values; values given as text are read as what the field holds.
+
+    Raises:
+        UnknownNameError: if there is no such field.
+        SettingsError: if a value does not fit.
+    """
+    known = names(settings)
+    for name in changes:
+        if name not in known:
+            raise unknown_name("setting", name, known)
+    return _changed(settings, changes, "")
+
+
+def _changed(part: T, changes: Mapping[str, Any], prefix: str) -> T:
+    values = {}
+    for name, kind in get_type_hints(type(part)).items():
+        path = prefix + name
+        if is_dataclass(kind):
+            values[name] = _changed(getattr(part, name), changes, f"{path}.")
+        elif path in changes:
+            values[name] = _fitting(path, changes[path], kind)
+    return replace(part, **values)  # pyright: ignore[reportArgumentType]
+
+
+def names(settings: Any, prefix: str = "") -> list[str]:
+    """The names of all fields, those of parts with dots."""
+    found = []
+    for item in fields(settings):
+        value = getattr(settings, item.name)
+        found += names(value, f"{prefix}{item.name}.") if is_dataclass(value) else [f"{prefix}{item.name}"]
+    return found
+
+
+def _fitting(name: str, value: Any, kind: Any) -> Any:
+    if kind == tuple[str, ...]:
+        return tuple(value.split(",")) if isinstance(value, str) else tuple(value)
+    if kind is str and isinstance(value, str):
+        return value
+    if kind is bool or kind is str:
+        made = {"true": True, "false": False}.get(str(value).lower()) if kind is bool else None
+        if made is None:
+            raise SettingsError(f"{name} must be {'true or false' if kind is bool else 'text'}, not {value!r}")
+        return made
+    try:
+        made = kind(value)
+    except (TypeError, ValueError):
+        made = None
+    if made is None or isinstance(value, bool) or (kind is int and isinstance(value, float) and made != value):
+        raise SettingsError(f"{name} must be a number ({kind.__name__}), not {value!r}")
+    return made
+
+
+MADE: Final = "made"
+"""The table of a config.toml that says when and with what a run was started; no setting."""
 
 
 def to_toml(settings: TrainingSettings) -> str:
-    """All settings; `from_toml` reads them back."""
+    """The settings that mean something to their method; `from_toml` reads them back."""
     plain, tables = [], []
     for item in fields(settings):
         value = getattr(settings, item.name)
-        if is_dataclass(value):
+        if is_dataclass(value) and item.name in PARTS.get(settings.method, [item.name]):
             lines = [f"{inner.name} = {_value(getattr(value, inner.name))}" for inner in fields(value)]
             tables.append("\n".join([f"[{item.name}]", *lines]))
-        else:
+        elif not is_dataclass(value):
             plain.append(f"{item.name} = {_value(value)}")
     return "\n\n".join(["\n".join(plain), *tables]) + "\n"
+
+
+def recorded(settings: TrainingSettings) -> dict[str, Any]:
+    """By name, those of parts with dots: what `to_toml` writes."""
+    return flattened(tomllib.loads(to_toml(settings)))
 
 
 def from_toml(path: Path) -> TrainingSettings:
     """The settings in a file.
 
     Raises:
-        SettingsError, UnknownNameError: if it is not TOML, or holds what cannot be.
+        SettingsError, UnknownNameError: if it is not TOML, or holds invalid settings.
     """
     table = read_toml(path)
+    table.pop(MADE, None)
     if "method" not in table or "tasks" not in table:
         raise SettingsError(f"{path} must give a method and tasks")
     return changed(TrainingSettings(table.pop("method"), tuple(table.pop("tasks"))), flattened(table))
@@ -56,4 +210,4 @@ def flattened(table: dict[str, Any]) -> dict[str, Any]:
 def _value(value: Any) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(_value(item) for item in value)}]"
-    return json.dumps(value) if isinstance(value, str) else repr(value)
+    return json.dumps(value) if isinstance(value, str | bool) else repr(value)

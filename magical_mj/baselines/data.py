@@ -125,3 +125,11 @@ class Rollout(NamedTuple):
     def _batch(self, steps: NDArray[np.int64], copies: NDArray[np.int64]) -> Batch:
         actions, tasks = torch.as_tensor(self.actions[steps, copies]), torch.as_tensor(self.tasks[copies])
         return Batch(self.observations[steps, copies], actions, tasks)
+
+
+def joined(rollouts: Sequence[Rollout]) -> Rollout:
+    """Rollouts of the same environments, one after the other."""
+    if len(rollouts) == 1:
+        return rollouts[0]
+    seen, actions = (np.concatenate(parts) for parts in zip(*[rollout[:2] for rollout in rollouts], strict=True))
+    return Rollout(seen, actions, rollouts[0].tasks)

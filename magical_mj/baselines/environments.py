@@ -73,7 +73,7 @@ class Copy(gymnasium.Env[Any, Any]):
         return {"episode": self._episode, "actions": np.array(self._actions, np.int64)}
 
     def restore(self, state: dict[str, Any]) -> Seen:
-        """Takes up a `state` by doing everything again; returns what is seen then."""
+        """Restores a `state` by doing everything again; returns what is seen then."""
         self._episode = state["episode"]
         return self._replay(state["actions"])
 
@@ -124,7 +124,7 @@ class Environments(VecTransposeImage):
         return [copy.state() for copy in self._copies]
 
     def restore(self, state: Sequence[dict[str, Any]]) -> Seen:
-        """Takes up a `state`; returns what all copies see, as `reset` does."""
+        """Restores a `state`; returns what all copies see, as `reset` does."""
         seen = [copy.restore(one) for copy, one in zip(self._copies, state, strict=True)]
         return {key: np.stack([one[key] for one in seen]) for key in (SEEN, TASK)}
 

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from operator import methodcaller
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.baselines.config import flattened, read_toml
+from magical_mj.baselines.config import flattened, load_settings, read_toml
+from magical_mj.baselines.learner import keep_freed_memory
 from magical_mj.baselines.policy import is_done
 from magical_mj.baselines.run import METHODS, train
-from magical_mj.baselines.settings import TrainingSettings, load_settings
+from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.errors import SettingsError, unknown_name
 from magical_mj.evaluation.report import report
 from magical_mj.evaluation.run import evaluate
-from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.evaluation.settings import EvaluationSettings, settings_from
 from magical_mj.parallel import check_backend, spread
-from magical_mj.registry import TASKS, check_rules, environments, listed, task_name, task_spec
+from magical_mj.registry import TASKS, listed, task_name, task_spec
 
 ENTRIES: Final = {
     "methods": '["bc"]',
@@ -31,7 +33,9 @@ ENTRIES: Final = {
 """Of an experiment's file, with examples; the first three must be there."""
 EVALUATION: Final = {name: getattr(EvaluationSettings, name) for name in ("variants", "episodes", "rules")}
 SIDE_BY_SIDE: Final = 10
-"""Episodes that are played at once, for networks like batches."""
+"""Episodes that are played at once, for networks like batches; with states, which are small, all 100."""
+NAMED: Final = ("preset", "augment", "device", "evaluations", "episodes", "checkpoints")
+"""Settings that a method's name shows in its own way, or that change nothing in what is learnt."""
 ABLATIONS: Final = {"all": "", "none": ", no aug.", "no-trans-rot": ", no trans./rot. aug."}
 
 
@@ -42,12 +46,14 @@ class Run:
     Attributes:
         settings: of the training.
         quick: whether they are the quick ones.
+        changes: to the settings, beside the seed.
         evaluation: as in `EVALUATION`.
         folder: of the experiment.
     """
 
     settings: TrainingSettings
     quick: bool
+    changes: dict[str, Any]
     evaluation: dict[str, Any]
     folder: Path
 
@@ -64,7 +70,8 @@ class Run:
         kind = "ST" if len(settings.tasks) == 1 else "MT"
         preset = {"LoRes4E": "", "LoRes4A": ", allo."}.get(settings.preset, f", {settings.preset}")
         name = f"{settings.method.upper()} ({kind}{preset}{ABLATIONS[settings.augment]})"
-        return f"{name}, ours{', quick' if self.quick else ''}"
+        changed = "".join(f", {name} {value}" for name, value in self.changes.items() if name not in NAMED)
+        return f"{name}, ours{', quick' if self.quick else ''}{changed}"
 
     @property
     def scores(self) -> Path:
@@ -74,6 +81,7 @@ class Run:
     def play(self) -> str:
         """Trains and evaluates, or does what is left of it; returns a line about it."""
         trained = self.folder / "runs" / self.name
+        keep_freed_memory()
         before = is_done(trained)
         train(self.settings, trained, resume=True)
         frame = evaluate(
@@ -83,7 +91,7 @@ class Run:
             run=self.settings.seed,
             out=self.scores,
             resume=True,
-            envs=SIDE_BY_SIDE,
+            envs=100 if self.settings.states else SIDE_BY_SIDE,
             jobs=1,
             **self.evaluation,
         )
@@ -102,26 +110,32 @@ def runs(file: Path, out: Path) -> list[Run]:
         out: the folder of the experiment.
 
     Raises:
-        SettingsError, UnknownNameError: if the file holds what cannot be.
+        SettingsError, UnknownNameError: if the file holds invalid settings.
     """
     table = read_toml(file)
     _check(f"entry of {file}", table, ENTRIES)
-    for name in ("methods", "tasks", "seeds"):
-        if not table.get(name):
-            raise SettingsError(f"{file} must give {name}, such as: {name} = {ENTRIES[name]}")
-    evaluation = {**EVALUATION, **table.get("evaluation", {})}
+    for name, example in ENTRIES.items():
+        value, kind = table.get(name), type(tomllib.loads(f"it = {example}")["it"])
+        if not value and name in ("methods", "tasks", "seeds"):
+            raise SettingsError(f"{file} must give {name}, such as: {name} = {example}")
+        if value is not None and not isinstance(value, kind) and not (name == "tasks" and isinstance(value, str)):
+            raise SettingsError(f"{file} gives {name} = {value!r}; it must look like: {name} = {example}")
+    evaluation = table.get("evaluation", {})
     _check(f"entry of [evaluation] in {file}", evaluation, EVALUATION)
+    if not isinstance(evaluation.get("episodes", 1), int):
+        raise SettingsError(f"{file} gives episodes = {evaluation['episodes']!r}; it must look like: episodes = 100")
+    evaluation = EVALUATION | evaluation
     tasks = [task_name(task) for task in listed(table["tasks"], TASKS)]
-    environments(tasks, evaluation["variants"])
-    check_rules(evaluation["rules"])
+    settings_from({**evaluation, "tasks": tasks})
     _check("method", table["methods"], METHODS)
-    quick = table.get("quick", False)
+    groups = [tuple(tasks)] if table.get("multi_task", False) else [(task,) for task in tasks]
+    quick, changes = table.get("quick", False), flattened(table.get("settings", {}))
     found = []
     for seed in table["seeds"]:
         for method in table["methods"]:
-            for group in [tuple(tasks)] if table.get("multi_task", False) else [(task,) for task in tasks]:
-                changes = {**flattened(table.get("settings", {})), "seed": seed}
-                found.append(Run(load_settings(method, group, quick=quick, **changes), quick, evaluation, out))
+            for group in groups:
+                settings = load_settings(method, group, quick=quick, **{**changes, "seed": seed})
+                found.append(Run(settings, quick, changes, evaluation, out))
     return found
 
 

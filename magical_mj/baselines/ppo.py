@@ -87,7 +87,7 @@ class ActorCritic(ActorCriticPolicy):
             **others,
         )
         self.action_net, self.value_net = ForTasks(actor.head), ForTasks(critic)
-        self.optimizer = torch.optim.Adam(self.parameters(), lr_schedule(1), eps=1e-5)  # stable-baselines3's eps
+        self.optimizer = torch.optim.Adam(self.parameters(), lr_schedule(1))  # its eps is 1e-8, as rlpyt's
 
 
 class EvenBuffer(DictRolloutBuffer):
@@ -141,9 +141,10 @@ class _Scores(BaseCallback):
 class Improver(PPO):
     """PPO in three strokes: `collect` a rollout, think of rewards, `improve` the policy by them.
 
-    Where the paper says nothing, this follows stable-baselines3: advantages are normalised in each minibatch, values
-    are not clipped, and their loss has the weight 0.5 (which makes it rlpyt's, the paper's PPO). Unlike rlpyt's, the
-    clipping range stays as it is while the learning rate falls.
+    Where the paper says nothing, this follows rlpyt, its library: advantages are not normalised, the clipping range
+    falls with the learning rate, Adam's eps is 1e-8, values are not clipped, and their loss is half the squared error.
+    Unlike there, the horizon is not taken for the end of the world: the value of the last state stands for what would
+    have come after it.
 
     Args:
         settings: of the run.
@@ -173,7 +174,8 @@ class Improver(PPO):
             n_epochs=ppo.epochs,
             gamma=ppo.discount,
             gae_lambda=ppo.gae_lambda,
-            clip_range=ppo.clip,
+            clip_range=(lambda left: left * ppo.clip) if ppo.anneal_clip else ppo.clip,
+            normalize_advantage=ppo.normalise_advantages,
             ent_coef=ppo.entropy,
             max_grad_norm=ppo.gradient_norm,
             rollout_buffer_class=EvenBuffer,
@@ -225,7 +227,7 @@ class Improver(PPO):
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Takes up a `state`."""
+        """Restores a `state`."""
         self._parts.load_state_dict(state["weights"])
         restore_optimizer(self.policy.optimizer, state["optimizer"])
         self._last_obs = self._environments.restore(state["environments"])

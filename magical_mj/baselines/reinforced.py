@@ -44,7 +44,7 @@ class RewardLearner(Learner):
             critic = Heads(tasks, actor.torso.features, 1).to(self.device)
             self._actor = actor
             self._ppo = Improver(settings, self._environments, actor, critic, self._draw, self.device)
-        self._normalise = RewardNormaliser(settings.ppo.reward_deviation)
+        self._normalise = RewardNormaliser(settings.ppo.reward_deviation, self._environments.tasks)
 
     @property
     def actor(self) -> Actor:
@@ -78,7 +78,7 @@ class RewardLearner(Learner):
         return {"ppo": self._ppo.state(), "rewards": self._normalise.state(), "draw": self._draw.get_state()}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Takes up a `state`."""
+        """Restores a `state`."""
         self._ppo.restore(state["ppo"])
         self._normalise.restore(state["rewards"])
         self._draw.set_state(state["draw"])
@@ -89,27 +89,36 @@ class RewardLearner(Learner):
 
 
 class RewardNormaliser:
-    """Brings rewards to mean 0 and a given standard deviation, by those of all rewards so far (appendix).
+    """Brings each task's rewards to mean 0 and a given standard deviation, by those of all of its rewards so far.
+
+    The paper normalises (appendix); for several tasks it does not say whether together. Together, a task whose samples
+    are easily told apart would decide how much the rewards of all others count.
 
     Args:
         deviation: the standard deviation.
+        tasks: number of each environment's task, ascending from 0, shape (environments,).
     """
 
-    def __init__(self, deviation: float) -> None:
-        self._deviation = deviation
-        self._seen = RunningMeanStd()
+    def __init__(self, deviation: float, tasks: NDArray[np.int64]) -> None:
+        self._deviation, self._tasks = deviation, tasks
+        self._seen = [RunningMeanStd() for _ in range(int(tasks[-1]) + 1)]
 
     def __call__(self, rewards: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Takes in rewards of any shape, and returns them normalised."""
-        self._seen.update(rewards.ravel())
-        spread = np.sqrt(self._seen.var + 1e-12)  # rewards that are all the same are all 0
-        return ((rewards - self._seen.mean) / spread * self._deviation).astype(np.float32)
+        """Takes in rewards of shape (steps, environments), and returns them normalised."""
+        normalised = np.empty(rewards.shape, np.float32)
+        for task, seen in enumerate(self._seen):
+            own = self._tasks == task
+            seen.update(rewards[:, own].ravel())
+            spread = np.sqrt(seen.var + 1e-12)  # rewards that are all the same are all 0
+            normalised[:, own] = (rewards[:, own] - seen.mean) / spread * self._deviation
+        return normalised
 
     def state(self) -> dict[str, Any]:
-        """Mean, variance and number of the rewards so far."""
-        return {"mean": float(self._seen.mean), "var": float(self._seen.var), "count": float(self._seen.count)}
+        """Means, variances and numbers of the rewards so far, by task."""
+        return {name: [float(getattr(seen, name)) for seen in self._seen] for name in ("mean", "var", "count")}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Takes up a `state`."""
-        self._seen.mean, self._seen.var = np.array(state["mean"]), np.array(state["var"])
-        self._seen.count = state["count"]
+        """Restores a `state`."""
+        for task, seen in enumerate(self._seen):
+            seen.mean, seen.var = np.array(state["mean"][task]), np.array(state["var"][task])
+            seen.count = state["count"][task]

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import json
 import math
+import platform
+import shlex
+import sys
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
+import mujoco
+import torch
+
 from magical_mj import files
+from magical_mj._version import __version__
 from magical_mj.baselines import checkpoint
 from magical_mj.baselines.adversarial import GAIL, WGAILGP
 from magical_mj.baselines.apprenticeship import Apprenticeship
 from magical_mj.baselines.bc import BehaviouralCloning
-from magical_mj.baselines.config import flattened, from_toml, to_toml
+from magical_mj.baselines.config import MADE, from_toml, recorded, to_toml
 from magical_mj.baselines.learner import Learner
 from magical_mj.baselines.metrics import Metrics
 from magical_mj.baselines.policy import TrainedPolicy, save_policy
@@ -23,6 +32,7 @@ from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.errors import TrainingError, unknown_name
 from magical_mj.evaluation.run import evaluate
 from magical_mj.evaluation.settings import check_unchanged
+from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 
 METHODS: Final[Mapping[str, Callable[[TrainingSettings], Learner]]] = MappingProxyType(
     {"bc": BehaviouralCloning, "gail": GAIL, "wgail-gp": WGAILGP, "al": Apprenticeship}
@@ -68,7 +78,7 @@ def train(
         watch: called after each update.
 
     Raises:
-        SettingsError, UnknownNameError: if the settings cannot be, or are not those that the folder was started with.
+        SettingsError, UnknownNameError: if the settings are invalid, or not those that the folder was started with.
         TrainingError: if the folder cannot be used, or a loss is no number any more.
     """
     folder = Path(out)
@@ -92,15 +102,31 @@ def _check(folder: Path, settings: TrainingSettings, resume: bool) -> None:
         return
     if not resume:
         raise TrainingError(f"{folder} holds a training already; --resume goes on with it (resume=True)")
-    check_unchanged(folder, flattened(asdict(from_toml(config))), flattened(asdict(settings)))
+    check_unchanged(folder, recorded(from_toml(config)), recorded(settings))
 
 
 def _start(folder: Path, settings: TrainingSettings) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        files.write(folder / CONFIG, to_toml(settings), overwrite=True)
+        if not (folder / CONFIG).exists():
+            files.write(folder / CONFIG, f"{to_toml(settings)}\n[{MADE}]\n{_circumstances()}")
     except OSError as error:
         raise TrainingError(f"cannot write into {folder}: {error.strerror}") from error
+
+
+def _circumstances() -> str:
+    """When, by which command and with which versions a run is started, as TOML."""
+    made = {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": shlex.join(sys.argv),
+        "magical_mj": __version__,
+        "protocol": PROTOCOL,
+        "demonstrations": DEMONSTRATIONS,
+        "mujoco": mujoco.__version__,
+        "torch": torch.__version__,
+        "python": platform.python_version(),
+    }
+    return "".join(f"{name} = {json.dumps(value)}\n" for name, value in made.items())
 
 
 class _Run:
@@ -124,7 +150,10 @@ class _Run:
                 self._check(figures)
                 metrics.add(figures)
                 save = _due(self._update, updates, settings.checkpoints)
-                scores = self._scores(policy) if _due(self._update, updates, settings.evaluations) else {}
+                evaluation = _due(self._update, updates, settings.evaluations)
+                if evaluation or self._update == updates:
+                    self._learner.recalibrate()
+                scores = self._scores(policy) if evaluation else {}
                 means: Mapping[str, float] = {}
                 if save or scores or _due(self._update, updates, ROWS):
                     self._seconds = time.monotonic() - started

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
-from types import MappingProxyType
-from typing import Any, Final, TypeVar, get_type_hints
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any, Final
 
-from magical_mj.errors import SettingsError, unknown_name
+from magical_mj.errors import SettingsError
 from magical_mj.presets import PRESETS, preset
-from magical_mj.registry import TASKS, listed, task_name, task_spec
+from magical_mj.registry import task_spec
 
 STATE: Final = "State"
 """The preset of the state track."""
@@ -40,7 +38,7 @@ class Cloning:
     learning_rate: float = 1e-3  # at first; from batch to batch it moves linearly to
     final_learning_rate: float = 1e-3  # at the end
     momentum: float = 0.1  # of SGD
-    heads: str = "normal"  # how their first weights are drawn: see `Heads`
+    heads: str = "normal"  # how their first weights are drawn, normal or uniform: see `Heads`
 
 
 @dataclass(frozen=True)
@@ -57,6 +55,8 @@ class PPO:
     gae_lambda: float = 0.8
     entropy: float = 1e-5
     clip: float = 0.01
+    anneal_clip: bool = True  # it falls to 0 with the learning rate; not in the paper, but in its library, rlpyt
+    normalise_advantages: bool = False  # in each minibatch; rlpyt does not
     gradient_norm: float = 1.0
     reward_deviation: float = 0.1  # standard deviation to which rewards are normalised
 
@@ -66,6 +66,7 @@ class Discriminator:
     """The discriminator's side of GAIL and WGAIL-GP (the same table)."""
 
     steps: int = 12  # for each update of the policy
+    rollouts: int = 1  # the latest ones, from which the policy's samples are drawn; 4 in the released code
     batch_size: int = 24  # half of them the policy's, half the expert's
     learning_rate: float = 2.5e-5  # of Adam
     gradient_penalty: float = 100.0  # of WGAIL-GP
@@ -97,6 +98,7 @@ class TrainingSettings:
         evaluations: how often during the training the policy is evaluated on the demo variant.
         episodes: in each of these evaluations, for each task.
         checkpoints: how often during the training everything is saved.
+        precision: "float32", or "bfloat16" for most of what BC's network computes in training.
     """
 
     method: str
@@ -109,6 +111,7 @@ class TrainingSettings:
     evaluations: int = 10
     episodes: int = 10
     checkpoints: int = 50
+    precision: str = "float32"
     network: Network = field(default_factory=Network)
     bc: Cloning = field(default_factory=Cloning)
     ppo: PPO = field(default_factory=PPO)
@@ -116,7 +119,7 @@ class TrainingSettings:
     features: Features = field(default_factory=Features)
 
     def __post_init__(self) -> None:
-        """Raises a `SettingsError` or an `UnknownNameError` for what cannot be."""
+        """Raises a `SettingsError` or an `UnknownNameError` for invalid settings."""
         for task in self.tasks:
             task_spec(task)  # or its error
         if not self.tasks or len(set(self.tasks)) < len(self.tasks):
@@ -127,6 +130,13 @@ class TrainingSettings:
                 f"learners look at one stack of frames or at states: preset must be one of {', '.join(LEARNABLE)}"
             )
         _check_positive(self, "")
+        for name, (value, allowed) in {
+            "bc.optimizer": (self.bc.optimizer, ("sgd", "adam")),
+            "bc.heads": (self.bc.heads, ("normal", "uniform")),
+            "precision": (self.precision, ("float32", "bfloat16")),
+        }.items():
+            if value not in allowed:
+                raise SettingsError(f"{name} must be {' or '.join(allowed)}, not {value!r}")
         if self.bc.final_learning_rate > self.bc.learning_rate:
             raise SettingsError("learning rates fall: bc.final_learning_rate must be at most bc.learning_rate")
         if self.method != "bc":
@@ -168,127 +178,15 @@ MAY_BE_ZERO: Final = {
     "bc.momentum", "ppo.discount", "ppo.gae_lambda", "ppo.entropy", "discriminator.gradient_penalty",
 }  # fmt: skip
 
-QUICK: Final[Mapping[str, Any]] = MappingProxyType(
-    {
-        "network.first_stride": 4,
-        "network.first_channels": 32,
-        "network.channels": 64,
-        "bc.batches": 4_000,
-        "bc.optimizer": "adam",
-        "bc.final_learning_rate": 1e-5,  # batch norm's averages must catch up with weights that Adam moves fast
-        "ppo.total_steps": 80_000,
-        "ppo.steps": 16,
-        "ppo.epochs": 4,
-        "ppo.learning_rate": 3e-4,
-        "ppo.discount": 0.9,
-        "ppo.entropy": 0.003,
-        "ppo.clip": 0.2,
-        "discriminator.steps": 6,
-        "discriminator.batch_size": 32,
-        "discriminator.learning_rate": 1e-4,
-        "features.batches": 1_000,
-        "features.learning_rate": 1e-3,
-    }
-)
-"""What `quick` changes: a smaller network and shorter training, for two cores without an accelerator."""
-
-STATE_TRACK: Final[Mapping[str, Any]] = MappingProxyType(
-    {
-        "bc.batches": 2_000,
-        "bc.batch_size": 128,
-        "bc.optimizer": "adam",
-        "bc.final_learning_rate": 1e-5,
-        "bc.heads": "uniform",
-        "ppo.total_steps": 300_000,
-        "ppo.steps": 16,
-        "ppo.epochs": 4,
-        "ppo.minibatch": 128,
-        "ppo.learning_rate": 3e-4,
-        "ppo.discount": 0.9,
-        "ppo.entropy": 0.003,
-        "ppo.clip": 0.2,
-        "discriminator.steps": 6,
-        "discriminator.batch_size": 128,
-        "discriminator.learning_rate": 1e-4,
-        "features.batches": 1_000,
-        "features.learning_rate": 1e-3,
-    }
-)
-"""What the preset State changes: the paper has no such track."""
-
-T = TypeVar("T")
-
-
-def load_settings(
-    method: str, tasks: str | tuple[str, ...], *, quick: bool = False, **changes: Any
-) -> TrainingSettings:
-    """The settings of a method: the paper's, those of `quick`, and then the `changes`.
-
-    Args:
-        method: one of `magical_mj.baselines.METHODS`, or the name of a method of the user's own.
-        tasks: the tasks, as a tuple or separated by commas; "all" is all eight.
-        quick: use a smaller network and a shorter training on pictures.
-        changes: by field; those of parts with dots, as in ``**{"ppo.clip": 0.02}``.
-    """
-    if isinstance(tasks, str):
-        tasks = tuple(task_name(task) for task in listed(tasks, TASKS))
-    if changes.get("preset") == STATE:
-        if quick:
-            raise SettingsError("quick is for pictures: learning from states is quick as it is")
-        changes = {**STATE_TRACK, **changes}
-    return changed(TrainingSettings(method, tasks), {**(QUICK if quick else {}), **changes})
-
-
-def changed(settings: TrainingSettings, changes: Mapping[str, Any]) -> TrainingSettings:
-    """The settings with other values; values given as text are read as what the field holds.
-
-    Raises:
-        UnknownNameError: if there is no such field.
-        SettingsError: if a value does not fit.
-    """
-    known = names(settings)
-    for name in changes:
-        if name not in known:
-            raise unknown_name("setting", name, known)
-    return _changed(settings, changes, "")
-
-
-def _changed(part: T, changes: Mapping[str, Any], prefix: str) -> T:
-    values = {}
-    for name, kind in get_type_hints(type(part)).items():
-        path = prefix + name
-        if is_dataclass(kind):
-            values[name] = _changed(getattr(part, name), changes, f"{path}.")
-        elif path in changes:
-            values[name] = _fitting(path, changes[path], kind)
-    return replace(part, **values)  # pyright: ignore[reportArgumentType]
-
-
-def names(settings: Any, prefix: str = "") -> list[str]:
-    """The names of all fields, those of parts with dots."""
-    found = []
-    for item in fields(settings):
-        value = getattr(settings, item.name)
-        found += names(value, f"{prefix}{item.name}.") if is_dataclass(value) else [f"{prefix}{item.name}"]
-    return found
-
-
-def _fitting(name: str, value: Any, kind: Any) -> Any:
-    if kind == tuple[str, ...]:
-        return tuple(value.split(",")) if isinstance(value, str) else tuple(value)
-    try:
-        made = kind(value)
-    except (TypeError, ValueError):
-        made = None
-    if made is None or isinstance(value, bool) or (kind is int and isinstance(value, float) and made != value):
-        raise SettingsError(f"{name} must be a number ({kind.__name__}), not {value!r}")
-    return made
-
 
 def _check_positive(part: Any, prefix: str) -> None:
     for item in fields(part):
         value, name = getattr(part, item.name), f"{prefix}{item.name}"
         if is_dataclass(value):
             _check_positive(value, f"{name}.")
-        elif isinstance(value, int | float) and not (value > 0 or (value == 0 and name in MAY_BE_ZERO)):
+        elif (
+            isinstance(value, int | float)
+            and not isinstance(value, bool)
+            and not (value > 0 or (value == 0 and name in MAY_BE_ZERO))
+        ):
             raise SettingsError(f"{name} must be {'0 or more' if name in MAY_BE_ZERO else 'positive'}, not {value}")

@@ -43,9 +43,9 @@ AUGMENTATIONS: Final[Mapping[str, tuple[Part, ...]]] = MappingProxyType(
     {"all": ("translation", "rotation", "noise"), "no-trans-rot": ("noise",), "none": ()}
 )
 """The counterparts of the picture augmentations of the same names. Names of colours cannot be shifted a little."""
-TRANSLATION: Final = 0.05  # units: the bound of the uniform draws along each axis
-ROTATION: Final = 5.0  # degrees, likewise
-NOISE: Final = 0.01  # standard deviation, in units and radians, of all poses and finger angles
+TRANSLATION: Final = 0.02  # units: the bound of the uniform draws along each axis
+ROTATION: Final = 2.0  # degrees, likewise
+NOISE: Final = 0.005  # standard deviation, in units and radians, of all poses and finger angles
 
 
 def histories(states: NDArray[np.float32]) -> NDArray[np.float32]:
