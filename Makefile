@@ -10,7 +10,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test check format docs demonstrations lerobot lerobot-test constraints system site site-test node chromium
+.PHONY: demo test check format docs demonstrations lerobot lerobot-test constraints system site site-test site-picture node chromium
 
 demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all 60 environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
@@ -43,6 +43,9 @@ site-test: site | chromium  ## the site in headless Chromium, and its simulation
 	node --test --test-concurrency=1 --test-reporter=spec site/tests/
 	$(BIN)/python site/tests/saved.py out/site-test/saved.json
 	$(BIN)/python site/seats.py 10 10
+
+site-picture: site | chromium  ## docs/site.png, anew
+	$(BIN)/python site/screenshots.py
 
 demonstrations: $(VENV)/.installed-dev  ## after a change of the physics: the shipped demonstrations and docs/experts.md, anew
 	rm -rf magical_mj/demos/data

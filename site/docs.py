@@ -66,15 +66,16 @@ def _filled(found: re.Match[str]) -> str:
 
 
 def section(text: str, heading: str) -> str:
-    """The text below a heading of the second level.
+    """The text below a heading of the second level; of the empty one, what stands between the title and the first.
 
     Raises:
         SystemExit: if there is no such heading.
     """
-    _, found, rest = text.partition(f"\n## {heading}\n")
-    if not found:
+    found = {part.partition("\n")[0]: part.partition("\n")[2] for part in f"\n{text}".split("\n## ")[1:]}
+    found[""] = text.partition("\n")[2].partition("\n## ")[0]
+    if heading not in found:
         raise SystemExit(f"README.md has no section {heading!r} any more, which a page of the site takes from it")
-    return rest.partition("\n## ")[0].strip()
+    return found[heading].strip()
 
 
 def _links(text: str) -> str:

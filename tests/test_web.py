@@ -101,7 +101,10 @@ def test_a_collection_asks_for_what_it_has_least_of(tmp_path: Path) -> None:
     assert (collection.next() or {})["variant"] == "Layout"
     collection.keep(json.dumps(recording(*pairs[1], 0, [1] * 40)), me)
     assert collection.next() is None
-    assert Collection(tmp_path, pairs, wanted=1).next() is None  # what was kept counts after a restart
+    again = Collection(tmp_path, pairs, wanted=1)
+    assert again.next() is None  # what was kept counts after a restart
+    assert len(again.token()) > 20
+    assert again.token() == collection.token()
     with pytest.raises(magical_mj.errors.DemonstrationError, match="not collected"):
         collection.keep(json.dumps(recording("MoveToRegion", "Jitter", 0, [0] * 40)), me)
     assert len(list(tmp_path.rglob("*.npz"))) == 2
@@ -177,4 +180,4 @@ def test_strangers_are_refused(server: tuple[Any, str, Path]) -> None:
         seat.send("x" * 200_000)
         with pytest.raises(ConnectionClosed):
             seat.recv()
-    assert not any(folder.iterdir())
+    assert [path.name for path in folder.iterdir()] == ["token"]

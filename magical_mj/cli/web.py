@@ -63,6 +63,8 @@ def serve_page(
         raise missing_extra("Playing in a browser", "web") from None
     collection = None if collect is None else Collection(claim_folder(collect), environments, wanted)
     server = PlayServer(environments, host, port, origin=origin, collection=collection)
+    if collection is not None:
+        server.token = collection.token()
     with suppress(KeyboardInterrupt):
         asyncio.run(_serve(server, "" if first is None else "#" + "-".join(map(str, first))))
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj import demos
+from magical_mj import demos, files
 from magical_mj.demos.files import SUFFIX
 from magical_mj.errors import DemonstrationError
 
@@ -39,6 +39,18 @@ class Collection:
         found = ("-".join(path.name.split("-")[:2]) for path in folder.glob(f"*/*{SUFFIX}"))
         self._kept = Counter(names[name] for name in found if name in names)
         self._offered = Counter(self._kept)
+
+    def token(self) -> str:
+        """The secret part of the page's address, which stays the same when the server is started again.
+
+        Raises:
+            OSError: if it cannot be kept.
+        """
+        path = self._folder / "token"
+        if not path.exists():
+            files.write(path, secrets.token_urlsafe(16))
+            path.chmod(0o600)
+        return path.read_text(encoding="utf-8")
 
     def participant(self, name: Any) -> str:
         """The participant's own name if it is one of ours, as when somebody comes back, or a new one."""

@@ -18,7 +18,7 @@ SCENES: Final = 20
 """How many the page offers of each environment but Demo, which has one."""
 DEMONSTRATIONS: Final = 5
 """How many of a task's shipped demonstrations the page can show."""
-_BETWEEN_ELEMENTS: Final = re.compile("(?<=>)(?=<)")
+_BETWEEN_ELEMENTS: Final = re.compile(r"(?<=>)(?=\s*<)")
 
 
 def letters(actions: Sequence[int]) -> str:

@@ -7,7 +7,7 @@ import { after, before, test } from "node:test";
 import { launch, serve } from "./browser.mjs";
 
 const OUT = fileURLToPath(new URL("../../out/", import.meta.url));
-const SPEED = 10;
+const SPEED = 40;
 /** @type {Awaited<ReturnType<typeof serve>>} */
 let site;
 /** @type {Awaited<ReturnType<typeof launch>>} */

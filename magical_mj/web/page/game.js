@@ -8,6 +8,7 @@
 import { between } from "./scene.js";
 
 const RATE = 8;  // actions a second
+const PAUSE = 250;  // milliseconds: whoever lags behind so much does not catch up
 
 export class Game {
   /**
@@ -40,24 +41,30 @@ export class Game {
   }
 
   /**
-   * Acts if it is time to.
+   * Acts as often as it is time to: usually once in several frames. After a pause, time goes on from now.
    * @param {number} time  milliseconds
    */
   advance(time) {
-    if (this.busy || this.over || this.failure || time - this.since < this.period) return;
-    this.before = this.now;
-    const action = this.choose();
-    if (action === null) return;
-    this.since = time - this.since < 2 * this.period ? this.since + this.period : time;
-    this.busy = true;
-    this.#act(action).catch((error) => { this.failure = error; }).finally(() => { this.busy = false; });
+    while (!this.busy && !this.over && !this.failure && time - this.since >= this.period) {
+      this.before = this.now;
+      const action = this.choose();
+      if (action === null) return;
+      const next = this.since + this.period;
+      this.since = time - next > PAUSE ? time : next;
+      this.#act(action);
+    }
   }
 
   /** @param {number} action */
-  async #act(action) {
+  #act(action) {
+    const accept = (/** @type {Scene} */ scene) => {
+      this.now = scene;
+      this.actions.push(action);
+    };
     const scene = this.episode.act(action);
-    this.now = scene instanceof Promise ? await scene : scene;
-    this.actions.push(action);
+    if (!(scene instanceof Promise)) return accept(scene);
+    this.busy = true;
+    scene.then(accept).catch((error) => { this.failure = error; }).finally(() => { this.busy = false; });
   }
 
   /**
