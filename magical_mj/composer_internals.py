@@ -5,10 +5,12 @@ dm_control may change them without a word: `pyproject.toml` caps its version, an
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from dm_control import composer, mjcf
+from dm_control.composer.environment import HOOK_NAMES
 from dm_control.mjcf.physics import _EMPTY_BINDING
 from dm_control.mujoco import engine, index, wrapper
 
@@ -42,6 +44,9 @@ class UnindexedPhysics(mjcf.Physics):
 class OpenEnvironment(composer.Environment):
     """Composer's environment, with names for the places where ours differs."""
 
+    extra_hooks: frozenset[str] = frozenset()
+    """The names of the moments at which users have functions of their own called."""
+
     def simulate(self) -> mjcf.Physics:
         """The simulation of the task's present world; the one before is not used any more."""
         raise NotImplementedError
@@ -49,6 +54,21 @@ class OpenEnvironment(composer.Environment):
     def make_updater(self) -> Any:
         """What keeps the observations up to date: composer's own updater, or something with its methods."""
         return super()._make_observation_updater()
+
+    def add_extra_hook(self, hook_name: str, hook_callable: Callable[..., Any]) -> None:
+        """Has `hook_callable` called at the moment of this name, as composer does, which hides what it calls."""
+        super().add_extra_hook(hook_name, hook_callable)
+        self.extra_hooks |= {hook_name}
+
+    def user_hooks(self) -> frozenset[str]:
+        """The same with the hooks of entities that users have attached."""
+        entities = self.task.root_entity.iter_entities()
+        return self.extra_hooks | {
+            name
+            for it in entities
+            for name in HOOK_NAMES
+            if getattr(type(it), name) is not getattr(composer.Entity, name)
+        }
 
     def recompile(self) -> None:
         """Has the simulation of another world made and observed: composer does this only in the midst of a reset."""

@@ -49,6 +49,8 @@ class EnvironmentSettings:
 
     def check(self, scene: Scene) -> None:
         """Raise `InvalidSceneError` unless an episode can start in `scene`."""
+        if not isinstance(scene, Scene):
+            raise InvalidSceneError(f"{scene!r:.80} is no magical_mj.Scene; Scene.from_json reads one from JSON")
         check_scene(scene)
         if "state" in self.observations:
             StateEncoder(scene)
@@ -60,7 +62,7 @@ class EnvironmentSettings:
         if self.scene is not None:
             return self.scene
         if self.task is None:
-            raise InvalidSceneError("without a task there must be a scene")
+            raise InvalidSceneError("without a task there must be a magical_mj.Scene")
         return sample_scene(self.task, self.variant, seed)
 
     @property

@@ -8,21 +8,20 @@ delay, still gets composer's loop.
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from typing import Any
 
 import dm_env
 import numpy as np
-from dm_control import composer
-from dm_control.composer.environment import HOOK_NAMES
 from numpy.typing import NDArray
 
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.composer_internals import OpenEnvironment
 from magical_mj.composer_observables import CurrentObservable, CurrentUpdater
 from magical_mj.env_settings import EnvironmentSettings, Reward
-from magical_mj.errors import ClosedError, StateError, unknown_name
+from magical_mj.errors import ClosedError, SettingsError, StateError, unknown_name
 from magical_mj.observations import VIEWS
+from magical_mj.registry import task_spec
 from magical_mj.rendering.renderer import SOLID_VIEW, check_size
 from magical_mj.scene import Scene
 from magical_mj.scene_task import SceneTask
@@ -46,7 +45,6 @@ class Environment(OpenEnvironment):
             seed: of the generator that draws the seeds of later scenes.
         """
         self._compiled: tuple[Hashable, Simulation] | None = None
-        self._extra_hooks: set[str] = set()
         super().__init__(
             SceneTask(settings, first),
             random_state=np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed))),
@@ -95,12 +93,16 @@ class Environment(OpenEnvironment):
         Args:
             seed: of this episode's scene; those of later episodes do not depend on it.
             scene: to start in.
-            state: to go on from instead; as `set_state`, but with a first time step and its observation.
+            state: to go on from; as `set_state`, but with a first time step and its observation.
 
         Raises:
             InvalidSceneError, InvalidSeedError, StateError: if one of them cannot be had.
+            SettingsError: if more than one of them is given.
         """
         self._open()
+        given = [name for name, value in (("seed", seed), ("scene", scene), ("state", state)) if value is not None]
+        if len(given) > 1:
+            raise SettingsError(f"an episode starts from one of seed, scene and state, not from {' and '.join(given)}")
         if state is not None:
             return self._resume(state)
         if scene is not None:
@@ -152,7 +154,7 @@ class Environment(OpenEnvironment):
         """How to copy and pickle: the settings, the generator, and the state of an episode if one has begun."""
         self._open()
         own_observables = self._is_plain and len(self._enabled()) == len(self.task.observables)
-        if self._hooks_of_users() or not own_observables or self.task.world.tree is not None:
+        if self.user_hooks() or not own_observables or self.task.world.tree is not None:
             raise StateError(
                 "an environment with hooks, changed observables or a changed MJCF tree cannot be copied or pickled: "
                 "load another one, change it likewise, and give it this one's get_state()"
@@ -168,7 +170,7 @@ class Environment(OpenEnvironment):
             dm_control.rl.control.PhysicsError: if the simulation becomes unstable.
         """
         simulation = self._open()
-        if self.over or not self._is_plain:
+        if self.over or self.extra_hooks or not self._is_plain:
             return super().step(action)
         self.task.before_step(simulation, action, self.random_state)
         simulation.step(SUBSTEPS)
@@ -179,12 +181,6 @@ class Environment(OpenEnvironment):
             self.task.get_discount(simulation),
             self._updater.get_observation(),
         )
-
-    def add_extra_hook(self, hook_name: str, hook_callable: Callable[..., Any]) -> None:
-        """Has `hook_callable` called at the moment of this name; see `composer.Environment`."""
-        super().add_extra_hook(hook_name, hook_callable)
-        self._extra_hooks.add(hook_name)
-        self._is_plain = False
 
     def close(self) -> None:
         """Frees the simulation. Closing twice is fine."""
@@ -207,17 +203,11 @@ class Environment(OpenEnvironment):
     def _enabled(self) -> dict[str, Any]:
         return {name: entry for name, entry in self.task.observables.items() if entry.enabled}
 
-    def _hooks_of_users(self) -> set[str]:
-        """The names of the hooks that users have added, to the environment or with entities of their own."""
-        entities = [] if self.task.world.tree is None else self.task.world.iter_entities()
-        own = {n for e in entities for n in HOOK_NAMES if getattr(type(e), n) is not getattr(composer.Entity, n)}
-        return self._extra_hooks | own
-
     def make_updater(self) -> Any:
         """Ours, unless somebody wants more than the present."""
         enabled = self._enabled()
         current = all(isinstance(entry, CurrentObservable) and entry.is_immediate for entry in enabled.values())
-        self._is_plain = current and not self._hooks_of_users()
+        self._is_plain = current and not self.user_hooks()
         self._updater = CurrentUpdater(enabled) if current else super().make_updater()
         return self._updater
 
@@ -230,7 +220,7 @@ class Environment(OpenEnvironment):
         world = self.task.world
         if self._compiled is not None:
             structure, simulation = self._compiled
-            changed = world.tree is not None or not simulation.is_ours or self._hooks_of_users()
+            changed = world.tree is not None or not simulation.is_ours or self.user_hooks()
             if world.structure == structure and not changed:
                 world.rewrite(simulation.model.ptr, simulation.data.ptr)
                 return simulation
@@ -282,6 +272,7 @@ def load(
         InvalidSceneError: if the scene is illegal or not one of the task.
         ValueError: for a bad image size or seed.
     """
+    task_spec(task)  # None, too, is no task
     return _loaded(EnvironmentSettings(task, variant, scene, observations, image_size, reward, rules), seed)
 
 

@@ -23,7 +23,7 @@ from magical_mj.frames import Images, Stacks
 from magical_mj.observations import STATE_NAMES, VIEWS
 from magical_mj.presets import Layout
 from magical_mj.presets import preset as preset_named
-from magical_mj.rendering.renderer import check_size
+from magical_mj.rendering.renderer import SOLID_VIEW, check_size
 from magical_mj.scene import Scene
 from magical_mj.state import State
 from magical_mj.tasks.spec import Rules
@@ -33,7 +33,7 @@ ActionForm = Literal["discrete", "continuous"]
 ACTION_FORMS: Final[tuple[str, ...]] = get_args(ActionForm)
 Observation = NDArray[Any] | dict[str, Images]
 
-RENDER_VIEWS: Final = (*VIEWS, "both")
+RENDER_VIEWS: Final = (*VIEWS, "both", SOLID_VIEW)
 STATE_BOUND: Final = 1000.0  # of any entry of the state vector; angles add up to 100 rad in the longest episode
 
 
@@ -63,7 +63,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         rules: "paper" or "released".
         action: "discrete" or "continuous".
         render_mode: "rgb_array"; Gymnasium makes "human" (a window) from it.
-        render_view: what `render` shows: "ego", "allo", or "both" side by side.
+        render_view: what `render` shows: "ego", "allo", "both" side by side, or "scene", solid from above a corner.
         render_size: side of each view in pixels.
         score_every_step: gives `info["score"]`, the score if the episode ended now, at every step and reset. This
             takes up to a tenth of a step's time.
@@ -153,10 +153,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         options = options or {}
         self._warn_of_unknown(options)
         scene, state = _scene_option(options), options.get("state")
-        if state is not None:
-            first = self._env.reset(state=state)
-        elif scene is not None:
-            first = self._env.reset(scene=scene)
+        if scene is not None or state is not None:
+            first = self._env.reset(scene=scene, state=state)
         else:
             again = self._seeded if seed is None else seed
             first = self._env.reset(seed=int(self.np_random.integers(2**63)) if again is None else again)

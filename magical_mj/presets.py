@@ -46,6 +46,6 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
 
 def preset(name: str) -> Preset:
     """The preset called `name`; raises `UnknownNameError`, offering the nearest name."""
-    if name not in PRESETS:
+    if not isinstance(name, str) or name not in PRESETS:
         raise unknown_name("preset", name, filter(None, PRESETS))
     return PRESETS[name]

@@ -7,7 +7,7 @@ import pytest
 
 import magical_mj
 from magical_mj.actions import Action, Drive, Gripper, Turn
-from magical_mj.errors import InvalidActionError, InvalidSceneError, SettingsError, UnknownNameError
+from magical_mj.errors import ClosedError, InvalidActionError, InvalidSceneError, SettingsError, UnknownNameError
 from magical_mj.scene import Block, Robot, Scene
 
 
@@ -70,3 +70,40 @@ def test_illegal_scenes_are_refused() -> None:
     with pytest.raises(InvalidSceneError, match="holds 10 blocks"):
         magical_mj.load_scene(crowd, observations=("state",))
     magical_mj.load_scene(crowd, observations=()).reset()
+
+
+def test_what_is_no_name_is_no_name() -> None:
+    for wrong in (["FindDupe"], None, 3, {"FindDupe"}, np.array(["a", "b"])):
+        with pytest.raises(UnknownNameError, match="unknown task"):
+            magical_mj.load(wrong)
+        with pytest.raises(UnknownNameError, match="unknown variant"):
+            magical_mj.load("FindDupe", wrong)
+        with pytest.raises(UnknownNameError, match="unknown observation"):
+            magical_mj.load("FindDupe", observations=(wrong,))
+        with pytest.raises(UnknownNameError, match="unknown reward"):
+            magical_mj.load("FindDupe", reward=wrong)
+        with pytest.raises(UnknownNameError, match="unknown set of rules"):
+            magical_mj.load("FindDupe", rules=wrong)
+        with pytest.raises(UnknownNameError, match="unknown preset"):
+            magical_mj.MagicalEnv("FindDupe", preset=wrong)
+        with pytest.raises(UnknownNameError, match="unknown view"):
+            magical_mj.load("FindDupe", observations=()).render(wrong)
+        with pytest.raises(InvalidSceneError, match=r"magical_mj\.Scene"):
+            magical_mj.load_scene(wrong)
+
+
+def test_closed_environments_say_so() -> None:
+    env = magical_mj.load("MoveToRegion", observations=())
+    env.reset()
+    env.close()
+    env.close()
+    uses = (env.reset, lambda: env.step(0), lambda: env.scene, env.score, env.render, env.get_state, env.clone)
+    for use in uses:
+        with pytest.raises(ClosedError, match="load another one"):
+            use()
+
+
+def test_an_episode_starts_from_one_thing() -> None:
+    env = magical_mj.load("MoveToRegion", observations=())
+    with pytest.raises(SettingsError, match="not from seed and scene"):
+        env.reset(seed=1, scene=env.initial_scene)
