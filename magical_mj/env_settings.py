@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
-from magical_mj.errors import InvalidSceneError, SettingsError, unknown_name
+from magical_mj.errors import InvalidSceneError, SettingsError, check_name
 from magical_mj.geometry import check_scene
 from magical_mj.observations import OBSERVATIONS, VIEWS, StateEncoder
 from magical_mj.registry import check_rules, environment_axes, sample_scene, task_spec
@@ -40,8 +40,7 @@ class EnvironmentSettings:
         if self.task is not None:
             environment_axes(self.task, self.variant)
         check_rules(self.rules)
-        if self.reward not in REWARDS:
-            raise unknown_name("reward", self.reward, REWARDS)
+        check_name("reward", self.reward, REWARDS)
         check_size(self.image_size)
         object.__setattr__(self, "observations", check_observations(self.observations))
         if self.scene is not None:
@@ -89,9 +88,8 @@ def check_observations(names: Sequence[str]) -> tuple[str, ...]:
         UnknownNameError: if there is no such observation.
     """
     if not isinstance(names, list | tuple):
-        example = names if names in OBSERVATIONS else "ego"
+        example = names if isinstance(names, str) and names in OBSERVATIONS else "ego"
         raise SettingsError(f'observations must be a list or a tuple of names, such as ("{example}",), not {names!r}')
     for name in names:
-        if name not in OBSERVATIONS:
-            raise unknown_name("observation", name, OBSERVATIONS)
+        check_name("observation", name, OBSERVATIONS)
     return tuple(names)

@@ -19,7 +19,7 @@ from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.composer_internals import OpenEnvironment
 from magical_mj.composer_observables import CurrentObservable, CurrentUpdater
 from magical_mj.env_settings import EnvironmentSettings, Reward
-from magical_mj.errors import ClosedError, SettingsError, StateError, unknown_name
+from magical_mj.errors import ClosedError, SettingsError, StateError, check_name
 from magical_mj.observations import VIEWS
 from magical_mj.registry import task_spec
 from magical_mj.rendering.renderer import SOLID_VIEW, check_size
@@ -81,8 +81,7 @@ class Environment(OpenEnvironment):
         Returns:
             Shape (size, size, 3), RGB, top row first.
         """
-        if view not in (*VIEWS, SOLID_VIEW):
-            raise unknown_name("view", view, (*VIEWS, SOLID_VIEW))
+        check_name("view", view, (*VIEWS, SOLID_VIEW))
         return self._open().draw(view, check_size(size), out)
 
     def reset(

@@ -89,3 +89,10 @@ def shown(value: object) -> str:
     except (ValueError, RecursionError):  # an integer of thousands of digits; lists in lists in lists
         text = f"a value of type {type(value).__name__}"
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+
+
+def check_name(kind: str, name: object, allowed: Iterable[str]) -> None:
+    """Raise `UnknownNameError`, offering the nearest name, unless `name` is one of the `allowed`."""
+    allowed = tuple(allowed)
+    if not isinstance(name, str) or name not in allowed:
+        raise unknown_name(kind, name, allowed)

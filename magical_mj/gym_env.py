@@ -18,7 +18,7 @@ from magical_mj import constants as c
 from magical_mj.actions import ACTIONS, to_discrete
 from magical_mj.env_settings import Reward
 from magical_mj.environment import Environment, load
-from magical_mj.errors import InvalidSceneError, unknown_name
+from magical_mj.errors import InvalidSceneError, check_name
 from magical_mj.frames import Images, Stacks
 from magical_mj.observations import STATE_NAMES, VIEWS
 from magical_mj.presets import Layout
@@ -86,12 +86,10 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         render_size: int = 384,
         score_every_step: bool = False,
     ) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise unknown_name("render mode", render_mode, self.metadata["render_modes"])
-        if action not in ACTION_FORMS:
-            raise unknown_name("form of actions", action, ACTION_FORMS)
-        if render_view not in RENDER_VIEWS:
-            raise unknown_name("view", render_view, RENDER_VIEWS)
+        if render_mode is not None:
+            check_name("render mode", render_mode, self.metadata["render_modes"])
+        check_name("form of actions", action, ACTION_FORMS)
+        check_name("view", render_view, RENDER_VIEWS)
         self.render_mode = render_mode
         self._views = VIEWS if render_view == "both" else (render_view,)
         self._render_size = check_size(render_size, "render_size")

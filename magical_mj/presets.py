@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, Literal
 
-from magical_mj.errors import unknown_name
+from magical_mj.errors import check_name
 
 Layout = Literal["dict", "hwc", "chw", "state"]
 
@@ -46,6 +46,6 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
 
 def preset(name: str) -> Preset:
     """The preset called `name`; raises `UnknownNameError`, offering the nearest name."""
-    if not isinstance(name, str) or name not in PRESETS:
-        raise unknown_name("preset", name, filter(None, PRESETS))
+    if not isinstance(name, str) or name:
+        check_name("preset", name, filter(None, PRESETS))
     return PRESETS[name]
