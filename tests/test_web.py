@@ -54,6 +54,7 @@ def test_outlines_are_where_the_renderer_has_them() -> None:
     assert [layer["part"] for layer in look["robot"]][-1] != "left_finger"  # the body hides the fingers' roots
     assert {layer["part"] for layer in look["robot"]} >= {"left_finger", "right_finger"}
     assert set(look["blocks"]) == set(magical_mj.constants.SHAPES)
+    assert len(look["arena"]) == 2  # what lies beyond the walls, and the line between
     assert all(len(layers) == 2 for layers in look["blocks"].values())
 
 

@@ -13,6 +13,7 @@ from magical_mj.assets import style
 from magical_mj.assets.robot import SIGN
 from magical_mj.assets.world import world_mjcf
 from magical_mj.constants import COLOURS, SHAPES
+from magical_mj.rendering.canvas import drawn
 from magical_mj.scene import Block, Robot, Scene
 
 DECIMALS = 6
@@ -26,7 +27,8 @@ def look() -> dict[str, Any]:
     """
     blocks = tuple(Block(shape, "red", 0.5 * index, 0.5, 0.0) for index, shape in enumerate(SHAPES))
     model = mujoco.MjModel.from_xml_string(world_mjcf(Scene(Robot(0.0, -0.5, 0.0), blocks)))
-    layers = [_layer(model, geom) for geom in range(model.ngeom) if _is_drawn(model, geom)]
+    shown = drawn(model.geom_group) & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
+    layers = [_layer(model, geom) for geom in shown.nonzero()[0].tolist()]
     return {
         "visible": c.VISIBLE_SIZE,
         "anchor": c.EGO_ANCHOR,
@@ -55,10 +57,6 @@ def css(rgb: style.Rgb) -> str:
 
 def _palette(palette: style.Palette) -> dict[str, str]:
     return {colour: css(palette[colour]) for colour in COLOURS}
-
-
-def _is_drawn(model: mujoco.MjModel, geom: int) -> bool:
-    return model.geom_group[geom] == style.DRAWN_GROUP and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH
 
 
 def _layer(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
