@@ -1,50 +1,29 @@
-"""Each floor of the house knows only the floors below it: kept by walking every import, late ones included.
-
-| floor | what | may import |
-|---|---|---|
-| 0 | constants, errors, fields, scene, geometry, actions, protocol, files, extras | standard library, numpy, shapely |
-| 1 | planning, tasks | floor 0; no simulator |
-| 2 | variants; assets | floor 0; variants also the tasks' spec, and no simulator; neither knows the other |
-| 3 | registry, environment, observations, rendering, export, parallel | 0-2, mujoco, dm_control |
-| 4 | Gymnasium, episodes, agents, experts, demonstrations | 0-3, gymnasium |
-| 5 | batched, evaluation, leaderboard, speed, web | 0-4 |
-| 6 | cli | 0-5 |
-| 7 | baselines | anything; nobody imports them: commands and loaders of policies are plug-ins, by their entry points |
-"""
+"""The package is built as docs/architecture.md says: kept by walking every import, late ones included."""
 
 from __future__ import annotations
 
 import ast
+import re
 import sys
 from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
-PACKAGE = Path(__file__).parent.parent / "magical_mj"
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "magical_mj"
+PAGE = (ROOT / "docs" / "architecture.md").read_text()
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-FLOORS: dict[str, int] = {
-    **dict.fromkeys(
-        ["constants", "errors", "fields", "scene", "geometry", "actions", "protocol", "files", "extras"], 0
-    ),
-    **dict.fromkeys(["references", "_version"], 0),
-    **dict.fromkeys(["planning", "tasks"], 1),
-    **dict.fromkeys(["variants", "assets"], 2),
-    **dict.fromkeys(["registry", "observations", "rendering", "export", "env_settings", "state"], 3),
-    **dict.fromkeys(["environment", "scene_task", "simulation", "composer_internals", "composer_observables"], 3),
-    **dict.fromkeys(["announced", "parallel"], 3),
-    **dict.fromkeys(["episodes", "agents"], 4),
-    **dict.fromkeys(["presets", "registration", "frames", "gym_env", "wrappers", "experts", "demos"], 4),
-    **dict.fromkeys(["batched", "evaluation", "leaderboard", "speed", "web"], 5),
-    **dict.fromkeys(["cli", "__main__"], 6),
-    **dict.fromkeys(["baselines", "integrations"], 7),
-}
+FLOORS = {room: int(floor) for floor, room in re.findall(r"^\| (\d) \| `(\w+)` \|", PAGE, re.MULTILINE)}
 FACADE = "__init__"
-"""``magical_mj/__init__.py`` gathers the public names from floors 0 to 4, so only higher floors may use it."""
+"""``magical_mj/__init__.py`` gathers the public names, so only what is above it may use it."""
 
 PURE = {"numpy", "shapely", *sys.stdlib_module_names}
+STRANGERS = ("variants", "assets", "cli", "baselines", "integrations")
+"""Rooms that nobody on the same floor may import from."""
 MAX_LINES = 300
 
 
@@ -59,8 +38,8 @@ class Import(NamedTuple):
         return self.path[0] == "magical_mj"
 
     @property
-    def part(self) -> str:
-        """The part of the package that is imported."""
+    def room(self) -> str:
+        """The room of the package that is imported from."""
         return self.path[1] if len(self.path) > 1 and self.path[1] in FLOORS else FACADE
 
 
@@ -68,7 +47,7 @@ def name(module: Path) -> str:
     return module.relative_to(PACKAGE).as_posix()
 
 
-def part_of(module: Path) -> str:
+def room_of(module: Path) -> str:
     return module.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
@@ -81,37 +60,59 @@ def imports(module: Path) -> Iterator[Import]:
             yield from (Import((*base, alias.name), node.lineno) for alias in node.names)
 
 
+def circle(graph: dict[str, set[str]]) -> list[str]:
+    """Names that depend on each other in a circle; none if there is no circle."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return error.args[1]
+    return []
+
+
+def test_the_page_names_every_room_and_no_other() -> None:
+    assert set(FLOORS) == {room_of(module) for module in MODULES}
+
+
 @pytest.mark.parametrize("module", MODULES, ids=name)
-def test_every_module_has_a_floor(module: Path) -> None:
-    part = part_of(module)
-    assert part == FACADE or part in FLOORS, f"{part} is new: give it a floor in {Path(__file__).name}"
-
-
-@pytest.mark.parametrize("module", [module for module in MODULES if part_of(module) != FACADE], ids=name)
-def test_modules_import_only_from_the_floors_below(module: Path) -> None:
-    part = part_of(module)
+def test_modules_import_only_from_their_floor_and_below(module: Path) -> None:
+    room = room_of(module)
     for found in imports(module):
-        if not found.inner or found.part == part:
+        if not found.inner or found.room == room:
             continue
         where = f"{name(module)}:{found.line} imports {'.'.join(found.path)}"
-        if found.part == FACADE:
-            assert FLOORS[part] > FLOORS["gym_env"], where
-        elif found.part in ("variants", "assets", "cli", "baselines"):  # neighbours that must not know each other
-            assert FLOORS[found.part] < FLOORS[part] or part == "__main__", where
-        else:
-            assert FLOORS[found.part] <= FLOORS[part], where
+        assert FLOORS[found.room] <= FLOORS[room], where
+        assert FLOORS[found.room] < FLOORS[room] or found.room not in STRANGERS or room == "__main__", where
 
 
-@pytest.mark.parametrize("module", [module for module in MODULES if part_of(module) != FACADE], ids=name)
+def test_rooms_do_not_depend_on_each_other_in_a_circle() -> None:
+    rooms: dict[str, set[str]] = {}
+    for module in MODULES:
+        used = {found.room for found in imports(module) if found.inner}
+        rooms.setdefault(room_of(module), set()).update(used - {room_of(module)})
+    assert not circle(rooms)
+
+
+def test_modules_do_not_depend_on_each_other_in_a_circle() -> None:
+    names = {".".join((PACKAGE.name, *module.relative_to(PACKAGE).with_suffix("").parts)): module for module in MODULES}
+    names = {path.removesuffix(".__init__"): module for path, module in names.items()}
+    graph: dict[str, set[str]] = {}
+    for path, module in names.items():
+        used = [".".join(found.path) for found in imports(module) if found.inner]
+        graph[path] = {other if other in names else other.rpartition(".")[0] for other in used} - {path}
+    assert not circle(graph)
+    assert circle({"a": {"b"}, "b": {"a"}})
+
+
+@pytest.mark.parametrize("module", MODULES, ids=name)
 def test_the_simulator_and_gymnasium_stay_on_their_floors(module: Path) -> None:
-    part = part_of(module)
+    room = room_of(module)
     for found in imports(module):
         where = f"{name(module)}:{found.line} imports {'.'.join(found.path)}"
         if found.inner:
             continue
-        if FLOORS[part] <= FLOORS["tasks"] or part == "variants":
+        if FLOORS[room] <= FLOORS["tasks"] or room == "variants":
             assert found.path[0] in PURE, where
-        elif FLOORS[part] < FLOORS["gym_env"]:
+        elif FLOORS[room] < FLOORS["gym_env"]:
             assert found.path[0] != "gymnasium", where
 
 
@@ -119,10 +120,10 @@ def test_the_simulator_and_gymnasium_stay_on_their_floors(module: Path) -> None:
 def test_variants_and_assets_know_no_task(module: Path) -> None:
     for found in imports(module):
         where = f"{name(module)}:{found.line} imports {'.'.join(found.path)}"
-        if part_of(module) == "variants" and found.inner and found.part == "tasks":
+        if room_of(module) == "variants" and found.inner and found.room == "tasks":
             assert found.path[2] == "spec", where
-        if part_of(module) == "assets" and found.inner:
-            assert found.part not in ("tasks", "variants"), where
+        if room_of(module) == "assets" and found.inner:
+            assert found.room not in ("tasks", "variants"), where
 
 
 @pytest.mark.parametrize("module", MODULES, ids=name)
