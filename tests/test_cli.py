@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 import magical_mj
-from magical_mj.cli import main
+from magical_mj.cli import environments, main
 from magical_mj.cli.film import Film, in_words
 from magical_mj.errors import RenderingError
 from magical_mj.evaluation.scores import read
@@ -131,8 +131,9 @@ def test_view(shell: Shell, tmp_path: Path) -> None:
 
 def test_view_grid(shell: Shell, tmp_path: Path) -> None:
     assert shell("view", "--grid", "--size", 32)[0] == 0
-    width, height = opened(tmp_path / "environments-0.png").size
-    assert width == height > 8 * 32
+    pitch = 32 + environments.GAP
+    size = (environments.MARGIN + len(names) * pitch for names in (magical_mj.VARIANTS, magical_mj.TASKS))
+    assert opened(tmp_path / "environments-0.png").size == tuple(size)
 
 
 def test_rollout_writes_a_video(shell: Shell, tmp_path: Path) -> None:

@@ -140,7 +140,7 @@ def test_published_results_are_all_there() -> None:
     assert len(table) == 660
     assert table["policy"].nunique() == 11
     for _, group in table.groupby("policy"):
-        assert set(zip(group["task"], group["variant"], strict=True)) == set(ENVIRONMENTS)
+        assert set(zip(group["task"], group["variant"], strict=True)) == set(ENVIRONMENTS[:60])  # which are the paper's
     assert len(published_by_environment()) == 660
 
 

@@ -35,16 +35,19 @@ def scenes(task: str, variant: str, number: int) -> list[Scene]:
     return [sample_scene(task, variant, seed) for seed in range(number)]
 
 
-def test_the_environments_are_those_of_the_paper() -> None:
+def test_the_first_environments_are_those_of_the_paper() -> None:
     rows = [line.split() for line in TABLE.strip().splitlines()]
-    assert [row[0] for row in rows] == list(TASKS)
-    assert [(row[0], variant) for row in rows for variant in row[1:] if variant != "-"] == list(ENVIRONMENTS)
-    assert len(ENVIRONMENTS) == 60
+    pairs = [(row[0], variant) for row in rows for variant in row[1:] if variant != "-"]
+    assert [row[0] for row in rows] == list(TASKS[: len(rows)])
+    assert pairs == list(ENVIRONMENTS[: len(pairs)])
+    assert len(pairs) == 60
 
 
 @pytest.mark.parametrize(("task", "variant"), ENVIRONMENTS)
 def test_every_scene_is_legal_and_of_its_task(task: str, variant: str) -> None:
     """Inside the walls, nothing touching; only blocks that belong in a region touch one, and just that one."""
+    demo = task_spec(task).demo
+    belong = any(region.contains(block) for region in demo.regions for block in demo.blocks)
     for scene in scenes(task, variant, 30):
         check_scene(scene)
         task_spec(task).check(scene)
@@ -58,7 +61,7 @@ def test_every_scene_is_legal_and_of_its_task(task: str, variant: str) -> None:
             guests = {f"block {i}" for i, b in enumerate(scene.blocks) if scene.regions[number].contains(b)}
             assert not any(touch(area, other) for other in regions[:number])
             assert not any(touch(area, solid) for name, solid in everything if name not in guests)
-            assert len(guests) == (task in ("FindDupe", "FixColour"))
+            assert bool(guests) == belong
         assert scene.robot.fingers == (c.FINGER_OPEN, -c.FINGER_OPEN)
 
 

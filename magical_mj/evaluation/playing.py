@@ -18,13 +18,13 @@ import gymnasium
 import numpy as np
 from gymnasium.vector.utils import iterate
 
-import magical_mj
 from magical_mj.actions import action_number
-from magical_mj.environment import Environment
+from magical_mj.environment import Environment, load
 from magical_mj.episodes import LETTERS, Episode, begin, is_blind
 from magical_mj.episodes import play as play_actions
 from magical_mj.errors import EvaluationError, RenderingError
 from magical_mj.evaluation.policies import BatchPolicy
+from magical_mj.registration import env_id
 from magical_mj.tasks.spec import Rules
 
 Act = Callable[[Any], Any]
@@ -58,8 +58,8 @@ def world_for(policy: Act, task: str, variant: str, preset: str, rules: Rules) -
     Gymnasium's is without the wrappers of `gymnasium.make`, which check at each step what the tests have checked.
     """
     if is_blind(policy):
-        return magical_mj.load(task, variant, seed=0, observations=(), rules=rules)
-    return gymnasium.make(magical_mj.env_id(task, variant, preset), rules=rules).unwrapped
+        return load(task, variant, seed=0, observations=(), rules=rules)
+    return gymnasium.make(env_id(task, variant, preset), rules=rules).unwrapped
 
 
 def simulation(world: World) -> Environment:

@@ -138,7 +138,7 @@ def _missing(scores: pd.DataFrame, row: Any) -> str:
 
 def _notes(scores: pd.DataFrame, variants: pd.DataFrame, with_published: bool) -> Iterator[str]:
     if (variants["missing"] != "").any():
-        yield "(1/8) after a figure: it is made of one of the eight tasks that have the variant."
+        yield "(m/n) after a figure: it is made of m of the n tasks that have the variant."
     own = [task for task in in_order(scores["task"]) if task not in counted_tasks(scores)]
     if own:
         yield f"Tasks that are not of the benchmark, and so not part of the means over tasks: {', '.join(own)}."
