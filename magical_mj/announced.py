@@ -69,5 +69,5 @@ def check_spec(spec: Any, task: str) -> None:
         raise TaskError(f"no episode of {task} can start in its own demo scene: {error}") from error
     for rules in RULES:
         score = spec.score(spec.demo, spec.demo, rules)
-        if not 0.0 <= score <= 1.0:
+        if not isinstance(score, int | float) or not 0.0 <= score <= 1.0:
             raise TaskError(f"the score of {task} must be in [0, 1]; in its demo scene it is {shown(score)}")

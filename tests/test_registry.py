@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
 import pytest
 
-from magical_mj.errors import SettingsError, UnknownNameError
-from magical_mj.registry import ENVIRONMENTS, environments
+from magical_mj.errors import SettingsError, TaskError, UnknownNameError
+from magical_mj.registration import env_id
+from magical_mj.registry import ENVIRONMENTS, environments, sample_scene, score, task_name, task_spec
 
 
 def test_lists_of_environments() -> None:
@@ -31,3 +39,108 @@ def test_lists_that_name_no_environment(
 ) -> None:
     with pytest.raises(error, match=message):
         environments(tasks, variants)
+
+
+def test_a_reference_to_a_task_with_a_name_is_that_task() -> None:
+    assert task_name("magical_mj.tasks.find_dupe:SPEC") == "FindDupe"
+    assert environments("magical_mj.tasks.find_dupe:SPEC,FindDupe", "Demo") == [("FindDupe", "Demo")]
+    assert env_id("magical_mj.tasks.find_dupe:SPEC", "TestShape") == "magical_mj/FindDupe-TestShape-v0"
+
+
+MINE = """
+from dataclasses import replace
+from magical_mj.scene import Robot
+from magical_mj.tasks.match_regions import SPEC as OURS
+
+GOOD = replace(OURS, name="Mine")
+AGAIN = replace(GOOD)
+TAKEN = replace(OURS)
+DEMO = OURS.demo
+OUTSIDE = replace(GOOD, demo=replace(DEMO, robot=Robot(2.0, 0.0, 0.0)))
+NOT_ITS_OWN = replace(GOOD, demo=replace(DEMO, regions=()))
+TWO = replace(GOOD, score=lambda initial, final, rules: 2.0)
+TEXT = replace(GOOD, score=lambda initial, final, rules: "all")
+"""
+
+
+@pytest.fixture
+def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The name of a module with tasks of one's own."""
+    name = f"mine_{tmp_path.name}"
+    (tmp_path / f"{name}.py").write_text(MINE)
+    monkeypatch.chdir(tmp_path)  # whose modules are found
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    monkeypatch.setattr(gymnasium, "registry", dict(gymnasium.registry))
+    monkeypatch.setattr("gymnasium.envs.registration.registry", gymnasium.registry)
+    yield name
+    del sys.modules[name]
+
+
+def test_tasks_of_ones_own_are_played_by_reference(mine: str) -> None:
+    good = f"{mine}:GOOD"
+    assert environments([good, "MakeLine"], "Demo") == [("MakeLine", "Demo"), (good, "Demo")]
+    scene = sample_scene(good, "CountPlus", 3)
+    assert score(good, scene, scene) == 0.0
+    assert scene != sample_scene("MatchRegions", "CountPlus", 3), "a task has random numbers of its own"
+    assert env_id(good, "All") == env_id(good, "All") == "magical_mj/Mine-TestAll-v0"
+    with pytest.raises(TaskError, match=f"Mine-TestAll-v0 is the id of {good}; give .*:AGAIN another name than 'Mine'"):
+        env_id(f"{mine}:AGAIN", "All")
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("DEMO", r"is no magical_mj\.tasks\.TaskSpec but Scene\("),
+        ("TAKEN", "is called 'MatchRegions', as a task of the benchmark is"),
+        ("OUTSIDE", "no episode of .*:OUTSIDE can start in its own demo scene: robot at"),
+        ("NOT_ITS_OWN", "no episode of .* can start in its own demo scene: this is not a scene of MatchRegions"),
+        ("TWO", r"the score of .* must be in \[0, 1\]; in its demo scene it is 2.0"),
+        ("TEXT", r"the score of .* must be in \[0, 1\]; in its demo scene it is 'all'"),
+    ],
+)
+def test_tasks_that_cannot_be_played_are_refused(mine: str, name: str, message: str) -> None:
+    sample_scene(f"{mine}:GOOD", "Demo", 0)
+    with pytest.raises(TaskError, match=message):
+        sample_scene(f"{mine}:{name}", "Demo", 0)
+
+
+@pytest.mark.parametrize(
+    ("task", "message"),
+    [
+        ("no_such_module:SPEC", "cannot be imported: No module named 'no_such_module'"),
+        ("magical_mj.tasks:NONE", "cannot be imported: .*there is no 'NONE' in magical_mj.tasks"),
+        ("magical_mj.tasks.find_dupe", "unknown task 'magical_mj.tasks.find_dupe'.*package.module:SPEC"),
+        ("a b:SPEC", "unknown task 'a b:SPEC'"),
+        (["FindDupe"], r"unknown task \['FindDupe'\]"),
+        (None, "unknown task None"),
+        ("x" * 10_000, r"unknown task 'x{79}\.\.\."),
+        pytest.param(10**5000, "unknown task a value of type int", id="many digits"),
+    ],
+)
+def test_what_is_no_task_is_refused(task: Any, message: str) -> None:
+    with pytest.raises(UnknownNameError, match=message):
+        task_spec(task)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"name": "Find-Dupe"}, "must be made of letters and digits, not 'Find-Dupe'"),
+        ({"demo": None}, "FindDupe.demo must be a Scene, not None"),
+        ({"steps": 0}, "must be an integer above 0, not 0"),
+        ({"released_steps": 1.5}, "must be an integer above 0, not 1.5"),
+        ({"region_size": (0.0, 0.0)}, "region_size must be the least and greatest side"),
+        ({"region_size": (0.8, 0.5)}, "region_size must be the least and greatest side"),
+        ({"score": None}, "FindDupe.score must be a function"),
+        ({"plan": "drive"}, "FindDupe.plan must be a function, or None"),
+    ],
+)
+def test_specs_are_checked(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(TaskError, match=message):
+        replace(task_spec("FindDupe"), **changes)
+
+
+@pytest.mark.parametrize("names", [5, None, ",", [""]])
+def test_lists_that_are_none(names: Any) -> None:
+    with pytest.raises(SettingsError, match="give at least one of MoveToCorner"):
+        environments(names)
