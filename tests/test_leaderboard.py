@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import gzip
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import magical_mj
@@ -19,6 +22,8 @@ from magical_mj.evaluation.scores import SCORES, SETTINGS
 from magical_mj.leaderboard import Entry, check_entry, submit, verify
 from magical_mj.leaderboard.claims import Claim, missing
 from magical_mj.leaderboard.entry import packed, unpacked
+from magical_mj.leaderboard.page import write_pages
+from magical_mj.leaderboard.standings import improvement, rules_of, standing, standings
 from magical_mj.registry import ENVIRONMENTS, task_spec
 
 EPISODES = 4
@@ -262,6 +267,111 @@ def test_a_thousand_rows_too_few_are_named() -> None:
     ]
 
 
+# tables
+
+
+def scored(entry: Entry, score: Callable[[Claim], float]) -> Entry:
+    return replace(entry, episodes=[episode._replace(score=score(episode)) for episode in entry.episodes])
+
+
+def named(entry: Entry, name: str) -> Entry:
+    return replace(entry, card={**entry.card, "method": name})
+
+
+def test_official_entries_are_complete() -> None:
+    assert (standing(whole()).kind, standing(whole()).gaps) == ("official", ())
+    few = standing(whole(runs=2))
+    assert (few.kind, few.gaps) == ("partial", ("2 of 5 runs",))
+    short = standing(replace(whole(), episodes=whole().episodes[1000:]))
+    assert (short.kind, short.gaps) == ("partial", ("1000 of 30000 episodes missing",))
+    one_task = [episode for episode in whole().episodes if episode.task == "FixColour"]
+    assert standing(replace(whole(), episodes=one_task)).gaps == ("8 of 60 environments",)
+
+
+def test_scores_are_interquartile_means_over_environments_and_runs() -> None:
+    """By hand: a run scores 0, 0.25, ..., 1 everywhere; without the best and the worst quarter 0.25, 0.5, 0.75 stay."""
+    found = standing(scored(whole(), lambda episode: episode.run / 4))
+    assert found.scores["all environments"].value == pytest.approx(0.5)
+    assert found.scores["all environments"].low < 0.5 < found.scores["all environments"].high
+    assert set(found.scores) == {"all environments", *magical_mj.VARIANTS}
+    np.testing.assert_allclose(found.profile[[0, 25, 50]], [1, 0.6, 0.2])
+
+
+def test_drops_compare_the_tasks_that_have_the_variant() -> None:
+    """By hand: MoveToRegion, which has no Shape, must not count there."""
+    level = {"Demo": 0.75, "Shape": 0.5, "All": 0.0}
+    found = standing(scored(whole(), lambda one: 0.0 if one.task == "MoveToRegion" else level.get(one.variant, 0.75)))
+    assert found.drops["Shape"].value == pytest.approx(0.25)
+    assert found.drops["Jitter"].value == 0
+    share = sum(task != "MoveToRegion" for task, variant in ENVIRONMENTS if variant == "All") / 8
+    assert found.drops["All"].value == pytest.approx(0.75 * share)
+
+
+def test_probability_of_improvement() -> None:
+    """By hand: runs of 0.25 and 0.75 against runs of 0.5 win half the time, against runs of 0 always."""
+    mixed, half, nothing = (
+        standing(scored(whole(runs=2), score))
+        for score in (lambda one: 0.25 + 0.5 * one.run, lambda one: 0.5, lambda one: 0.0)
+    )
+    assert improvement(mixed, half).value == improvement(half, mixed).value == 0.5
+    assert improvement(mixed, nothing).value == 1
+    assert improvement(nothing, mixed).value == 0
+    assert improvement(half, half).value == 0.5
+    assert improvement(half, replace(half, means={})).value != improvement(half, half).value  # nothing in common: NaN
+
+
+def test_published_results_stand_under_their_own_rules() -> None:
+    found = standings([whole()])
+    assert [one.kind for one in found] == ["official", *["published"] * 11]
+    gail = next(one for one in found if one.name == "GAIL (ST)")
+    assert gail.scores["Demo"].value == pytest.approx(0.84, abs=0.005)
+    assert {rules_of(one) for one in found if one.kind == "published"} == {"released"}
+
+
+def test_pages_need_nothing_from_elsewhere_and_trust_no_text(tmp_path: Path) -> None:
+    entry = whole()
+    evil = "<script>alert(1)</script>"
+    card = {
+        **entry.card,
+        "method": "Näme",
+        "description": evil,
+        "hardware": evil,
+        "links": ["https://example.org/?a&b"],
+    }
+    pages = write_pages(standings([replace(entry, card=card), named(whole(runs=2), "Other")]), tmp_path)
+    texts = {page.suffix: page.read_text() for page in pages}
+    for text in texts.values():
+        assert evil not in text
+        assert "Näme ★" in text
+        assert "GAIL (ST)†" in text
+        assert "Other is partial: 2 of 5 runs." in text
+    html = texts[".html"]
+    assert not re.findall(r"<(?:script|link|img|iframe)|url\(|@import", html)
+    assert re.findall(r'href="(http[^"]*)"', html) == ["https://example.org/?a&amp;b"]
+    assert html.count("<svg") == 2
+    parser = Balanced()
+    parser.feed(html)
+    assert parser.open == []
+
+
+class Balanced(HTMLParser):
+    """Fails at an element that is closed and was not open."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: Any) -> None:
+        if tag != "meta":
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: Any) -> None:
+        pass
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
 # the command line
 
 
@@ -277,3 +387,27 @@ def test_the_commands_say_what_they_found(folder: Path, tmp_path: Path, capsys: 
     assert f"{EPISODES} episodes replayed, 160 steps in" in out
     assert f"{folder} differs: run 0, MoveToRegion Layout, seed 2: the score is 0.5" in error
     assert f"{folder} is incomplete: expert, run 0" in error
+
+
+def test_a_leaderboard_names_bad_entries_and_shows_the_others(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entries = tmp_path / "entries"
+    assert main(["leaderboard", str(tmp_path)]) == 1
+    assert "holds no entries" in capsys.readouterr().err
+    entries.mkdir()
+    submit([folder], entries / "good.json.gz")
+    assert main(["leaderboard", str(entries), "--all"]) == 0
+    assert f"good.json.gz: expert; {EPISODES} episodes replayed" in capsys.readouterr().out
+    (entries / "cut.json.gz").write_bytes((entries / "good.json.gz").read_bytes()[:-20])
+    rewrite(folder, tampered_score)
+    (tmp_path / "card.toml").write_text('method = "Liar"')
+    submit([folder], entries / "lie.json.gz", card=tmp_path / "card.toml")
+    assert main(["leaderboard", str(entries), "--all", "--out", str(tmp_path / "pages")]) == 1
+    error = capsys.readouterr().err
+    assert "cut.json.gz cannot be read" in error
+    assert "lie.json.gz differs: run 0, MoveToRegion Layout, seed 2: the score is 0.5" in error
+    assert "entries that are not what they claim, and are not on the page: 2" in error
+    text = (tmp_path / "pages" / "leaderboard.md").read_text()
+    assert "| expert | paper | the simulation |" in text
+    assert "Liar" not in text

@@ -11,14 +11,21 @@ import typer
 from rich import progress as bars
 from rich.console import Console
 
-from magical_mj.cli.console import Jobs, complain, console
+from magical_mj.cli.console import Jobs, claim_folder, complain, console
+from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.scores import read
-from magical_mj.leaderboard import Findings, submit, verify
+from magical_mj.leaderboard import Findings, check_entry, submit, verify
+from magical_mj.leaderboard.check import entries
 from magical_mj.leaderboard.claims import Checked
+from magical_mj.leaderboard.page import write_pages
+from magical_mj.leaderboard.standings import standings
 
 SHOWN: Final = 20
 """Problems that are printed; the rest is counted."""
 
+Entries = Annotated[Path, typer.Argument(help="The folder with the entries (*.json.gz).", show_default=False)]
+Pages = Annotated[Path | None, typer.Option("--out", help="The folder for the pages.", show_default="FOLDER")]
+All = Annotated[bool, typer.Option("--all", help="Replay all episodes of each entry, not only a random tenth.")]
 Folder = Annotated[Path, typer.Argument(help="The folder of an evaluation.", show_default=False)]
 Folders = Annotated[list[Path], typer.Argument(help="Folders of evaluations of one method.", show_default=False)]
 Out = Annotated[Path, typer.Option(help="The entry's file, which ends in .json.gz.", show_default=False)]
@@ -49,6 +56,29 @@ def make_entry(folders: Folders, out: Out, card: Card = None, policy: Name = Non
     if unsaid:
         screen.print(f"the card does not say: {', '.join(unsaid)} (--card)")
     screen.print(out, soft_wrap=True)
+
+
+def make_leaderboard(folder: Entries, out: Pages = None, everything: All = False, jobs: Jobs = None) -> None:
+    """Check all entries in a folder, and write the leaderboard: leaderboard.html and leaderboard.md."""
+    screen = console()
+    good, bad = [], 0
+    for path in entries(folder):
+        with _bar(screen, f"checking {path.name}", None) as watch:
+            try:
+                entry, found = check_entry(path, everything=everything, jobs=jobs, watch=watch)
+            except EvaluationError as error:
+                complain(str(error))
+                bad += 1
+                continue
+        screen.print(f"{path.name}: {entry.method}; {describe(found)}", soft_wrap=True)
+        if _complained(path.name, found):
+            bad += 1
+        else:
+            good.append(entry)
+    for page in write_pages(standings(good), claim_folder(out or folder)):
+        screen.print(page, soft_wrap=True)
+    if bad:
+        raise EvaluationError(f"entries that are not what they claim, and are not on the page: {bad}")
 
 
 def describe(found: Findings) -> str:

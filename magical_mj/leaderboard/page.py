@@ -1,0 +1,123 @@
+"""The leaderboard as a page: HTML that needs no server and nothing from elsewhere, and Markdown."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from html import escape
+from importlib.resources import files as resources
+from pathlib import Path
+from typing import Final
+
+from magical_mj import files
+from magical_mj.evaluation.tables import Table, markdown
+from magical_mj.leaderboard.charts import intervals, profiles
+from magical_mj.leaderboard.sections import tables
+from magical_mj.leaderboard.standings import Standing
+
+TITLE: Final = "MAGICAL on MuJoCo: leaderboard"
+INTRODUCTION: Final = (
+    "Each entry holds every episode of every run with its actions, and was checked by playing episodes again. "
+    "Scores lie between 0 and 1. An agent learns from demonstrations of one scene (Demo) and is tested where poses, "
+    "colours, shapes, numbers or dynamics are others."
+)
+HEADINGS: Final = {
+    "scores": "Scores",
+    "drops": "What breaks first",
+    "improvement": "Who beats whom",
+    "profiles": "How the scores are spread",
+    "costs": "What it cost",
+}
+SHADED: Final = ("scores", "drops", "improvement", "profiles")
+HTML: Final = "leaderboard.html"
+MARKDOWN: Final = "leaderboard.md"
+
+
+def write_pages(found: Sequence[Standing], out: Path) -> list[Path]:
+    """Writes both pages into a folder, in place of older ones, and returns their paths."""
+    made = tables(found)
+    pages = {HTML: _html(found, made), MARKDOWN: _markdown(made)}
+    for name, text in pages.items():
+        files.write(out / name, text, overwrite=True)
+    return [out / name for name in pages]
+
+
+def _markdown(made: Sequence[Table]) -> str:
+    parts = [f"# {TITLE}", INTRODUCTION]
+    for table in made:
+        parts += [f"## {HEADINGS[table.name]}", markdown(_escaped(table)).strip()]
+    return "\n\n".join(parts) + "\n"
+
+
+def _escaped(table: Table) -> Table:
+    """Without what Markdown would take for HTML: names and devices are strangers' texts."""
+    groups = tuple(
+        (heading, tuple(tuple(escape(cell, quote=False) for cell in row) for row in rows))
+        for heading, rows in table.groups
+    )
+    return Table(table.name, table.caption, table.header, groups, tuple(escape(note) for note in table.notes))
+
+
+def _html(found: Sequence[Standing], made: Sequence[Table]) -> str:
+    drawn = {"scores": intervals(found), "profiles": profiles(found)}
+    sections = "\n".join(
+        _section(table.name, HEADINGS[table.name], drawn.get(table.name, "") + _table(table)) for table in made
+    )
+    links = " ".join(f'<a href="#{name}">{heading}</a>' for name, heading in HEADINGS.items())
+    style = (resources("magical_mj.leaderboard") / "style.css").read_text()
+    return (
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{TITLE}</title>\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<style>\n{style}</style></head>\n<body><header><h1>{TITLE}</h1><p>{INTRODUCTION}</p>\n"
+        f"<nav>{links}</nav></header>\n{sections}\n"
+        f"{_section('entries', 'Entries', ''.join(_cards(found)))}</body></html>\n"
+    )
+
+
+def _section(name: str, heading: str, content: str) -> str:
+    return f'<section id="{name}"><h2>{heading}</h2>{content}</section>'
+
+
+def _table(table: Table) -> str:
+    head = "".join(f"<th>{escape(name)}</th>" for name in table.header)
+    body = ""
+    for heading, rows in table.groups:
+        if heading:
+            body += f'<tr><th class="group" colspan="{len(table.header)}">{escape(heading)}</th></tr>'
+        for first, *cells in rows:
+            shown = "".join(_cell(cell, table.name in SHADED) for cell in cells)
+            body += f"<tr><th>{escape(first)}</th>{shown}</tr>"
+    notes = "".join(f"<li>{escape(note)}</li>" for note in table.notes)
+    return (
+        f'<p class="caption">{escape(table.caption)}.</p><div class="wide"><table><thead><tr>{head}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div><ul>{notes}</ul>"
+    )
+
+
+def _cell(text: str, shaded: bool) -> str:
+    """A figure's interval is small below it, and its background tells how large it is."""
+    figure = re.fullmatch(r"(-?\d\.\d\d)( \[.*\])?", text)
+    if figure is None:
+        return f"<td>{escape(text)}</td>"
+    share = round(60 * min(1.0, abs(float(figure[1])))) if shaded else 0
+    interval = f"<small>{figure[2]}</small>" if figure[2] else ""
+    return f'<td class="figure" style="--share: {share}%">{figure[1]}{interval}</td>'
+
+
+def _cards(found: Sequence[Standing]) -> Iterator[str]:
+    for one in found:
+        if one.entry is not None:
+            entry, card = one.entry, one.entry.card
+            links = " ".join(f'<a href="{escape(link)}">{escape(link)}</a>' for link in card["links"] or ())
+            facts = {
+                "by": card["authors"],
+                "other data": card["demonstrations"]["other"],
+                "runs": ", ".join(map(str, entry.runs)),
+                "episodes": len(entry.episodes),
+                "protocol": entry.protocol,
+                "magical_mj": ", ".join(entry.versions["version"]),
+                "MuJoCo": ", ".join(entry.versions["mujoco"]),
+            }
+            said = "".join(f"<dt>{name}</dt><dd>{escape(str(fact))}</dd>" for name, fact in facts.items() if fact)
+            text = escape(card["description"] or "")
+            yield f"<article><h3>{escape(one.name)}</h3><p>{text} {links}</p><dl>{said}</dl></article>"

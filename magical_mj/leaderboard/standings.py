@@ -1,0 +1,172 @@
+"""What a leaderboard shows: of each method its scores, what breaks first, who beats whom, and what it cost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.evaluation.results import PUBLISHED_RULES, published_results
+from magical_mj.evaluation.statistics import bootstrap, interquartile_mean, mean_interval, summarise
+from magical_mj.leaderboard.claims import SEEDS
+from magical_mj.leaderboard.entry import Entry
+from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Floats = NDArray[np.float64]
+Kind = Literal["official", "partial", "published"]
+Environment = tuple[str, str]
+
+LEAST_RUNS: Final = 5
+"""Of an official entry: the paper's number."""
+THRESHOLDS: Final = np.linspace(0, 1, 51)
+"""Of performance profiles."""
+OVERALL: Final = "all environments"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A figure with its 95 % interval; NaN where there is none."""
+
+    value: float
+    low: float = np.nan
+    high: float = np.nan
+
+
+@dataclass(frozen=True)
+class Standing:
+    """One method on the leaderboard.
+
+    Attributes:
+        name: of the method.
+        kind: official entries are complete; published ones are the paper's.
+        entry: the entry; None for published ones.
+        gaps: what keeps a partial entry from being official.
+        means: mean score of each run in each environment; of published ones, the mean of five runs alone.
+        scores: interquartile mean over environments and runs, by variant, and `OVERALL`.
+        drops: how much the mean score falls from Demo to each test variant, on the tasks that have both.
+    """
+
+    name: str
+    kind: Kind
+    entry: Entry | None
+    gaps: tuple[str, ...]
+    means: Mapping[Environment, Floats]
+    scores: Mapping[str, Estimate]
+    drops: Mapping[str, Estimate]
+
+    @property
+    def profile(self) -> Floats:
+        """The share of environments and runs with a mean score of at least each of the `THRESHOLDS`."""
+        values = np.concatenate(list(self.means.values()))
+        return (values[:, None] >= THRESHOLDS).mean(axis=0)
+
+
+def standing(entry: Entry) -> Standing:
+    """The standing of an entry."""
+    episodes = frame(entry)
+    runs = {
+        (str(task), str(variant)): [run["score"].to_numpy(float) for _, run in group.groupby("run")]
+        for (task, variant), group in episodes.groupby(["task", "variant"], sort=False)
+    }
+    means = {pair: np.array([scores.mean() for scores in runs[pair]]) for pair in ENVIRONMENTS if pair in runs}
+    gaps = tuple(_gaps(entry))
+    scores = {}
+    for variant in (OVERALL, *VARIANTS):
+        mine = [runs[pair] for pair in means if variant in (OVERALL, pair[1])]
+        if mine:
+            found = summarise(mine)
+            scores[variant] = Estimate(found.iqm, found.iqm_low, found.iqm_high)
+    kind: Kind = "partial" if gaps else "official"
+    return Standing(entry.method, kind, entry, gaps, means, scores, _drops(means))
+
+
+def frame(entry: Entry) -> pd.DataFrame:
+    """A row for each episode."""
+    import pandas as pd
+
+    return pd.DataFrame(entry.episodes, columns=list(entry.episodes[0]._fields))
+
+
+def _gaps(entry: Entry) -> list[str]:
+    gaps = []
+    if len(entry.runs) < LEAST_RUNS:
+        gaps.append(f"{len(entry.runs)} of {LEAST_RUNS} runs")
+    there = {(episode.task, episode.variant) for episode in entry.episodes}
+    if len(there) < len(ENVIRONMENTS):
+        gaps.append(f"{len(there)} of {len(ENVIRONMENTS)} environments")
+    wanted = len(there) * SEEDS * len(entry.runs)
+    absent = wanted - sum(episode.seed < SEEDS for episode in entry.episodes)
+    if absent:
+        gaps.append(f"{absent} of {wanted} episodes missing")
+    return gaps
+
+
+def published() -> list[Standing]:
+    """The paper's own results, which hold the mean of each method in each environment and nothing finer."""
+    found = []
+    for policy, group in published_results().groupby("policy", sort=False):
+        means = {(row.task, row.variant): np.array([row.mean]) for row in group.itertuples()}
+        scores = {
+            variant: Estimate(float(interquartile_mean(np.concatenate(values))))
+            for variant in (OVERALL, *VARIANTS)
+            if (values := [value for pair, value in means.items() if variant in (OVERALL, pair[1])])
+        }
+        drops = {variant: Estimate(drop.value) for variant, drop in _drops(means).items()}
+        found.append(Standing(str(policy), "published", None, (), means, scores, drops))
+    return found
+
+
+def _drops(means: Mapping[Environment, Floats]) -> dict[str, Estimate]:
+    drops = {}
+    for variant in VARIANTS[1:]:
+        falls = [
+            means[task, "Demo"] - means[task, variant]
+            for task in TASKS
+            if (task, "Demo") in means
+            and (task, variant) in means
+            and len(means[task, variant]) == len(means[task, "Demo"])
+        ]
+        if falls:
+            drops[variant] = Estimate(float(np.mean([fall.mean() for fall in falls])), *mean_interval(falls))
+    return drops
+
+
+def improvement(first: Standing, second: Standing) -> Estimate:
+    """The probability that a run of the first method beats one of the second in an environment (Agarwal et al., 2021).
+
+    It is averaged over the environments that both have played; a draw counts a half.
+    """
+    pairs = [pair for pair in first.means if pair in second.means]
+    if not pairs:
+        return Estimate(np.nan)
+    strata = [values for pair in pairs for values in (first.means[pair], second.means[pair])]
+
+    def chance(*drawn: Floats, axis: int = -1) -> Any:
+        del axis  # always the last
+        return np.mean([_better(x, y) for x, y in zip(drawn[::2], drawn[1::2], strict=True)], axis=0)
+
+    return Estimate(float(chance(*strata)), *bootstrap(strata, chance, resamples=500))
+
+
+def _better(first: Floats, second: Floats) -> Any:
+    """Shapes (..., n) and (..., m) -> (...): how often one of the first is above one of the second."""
+    difference = first[..., :, None] - second[..., None, :]
+    return ((difference > 0) + 0.5 * (difference == 0)).mean(axis=(-1, -2))
+
+
+def standings(found: Sequence[Entry]) -> list[Standing]:
+    """All methods: official ones first, then partial and published ones, each kind by its overall score."""
+    order = ("official", "partial", "published")
+    every = [*map(standing, found), *published()]
+    return sorted(every, key=lambda one: (order.index(one.kind), -one.scores[OVERALL].value, one.name))
+
+
+def rules_of(one: Standing) -> str:
+    """By which a method was scored."""
+    return PUBLISHED_RULES if one.entry is None else one.entry.rules
