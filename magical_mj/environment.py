@@ -20,9 +20,9 @@ from magical_mj.composer_internals import OpenEnvironment
 from magical_mj.composer_observables import CurrentObservable, CurrentUpdater
 from magical_mj.env_settings import EnvironmentSettings, Reward
 from magical_mj.errors import ClosedError, SettingsError, StateError, check_name
-from magical_mj.observations import VIEWS
+from magical_mj.observations import CAMERAS, VIEWS
 from magical_mj.registry import task_spec
-from magical_mj.rendering.renderer import SOLID_VIEW, check_size
+from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
 from magical_mj.scene_task import SceneTask
 from magical_mj.simulation import Simulation
@@ -81,7 +81,7 @@ class Environment(OpenEnvironment):
         Returns:
             Shape (size, size, 3), RGB, top row first.
         """
-        check_name("view", view, (*VIEWS, SOLID_VIEW))
+        check_name("view", view, CAMERAS)
         return self._open().draw(view, check_size(size), out)
 
     def reset(
@@ -106,9 +106,9 @@ class Environment(OpenEnvironment):
             return self._resume(state)
         if scene is not None:
             self.task.settings.check(scene)
-            self.task.next_scene = scene
+            self.task.next_scene, self.task.next_seed = scene, None
         elif seed is not None:
-            self.task.next_scene = self.task.settings.sample(check_seed(seed))
+            self.task.plan(check_seed(seed))
         return super().reset()
 
     def get_state(self) -> State:
@@ -239,7 +239,10 @@ def _copied(settings: EnvironmentSettings, first: Scene, generator: Any, begun: 
 
 def _loaded(settings: EnvironmentSettings, seed: int | None) -> Environment:
     seed = secrets.randbits(63) if seed is None else check_seed(seed)
-    return Environment(settings, settings.sample(seed), seed)
+    env = Environment(settings, settings.sample(seed), seed)
+    if settings.scene is None:
+        env.task.seed = env.task.next_seed = seed
+    return env
 
 
 def load(

@@ -1,27 +1,61 @@
-"""Scenes and running environments as MJCF files that plain MuJoCo loads."""
+"""Scenes and running environments as MJCF files that plain MuJoCo loads, and that people can read.
+
+Such a file is all that a program needs to show, play and score an episode: besides the model it holds, under
+`<custom>`, the scene, the task, the horizon and what each of the 18 actions writes into `ctrl`.
+"""
 
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, Final
+from xml.etree.ElementTree import Comment, Element, SubElement, TreeBuilder, XMLParser, fromstring
 
 import mujoco
 
-from magical_mj.assets.world import keyframe_mjcf, world_mjcf
+from magical_mj import files
+from magical_mj._version import __version__
+from magical_mj.assets.contacts import SUBSTEPS
+from magical_mj.assets.mjcf import indented, numbers
+from magical_mj.assets.region import BONE, region_mjcf
+from magical_mj.assets.robot import controls
+from magical_mj.assets.world import world_mjcf
 from magical_mj.environment import Environment
 from magical_mj.geometry import check_scene
+from magical_mj.protocol import PROTOCOL
 from magical_mj.scene import Scene
+
+HEADER: Final = """<!--
+  {what}, as a MuJoCo model. Written by magical-mj {version}.
+
+  Look at it:  python -m mujoco.viewer -mjcf=FILE
+  Play it:     start in keyframe "now"; for each action, write its row of the numeric "controls" into ctrl, and call
+               mj_step as often as the numeric "substeps" says.
+
+  Units: the workspace is 2 x 2, seconds, radians; angles are counter-clockwise, and at 0 the robot heads up (+y).
+-->
+"""
+ABOUT: Final = """For programs. "scene": at the start of the episode. "controls": a row for each action, which is
+    9 * gripper (0 open, 1 close) + 3 * turn (0 none, 1 left, 2 right) + drive (0 none, 1 forwards, 2 backwards)"""
+NUMERIC: Final = ("protocol", "substeps", "horizon")
+THINGS: Final = re.compile(r'(?<=[\[,])(?=\{|"(?:robot|blocks|regions|dynamics)")')
+"""Where the JSON of a scene is broken into lines, one for each thing."""
+BLOCK_PARTS: Final = ("outline", "fill", "sides")
+SENSORS: Final = "For plots: where everything is and how fast, in world coordinates"
 
 
 def export_mjcf(source: Scene | Environment, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-    """Writes a self-contained MJCF model: the scene, its dynamics, both cameras and a keyframe.
+    """Writes a self-contained MJCF model: solid things, their dynamics, all cameras, sensors and a keyframe.
 
     The reference pose of the model is the scene (of an environment: the one its episode started in), and the
-    keyframe "now" its present state, velocities included. The file needs no other file. Its controls are those
-    of `magical_mj.assets.robot.control_signal`; one action is `magical_mj.assets.world.SUBSTEPS` calls of `mj_step`.
+    keyframe "now" its present state, velocities included. From the start of an episode on, the model moves as the
+    environment does, to the bit, if played as the file's header says; from later states it does but for last digits.
 
     Args:
-        source: a scene, or an environment at any point of an episode.
+        source: a scene, or an environment at any point of an episode. Of an environment, the file also holds task,
+            variant and horizon, and the seed if the scene was drawn from one.
         path: the file to write; its folder is made if missing.
         overwrite: whether an existing file may be replaced.
 
@@ -33,14 +67,95 @@ def export_mjcf(source: Scene | Environment, path: str | os.PathLike[str], *, ov
         FileExistsError: if the file exists and `overwrite` is false.
         OSError: if it cannot be written.
     """
+    about: dict[str, Any] = {"protocol": PROTOCOL, "substeps": SUBSTEPS}
     if isinstance(source, Scene):
         check_scene(source)
-        model = mujoco.MjModel.from_xml_string(world_mjcf(source))
-        text = world_mjcf(source, keyframe_mjcf(mujoco.MjData(model)))
+        scene, data = source, mujoco.MjData(mujoco.MjModel.from_xml_string(world_mjcf(source)))
     else:
-        text = world_mjcf(source.initial_scene, keyframe_mjcf(source.physics.data.ptr))
+        scene, data = source.initial_scene, source.physics.data.ptr
+        settings = source.task.settings
+        about |= {"task": settings.task, "variant": settings.task and settings.variant, "seed": source.task.seed}
+        about["horizon"] = source.horizon
+    about = {name: value for name, value in about.items() if value is not None}
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w" if overwrite else "x", encoding="utf-8") as file:
-        file.write(text)
+    files.write(path, _header(about) + indented(_model(scene, about, data)), overwrite=overwrite)
     return path
+
+
+def _header(about: Mapping[str, Any]) -> str:
+    """The comment at the top."""
+    words = {"task": "{}", "variant": ", variant {}", "seed": ", seed {}"}
+    what = "".join(text.format(about[name]) for name, text in words.items() if name in about)
+    return HEADER.format(what=what or "A scene", version=__version__)
+
+
+def _model(scene: Scene, about: Mapping[str, Any], data: mujoco.MjData) -> Element:
+    """The model of a scene with all that only files have."""
+    root = _parsed(world_mjcf(scene))
+    _name_blocks(root, scene)
+    _unfold_regions(root, scene)
+    root[:0] = [Comment(ABOUT), _custom(scene, about)]
+    state = {"time": [data.time], "qpos": data.qpos, "qvel": data.qvel, "act": data.act, "ctrl": data.ctrl}
+    root.extend((Comment(SENSORS), _sensors(scene), Comment("The present state")))
+    values = {name: numbers(*value) for name, value in state.items() if len(value)}
+    SubElement(SubElement(root, "keyframe"), "key", {"name": "now"} | values)
+    return root
+
+
+def _name_blocks(root: Element, scene: Scene) -> None:
+    """Geoms that are drawn say shape and colour."""
+    for geom in root.iter("geom"):
+        name, _, part = geom.get("name", "").partition("_")
+        if name.startswith("block") and part in BLOCK_PARTS:
+            block = scene.blocks[int(name.removeprefix("block"))]
+            geom.set("name", f"{name}_{block.colour}_{block.shape}_{part}")
+
+
+def _unfold_regions(root: Element, scene: Scene) -> None:
+    """Geoms instead of the skins that environments change from scene to scene."""
+    skins, assets, body = (_find(root, path) for path in ("deformable", "asset", f".//body[@name='{BONE}']"))
+    root.remove(skins)
+    for index, region in enumerate(scene.regions):
+        mesh, *geoms = region_mjcf(index, region)
+        assets.append(_parsed(mesh))
+        body.append(Comment(f"Goal region {index}: {region.colour}"))
+        body.extend(map(_parsed, geoms))
+
+
+def _parsed(mjcf: str) -> Element:
+    """Our own text as elements and comments."""
+    return fromstring(mjcf, XMLParser(target=TreeBuilder(insert_comments=True)))  # noqa: S314
+
+
+def _find(root: Element, path: str) -> Element:
+    found = root.find(path)
+    if found is None:
+        raise KeyError(path)
+    return found
+
+
+def _custom(scene: Scene, about: Mapping[str, Any]) -> Element:
+    """What programs need besides the model."""
+    custom = Element("custom")
+    for name, value in about.items():
+        if name in NUMERIC:
+            SubElement(custom, "numeric", {"name": name, "data": str(value)})
+        else:
+            SubElement(custom, "text", {"name": name, "data": str(value)})
+    SubElement(custom, "text", {"name": "scene", "data": "\n" + THINGS.sub("\n", scene.to_json())})
+    rows = (numbers(*row) for row in controls())
+    SubElement(custom, "numeric", {"name": "controls", "data": "\n" + "\n".join(rows)})
+    return custom
+
+
+def _sensors(scene: Scene) -> Element:
+    """The place and the speed of each coordinate of the robot, its fingers and the blocks."""
+    bodies = ["robot", *(f"block{index}" for index in range(len(scene.blocks)))]
+    joints = [f"{body}_{axis}" for body in bodies for axis in ("x", "y", "angle")]
+    joints[3:3] = ["left_finger", "right_finger"]
+    sensor = Element("sensor")
+    for kind, suffix in (("jointpos", ""), ("jointvel", "_velocity")):
+        for joint in joints:
+            SubElement(sensor, kind, {"name": f"{joint}{suffix}", "joint": joint})
+    return sensor

@@ -19,6 +19,12 @@ Rows = NDArray[np.float64]
 VIEWS: Final = ("ego", "allo")
 """The two pictures: from above with the robot in place and heading up, and of the whole workspace."""
 
+SOLID_VIEW: Final = "scene"
+"""The whole world as a solid thing with lights and shadows, from above a corner; for people."""
+
+CAMERAS: Final = (*VIEWS, SOLID_VIEW)
+"""Everything that `Environment.render` draws."""
+
 OBSERVATIONS: Final = (*VIEWS, "state")
 """Everything that `magical_mj.load(observations=...)` understands."""
 

@@ -28,12 +28,18 @@ class SceneTask(composer.Task):
     Args:
         settings: of the environment.
         first: the scene of the first episode.
+
+    Attributes:
+        next_scene: of the next episode; None to draw one.
+        seed: of the present scene, and `next_seed` of the next; None if it has none, or none that is known.
     """
 
     def __init__(self, settings: EnvironmentSettings, first: Scene) -> None:
         self.settings = settings
         self.world = World(first)
         self.next_scene: Scene | None = first
+        self.next_seed: int | None = None
+        self.seed: int | None = None
         self.steps = 0
         self.horizon = settings.horizon
         self._encoder: StateEncoder | None = None
@@ -42,9 +48,15 @@ class SceneTask(composer.Task):
     def _observable(self, name: str) -> CurrentObservable:
         return state(self._state) if name == "state" else picture(name, self.settings.image_size)
 
-    def start(self, scene: Scene) -> None:
+    def plan(self, seed: int) -> Scene:
+        """Has the next episode start in the scene of this seed, which is returned."""
+        self.next_scene = self.settings.sample(seed)
+        self.next_seed = seed if self.settings.scene is None else None
+        return self.next_scene
+
+    def start(self, scene: Scene, seed: int | None = None) -> None:
         """Makes the world of a scene, in which an episode starts."""
-        self.next_scene = None
+        self.next_scene, self.next_seed, self.seed = None, None, seed
         if scene != self.world.scene:
             self.world = World(scene)
             self._encoder = None
@@ -82,7 +94,8 @@ class SceneTask(composer.Task):
 
     def initialize_episode_mjcf(self, random_state: np.random.RandomState) -> None:
         """Starts in the scene that was asked for, else in that of a seed that is drawn."""
-        self.start(self.next_scene or self.settings.sample(int(random_state.randint(2**63 - 1, dtype=np.int64))))
+        scene = self.next_scene or self.plan(int(random_state.randint(2**63 - 1, dtype=np.int64)))
+        self.start(scene, self.next_seed)
 
     def initialize_episode(self, physics: Simulation, random_state: np.random.RandomState) -> None:
         """Counts from 0 again. Everything is in its place: the scene is the model's reference pose."""

@@ -15,8 +15,9 @@ from magical_mj.assets.robot import control_signal
 from magical_mj.assets.world import World, world_spec
 from magical_mj.composer_internals import UnindexedPhysics
 from magical_mj.errors import StateError
+from magical_mj.observations import SOLID_VIEW
 from magical_mj.rendering.canvas import Picture
-from magical_mj.rendering.renderer import SOLID_VIEW, Renderer, SolidRenderer
+from magical_mj.rendering.renderer import Renderer, SolidRenderer
 
 _RK4: Final = mujoco.mjtIntegrator.mjINT_RK4.value
 _INTEGRATION: Final = mujoco.mjtState.mjSTATE_INTEGRATION

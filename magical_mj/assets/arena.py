@@ -7,23 +7,24 @@ from typing import Final
 from magical_mj import constants as c
 from magical_mj.assets import solids, style
 from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, TIMESTEP, PhysicsSettings
-from magical_mj.assets.mjcf import numbers
+from magical_mj.assets.mjcf import comment, numbers
 from magical_mj.assets.region import BONE
 
 CAMERA_HEIGHT: Final = 2.0
 _CAMERA = f'projection="orthographic" fovy="{c.VISIBLE_SIZE}"'
-ALLO_CAMERA: Final = f'<camera name="allo" {_CAMERA} pos="0 0 {CAMERA_HEIGHT}"/>'
+ALLO_CAMERA: Final = f'<camera name="allo" {_CAMERA} pos="{numbers(0, 0, CAMERA_HEIGHT)}"/>'
 EGO_CAMERA: Final = (
-    f'<camera name="ego" {_CAMERA} pos="0 {c.VISIBLE_SIZE * (0.5 - c.EGO_ANCHOR):.17g} {CAMERA_HEIGHT}"/>'
+    f'<camera name="ego" {_CAMERA} pos="{numbers(0, c.VISIBLE_SIZE * (0.5 - c.EGO_ANCHOR), CAMERA_HEIGHT)}"/>'
 )
 """Rides on the robot, which stands in the middle, near the bottom, and heads up."""
 
 _SKY: Final = ".91 .91 .92"
 LOOK: Final = (
-    '<visual><headlight ambient=".56 .56 .56" diffuse=".06 .06 .06" specular="0 0 0"/>'
+    comment("For viewers: a camera above a corner that sees all, and soft light")
+    + '<visual><headlight ambient=".56 .56 .56" diffuse=".06 .06 .06" specular="0 0 0"/>'
     '<global azimuth="128" elevation="-45" fovy="30" offwidth="2048" offheight="2048"/>'
-    f'<map znear="0.02" zfar="8" shadowclip="0.45"/><quality shadowsize="4096"/><rgba haze="{_SKY} 1"/></visual>'
-    '<statistic extent="3.6" center="0.08 -0.1 0"/>'
+    f'<map znear="0.02" zfar="8" shadowclip="1"/><quality shadowsize="2048"/><rgba haze="{_SKY} 1"/></visual>'
+    '<statistic extent="3.75" center="0.08 -0.1 0"/>'
 )
 """For all but the task cameras: a free camera that starts above a corner and sees all, and soft light."""
 SKY: Final = f'<texture type="skybox" builtin="gradient" rgb1="1 1 1" rgb2="{_SKY}" width="16" height="96"/>'
@@ -36,6 +37,9 @@ LIGHTS: Final = "".join(
 """Four lamps side by side, so that shadows have soft edges; far away, for shadows near a lamp are speckled."""
 
 
+SIDES: Final = {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}
+
+
 def options(settings: PhysicsSettings = SETTINGS) -> str:
     """How MuJoCo simulates.
 
@@ -45,7 +49,8 @@ def options(settings: PhysicsSettings = SETTINGS) -> str:
     touches them, which is most blocks most of the time.
     """
     return (
-        '<compiler angle="radian" autolimits="true" usethread="false"/>'
+        comment("Ten steps of 12.5 ms are one action. What has come to rest sleeps until something touches it.")
+        + '<compiler angle="radian" autolimits="true" usethread="false"/>'
         f'<option timestep="{numbers(TIMESTEP)}" gravity="0 0 0" integrator="Euler" cone="elliptic" solver="Newton" '
         f'jacobian="sparse" iterations="{settings.iterations}" tolerance="{settings.tolerance}" '
         f'impratio="{numbers(settings.impratio)}">'
@@ -57,15 +62,29 @@ def arena_mjcf() -> str:
     """What stands still in the world: floor, walls, their look, the allo camera, and the regions' body."""
     half = c.ARENA_HALF_WIDTH
     parts = [
-        solids.solid("workspace", f'type="plane" size="{numbers(half, half, 1)}"', style.WHITE),
-        style.visual_geom("surround", "surround", style.LIGHT_GREY, style.TASK_GROUP),
-        style.visual_geom("border", "border", style.ARENA_BORDER),
+        comment("The arena: the ground, the white workspace, what the flat pictures show beyond it, the line between"),
         f'<geom name="floor" class="floor" type="plane" size="0 0 1" pos="0 0 {numbers(FOOT_DEPTH - FOOT_RADIUS)}"/>',
+        solids.solid("workspace", f'type="plane" size="{numbers(half, half, 1)}"', style.WHITE),
+        style.visual_geom("surround", "surround", style.LIGHT_GREY, f'group="{style.TASK_GROUP}"'),
+        style.visual_geom("border", "border", style.ARENA_BORDER),
     ]
-    for side, (x, y) in {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}.items():
-        parts.append(solids.wall(f"{side}_wall_sides", x, y))
+    parts += (solids.wall(f"{side}_wall_sides", x, y) for side, (x, y) in SIDES.items())
+    parts += comment(
+        "Walls stand twice: of two geoms that touch the larger friction counts, and fingers have their own"
+    )
+    for side, (x, y) in SIDES.items():
         pos, size = numbers((half + 1) * x, (half + 1) * y, 0), f"{1 + 2 * abs(y)} {1 + 2 * abs(x)} 1"
         for kind in ("wall", "finger_wall"):  # bodies of their own: what is not near them is then not tested
             geom = f'<geom name="{side}_{kind}" class="{kind}" type="box" size="{size}"/>'
             parts.append(f'<body name="{side}_{kind}" pos="{pos}">{geom}</body>')
-    return "".join(parts) + LIGHTS + ALLO_CAMERA + f'<body name="{BONE}"/>'
+    return "".join(
+        (
+            *parts,
+            comment("Four lamps, for soft shadows"),
+            LIGHTS,
+            comment("The whole workspace from above; the robot has the other camera of the task"),
+            ALLO_CAMERA,
+            comment("Goal regions: drawn, never solid"),
+            f'<body name="{BONE}"/>',
+        )
+    )

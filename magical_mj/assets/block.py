@@ -12,7 +12,7 @@ from magical_mj import constants as c
 from magical_mj.assets import solids, style
 from magical_mj.assets.contacts import PRESS, SETTINGS, PhysicsSettings, floor_pair, foot, softness, vertex
 from magical_mj.assets.meshes import Points, inset
-from magical_mj.assets.mjcf import move_body, numbers, planar_body
+from magical_mj.assets.mjcf import comment, move_body, numbers, planar_body
 from magical_mj.assets.style import BLOCK_FILL, BLOCK_OUTLINE
 from magical_mj.constants import Shape
 from magical_mj.geometry import block_outline, regular_polygon
@@ -34,13 +34,14 @@ def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSe
         f'<inertial pos="0 0 0" mass="{c.BLOCK_MASS}" diaginertia="{numbers(inertia, inertia, inertia)}"/>'
         + style.visual_geom(f"{name}_outline", f"{block.shape}_outline", BLOCK_OUTLINE[block.colour])
         + style.visual_geom(f"{name}_fill", f"{block.shape}_fill", BLOCK_FILL[block.colour])
+        + comment("a foot with constant pressure: dry friction with the ground")
         + foot(f"{name}_foot")
         + solids.block(f"{name}_sides", block.shape, block.colour)
         + f"<body>{collision_geoms(block.shape, settings)}</body>"  # collision tests then skip what is only drawn
     )
     spin = softness("friction", 1, settings.dry_impedance)
     hinge = f'frictionloss="{numbers(dynamics.block_friction_torque)}" {spin}'
-    return planar_body(name, block.pose, content, hinge)
+    return comment(f"Block {index}: {block.colour}, {block.shape}") + planar_body(name, block.pose, content, hinge)
 
 
 def block_pair(index: int, dynamics: Dynamics, settings: PhysicsSettings = SETTINGS) -> str:

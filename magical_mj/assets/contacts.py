@@ -12,7 +12,7 @@ from typing import Final
 
 from magical_mj import constants as c
 from magical_mj.assets import style
-from magical_mj.assets.mjcf import numbers
+from magical_mj.assets.mjcf import comment, numbers
 
 SUBSTEPS: Final = 10
 """Physics steps per action."""
@@ -129,26 +129,47 @@ def geom_classes(settings: PhysicsSettings = SETTINGS) -> str:
     """The defaults of all geoms."""
     soft = softness("", settings.contact_stiffness, settings.contact_impedance, settings.contact_damping)
     finger = softness("", settings.finger_stiffness, settings.finger_impedance, settings.finger_damping)
-    sphere = 'type="sphere"'
+    sphere, ground = 'type="sphere"', f'group="{style.SOLID_GROUP}" rgba="{style.rgba(style.LIGHT_GREY)}"'
     meets_all = TOUCHES | FINGER_TOUCHES
 
-    def kind(name: str, friction: float, contype: int, conaffinity: int, more: str = "") -> str:
+    def kind(name: str, what: str, friction: float, contype: int, conaffinity: int, more: str = "") -> str:
         return (
-            f'<default class="{name}"><geom friction="{numbers(friction)}" contype="{contype}" '
+            f'{comment(what)}<default class="{name}"><geom friction="{numbers(friction)}" contype="{contype}" '
             f'conaffinity="{conaffinity}" mass="0" {more}/></default>'
         )
 
     return (
         f'<geom condim="3" group="{style.COLLISION_GROUP}" {soft}/>'
-        + kind("visual", 0, 0, 0, 'type="mesh"')
-        + kind("solid", 0, 0, 0, f'group="{style.SOLID_GROUP}"')
-        + kind("floor", 0, 0, 0, f'group="{style.SOLID_GROUP}" rgba="{style.rgba(style.LIGHT_GREY)}"')
-        + kind("disc", settings.friction_block, TOUCHES, meets_all, sphere)
-        + kind("vertex", settings.friction_block, TOUCHES, 0, sphere)
-        + kind("edge", settings.friction_block, 0, meets_all)
-        + kind("finger_vertex", settings.friction_finger_block, FINGER_TOUCHES, 0, f'{sphere} priority="1" {finger}')
-        + kind("finger_edge", settings.friction_finger_block, 0, TOUCHES, f'priority="1" {finger}')
-        + kind("wall", settings.friction_wall, 0, TOUCHES)
-        + kind("finger_wall", settings.friction_finger_wall, 0, FINGER_TOUCHES, f'priority="2" {finger}')
-        + kind("foot", 0, 0, 0, f'{sphere} size="{FOOT_RADIUS}"')
+        + kind("visual", "flat polygons, only drawn", 0, 0, 0, f'type="mesh" group="{style.DRAWN_GROUP}"')
+        + kind("solid", "what stands under them, only drawn", 0, 0, 0, f'group="{style.SOLID_GROUP}"')
+        + kind("floor", "the ground: feet press on it, by named pairs", 0, 0, 0, ground)
+        + kind(
+            "disc",
+            "round things: meet corners, edges and each other",
+            settings.friction_block,
+            TOUCHES,
+            meets_all,
+            sphere,
+        )
+        + kind("vertex", "a block's corners: meet edges, discs and walls", settings.friction_block, TOUCHES, 0, sphere)
+        + kind("edge", "a block's edges: meet corners and discs", settings.friction_block, 0, meets_all)
+        + kind(
+            "finger_vertex",
+            "a finger's corners",
+            settings.friction_finger_block,
+            FINGER_TOUCHES,
+            0,
+            f'{sphere} priority="1" {finger}',
+        )
+        + kind("finger_edge", "a finger's edges", settings.friction_finger_block, 0, TOUCHES, f'priority="1" {finger}')
+        + kind("wall", "walls for all but fingers", settings.friction_wall, 0, TOUCHES)
+        + kind(
+            "finger_wall",
+            "walls for fingers",
+            settings.friction_finger_wall,
+            0,
+            FINGER_TOUCHES,
+            f'priority="2" {finger}',
+        )
+        + kind("foot", "feet of blocks, and the robot's wheels", 0, 0, 0, f'{sphere} size="{FOOT_RADIUS}"')
     )

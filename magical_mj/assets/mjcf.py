@@ -1,14 +1,23 @@
-"""MJCF text: numbers as attributes, and bodies that move in the plane."""
+"""MJCF text: numbers as attributes, bodies that move in the plane, and the layout of a file for people."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from typing import Final
+from xml.etree.ElementTree import Comment, Element
+from xml.sax.saxutils import quoteattr
 
 import mujoco
 import numpy as np
 
 from magical_mj.scene import Pose
+
+INDENT: Final = "  "
+LINE: Final = 120
+"""Characters in a line of a file for people."""
+GROUPS: Final = {"vertex": 3, "face": 3}
+"""How many numbers of a list belong together, by attribute."""
 
 
 def numbers(*values: float) -> str:
@@ -72,3 +81,52 @@ def bend_body(model: mujoco.MjModel, name: str, angle: float) -> None:
     model.body_quat[body] = quaternion(angle)
     first = model.jnt_qposadr[model.body_jntadr[body]]
     model.qpos0[first] = angle
+
+
+def comment(text: str) -> str:
+    """A remark for those who read the model."""
+    return f"<!-- {text} -->"
+
+
+def indented(element: Element, depth: int = 0) -> str:
+    """An element as text: one element a line, sections apart, long lists of numbers on lines of their own."""
+    pad = INDENT * depth
+    if element.tag is Comment:
+        return f"{pad}<!-- {str(element.text).strip()} -->\n"
+    start = f"{pad}<{element.tag}{_attributes(element, pad)}"
+    if not len(element):
+        return f"{start}/>\n"
+    content = ""
+    for child in element:
+        is_section = depth == 0 and child.tag is Comment
+        content += ("\n" if is_section else "") + indented(child, depth + 1)
+    return f"{start}>\n{content}{pad}</{element.tag}>\n"
+
+
+def _attributes(element: Element, pad: str) -> str:
+    """The attributes of an element; what is longer than a line goes on in the next one."""
+    text, width, deeper = "", len(pad) + len(str(element.tag)) + 1, pad + 2 * INDENT
+    line_break = f"\n{deeper}"
+    for name, value in element.items():
+        entry = f"{name}={quoteattr(value).replace('&#10;', line_break)}"
+        if "\n" not in value and len(deeper) + len(entry) > LINE and value[:1] in "-.0123456789":
+            rows = wrap(value, GROUPS.get(name, 1), LINE - len(deeper) - 3)
+            entry = f'{name}="{line_break}{line_break.join(rows)}"'
+        if width + 3 + len(entry.partition("\n")[0]) > LINE:
+            text, width = f"{text}\n{deeper}{entry}", len(deeper) + len(entry)
+        else:
+            text, width = f"{text} {entry}", width + 1 + len(entry)
+    return text
+
+
+def wrap(value: str, group: int, width: int) -> Iterator[str]:
+    """A list of numbers as lines of whole groups."""
+    entries = value.split()
+    row = ""
+    for start in range(0, len(entries), group):
+        item = " ".join(entries[start : start + group])
+        if row and len(row) + len(item) + 2 > width:
+            yield row
+            row = ""
+        row += ("  " if row and group > 1 else " " if row else "") + item
+    yield row

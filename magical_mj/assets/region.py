@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from magical_mj.assets import style
 from magical_mj.assets.meshes import Faces
-from magical_mj.assets.mjcf import single
+from magical_mj.assets.mjcf import numbers, single
 from magical_mj.assets.style import DASH_LENGTH, REGION_BORDER, REGION_BORDER_WIDTH, REGION_FILL, rgba
 from magical_mj.scene import GoalRegion
 
@@ -77,6 +77,18 @@ def regions_mjcf(regions: tuple[GoalRegion, ...]) -> str:
             corners = single(_corners(region, index, count).ravel().tolist())
             text += _skin(f"region{index}_{name}", palette[region.colour], corners, count)
     return text
+
+
+def region_mjcf(index: int, region: GoalRegion) -> tuple[str, str, str]:
+    """A region without skins: the mesh of its border, and the geoms of fill and border."""
+    name, (x, y), z = f"region{index}_{region.colour}", region.centre, style.Z_REGION + index * style.REGION_STEP
+    place = f'pos="{numbers(x, y, z)}" size="{numbers(region.width / 2, region.height / 2, 1)}"'
+    fill = f'<geom name="{name}_fill" class="visual" type="plane" {place} rgba="{rgba(REGION_FILL[region.colour])}"/>'
+    count, mesh = len(dash_quads(region)), f"region{index}_border"
+    corners = single(_corners(region, index, count).ravel().tolist())
+    faces = " ".join(map(str, _quad_faces(count).ravel()))
+    border = style.visual_geom(f"{name}_border", mesh, REGION_BORDER[region.colour])
+    return f'<mesh name="{mesh}" inertia="shell" vertex="{corners}" face="{faces}"/>', fill, border
 
 
 def blank_regions_mjcf(dashes: tuple[int, ...]) -> str:

@@ -38,7 +38,7 @@ from magical_mj.assets.contacts import (
     softness,
     vertex,
 )
-from magical_mj.assets.mjcf import bend_body, move_body, numbers, planar_body, quaternion
+from magical_mj.assets.mjcf import bend_body, comment, move_body, numbers, planar_body, quaternion
 from magical_mj.scene import Dynamics, Robot
 
 Side = Literal["left", "right"]
@@ -63,14 +63,22 @@ def robot_mjcf(robot: Robot, settings: PhysicsSettings = SETTINGS) -> str:
     castor = f'armature="{numbers(CASTOR_INERTIA)}" stiffness="{numbers(CASTOR_INERTIA / TIMESTEP**2)}"'
     wheels = "".join(_spinner(name, "-1 0 0", foot(name)) for name in WHEELS)
     content = (
-        f'<inertial pos="0 0 0" mass="{c.ROBOT_MASS}" diaginertia="{numbers(*[c.ROBOT_INERTIA] * 3)}"/>'
-        f'<geom name="robot" class="disc" size="{numbers(c.ROBOT_RADIUS - settings.body_overlap)}"/>{EGO_CAMERA}'
+        f'<inertial pos="0 0 0" mass="{numbers(c.ROBOT_MASS)}" diaginertia="{numbers(*[c.ROBOT_INERTIA] * 3)}"/>'
+        f'<geom name="robot" class="disc" size="{numbers(c.ROBOT_RADIUS - settings.body_overlap)}"/>'
+        f"{comment('What the robot sees: it stands near the bottom and heads up')}{EGO_CAMERA}"
+        f"{comment('The drive: wheels that press on the ground with a constant force, too heavy to be slowed.')}"
+        f"{comment('The second of each pair tends to a lower speed while the gripper closes, as under a load')}"
+        f"{comment('A light castor keeps the wheels in the heading of the step before: commands come one step late')}"
         f'<body name="castor"><joint name="castor" type="hinge" axis="0 0 1" {castor}/>{LIGHT}{wheels}</body>'
-        f"{''.join(_spinner(name, '0 0 1') for name in (*ROTORS, *MOTORS.values()))}"
+        f"{comment('Turning: heavy rotors, which spin against the robot; dry friction with them turns it')}"
+        f"{''.join(_spinner(name, '0 0 1') for name in ROTORS)}"
+        f"{comment('Finger motors: heavy rotors likewise, one for each finger')}"
+        f"{''.join(_spinner(name, '0 0 1') for name in MOTORS.values())}"
         f"{_finger('left', robot.fingers[0], settings)}{_finger('right', robot.fingers[1], settings)}"
+        f"{comment('Body and eyes; they follow the fingers, which they hide in the flat pictures')}"
         f'<body name="face">{_face()}</body>'
     )
-    return planar_body("robot", robot.pose, content)
+    return comment("The robot") + planar_body("robot", robot.pose, content)
 
 
 def _shares(loaded: float) -> tuple[float, float]:
@@ -80,7 +88,7 @@ def _shares(loaded: float) -> tuple[float, float]:
 
 def _spinner(name: str, axis: str, geom: str = "") -> str:
     """The body of a heavy wheel, rotor or motor."""
-    joint = f'<joint name="{name}" type="hinge" axis="{axis}" armature="{ROTOR_INERTIA}"/>'
+    joint = f'<joint name="{name}" type="hinge" axis="{axis}" armature="{numbers(ROTOR_INERTIA)}"/>'
     return f'<body name="{name}">{joint}{LIGHT}{geom}</body>'
 
 
@@ -137,7 +145,7 @@ def _finger(side: Side, angle: float, settings: PhysicsSettings) -> str:
 def robot_pairs(dynamics: Dynamics, settings: PhysicsSettings = SETTINGS) -> str:
     """The contacts of the wheels with the floor."""
     mass = c.ROBOT_MASS + 2 * c.FINGER_MASS
-    return "".join(
+    return comment("Wheels grip the ground up to the drive's cap") + "".join(
         floor_pair(name, share * dynamics.drive_force, mass, settings)
         for name, share in zip(WHEELS, _shares(settings.loaded_share), strict=True)
     )
@@ -161,7 +169,10 @@ def tendons_mjcf(dynamics: Dynamics, settings: PhysicsSettings = SETTINGS) -> st
         for side, motor in MOTORS.items()
     )
     return (
-        f'{turns}{grips}<fixed name="sway" damping="{numbers(settings.sway_damping)}">'
+        f"{comment('Dry friction up to the torque caps: rotors with the robot, motors with fingers')}"
+        f"{turns}{grips}"
+        f"{comment('Drags: on fingers that swing to the same side, and on the castor, which is to lag a step')}"
+        f'<fixed name="sway" damping="{numbers(settings.sway_damping)}">'
         '<joint joint="left_finger" coef="1"/><joint joint="right_finger" coef="1"/></fixed>'
         f'<fixed name="castor" damping="{numbers(CASTOR_INERTIA / TIMESTEP)}">'
         '<joint joint="robot_angle" coef="1"/><joint joint="castor" coef="1"/></fixed>'
@@ -173,7 +184,7 @@ def actuators_mjcf() -> str:
     gain = ROTOR_INERTIA / TIMESTEP
     rolling = FOOT_RADIUS - FOOT_DEPTH / 2  # MuJoCo puts a contact midway between the wheel's rim and the floor
     scales = {WHEELS: 1 / rolling, ROTORS: -1.0, tuple(MOTORS.values()): 1.0}
-    return "".join(
+    return comment("Speeds of wheels (units/s), rotors and finger motors (rad/s), one step late") + "".join(
         f'<general name="{joint}" joint="{joint}" dyntype="filterexact" dynprm="1e-9" '
         f'gainprm="{numbers(gain * scale)}" biastype="affine" biasprm="0 0 {numbers(-gain)}"/>'
         for joints, scale in scales.items()

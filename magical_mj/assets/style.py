@@ -64,6 +64,6 @@ def levels(rgb: Rgb) -> tuple[float, ...]:
     return tuple(map(float, rgba(rgb).split()))
 
 
-def visual_geom(name: str, mesh: str, rgb: Rgb, group: int = DRAWN_GROUP) -> str:
-    """A flat polygon that does nothing but be seen."""
-    return f'<geom name="{name}" class="visual" mesh="{mesh}" rgba="{rgba(rgb)}" group="{group}"/>'
+def visual_geom(name: str, mesh: str, rgb: Rgb, more: str = "") -> str:
+    """A flat polygon that does nothing but be seen; more: attributes."""
+    return f'<geom name="{name}" class="visual" mesh="{mesh}" rgba="{rgba(rgb)}" {more}/>'

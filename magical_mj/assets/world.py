@@ -23,7 +23,7 @@ from magical_mj.assets.arena import LOOK, SKY, arena_mjcf, options
 from magical_mj.assets.block import INERTIA, block_mjcf, block_pair, collision_geoms, rewrite_block
 from magical_mj.assets.contacts import SETTINGS, PhysicsSettings, geom_classes
 from magical_mj.assets.meshes import library
-from magical_mj.assets.mjcf import numbers
+from magical_mj.assets.mjcf import comment
 from magical_mj.assets.region import blank_regions_mjcf, dash_count, regions_mjcf, rewrite_region
 from magical_mj.assets.robot import JOINTS, actuators_mjcf, rewrite_robot, robot_mjcf, robot_pairs, tendons_mjcf
 from magical_mj.constants import Shape
@@ -34,14 +34,11 @@ MEMORY: Final = '<size memory="33M"/>'
 where one after the other, as models come and go, would leave gaps: 1 MB in 300 models."""
 
 
-def world_mjcf(
-    scene: Scene, keyframe: str = "", settings: PhysicsSettings = SETTINGS, regions: str | None = None
-) -> str:
+def world_mjcf(scene: Scene, settings: PhysicsSettings = SETTINGS, regions: str | None = None) -> str:
     """The whole model as MJCF text: the scene is its reference pose. Blocks come before the robot, which hides them.
 
     Args:
         scene: what is where.
-        keyframe: as MJCF.
         settings: of the simulation.
         regions: the skins of the regions, as MJCF, instead of the scene's.
     """
@@ -51,22 +48,18 @@ def world_mjcf(
     blocks = "".join(block_mjcf(index, block, dynamics, settings) for index, block in enumerate(scene.blocks))
     feet = "".join(block_pair(index, dynamics, settings) for index in range(len(scene.blocks)))
     return (
-        f'<mujoco model="magical_mj">{options(settings)}{LOOK}{MEMORY}'
-        f"<default>{geom_classes(settings)}</default><asset>{SKY}{library()}</asset>"
+        f'<mujoco model="magical_mj">{options(settings)}{MEMORY}{LOOK}'
+        f"{comment('What geoms are: two meet if a bit of the contype of one is in the conaffinity of the other')}"
+        f"<default>{geom_classes(settings)}</default>"
+        f"{comment('Flat polygons, in which things are drawn, and the sides of pentagons and stars')}"
+        f"<asset>{SKY}{library()}</asset>{comment('The world')}"
         f"<worldbody>{arena_mjcf()}{blocks}{robot_mjcf(scene.robot, settings)}</worldbody>"
-        f"<deformable>{regions}</deformable>"
+        f"<deformable>{regions}</deformable>{comment('Friction with the ground: force cap / pressure')}"
         f"<contact>{feet}{robot_pairs(dynamics, settings)}"
         '<exclude body1="left_finger" body2="right_finger"/></contact>'
-        f"<tendon>{tendons_mjcf(dynamics, settings)}</tendon><actuator>{actuators_mjcf()}</actuator>"
-        f"<keyframe>{keyframe}</keyframe></mujoco>"
+        f"{comment('Servos')}<tendon>{tendons_mjcf(dynamics, settings)}</tendon><actuator>{actuators_mjcf()}</actuator>"
+        "</mujoco>"
     )
-
-
-def keyframe_mjcf(data: mujoco.MjData) -> str:
-    """The keyframe "now" of a simulation's present state."""
-    state = {"time": [data.time], "qpos": data.qpos, "qvel": data.qvel, "act": data.act, "ctrl": data.ctrl}
-    attributes = (f'{name}="{numbers(*values)}"' for name, values in state.items())
-    return f'<key name="now" {" ".join(attributes)}/>'
 
 
 class Structure(NamedTuple):

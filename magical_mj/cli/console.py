@@ -28,6 +28,9 @@ Tasks = Annotated[str, typer.Option(help="Tasks, separated by commas; or all.")]
 Variants = Annotated[str, typer.Option(help="Variants, separated by commas; or all.")]
 Seed = Annotated[int, typer.Option(min=0, help="Which of the variant's scenes.")]
 Size = Annotated[int, typer.Option(min=16, max=2048, help="Side of each picture in pixels.")]
+Cameras = Annotated[
+    str, typer.Option("--camera", help="Views side by side, separated by commas: allo, ego; scene: solid, for people.")
+]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Worker processes.", show_default="one per core")]
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there already.")]
 

@@ -12,8 +12,8 @@ from rich.table import Table
 import magical_mj
 from magical_mj import ENVIRONMENTS, TASKS, VARIANTS, env_id
 from magical_mj.announced import announced
-from magical_mj.cli.console import TASK_HELP, Force, Seed, Task, Variant, check_suffix, claim, console, file_name
-from magical_mj.cli.film import both_views
+from magical_mj.cli.console import TASK_HELP, Cameras, Force, Seed, Task, Variant, check_suffix, claim, console, file_name
+from magical_mj.cli.film import side_by_side, views_of
 from magical_mj.registry import environment_axes, environments, task_spec
 
 GAP: Final = 6  # pixels between the cells of the contact sheet
@@ -56,10 +56,12 @@ def view(
     grid: Grid = False,
     out: Picture = None,
     size: Size = None,
+    camera: Cameras = "allo,ego",
     force: Force = False,
 ) -> None:
     """Draw the initial scene of an environment, from above and as the robot sees it, or those of all environments."""
     check_suffix(out, ".png")
+    views = views_of(camera)
     if grid:
         if task is not None:
             raise typer.BadParameter("give either TASK or --grid, not both.")
@@ -71,7 +73,7 @@ def view(
         env = magical_mj.load(task, variant, seed=seed, observations=())
         path = claim(out or Path(file_name(task, variant, seed, ".png")), force)
         env.reset()
-        picture = Image.fromarray(both_views(env, size or 384))
+        picture = Image.fromarray(side_by_side(env, size or 384, views))
         env.close()
     picture.save(path)
     console().print(path, soft_wrap=True)
@@ -79,9 +81,11 @@ def view(
 
 def export(task: Task, out: Folder, variant: Variant = "Demo", seed: Seed = 0, force: Force = False) -> None:
     """Write a scene as a self-contained MJCF model, for any program that reads MuJoCo's format."""
-    scene = magical_mj.sample_scene(task, variant, seed)
+    env = magical_mj.load(task, variant, seed=seed, observations=())
     path = claim(out / file_name(task, variant, seed, ".xml"), force)
-    console().print(magical_mj.export_mjcf(scene, path, overwrite=force), soft_wrap=True)
+    env.reset()
+    console().print(magical_mj.export_mjcf(env, path, overwrite=force), soft_wrap=True)
+    env.close()
 
 
 def contact_sheet(seed: int, size: int) -> Image.Image:

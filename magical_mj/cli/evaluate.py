@@ -13,8 +13,8 @@ from rich import progress as bars
 from rich.console import Console
 from rich.text import Text
 
-from magical_mj.cli.console import Force, Seed, Size, Task, Variant, add_options, check_suffix, claim, console
-from magical_mj.cli.film import film, replay
+from magical_mj.cli.console import Cameras, Force, Seed, Size, Task, Variant, add_options, check_suffix, claim, console
+from magical_mj.cli.film import film, replay, views_of
 from magical_mj.evaluation.loading import sources
 from magical_mj.evaluation.policies import check_fit
 from magical_mj.evaluation.run import Evaluation
@@ -72,11 +72,13 @@ def rollout(
     preset: Preset = "LoRes4E",
     video: Video = None,
     size: Size = 384,
+    camera: Cameras = "allo,ego",
     trust: Trust = False,
     force: Force = False,
 ) -> None:
     """Play some episodes with a policy, print the scores, and film them. `evaluate` plays whole benchmarks."""
     check_suffix(video, ".mp4")
+    views = views_of(camera)
     settings = EvaluationSettings(tasks=[task], variants=[variant], preset=preset, trust=trust)
     (pair,) = settings.environments
     listed = sources(policy, trust=trust)
@@ -85,7 +87,7 @@ def rollout(
     if video is not None:
         claim(video, force)
     screen = console()
-    with nullcontext() if video is None else film(video, size) as made:
+    with nullcontext() if video is None else film(video, size, views=views) as made:
         for source in listed:
             units = [Unit(source, *pair, (seed + k,), settings) for k in range(episodes)]
             scores = []

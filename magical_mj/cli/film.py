@@ -1,9 +1,9 @@
-"""Films of episodes: both views side by side, and below them what is played, what is done, and the score so far."""
+"""Films of episodes: views side by side, and below them what is played, what is done, and the score so far."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -17,16 +17,19 @@ from magical_mj import files
 from magical_mj.actions import ACTIONS, Drive, Gripper, Turn
 from magical_mj.constants import CONTROL_RATE
 from magical_mj.episodes import actions_of, play
-from magical_mj.errors import EvaluationError
+from magical_mj.errors import EvaluationError, unknown_name
 from magical_mj.evaluation.scores import Score
 from magical_mj.extras import missing_extra
-from magical_mj.registry import check_rules
+from magical_mj.observations import CAMERAS
+from magical_mj.registry import check_rules, listed
 
 if TYPE_CHECKING:
     from magical_mj.environment import Environment
 
 Picture = NDArray[np.uint8]
 
+SIDE_BY_SIDE: Final = ("allo", "ego")
+"""From above, and as the robot sees it."""
 PAPER: Final = (255, 255, 255)
 INK: Final = (60, 60, 60)
 TITLE_SHADE: Final = (255, 255, 255, 225)  # of the band behind a title
@@ -41,11 +44,12 @@ class Film:
     Args:
         send: takes a frame of `Film.shape`.
         size: side of each view in pixels.
+        views: that are side by side.
         pause: how many frames the first and the last frame of an episode stand.
     """
 
-    def __init__(self, send: Callable[[Picture], object], size: int, pause: int) -> None:
-        self._send, self.size, self._pause = send, size, pause
+    def __init__(self, send: Callable[[Picture], object], size: int, views: Sequence[str], pause: int) -> None:
+        self._send, self.size, self.views, self._pause = send, size, views, pause
         text = max(SMALLEST_TEXT, size // 24)
         self._line = round(1.4 * text)
         self._font, self._title_font = ImageFont.load_default(text), ImageFont.load_default(2 * text)
@@ -54,7 +58,7 @@ class Film:
     @property
     def width(self) -> int:
         """In pixels."""
-        return 2 * self.size
+        return len(self.views) * self.size
 
     @property
     def height(self) -> int:
@@ -62,7 +66,7 @@ class Film:
         return (self.size + 2 * self._line + self._line // 2 + 1) // 2 * 2
 
     def begin(self, title: str, views: Picture, score: float) -> None:
-        """The start of an episode: stands for a moment, under its title. Shape of the views: (size, 2 size, 3)."""
+        """The start of an episode: stands for a moment, under its title. Shape of the pictures: (size, width, 3)."""
         self._title = title
         self._last = self._frame(views, "", f"score {score:.2f}")
         frame = self._last.copy()
@@ -97,13 +101,14 @@ class Film:
 
 
 @contextmanager
-def film(path: Path, size: int, speed: int = 1) -> Iterator[Film]:
+def film(path: Path, size: int, speed: int = 1, views: Sequence[str] = SIDE_BY_SIDE) -> Iterator[Film]:
     """A video of episodes; nothing is left of it if the block raises.
 
     Args:
         path: the MP4 file, overwritten if it exists.
         size: side of each view in pixels.
         speed: 1 is real time.
+        views: that are side by side.
 
     Raises:
         MissingExtraError: if imageio-ffmpeg is not installed.
@@ -123,7 +128,7 @@ def film(path: Path, size: int, speed: int = 1) -> Iterator[Film]:
             raise OSError(f"{path}: the video cannot be written; is the disk full?") from error
 
     with files.new_file(path, overwrite=True) as unfinished:
-        made = Film(send, size, pause=PAUSE * rate)
+        made = Film(send, size, views, pause=PAUSE * rate)
         writer = imageio_ffmpeg.write_frames(
             str(unfinished),
             (made.width, made.height),
@@ -150,9 +155,9 @@ def replay(made: Film, score: Score) -> None:
     try:
         env.reset(seed=score.seed)
         title = f"{score.task} {score.variant}, seed {score.seed}: {score.policy}"
-        made.begin(title, both_views(env, made.size), env.score())
+        made.begin(title, side_by_side(env, made.size, made.views), env.score())
         for step, (action, _) in enumerate(play(env, actions_of(score.actions)), start=1):
-            made.add(both_views(env, made.size), step, action, env.score())
+            made.add(side_by_side(env, made.size, made.views), step, action, env.score())
         made.end()
         found = env.score()
     finally:
@@ -164,9 +169,22 @@ def replay(made: Film, score: Score) -> None:
         )
 
 
-def both_views(env: Environment, size: int) -> Picture:
-    """The world as it is now: from above, and as the robot sees it. Shape (size, 2 size, 3)."""
-    return np.concatenate([env.render("allo", size), env.render("ego", size)], axis=1)
+def views_of(cameras: str) -> list[str]:
+    """The views of an option "--camera".
+
+    Raises:
+        UnknownNameError: if there is no such view.
+    """
+    views = listed(cameras, CAMERAS)
+    for view in views:
+        if view not in CAMERAS:
+            raise unknown_name("view", view, CAMERAS)
+    return views
+
+
+def side_by_side(env: Environment, size: int, views: Sequence[str] = SIDE_BY_SIDE) -> Picture:
+    """Views of the world as it is now. Shape (size, views * size, 3)."""
+    return np.concatenate([env.render(view, size) for view in views], axis=1)
 
 
 def in_words(action: int) -> str:

@@ -10,7 +10,7 @@ import typer
 
 import magical_mj
 from magical_mj.cli.console import TASK_HELP, Seed, Size, Variant, claim_folder, console
-from magical_mj.cli.film import both_views
+from magical_mj.cli.film import side_by_side
 from magical_mj.cli.web import Collect, Host, Origin, Port, Tasks, Variants, Wanted, serve_page
 from magical_mj.cli.window import Window
 from magical_mj.constants import CONTROL_RATE
@@ -88,7 +88,7 @@ def play_in(
         recorder, steps, over = magical_mj.demos.Recorder(env), 0, False
         while True:
             left = f"score {env.score():.2f}" if over else f"{(horizon - steps) / CONTROL_RATE:.0f} s"
-            window.show(both_views(env, size), f"{left}   ({KEYS})")
+            window.show(side_by_side(env, size), f"{left}   ({KEYS})")
             wishes = window.wishes()
             if "quit" in wishes:
                 return

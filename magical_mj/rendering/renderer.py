@@ -26,8 +26,6 @@ _STILL, _MOVING = mujoco.mjtCatBit.mjCAT_STATIC.value, mujoco.mjtCatBit.mjCAT_DY
 LARGEST: Final = 2048
 """Side of the largest picture, in pixels."""
 
-SOLID_VIEW: Final = "scene"
-"""The name of the view that `SolidRenderer` draws."""
 OVERSAMPLING: Final = 2
 """Drawn pixels per side of a picture's pixel."""
 
@@ -122,6 +120,13 @@ class SolidRenderer(Renderer):
         self._option = mujoco.MjvOption()
         self._camera = mujoco.MjvCamera()
         mujoco.mjv_defaultFreeCamera(model, self._camera)
+
+    def draw(self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None) -> Picture:
+        """As `Renderer.draw`, of twice as many pixels again, for slanting edges."""
+        drawn = super().draw(data, camera, 2 * size).reshape(size, 2, size, 2, 3)
+        picture = np.empty((size, size, 3), np.uint8) if out is None else out
+        picture[:] = (drawn.sum(axis=(1, 3), dtype=np.uint16) + 2) >> 2
+        return picture
 
     def paint(self, data: mujoco.MjData, camera: str, size: int) -> Picture:
         """As `Renderer.paint`; the camera is the free one, whatever its name."""

@@ -1,0 +1,43 @@
+"""Draws exported models as MuJoCo's viewers first show them, with whichever MuJoCo runs this.
+
+    magical-mj export FindDupe --out FOLDER ...
+    python tools/exported_models.py FOLDER PICTURE.png
+
+Needs mujoco, numpy and pillow, and nothing of magical-mj.
+"""
+
+import sys
+from pathlib import Path
+
+import mujoco
+from PIL import Image
+
+SIDE, OVERSAMPLING = 360, 3  # pixels; drawn pixels per side of a pixel
+STEPS = 100
+
+
+def picture(path: Path) -> Image.Image:
+    """A model after some steps without action, by the free camera."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, STEPS)
+    camera = mujoco.MjvCamera()
+    mujoco.mjv_defaultFreeCamera(model, camera)
+    with mujoco.Renderer(model, SIDE * OVERSAMPLING, SIDE * OVERSAMPLING) as renderer:
+        renderer.update_scene(data, camera)
+        return Image.fromarray(renderer.render()).reduce(OVERSAMPLING)
+
+
+def main(folder: str, out: str) -> None:
+    """All models of the folder side by side."""
+    pictures = [picture(path) for path in sorted(Path(folder).glob("*.xml"))]
+    sheet = Image.new("RGB", (SIDE * len(pictures), SIDE))
+    for index, made in enumerate(pictures):
+        sheet.paste(made, (SIDE * index, 0))
+    sheet.quantize(256, dither=Image.Dither.NONE).save(out, optimize=True)
+    print(f"{out}: {len(pictures)} models, drawn by MuJoCo {mujoco.__version__}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
