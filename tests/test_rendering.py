@@ -125,6 +125,27 @@ def test_any_mujoco_viewer_shows_the_same(task: str, tmp_path: Path) -> None:
     renderer.close()
 
 
+def test_the_solid_view_shows_everything_with_light_and_shadow() -> None:
+    picture = draw(GALLERY, "scene", 128).astype(int)
+    for palette, colour in ((style.BLOCK_FILL, "yellow"), (style.REGION_FILL, "blue"), (style.BLOCK_FILL, "red")):
+        assert (np.abs(picture - palette[colour]).max(axis=2) <= 4).sum() > 20  # a lit top has its palette's colour
+    assert (picture == 255).all(axis=2).mean() > 0.1  # the workspace
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100  # sides and shadows; flat views have 20 colours inside
+    border = np.concatenate([picture[0], picture[-1], picture[:, 0], picture[:, -1]])
+    assert np.ptp(border, axis=0).max() <= 3  # nothing but ground: all is in sight, and no shadow has speckles
+
+
+def test_the_solid_view_disturbs_nobody() -> None:
+    simulation = Simulation.of(World(GALLERY))
+    before = {view: simulation.draw(view, 96) for view in VIEWS}
+    solid = simulation.draw("scene", 64)
+    for view in VIEWS:
+        np.testing.assert_array_equal(simulation.draw(view, 96), before[view])
+    np.testing.assert_array_equal(draw(GALLERY, "scene", 64), solid)
+    CANVAS.close()
+    np.testing.assert_array_equal(simulation.draw("scene", 64), solid)
+
+
 def test_averaging_is_exact_on_white_paper() -> None:
     rng = np.random.default_rng(0)
     pixels = rng.integers(0, 256, (24, 16, 4), np.uint8)

@@ -24,7 +24,7 @@ LOOK: Final = (
     + '<visual><headlight ambient=".56 .56 .56" diffuse=".06 .06 .06" specular="0 0 0"/>'
     '<global azimuth="128" elevation="-45" fovy="30" offwidth="2048" offheight="2048"/>'
     f'<map znear="0.02" zfar="8" shadowclip="1"/><quality shadowsize="2048"/><rgba haze="{_SKY} 1"/></visual>'
-    '<statistic extent="3.75" center="0.08 -0.1 0"/>'
+    '<statistic extent="4" center="0.08 -0.1 0"/>'
 )
 """For all but the task cameras: a free camera that starts above a corner and sees all, and soft light."""
 SKY: Final = f'<texture type="skybox" builtin="gradient" rgb1="1 1 1" rgb2="{_SKY}" width="16" height="96"/>'
