@@ -65,6 +65,44 @@ def test_drawing_after_a_fork_is_refused_and_spawning_suggested() -> None:
 
 
 @ON_LINUX
+@pytest.mark.parametrize("view", ["ego", "scene"])
+@pytest.mark.parametrize("closing", ["", "env.close()"])
+def test_a_fork_after_drawing_ends_in_silence(view: str, closing: str) -> None:
+    """The child has nothing of OpenGL's to free; it used to wait for ever at its exit. The parent draws on."""
+    result = python(
+        f"{FIRST_FRAME}"
+        f"env.render({view!r}, 64)\n"
+        "import os, sys\n"
+        "child = os.fork()\n"
+        "if child == 0:\n"
+        f"    {closing}\n"
+        "    sys.exit(7)\n"
+        "status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])\n"
+        f"env.render({view!r}, 64)\n"
+        "sys.exit(status)"
+    )
+    assert (result.returncode, result.stdout) == (7, "")
+    assert "ignored" not in result.stderr
+
+
+@pytest.mark.parametrize("ours_first", [True, False])
+def test_mujocos_renderer_beside_ours_is_silent_at_exit_if_closed(ours_first: bool) -> None:
+    """If it is not closed, its own clean-up complains, in a program without us too."""
+    theirs = (
+        "renderer = mujoco.Renderer(env.physics.model.ptr, 64, 64)\n"
+        "renderer.update_scene(env.physics.data.ptr)\n"
+        "renderer.render()\n"
+    )
+    ours = "env.render('ego', 64)\n"
+    result = python(
+        "import magical_mj, mujoco\nenv = magical_mj.load('MoveToRegion', observations=())\nenv.reset()\n"
+        + (ours + theirs if ours_first else theirs + ours)
+        + "renderer.render()\nrenderer.close()\n"
+    )
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+
+
+@ON_LINUX
 @pytest.mark.skipif(osmesa_works(), reason="OSMesa can draw without a driver")
 class TestWithoutOpenGL:
     """No driver: EGL finds no device, and OSMesa is not installed."""

@@ -35,7 +35,6 @@ class Window:
 
     def __init__(self, title: str, size: int, speed: float = 1.0) -> None:
         os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-        os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")  # its OpenGL context would be in the way of ours
         try:
             import pygame
         except ModuleNotFoundError:

@@ -27,6 +27,8 @@ def choose_backend() -> None:
     Where neither works it stays unset: all but pictures can be used, and the first picture raises RenderingError.
     """
     os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's software OpenGL is faster without worker threads
+    os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")  # or pygame's windows have an OpenGL context, which X11
+    # does not let us use in turn with ours: it would end the process
     if sys.platform != "linux" or wanted_backend():
         return
     found = next((name for name, works in PROBES.items() if works()), None)

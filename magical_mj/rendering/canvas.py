@@ -9,9 +9,10 @@ from __future__ import annotations
 import atexit
 import contextlib
 import os
+import sys
 import threading
 import weakref
-from ctypes import c_void_p
+from ctypes import c_void_p, py_object, pythonapi
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -208,6 +209,20 @@ def _free_all() -> None:
         with contextlib.suppress(Exception):
             context.free()
         context._context = None  # or its finaliser would try again, and complain
+
+
+def _forget() -> None:
+    """In the child of a fork: OpenGL's things are the parent's, and trying to free them would wait for ever."""
+    for context in list(_OPEN):
+        context._context = None
+    for context in CANVAS.contexts:
+        pythonapi.Py_IncRef(py_object(context.mjr))  # so that it is never freed
+    if "OpenGL.EGL" in sys.modules:
+        atexit.unregister(sys.modules["OpenGL.EGL"].eglTerminate)  # which mujoco registers
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_forget)
 
 
 def _drawing_context(model: mujoco.MjModel, *, lit: bool = False) -> mujoco.MjrContext:
