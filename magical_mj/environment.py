@@ -71,15 +71,12 @@ class Environment(OpenEnvironment):
         return self.task.score(self._open())
 
     def render(self, view: str = "allo", size: int = 384, *, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
-        """A picture of the world as it is now, in a fresh array or in `out`.
+        """A picture of the world as it is now, fresh or in `out`. Shape (size, size, 3), RGB, top row first.
 
         Args:
             view: "ego" or "allo", flat, or "scene": solid, from above a corner.
             size: pixels per side.
             out: where to write it.
-
-        Returns:
-            Shape (size, size, 3), RGB, top row first.
         """
         check_name("view", view, CAMERAS)
         return self._open().draw(view, check_size(size), out)

@@ -12,7 +12,18 @@ from rich.table import Table
 import magical_mj
 from magical_mj import ENVIRONMENTS, TASKS, VARIANTS, env_id
 from magical_mj.announced import announced
-from magical_mj.cli.console import TASK_HELP, Cameras, Force, Seed, Task, Variant, check_suffix, claim, console, file_name
+from magical_mj.cli.console import (
+    TASK_HELP,
+    Cameras,
+    Force,
+    Seed,
+    Task,
+    Variant,
+    check_suffix,
+    claim,
+    console,
+    file_name,
+)
 from magical_mj.cli.film import side_by_side, views_of
 from magical_mj.registry import environment_axes, environments, task_spec
 
