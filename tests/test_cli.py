@@ -174,7 +174,7 @@ def test_a_policy_that_fails_is_told_and_filmed(shell: Shell, tmp_path: Path) ->
 
 def test_films_say_what_is_shown() -> None:
     frames: list[np.ndarray] = []
-    made = Film(frames.append, size=96, pause=3)
+    made = Film(frames.append, size=96, views=("allo", "ego"), pause=3)
     views = np.zeros((96, 192, 3), np.uint8)
     made.begin("FindDupe All, seed 3: expert", views, 0.0)
     made.add(views, 1, 13, 0.0)

@@ -17,7 +17,7 @@ from magical_mj import files
 from magical_mj.actions import ACTIONS, Drive, Gripper, Turn
 from magical_mj.constants import CONTROL_RATE
 from magical_mj.episodes import actions_of, play
-from magical_mj.errors import EvaluationError, unknown_name
+from magical_mj.errors import EvaluationError, check_name
 from magical_mj.evaluation.scores import Score
 from magical_mj.extras import missing_extra
 from magical_mj.observations import CAMERAS
@@ -177,8 +177,7 @@ def views_of(cameras: str) -> list[str]:
     """
     views = listed(cameras, CAMERAS)
     for view in views:
-        if view not in CAMERAS:
-            raise unknown_name("view", view, CAMERAS)
+        check_name("view", view, CAMERAS)
     return views
 
 
