@@ -20,10 +20,10 @@ from magical_mj.env_settings import Reward
 from magical_mj.environment import Environment, load
 from magical_mj.errors import InvalidSceneError, check_name
 from magical_mj.frames import Images, Stacks
-from magical_mj.observations import STATE_NAMES, VIEWS
+from magical_mj.observations import CAMERAS, STATE_NAMES, VIEWS
 from magical_mj.presets import Layout
 from magical_mj.presets import preset as preset_named
-from magical_mj.rendering.renderer import SOLID_VIEW, check_size
+from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
 from magical_mj.state import State
 from magical_mj.tasks.spec import Rules
@@ -33,7 +33,7 @@ ActionForm = Literal["discrete", "continuous"]
 ACTION_FORMS: Final[tuple[str, ...]] = get_args(ActionForm)
 Observation = NDArray[Any] | dict[str, Images]
 
-RENDER_VIEWS: Final = (*VIEWS, "both", SOLID_VIEW)
+RENDER_VIEWS: Final = (*CAMERAS, "both")
 STATE_BOUND: Final = 1000.0  # of any entry of the state vector; angles add up to 100 rad in the longest episode
 
 
