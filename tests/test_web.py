@@ -18,6 +18,7 @@ import pytest
 import magical_mj
 from magical_mj import demos
 from magical_mj.assets.world import world_mjcf
+from magical_mj.cli import main
 from magical_mj.demos.recording import Recorder
 from magical_mj.protocol import PROTOCOL
 from magical_mj.web import PAGE
@@ -109,6 +110,21 @@ def test_a_collection_asks_for_what_it_has_least_of(tmp_path: Path) -> None:
     with pytest.raises(magical_mj.errors.DemonstrationError, match="not collected"):
         collection.keep(json.dumps(recording("MoveToRegion", "Jitter", 0, [0] * 40)), me)
     assert len(list(tmp_path.rglob("*.npz"))) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ([], "which task"),
+        (["--web", "--tasks", "Tetris"], "Tetris"),
+        (["--web", "--wanted", "3"], "--wanted needs --collect"),
+        (["FindDupe", "--web", "--tasks", "MakeLine"], "not among"),
+        (["--web", "--port", "99999"], "port"),
+    ],
+)
+def test_wrong_options_are_said(options: list[str], complaint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["play", *options]) == 2
+    assert complaint in capsys.readouterr().err
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ import typer
 from magical_mj.cli.console import claim_folder, console
 from magical_mj.errors import SettingsError
 from magical_mj.extras import missing_extra
+from magical_mj.registry import ENVIRONMENTS
 from magical_mj.web.collection import Collection
 
 if TYPE_CHECKING:
@@ -53,6 +54,8 @@ def serve_page(
     origin: str | None,
 ) -> None:
     """Serve until somebody presses Ctrl-C; `first` is the task, the variant and the seed that the link leads to."""
+    if not set(environments) <= set(ENVIRONMENTS):
+        raise SettingsError("the page knows the scores of the benchmark's own tasks only: play others in a window")
     if first is not None and first[:2] not in environments:
         raise SettingsError(f"{first[0]}-{first[1]} is not among the environments that are to be played")
     if wanted is not None and collect is None:
