@@ -10,13 +10,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test check format docs demonstrations lerobot lerobot-test constraints system site site-test site-picture node chromium
+.PHONY: demo test leaderboard check format docs demonstrations lerobot lerobot-test constraints system site site-test site-picture node chromium
 
 demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all 60 environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
 
 test: $(VENV)/.installed-dev  ## run all tests; ARGS="-k scene" selects some
 	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadgroup $(ARGS)
+
+leaderboard: $(VENV)/.installed-dev  ## check the entries in results/ and make the leaderboard in out/leaderboard
+	$(BIN)/magical-mj leaderboard results --out out/leaderboard
 
 check: $(VENV)/.installed-dev  ## lint and type check
 	$(BIN)/ruff check

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
+import platform
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from glob import escape
 from pathlib import Path
 
 
@@ -36,8 +38,10 @@ def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
         FileExistsError, OSError: as `write`.
     """
     path = Path(path)
-    unfinished = path.with_name(f".{path.stem}.{os.getpid()}-{threading.get_ident()}.part{path.suffix}")
+    mine = f"{platform.node()}-{os.getpid()}-{threading.get_ident()}"
+    unfinished = path.with_name(f".{path.stem}.{mine}.part{path.suffix}")
     try:
+        _clear_up(path)
         if path.exists() and not overwrite:
             raise _exists(path)
         yield unfinished
@@ -50,6 +54,15 @@ def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             unfinished.unlink()
+
+
+def _clear_up(path: Path) -> None:
+    """Removes what processes of this machine that were killed have left of earlier attempts."""
+    for left in path.parent.glob(f".{escape(path.stem)}.{escape(platform.node())}-*.part{escape(path.suffix)}"):
+        with suppress(OSError, ValueError):
+            process = int(left.name.split("-")[-2])
+            if not Path(f"/proc/{process}").exists() and Path("/proc/self").exists():
+                left.unlink()
 
 
 def _exists(path: Path) -> FileExistsError:

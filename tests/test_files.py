@@ -86,3 +86,19 @@ def test_a_full_disk_names_the_file_and_leaves_nothing(tmp_path: Path) -> None:
     assert result.stdout == f"{errno.EFBIG} {path}\n"
     assert path.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="looks for processes in /proc")
+def test_what_a_killed_process_left_goes_with_the_next_attempt(tmp_path: Path) -> None:
+    program = (
+        "import os, signal, sys\n"
+        "from magical_mj import files\n"
+        "with files.new_file(sys.argv[1]) as beside:\n"
+        "    beside.write_text('half')\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    path = tmp_path / "a[1].txt"
+    assert subprocess.run([sys.executable, "-c", program, str(path)], check=False).returncode == -9
+    assert [other.name for other in tmp_path.iterdir()] != []
+    files.write(path, "whole")
+    assert list(tmp_path.iterdir()) == [path]
