@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -9,10 +10,13 @@ from pathlib import Path
 import pytest
 from learners import TINY
 
+import magical_mj
 from magical_mj.baselines import conduct, runs
+from magical_mj.baselines.experiment import agreement
 from magical_mj.baselines.policy import POLICY
 from magical_mj.cli.app import run
 from magical_mj.errors import SettingsError, UnknownNameError
+from magical_mj.evaluation.results import published_results
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 SET = [part for name, value in {**TINY, "bc.batches": 8}.items() for part in ("--set", f"{name}={value}")]
@@ -127,6 +131,23 @@ def test_wrong_experiments_are_refused(old: str, new: str, says: str, tmp_path: 
         runs(file, tmp_path / "out")
     with pytest.raises(SettingsError, match="cannot be read"):
         runs(tmp_path / "none.toml", tmp_path / "out")
+
+
+def test_the_order_of_environments_is_compared_with_the_papers(tmp_path: Path) -> None:
+    """Scores that are the paper's own have the rank correlation 1; scores that are all alike have none."""
+    (tmp_path / "e.toml").write_text('methods = ["bc"]\ntasks = ["FindDupe"]\nseeds = [0]')
+    planned = runs(tmp_path / "e.toml", tmp_path / "out")
+    out = planned[0].scores
+    magical_mj.evaluate({planned[0].method: "noop"}, tasks="FindDupe", episodes=1, jobs=1, out=out)
+    assert list(agreement(planned)) == []
+    published = published_results().query("policy == 'BC (ST)' and task == 'FindDupe'")
+    paper = dict(zip(published["variant"], published["mean"], strict=True))
+    rows = [json.loads(line) for line in (out / "scores.jsonl").read_text().splitlines()]
+    (out / "scores.jsonl").write_text(
+        "".join(json.dumps({**row, "score": paper[row["variant"]]}) + "\n" for row in rows)
+    )
+    (line,) = agreement(planned)
+    assert "the paper's BC (ST): rank correlation 1.00 over 8 environments, 1.00 over the means of 8 variants" in line
 
 
 def test_changed_settings_show_in_the_methods_name(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,13 +14,12 @@ from magical_mj.baselines.policy import is_done
 TEXT = (Path(__file__).parent.parent / "docs" / "learners.md").read_text()
 
 
-def block(language: str) -> str:
-    (found,) = re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL)
-    return found
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL)
 
 
 def test_a_method_of_ones_own_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    code = block("python")
+    *_, code = blocks("python")
     assert len(code.splitlines()) <= 60
     monkeypatch.chdir(tmp_path)
     shown: dict[str, object] = {"__name__": "page"}
@@ -28,10 +28,19 @@ def test_a_method_of_ones_own_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert len(shown["scores"]) == 4
 
 
+def test_demonstrations_at_hand_are_cloned() -> None:
+    shown: dict[str, Any] = {"__name__": "page"}
+    exec(compile(blocks("python")[0], "learners.md", "exec"), shown)
+    assert shown["scores"].groupby("variant")["score"].count().to_dict() == {"Demo": 4, "Jitter": 4}
+
+
 def test_the_experiment_can_be_read(tmp_path: Path) -> None:
     file = tmp_path / "experiment.toml"
-    file.write_text(block("toml"))
+    file.write_text(blocks("toml")[0])
     planned = runs(file, tmp_path)
     assert len({run.name for run in planned}) == len(planned) == 2 * 2 * 5
-    assert {run.method for run in planned} == {"BC (ST), ours, quick", "GAIL (ST), ours, quick"}
+    assert {run.method for run in planned} == {
+        "BC (ST), ours, quick, ppo.clip 0.2",
+        "GAIL (ST), ours, quick, ppo.clip 0.2",
+    }
     assert {run.settings.ppo.clip for run in planned} == {0.2}

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from magical_mj.extras import check_extra
 
 if TYPE_CHECKING:
+    from magical_mj.baselines.bc import clone
     from magical_mj.baselines.config import load_settings
     from magical_mj.baselines.experiment import conduct, runs
     from magical_mj.baselines.learner import Learner
@@ -29,6 +30,7 @@ _LAZY = {  # loaded at first use: the command line knows these commands before a
     "Progress": "run",
     "TrainingSettings": "settings",
     "TrainedPolicy": "policy",
+    "clone": "bc",
     "conduct": "experiment",
     "load_policy": "policy",
     "load_settings": "config",
@@ -42,6 +44,7 @@ __all__ = [
     "Progress",
     "TrainedPolicy",
     "TrainingSettings",
+    "clone",
     "conduct",
     "load_policy",
     "load_settings",

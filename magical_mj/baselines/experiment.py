@@ -16,8 +16,11 @@ from magical_mj.baselines.run import METHODS, train
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.errors import SettingsError, unknown_name
 from magical_mj.evaluation.report import report
+from magical_mj.evaluation.results import gather, published_results
 from magical_mj.evaluation.run import evaluate
+from magical_mj.evaluation.scores import frame
 from magical_mj.evaluation.settings import EvaluationSettings, settings_from
+from magical_mj.evaluation.statistics import by_environment
 from magical_mj.parallel import check_backend, spread
 from magical_mj.registry import TASKS, listed, task_name, task_spec
 
@@ -36,6 +39,8 @@ SIDE_BY_SIDE: Final = 10
 """Episodes that are played at once, for networks like batches; with states, which are small, all 100."""
 NAMED: Final = ("preset", "augment", "device", "evaluations", "episodes", "checkpoints")
 """Settings that a method's name shows in its own way, or that change nothing in what is learnt."""
+LEAST_PAIRS: Final = 5
+"""Environments that a rank correlation is worth printing for."""
 ABLATIONS: Final = {"all": "", "none": ", no aug.", "no-trans-rot": ", no trans./rot. aug."}
 
 
@@ -72,6 +77,11 @@ class Run:
         name = f"{settings.method.upper()} ({kind}{preset}{ABLATIONS[settings.augment]})"
         changed = "".join(f", {name} {value}" for name, value in self.changes.items() if name not in NAMED)
         return f"{name}, ours{', quick' if self.quick else ''}{changed}"
+
+    @property
+    def counterpart(self) -> str:
+        """The paper's row for the method, if it has one: with ego pictures and all augmentations."""
+        return f"{self.settings.method.upper()} ({'ST' if len(self.settings.tasks) == 1 else 'MT'})"
 
     @property
     def scores(self) -> Path:
@@ -142,7 +152,7 @@ def runs(file: Path, out: Path) -> list[Run]:
 def conduct(
     planned: list[Run], out: Path, *, jobs: int | None = 1, backend: str = "local", address: str | None = None
 ) -> Iterator[str]:
-    """Trains and evaluates what is not done yet, a line for each run; the last is the path of the report.
+    """Trains and evaluates what is not done yet, a line for each run; then `agreement`, and the path of the report.
 
     Args:
         planned: the `runs`.
@@ -159,7 +169,23 @@ def conduct(
         yield from (run.play() for run in planned)
     else:
         yield from spread(methodcaller("play"), planned, jobs, backend, address)
+    yield from agreement(planned)
     yield str(report([run.scores for run in planned], out / "report", with_published=True))
+
+
+def agreement(planned: list[Run]) -> Iterator[str]:
+    """How alike the methods of runs that are done and the paper's rank the environments, a line for each method."""
+    from scipy.stats import spearmanr
+
+    ours = by_environment(frame(gather([run.scores for run in planned])))
+    paper = published_results()
+    for method, counterpart in {run.method: run.counterpart for run in planned}.items():
+        pairs = ours[ours["policy"] == method].merge(paper[paper["policy"] == counterpart], on=["task", "variant"])
+        if len(pairs) >= LEAST_PAIRS and pairs["mean_x"].nunique() > 1:
+            means = pairs[["mean_x", "mean_y"]].groupby(pairs["variant"]).mean()
+            ranks, others = (spearmanr(table["mean_x"], table["mean_y"]).statistic for table in (pairs, means))
+            counts = f"{ranks:.2f} over {len(pairs)} environments, {others:.2f} over the means of {len(means)} variants"
+            yield f"{method} and the paper's {counterpart}: rank correlation {counts}"
 
 
 def _check(kind: str, names: Any, allowed: Any) -> None:
