@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import importlib
 import inspect
-import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +15,7 @@ from magical_mj.agents import AGENTS
 from magical_mj.errors import SettingsError, unknown_name
 from magical_mj.evaluation.models import LOADERS
 from magical_mj.evaluation.playing import Act, reason
+from magical_mj.references import resolve
 
 LEGEND: Final = f"{', '.join(AGENTS)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
 FOLDERS: Final = "magical_mj.policy_folders"
@@ -134,14 +133,8 @@ def _folder_loader(folder: str) -> EntryPoint:
 
 def _imported(origin: str) -> Act:
     """The object that ``module:object`` names; a class is called to make one."""
-    module, _, name = origin.partition(":")
-    here = str(Path.cwd())
-    if here not in sys.path:  # so that a module next to the user is found, whatever started Python
-        sys.path.insert(0, here)
     try:
-        found: Any = importlib.import_module(module)
-        for part in name.split("."):
-            found = getattr(found, part)
+        found = resolve(origin)
     except (Exception, SystemExit) as error:
         raise SettingsError(f"the policy {origin} cannot be imported: {reason(error)}") from error
     if inspect.isclass(found):

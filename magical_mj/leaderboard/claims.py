@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final, NamedTuple
 
-import magical_mj
-from magical_mj.environment import Environment
+from magical_mj.environment import Environment, load
 from magical_mj.episodes import LETTERS, actions_of, play
 from magical_mj.parallel import spread
 from magical_mj.registry import ENVIRONMENTS, sample_scene
@@ -84,7 +83,7 @@ def check_claims(episodes: Iterable[Claim], rules: Rules, jobs: int | None = Non
 def check_chunk(episodes: Sequence[Claim], rules: Rules) -> Checked:
     """What a worker does: some episodes of one environment."""
     first = episodes[0]
-    env = magical_mj.load(first.task, first.variant, seed=0, observations=(), rules=rules)
+    env = load(first.task, first.variant, seed=0, observations=(), rules=rules)
     try:
         problems = [f"{episode}: {problem}" for episode in episodes if (problem := check_claim(episode, env))]
     finally:
