@@ -40,7 +40,7 @@ def test_quick_changes_only_what_it_says() -> None:
 @pytest.mark.parametrize(
     "settings",
     [
-        load_settings("gail", "all"),
+        load_settings("gail", TASKS[:8]),
         load_settings("al", "FindDupe,MakeLine", quick=True, seed=7, **{"ppo.clip": 0.02, "features.size": 5}),
         load_settings("bc", "FindDupe", preset="State", **{"bc.heads": "normal"}),
         TrainingSettings('odd "name" \\ é', ("MakeLine",)),

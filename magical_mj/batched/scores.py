@@ -151,7 +151,7 @@ def cluster_shape(start: Start, now: Tensor, rules: Rules) -> Tensor:
     return _cluster(start, now, start.shapes, len(SHAPES), rules)
 
 
-_SCORES: Final[Mapping[str, Callable[[Start, Tensor, Rules], Tensor]]] = MappingProxyType(
+SCORES: Final[Mapping[str, Callable[[Start, Tensor, Rules], Tensor]]] = MappingProxyType(
     {
         "MoveToCorner": move_to_corner,
         "MoveToRegion": move_to_region,
@@ -163,6 +163,7 @@ _SCORES: Final[Mapping[str, Callable[[Start, Tensor, Rules], Tensor]]] = Mapping
         "ClusterShape": cluster_shape,
     }
 )
+"""The tasks whose scores are computed on tensors, by name; other tasks have no batched worlds."""
 
 
 def score(task: str, start: Start, now: Tensor, rules: Rules = "paper") -> Tensor:
@@ -177,6 +178,6 @@ def score(task: str, start: Start, now: Tensor, rules: Rules = "paper") -> Tenso
     Raises:
         UnknownNameError: if the task has no batched score.
     """
-    if task not in _SCORES:
-        raise unknown_name("batched task", task, _SCORES)
-    return _SCORES[task](start, now, rules)
+    if task not in SCORES:
+        raise unknown_name("batched task", task, SCORES)
+    return SCORES[task](start, now, rules)
