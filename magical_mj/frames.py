@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +20,17 @@ See = Callable[[str, Images], object]
 class FrameStack:
     """The last frames of one or more views in one array, the frames of each view oldest first.
 
-    A new stack is the last one moved by one frame in a single copy of its memory, which is five times as fast as
-    joining the frames: what comes to lie in a place where it does not belong is a place of the newest frames, and
-    these are drawn where they belong.
+    The latest stack is a window on a longer memory. For the next one the window moves on by one frame, so that every
+    frame comes to lie one place earlier and only the newest are drawn, each where it belongs: no pixel is moved.
 
     Args:
         frames: the views and how many frames of each, in the order in which they are stacked.
         size: side of the frames in pixels.
         channels_first: stacks of shape (channels, size, size) instead of (size, size, channels).
     """
+
+    MOVES: Final = 16
+    """Of the window, before it starts again at the beginning of the memory."""
 
     def __init__(self, frames: tuple[tuple[str, int], ...], size: int, *, channels_first: bool = False) -> None:
         count = 3 * sum(number for _, number in frames)
@@ -37,34 +41,34 @@ class FrameStack:
         ends = np.cumsum([3 * number for _, number in frames]).tolist()
         self._channels = [(view, end - 3 * number, end) for (view, number), end in zip(frames, ends, strict=True)]
         self._shift = 3 * size * size if channels_first else 3
-        self.last = np.empty(self.shape, np.uint8)
-        """The latest stack. Later ones depend on it; others get copies, with which they do what they like."""
+        self._memory = np.zeros(count * size * size + self.MOVES * self._shift, np.uint8)
+        self._first = 0
+
+    @property
+    def latest(self) -> Images:
+        """The latest stack: a view of what changes with the next one."""
+        return self._memory[self._first : self._first + math.prod(self.shape)].reshape(self.shape)
 
     def start(self, see: See) -> Images:
         """The stack of an episode's first pictures, which fill it. A fresh array."""
-        self.last = np.empty(self.shape, np.uint8)
         self._draw_newest(see)
-        pixels = self.last.transpose(self._channels_last)
+        pixels = self.latest.transpose(self._channels_last)
         for _, first, end in self._channels:
             for channel in range(first, end - 3):
                 pixels[..., channel] = pixels[..., end - 3 + (channel - first) % 3]
-        return self.given()
+        return self.latest.copy()
 
     def push(self, see: See) -> Images:
         """The stack with the newest pictures added and the oldest gone. A fresh array."""
-        stack = np.empty(self.shape, np.uint8)
-        if self.remembers:
-            stack.ravel()[: -self._shift] = self.last.ravel()[self._shift :]
-        self.last = stack
+        if self._first == self.MOVES * self._shift:
+            latest, self._first = self.latest.copy(), 0
+            self.latest[:] = latest
+        self._first += self._shift
         self._draw_newest(see)
-        return self.given()
-
-    def given(self) -> Images:
-        """The latest stack, for somebody who may change it."""
-        return self.last.copy() if self.remembers else self.last
+        return self.latest.copy()
 
     def _draw_newest(self, see: See) -> None:
-        pixels = self.last.transpose(self._channels_last)
+        pixels = self.latest.transpose(self._channels_last)
         for view, _, end in self._channels:
             see(view, pixels[..., end - 3 : end])
 
@@ -94,10 +98,10 @@ class Stacks:
         for name, stack in self._stacks.items():
             saved = (frames or {}).get(name)
             if saved is not None and saved.shape == stack.shape and stack.remembers:
-                stack.last = saved.astype(np.uint8)
+                stack.latest[:] = saved
             else:
                 stack.start(see)
-        return {name: stack.given() for name, stack in self._stacks.items()}
+        return {name: stack.latest.copy() for name, stack in self._stacks.items()}
 
     def push(self, see: See) -> dict[str, Images]:
         """The stacks with the newest pictures added."""
@@ -105,7 +109,7 @@ class Stacks:
 
     def save(self) -> dict[str, Images]:
         """Copies of the stacks, without those that hold present pictures alone."""
-        return {name: stack.last.copy() for name, stack in self._stacks.items() if stack.remembers}
+        return {name: stack.latest.copy() for name, stack in self._stacks.items() if stack.remembers}
 
 
 def seen(pictures: Mapping[str, Images]) -> See:

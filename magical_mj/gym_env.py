@@ -220,8 +220,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
     def _info(self, *, last: bool) -> dict[str, Any]:
         """The same keys always. TorchRL reads the `dtype` of each value; vectors would lose that of a `numpy.bool`."""
         score = self.score() if last or self._score_every_step else 0.0
-        reached = np.float64(score if last else 0.0)
-        info = {"eval_score": reached, "is_success": np.array(reached == 1.0)}
+        reached = score if last else 0.0
+        info = {"eval_score": np.float64(reached), "is_success": np.array(reached == 1.0)}
         return info | {"score": np.float64(score)} if self._score_every_step else info
 
     def _warn_of_unknown(self, options: Mapping[str, Any]) -> None:
