@@ -109,13 +109,13 @@ class Environment(OpenEnvironment):
         return super().reset()
 
     def get_state(self) -> State:
-        """The present state of the episode, to the bit. Takes about a hundredth of a step."""
+        """The present state of the episode, to the bit. Takes a fortieth of a step's time."""
         return State(self.initial_scene, self.task.steps, self._open().save())
 
     def set_state(self, state: State) -> None:
         """Goes back to a state, of this environment or another with the same task: what follows is the same to the bit.
 
-        Takes about a third of a step; with another scene than the present one, as long as a reset. Observations need
+        Takes half a step's time; with another scene than the present one, as long as a reset. Observations need
         not be the same. The generator that draws later scenes goes on as if nothing had happened.
 
         Raises:

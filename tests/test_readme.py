@@ -1,4 +1,4 @@
-"""Everything that the README shows runs, and its tables are those of the registry."""
+"""Everything that the README and the page about environments show runs, and its tables are those of the registry."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "README.md").read_text()
-PYTHON = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
+PAGE = (ROOT / "docs" / "environments.md").read_text()
+PYTHON = re.findall(r"```python\n(.*?)```", TEXT + PAGE, re.DOTALL)
 COMMANDS = re.findall(r"^\$ magical-mj (.*?)(?: #.*)?$", TEXT, re.MULTILINE)
 
 

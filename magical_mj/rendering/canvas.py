@@ -46,9 +46,12 @@ FORKED: Final = (
 )
 
 
+_IS_DRAWN: Final = np.isin(np.arange(mujoco.mjNGROUP), DRAWN_GROUPS)
+
+
 def drawn(groups: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Which of these geom or skin groups the task cameras see."""
-    return np.isin(groups, DRAWN_GROUPS)
+    return _IS_DRAWN[groups.clip(0, mujoco.mjNGROUP - 1)]  # as MuJoCo takes groups that there are not
 
 
 @dataclass(eq=False)
