@@ -12,5 +12,5 @@ from typing import Final
 PROTOCOL: Final = 1
 """The number of the present environments; `tests/test_protocol.py` fails if they change without a new one."""
 
-DEMONSTRATIONS: Final = 1
+DEMONSTRATIONS: Final = 2
 """The number of the shipped set of demonstrations, which policies learn from."""

@@ -14,9 +14,10 @@ from magical_mj import ENVIRONMENTS, TASKS, Block, Robot, Scene
 from magical_mj.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.errors import InvalidSceneError, UnknownNameError
 from magical_mj.experts import Expert, make_expert, run_episode
-from magical_mj.experts.driving import follow
+from magical_mj.experts.driving import drive, steer
+from magical_mj.experts.hand import Hand
 from magical_mj.experts.lookahead import Lookahead, state_of
-from magical_mj.experts.manoeuvres import obstacles
+from magical_mj.experts.manoeuvres import obstacles, simplified
 from magical_mj.experts.navigation import EMPTY, cells, explore, toll
 from magical_mj.planning import Noise, Subgoal, done
 from magical_mj.planning.arrangements import cluster_targets, line_targets
@@ -121,16 +122,58 @@ def test_blocks_cost_toll_and_walls_stop() -> None:
     assert max(y + radius for _, y, radius in EMPTY) < 0.38
 
 
-def test_ways_are_followed() -> None:
+def test_routes_are_driven() -> None:
+    """Of ways to anywhere in an empty arena only a few points are left, and the robot gets there."""
     env = env_of("MoveToRegion")
     world = Lookahead(env)
-    ways = explore(world.robot, toll(np.empty((0, 3)), loaded=False), 50)
-    start, near = world.save(), 0
+    tolls = toll(np.empty((0, 3)), loaded=False)
+    ways = explore(world.robot, tolls, 50)
+    start = world.save()
     for node in np.random.default_rng(0).integers(len(ways.poses), size=12).tolist():
         world.restore(start)
-        follow(world, ways.to(node), Gripper.CLOSE, 80)
-        near += math.dist(world.robot[:2], ways.poses[node][:2]) < 0.12
-    assert near >= 11
+        route = simplified(ways.to(node), tolls)
+        assert len(route) <= 3
+        assert drive(world, route, Gripper.OPEN, 80, within=0.1)
+        for _ in range(4):
+            world.act(Gripper.OPEN)  # it comes to rest
+        assert math.dist(world.robot[:2], ways.poses[node][:2]) < 0.22
+
+
+def test_a_route_goes_round_a_block() -> None:
+    env = magical_mj.load_scene(Scene(Robot(0, -0.7, 0), (Block("circle", "red", 0, 0, 0),)), observations=())
+    env.reset()
+    world = Lookahead(env)
+    tolls = toll(obstacles(env.scene), loaded=False)
+    ways = explore(world.robot, tolls, 80)
+    node = int(np.hypot(*(ways.poses[:, :2] - (0.0, 0.7)).T).argmin())
+    assert drive(world, simplified(ways.to(node), tolls), Gripper.OPEN, 80, within=0.1)
+    assert world.robot[1] > 0.5
+    assert math.dist(world.block(0), (0, 0)) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("point", "turn", "motion"),
+    [
+        ((0.0, 0.8), Turn.NONE, Drive.FORWARD),
+        ((0.3, 0.8), Turn.RIGHT, Drive.FORWARD),
+        ((-0.8, 0.2), Turn.LEFT, Drive.NONE),
+        ((0.0, -0.2), Turn.NONE, Drive.BACK),
+    ],
+)
+def test_steering_depends_on_where_the_point_is(point: tuple[float, float], turn: Turn, motion: Drive) -> None:
+    env = magical_mj.load_scene(Scene(Robot(0, 0, 0)), observations=())
+    env.reset()
+    assert steer(Lookahead(env), point, 0.0, Gripper.OPEN, reverse=False) == (Gripper.OPEN, turn, motion)
+
+
+def test_a_hand_is_late_now_and_then() -> None:
+    hand = Hand(np.random.default_rng(0))
+    ahead, back = Action(drive=Drive.FORWARD), Action(drive=Drive.BACK)
+    assert hand(None, back) == back
+    done = [hand(ahead, back) for _ in range(400)]
+    assert 70 < done.count(ahead) < 130
+    assert done.count(ahead) + done.count(back) == 400
+    assert {hand.pause() for _ in range(50)} == {0, 1, 2, 3}
 
 
 # lookahead

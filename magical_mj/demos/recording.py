@@ -8,6 +8,7 @@ import dm_env
 import numpy as np
 from numpy.typing import NDArray
 
+from magical_mj.actions import NOOP
 from magical_mj.demos.demonstration import Demonstration, Demonstrator
 from magical_mj.environment import Environment, load
 from magical_mj.episodes import forever, play
@@ -18,6 +19,8 @@ from magical_mj.registry import variant_name
 Floats = NDArray[np.float64]
 
 ATTEMPTS: Final = 10
+REST: Final = 80
+"""Steps without an action after which an expert's demonstration ends, if the episode does not end before."""
 STRIDE: Final = 1_000_003
 """What an expert's seed grows by from one attempt to the next, so that no two demonstrations share one."""
 
@@ -36,6 +39,10 @@ class Recorder:
         self._actions.append(action)
         self._states.append(self._state())
         return now
+
+    def idle(self, steps: int) -> bool:
+        """Whether nothing was done in the last so many steps."""
+        return len(self._actions) >= steps and not any(action != NOOP for action in self._actions[-steps:])
 
     def states(self) -> tuple[Floats, Floats]:
         """The positions and the velocities so far. Shapes (steps + 1, nq) and (steps + 1, nv)."""
@@ -81,7 +88,8 @@ def demonstrate(task: str, variant: str, number: int, least_score: float = 1.0) 
             seed = number + attempt * STRIDE
             expert, recorder = Expert(env, task, seed), Recorder(env)
             for _ in play(recorder, forever(expert)):
-                pass
+                if recorder.idle(REST):
+                    break
             if env.score() >= least_score:
                 return recorder.demonstration(task, variant, number, "expert", seed)
             best = max(best, env.score())

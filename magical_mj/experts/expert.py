@@ -36,7 +36,7 @@ class Expert:
         self._spec.check_plan()
         self._spec.check(env.initial_scene)
         self._env, self._seed = env, seed
-        self._plan = Plan(0.0, [], [])
+        self._plan = Plan(0.0, 0, [], [])
         self._step = 0
 
     @property

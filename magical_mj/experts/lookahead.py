@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.actions import Action, Drive, Gripper, Turn
+from magical_mj.actions import ACTIONS, Action, Drive, Gripper, Turn
 from magical_mj.environment import Environment
+from magical_mj.experts.hand import Hand
 from magical_mj.scene import Pose, Scene
 
 State = NDArray[np.float64]
@@ -43,6 +44,8 @@ class Lookahead:
         """The actions since the last `restore`."""
         self.states: list[State] = []
         """The state after each of them."""
+        self.hand: Hand | None = None
+        """Carries out the actions; None: as they are wanted."""
         self.count = 0
         """How many steps were simulated in all."""
 
@@ -62,9 +65,11 @@ class Lookahead:
 
     def act(self, gripper: Gripper, turn: Turn = Turn.NONE, drive: Drive = Drive.NONE) -> None:
         """One control step."""
-        action = Action(gripper, turn, drive).number
-        self._simulation.act(action)
-        self.trace.append(action)
+        action = Action(gripper, turn, drive)
+        if self.hand is not None:
+            action = self.hand(ACTIONS[self.trace[-1]] if self.trace else None, action)
+        self._simulation.act(action.number)
+        self.trace.append(action.number)
         self.states.append(self.state)
         self.count += 1
 
@@ -91,12 +96,16 @@ class Lookahead:
         x, y, _ = self._world.poses(self._simulation.data.qpos)[1 + index].tolist()
         return x, y
 
+    def relative(self, point: Point) -> Point:
+        """Where a point is in the robot's frame: to its right, ahead of it."""
+        x, y, angle = self.robot
+        dx, dy = point[0] - x, point[1] - y
+        cosine, sine = math.cos(angle), math.sin(angle)
+        return cosine * dx + sine * dy, cosine * dy - sine * dx
+
     def seen(self, index: int) -> Point:
         """Where a block is in the robot's frame: to its right, ahead of it."""
-        x, y, angle = self.robot
-        bx, by = self.block(index)
-        cosine, sine = math.cos(angle), math.sin(angle)
-        return cosine * (bx - x) + sine * (by - y), cosine * (by - y) - sine * (bx - x)
+        return self.relative(self.block(index))
 
     def scene(self) -> Scene:
         """The present scene."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from magical_mj.actions import ACTIONS, Gripper
+from magical_mj.actions import Gripper
+from magical_mj.experts.hand import LATE, Hand
 from magical_mj.experts.lookahead import Lookahead, Snapshot, State
-from magical_mj.experts.manoeuvres import manoeuvres, obstacles, perform
+from magical_mj.experts.manoeuvres import Manoeuvre, manoeuvres, obstacles, perform
 from magical_mj.experts.navigation import explore, toll
 from magical_mj.planning import Noise, done
 from magical_mj.planning.subgoals import Subgoals
@@ -18,21 +18,24 @@ from magical_mj.scene import Scene
 from magical_mj.tasks import TaskSpec
 
 TRIES: Final = 8  # manoeuvres tried in one situation
-SPREAD: Final = 16.0  # actions by which noise makes a manoeuvre more or less promising
-TASTE: Final = 30.0  # and better or worse, once tried
-SMOOTH: Final = 0.8  # share of the cells of the ground that noise leaves as easy as they are
-CALMING: Final = 0.6  # of the strength of the noise remains after each plan that failed
+SPREAD: Final = 4.0  # actions by which noise makes a manoeuvre more or less promising
+TASTE: Final = 5.0  # and better or worse, once tried
+BOLDER, CALMER = 1.5, 0.7  # times as strong are noise and lateness after each plan that failed
 LOSS: Final = 300.0  # actions that a score of 1 is worth
 FAILURE: Final = 60.0  # actions that a subgoal begun and not reached costs
 REACH: Final = 90  # actions, the longest way to anything
 ATTEMPTS: Final = 20  # plans for an episode
+SECOND_THOUGHTS: Final = 2  # plans more for one that is done before time is up
 PAUSE: Final = 4  # actions of waiting when there is nothing to do
+SETTLING: Final = 8  # of waiting with closed fingers, which even learners who leave out the no-ops can imitate
 
 
 class Plan(NamedTuple):
     """Actions from one state on, and where they lead."""
 
     score: float
+    rest: int
+    """How many actions are left when everything is done."""
     actions: list[int]
     states: list[State]
     """Before each action, and after the last."""
@@ -56,45 +59,57 @@ class Planner:
     def plan(self, steps: int, budget: int, rng: np.random.Generator) -> Plan:
         """The best of several plans for the next `steps` actions: the first that gives the full score, if any does.
 
+        One that is done early is preferred to one that has the full score but still drives when time is up.
+
         Args:
             steps: how many actions are left.
             budget: no new plan is begun after so many simulated steps.
-            rng: varies the plans; the less, the more have failed.
+            rng: varies the plans; the more, and with a better hand, the more have failed.
         """
         start, end = self._world.save(), self._world.count + budget
-        best = self._attempt(start, steps, Noise(rng, 1.0))
+        best = self._attempt(start, steps, Noise(rng, 1.0), Hand(rng))
         for failed in range(1, ATTEMPTS):
-            if best.score == 1.0 or self._world.count > end:
+            good = best.score == 1.0 and (best.rest or failed > SECOND_THOUGHTS)
+            if good or self._world.count > end:
                 break
-            best = max(best, self._attempt(start, steps, Noise(rng, CALMING**failed)), key=lambda plan: plan.score)
+            plan = self._attempt(start, steps, Noise(rng, BOLDER**failed), Hand(rng, LATE * CALMER**failed))
+            best = max(best, plan, key=lambda plan: (plan.score, plan.rest))
         return best
 
-    def _attempt(self, start: Snapshot, steps: int, noise: Noise) -> Plan:
+    def _attempt(self, start: Snapshot, steps: int, noise: Noise, hand: Hand) -> Plan:
         world, todo = self._world, ()
         world.restore(start)
         actions: list[int] = []
         states = [world.state]
+        waited, settling = 0, SETTLING + hand.pause()
         while len(actions) < steps:
-            scene, left = world.scene(), steps - len(actions)
+            scene, left, here = world.scene(), steps - len(actions), world.save()
             todo = tuple(subgoal for subgoal in todo if subgoal.left(scene))
             if not todo or self._score(done(scene, todo)) < 1.0:
                 todo = self._spec.subgoals(self._initial, scene, noise)
-            here = world.save()
-            if not todo or not self._do_best(here, scene, todo, left, noise):
-                world.restore(here)
+            option = self._best(here, scene, todo, left, noise)
+            world.restore(here)
+            if option is None:
                 for _ in range(min(PAUSE, left)):
-                    world.act(gripper_of(actions))
+                    world.act(Gripper.CLOSE if waited < settling else Gripper.OPEN)
+                    waited += 1
+            else:
+                waited = 0
+                for _ in range(min(hand.pause(), left)):
+                    world.act(Gripper.OPEN)
+                world.hand = hand
+                perform(world, option, left)
+                world.hand = None
             actions += world.trace
             states += world.states
-        return Plan(self._score(world.scene()), actions, states)
+        return Plan(self._score(world.scene()), waited, actions, states)
 
-    def _do_best(self, here: Snapshot, scene: Scene, todo: Subgoals, left: int, noise: Noise) -> bool:
-        """Tries the most promising manoeuvres and leaves the world after the best; whether there is one."""
+    def _best(self, here: Snapshot, scene: Scene, todo: Subgoals, left: int, noise: Noise) -> Manoeuvre | None:
+        """The best of the most promising manoeuvres, tried from a snapshot; None if there is nothing to do."""
         world = self._world
         tolls = toll(obstacles(scene), loaded=False)
-        tolls[(tolls >= 0) & (noise(1.0, tolls.shape) > SMOOTH)] += 1
         ways = explore(scene.robot.pose, tolls, min(left, REACH))
-        options = [option for subgoal in todo for option in manoeuvres(ways, scene, subgoal, noise)]
+        options = [option for subgoal in todo for option in manoeuvres(ways, tolls, scene, subgoal, noise)]
         options.sort(key=lambda option: option.estimate - option.subgoal.cost(scene) + noise(SPREAD))
         best, best_cost = None, math.inf
         for option in options[:TRIES]:
@@ -104,21 +119,10 @@ class Planner:
             failed = option.subgoal.left(world.scene()) > 0
             cost = handicap + len(world.trace) + self._rest(todo) + FAILURE * failed
             if cost < best_cost and world.trace:
-                best, best_cost = world.save(), cost
-        if best is not None:
-            world.remember(best)
-        return best is not None
+                best, best_cost = option, cost
+        return best
 
     def _rest(self, todo: Subgoals) -> float:
         """About how many actions are left after the present state."""
         scene = self._world.scene()
         return sum(subgoal.cost(scene) for subgoal in todo) + LOSS * (1 - self._score(done(scene, todo)))
-
-
-def gripper_of(actions: Sequence[int]) -> Gripper:
-    """How the fingers are after these actions.
-
-    Whoever waits keeps them so: opened fingers might push something away. And learners who leave out the no-ops would
-    never see a robot wait that has closed them.
-    """
-    return ACTIONS[actions[-1]].gripper if actions else Gripper.OPEN

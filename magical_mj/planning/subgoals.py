@@ -14,12 +14,13 @@ from magical_mj.scene import GoalRegion, Scene
 
 FETCHING: Final = 14  # actions to go to a block, take it and let go of it
 CARRYING: Final = 11  # actions to carry it one unit
-SPREAD: Final = 8.0  # actions by which noise makes a place better or worse
-CHOICE: Final = 20.0  # likewise for one of several blocks
-TOLERANCE: Final = 0.06  # so near its target a block is there
+SPREAD: Final = 2.0  # actions by which noise makes a place better or worse
+WANDER: Final = 10.0  # likewise, where only the robot goes
+CHOICE: Final = 3.0  # likewise for one of several blocks
+TOLERANCE: Final = 0.12  # so near its target a block is there
 APART: Final = 0.27  # between the centres of blocks that do not touch
 CROWDED: Final = 1000.0  # actions for each unit by which they are nearer
-INSIDE, OUTSIDE = 0.08, 0.06  # from the border of a goal region
+INSIDE, OUTSIDE = 0.14, 0.16  # from the border of a goal region
 REACHABLE: Final = 0.84  # blocks are left within this square
 GRID: Final = 0.06
 
@@ -63,38 +64,36 @@ def done(scene: Scene, todo: Iterable[Subgoal]) -> Scene:
     return scene.moved(robot, poses)
 
 
-def _scattered(x_min: float, y_min: float, x_max: float, y_max: float, noise: Noise) -> list[Point]:
-    """Points that fill a box, one in each cell of a grid and nowhere exactly; its middle if the box is empty."""
+def _scattered(x_min: float, y_min: float, x_max: float, y_max: float) -> list[Point]:
+    """Points that fill a box, one in each cell of a grid; its middle if the box is empty."""
     if x_min >= x_max or y_min >= y_max:
         return [((x_min + x_max) / 2, (y_min + y_max) / 2)]
     columns, rows = (math.ceil((high - low) / GRID) for low, high in ((x_min, x_max), (y_min, y_max)))
-    at = np.stack(np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"), axis=-1) + noise.rng.random(
-        (columns, rows, 2)
-    )
+    at = np.stack(np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"), axis=-1) + 0.5
     points = at / (columns, rows) * (x_max - x_min, y_max - y_min) + (x_min, y_min)
     return [(x, y) for x, y in points.reshape(-1, 2).tolist()]
 
 
-def places_anywhere(noise: Noise) -> list[Point]:
+def places_anywhere() -> list[Point]:
     """Places for a block anywhere in the arena."""
-    return _scattered(-REACHABLE, -REACHABLE, REACHABLE, REACHABLE, noise)
+    return _scattered(-REACHABLE, -REACHABLE, REACHABLE, REACHABLE)
 
 
-def places_inside(region: GoalRegion, noise: Noise) -> list[Point]:
+def places_inside(region: GoalRegion) -> list[Point]:
     """Places for a block in a region."""
     box = (region.x_min + INSIDE, region.y_min + INSIDE, region.x_max - INSIDE, region.y_max - INSIDE)
     x_min, y_min, x_max, y_max = (max(-REACHABLE, min(REACHABLE, side)) for side in box)
-    return _scattered(x_min, y_min, x_max, y_max, noise)
+    return _scattered(x_min, y_min, x_max, y_max)
 
 
-def places_outside(regions: Sequence[GoalRegion], noise: Noise) -> list[Point]:
+def places_outside(regions: Sequence[GoalRegion]) -> list[Point]:
     """Places for a block outside of all these regions."""
 
     def clear(place: Point, region: GoalRegion) -> bool:
         aside = max(region.x_min - place[0], place[0] - region.x_max, region.y_min - place[1], place[1] - region.y_max)
         return aside >= OUTSIDE
 
-    return [place for place in places_anywhere(noise) if all(clear(place, region) for region in regions)]
+    return [place for place in places_anywhere() if all(clear(place, region) for region in regions)]
 
 
 def bring(scene: Scene, block: int, places: Iterable[Point], noise: Noise) -> Subgoal:
@@ -115,7 +114,7 @@ def bring(scene: Scene, block: int, places: Iterable[Point], noise: Noise) -> Su
 def drive(scene: Scene, places: Iterable[Point], noise: Noise, tolerance: float) -> Subgoal:
     """The subgoal to drive to the nearest of the places."""
     here = scene.robot
-    place = min(places, key=lambda at: CARRYING * math.dist(at, (here.x, here.y)) + noise(SPREAD))
+    place = min(places, key=lambda at: CARRYING * math.dist(at, (here.x, here.y)) + noise(WANDER))
     return Subgoal(None, place, tolerance)
 
 

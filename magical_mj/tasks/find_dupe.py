@@ -102,14 +102,14 @@ def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
     (query,) = inside(region, initial.blocks)
     alike = sorted(_alike(now, query) - {query})
     todo = [
-        bring(now, number, places_outside(now.regions, noise), noise)
+        bring(now, number, places_outside(now.regions), noise)
         for number in inside(region, now.blocks)
         if number != query and number not in alike
     ]
     if not region.contains(now.blocks[query]):
-        todo.append(bring(now, query, places_inside(region, noise), noise))
+        todo.append(bring(now, query, places_inside(region), noise))
     if not any(region.contains(now.blocks[number]) for number in alike):
-        choices = [bring(now, number, places_inside(region, noise), noise) for number in alike]
+        choices = [bring(now, number, places_inside(region), noise) for number in alike]
         todo.append(min(choices, key=lambda subgoal: subgoal.cost(now) + noise(CHOICE)))
     return todo
 

@@ -103,9 +103,9 @@ def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
         (home,) = inside(region, initial.blocks)
         odd = initial.blocks[home].colour != region.colour
         if odd and any(other.contains(now.blocks[home]) for other in now.regions):
-            todo.append(bring(scene, home, places_outside(now.regions, noise), noise))
+            todo.append(bring(scene, home, places_outside(now.regions), noise))
         elif not odd and not region.contains(now.blocks[home]):
-            todo.append(bring(scene, home, places_inside(region, noise), noise))
+            todo.append(bring(scene, home, places_inside(region), noise))
         scene = done(scene, todo)
     return todo
 

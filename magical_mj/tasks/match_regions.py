@@ -97,9 +97,9 @@ def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
     scene = now
     for number, block in enumerate(now.blocks):
         if block.colour == region.colour and not region.contains(block):
-            todo.append(bring(scene, number, places_inside(region, noise), noise))
+            todo.append(bring(scene, number, places_inside(region), noise))
         elif block.colour != region.colour and region.contains(block):
-            todo.append(bring(scene, number, places_outside(now.regions, noise), noise))
+            todo.append(bring(scene, number, places_outside(now.regions), noise))
         scene = done(scene, todo)
     return todo
 

@@ -55,7 +55,7 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
     """The block goes to the nearest place that is surely near enough to the corner."""
     near = FULL_SCORE_DISTANCE - 2 * TOLERANCE
-    places = [place for place in places_anywhere(noise) if math.dist(place, CORNER) < near]
+    places = [place for place in places_anywhere() if math.dist(place, CORNER) < near]
     return [bring(now, 0, places, noise)]
 
 
