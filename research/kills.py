@@ -38,6 +38,7 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=20, help="of each of the two commands")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # shells ignore it in what they start in the background
     rng = random.Random(arguments.seed)  # noqa: S311 no secret
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

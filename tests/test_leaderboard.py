@@ -224,6 +224,14 @@ def test_a_random_part_is_checked_and_always_the_same(tmp_path: Path) -> None:
     assert found.differing == again.differing
 
 
+def test_an_entry_without_the_protocol_s_scenes_is_not_shown(tmp_path: Path) -> None:
+    lone = Claim(0, "MoveToRegion", "Demo", 100, None, 0.0, "", "ValueError: no")
+    (tmp_path / "entry.json.gz").write_bytes(packed(replace(whole(runs=1), episodes=[lone])))
+    assert check_entry(tmp_path / "entry.json.gz")[1].unfit == [
+        "none of its episodes starts in the scenes of seeds 0 to 99"
+    ]
+
+
 @pytest.mark.parametrize(
     ("card", "arguments", "error", "problem"),
     [
@@ -295,6 +303,14 @@ def test_scores_are_interquartile_means_over_environments_and_runs() -> None:
     assert found.scores["all environments"].low < 0.5 < found.scores["all environments"].high
     assert set(found.scores) == {"all environments", *magical_mj.VARIANTS}
     np.testing.assert_allclose(found.profile[[0, 25, 50]], [1, 0.6, 0.2])
+
+
+def test_only_the_seeds_of_the_protocol_count() -> None:
+    entry = scored(whole(), lambda episode: 0.5)
+    more = [episode._replace(seed=episode.seed + 100, score=1.0) for episode in entry.episodes]
+    found = standing(replace(entry, episodes=entry.episodes + more))
+    assert found.scores["all environments"].value == 0.5
+    assert standing(replace(entry, episodes=more + entry.episodes[100:])).kind == "partial"
 
 
 def test_drops_compare_the_tasks_that_have_the_variant() -> None:

@@ -21,7 +21,7 @@ SCORES: Final = "scores.jsonl"
 SETTINGS: Final = "run.json"
 
 Key = tuple[str, int, str, str, int]
-"""What makes an episode the one it is: policy, run, task, variant, seed."""
+"""Identifies an episode: policy, run, task, variant, seed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,11 +66,11 @@ class Score:
 
     @property
     def key(self) -> Key:
-        """What makes this episode the one it is."""
+        """Identifies this episode."""
         return self.policy, self.run, self.task, self.variant, self.seed
 
     def line(self) -> str:
-        """As a line of the file."""
+        """The episode as a line of the file."""
         return json.dumps(dataclasses.asdict(self), ensure_ascii=False) + "\n"
 
 
@@ -125,7 +125,7 @@ def read(folder: Path) -> list[Score]:
 
 
 def _lines(path: Path) -> list[str]:
-    """All lines that were written to their ends."""
+    """All complete lines."""
     raw = path.read_bytes()
     *lines, rest = raw.split(b"\n")
     if rest:
@@ -138,7 +138,7 @@ def _lines(path: Path) -> list[str]:
 
 
 class ScoreFile:
-    """The file, open for more lines. Only one process may have it open."""
+    """The file, open for appending; locked, so that only one process writes."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / SCORES
@@ -167,7 +167,7 @@ class ScoreFile:
 
 
 def _repair(path: Path) -> None:
-    """Ends the last line if a killed run did not: with its missing end if it is whole, else by taking it away."""
+    """Completes the last line if only its newline is missing, and removes it if a killed run left it half written."""
     raw = path.read_bytes()
     start = raw.rfind(b"\n") + 1
     if start == len(raw):

@@ -22,7 +22,7 @@ from magical_mj.tasks.spec import Rules
 Vectorization = Literal["sync", "async"]
 
 SHOWN: Final = 300
-"""Letters of a setting that an error shows."""
+"""Characters of a setting that an error shows."""
 
 
 @dataclass(frozen=True)
@@ -48,18 +48,26 @@ class EvaluationSettings:
 
     tasks: Annotated[Names, About("Tasks, separated by commas.")] = "all"
     variants: Annotated[Names, About("Variants, separated by commas; pairs that do not exist are left out.")] = "all"
-    episodes: Annotated[int, About("In each environment, in the scenes of seeds 0, 1, ...; the paper's: 100.", 1)] = 100
+    episodes: Annotated[
+        int, About("Episodes in each environment: those of seeds 0, 1, ... The paper plays 100.", 1)
+    ] = 100
     preset: Annotated[str, About("The observations: a preset's name, or an empty one.")] = "LoRes4E"
-    rules: Annotated[Rules, About("Scores and horizons of the paper, or of the released code.")] = "paper"
+    rules: Annotated[Rules, About("Whose scores and horizons: the paper's, or those of its released code.")] = "paper"
     out: Annotated[Path | str | None, About("The folder for the scores.")] = None
     resume: Annotated[bool, About("Go on with what is in the folder.")] = False
-    jobs: Annotated[int | None, About("Processes. By default one per core, where there is work for several.", 1)] = None
-    backend: Annotated[Backend, About("Where they run: on this machine or on a cluster.")] = "local"
-    address: Annotated[str | None, About("Of the cluster, such as tcp://host:8786.")] = None
+    jobs: Annotated[
+        int | None, About("Worker processes; by default one per core, if there is work for several.", 1)
+    ] = None
+    backend: Annotated[Backend, About("Where the workers run: on this machine or on a cluster.")] = "local"
+    address: Annotated[str | None, About("The cluster's address, such as tcp://host:8786.")] = None
     run: Annotated[int, About("The number of the (first) run of each method.", 0)] = 0
-    time_limit: Annotated[float, About("Seconds for one episode; then it has failed.", 0.1)] = 300.0
-    envs: Annotated[int, About("Episodes played side by side in each process, for batches.", 1)] = 1
-    vectorization: Annotated[Vectorization, About("How: in the process itself, or in one each.")] = "sync"
+    time_limit: Annotated[float, About("Seconds after which an episode has failed.", 0.1)] = 300.0
+    envs: Annotated[
+        int, About("Episodes that each worker plays side by side, for policies that act in batches.", 1)
+    ] = 1
+    vectorization: Annotated[
+        Vectorization, About("Side by side in the worker itself (sync), or in a process each (async).")
+    ] = "sync"
     trust: Annotated[bool, About("Load model files that hold code, which then runs.")] = False
 
     def __post_init__(self) -> None:

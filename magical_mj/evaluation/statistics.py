@@ -4,9 +4,9 @@ The unit of the paper's statistics is the mean score of one run (one trained pol
 are standard deviations of such run means (ddof = 0), within an environment over runs, and within a variant over tasks
 and runs. The interquartile mean leaves out the lowest and the highest quarter of the run means.
 
-Intervals are of a stratified bootstrap (Agarwal et al., NeurIPS 2021): the runs of each task are drawn anew. Where
-there is but one run of each task, its episodes are drawn anew instead; that interval knows the chance of the episodes
-but not that of the training.
+Intervals are of a stratified bootstrap (Agarwal et al., NeurIPS 2021): the runs of each task are resampled. Where
+each task has but one run, its episodes are resampled instead; that interval covers the chance of the episodes but not
+that of the training.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def summarise(tasks: Sequence[Sequence[Floats]]) -> Summary:
 
 
 def bootstrap(strata: Sequence[Floats], statistic: Any, resamples: int = RESAMPLES) -> tuple[float, float]:
-    """The percentile interval of a statistic, each stratum drawn anew by itself; NaN if one has a single value.
+    """The percentile interval of a statistic, each stratum resampled by itself; NaN if one has a single value.
 
     Args:
         strata: the values.

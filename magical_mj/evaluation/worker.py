@@ -27,9 +27,9 @@ from magical_mj.registry import sample_scene, task_spec
 T = TypeVar("T")
 
 SEEDS_PER_UNIT: Final = 10
-"""Seconds of work: little is lost when a run is killed, and little is spent on handing units out."""
+"""A few seconds of work: a killed run loses little, and handing out units costs little."""
 GRACE: Final = 1.0
-"""Seconds that a call gets to end once it was told to."""
+"""Seconds that a call has to end after it was told to."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def player() -> Player:
 
 
 class Player:
-    """Plays units, on a thread that can be given up, and keeps the last environment and policy for the next unit."""
+    """Plays units on a thread that can be abandoned, and keeps the last environment and policy for the next unit."""
 
     def __init__(self) -> None:
         self._forget()
@@ -111,7 +111,7 @@ class Player:
         if unit.settings.envs > 1 and not is_blind(policy):
             try:
                 limit = unit.settings.time_limit * len(episodes)
-                wave = self._bench.call(lambda: play_side_by_side(*self._vector(unit, policy), episodes), limit)
+                wave = self._caller.call(lambda: play_side_by_side(*self._vector(unit, policy), episodes), limit)
             except TimeLimitError:
                 self._forget()
             else:
@@ -124,13 +124,13 @@ class Player:
         make = functools.partial(world_for, policy, unit.task, unit.variant, settings.preset, settings.rules)
         world = self._keep("world", _world_key(unit, policy), make)
         try:
-            return self._bench.call(lambda: play(world, policy, episode), settings.time_limit)
+            return self._caller.call(lambda: play(world, policy, episode), settings.time_limit)
         except TimeLimitError as error:
             self._forget()
             return Outcome(0.0, "", settings.time_limit, reason(error))
 
     def _policy_of(self, unit: Unit) -> Act:
-        return self._keep("policy", unit.source, lambda: self._bench.call(unit.source.load, None))
+        return self._keep("policy", unit.source, lambda: self._caller.call(unit.source.load, None))
 
     def _vector(self, unit: Unit, policy: Act) -> tuple[Envs, BatchPolicy]:
         key = (*_world_key(unit, policy), unit.settings.envs, unit.settings.vectorization)
@@ -140,7 +140,7 @@ class Player:
         return envs, self._keep("copies", (key, unit.source), lambda: Copies(policy, envs))
 
     def _keep(self, what: str, key: Any, make: Callable[[], T]) -> T:
-        """The thing that was made for this key; a new one replaces, and closes, that of another key."""
+        """What was made for this key; what was kept for another key is closed and replaced."""
         kept, made = self._kept.get(what, (None, None))
         if made is None or kept != key:
             if made is not None and hasattr(made, "close"):
@@ -150,9 +150,9 @@ class Player:
         return made
 
     def _forget(self) -> None:
-        """Starts afresh: an episode that never ended may still be using everything."""
+        """Drops everything: an episode that never ended may still be using it."""
         self._kept: dict[str, tuple[Any, Any]] = {}
-        self._bench = Workbench()
+        self._caller = TimeLimitedCaller()
 
 
 def _world_key(unit: Unit, policy: Act) -> tuple[Any, ...]:
@@ -198,12 +198,12 @@ class _Stop(BaseException):
     """Thrown into a call that took too long; not an Exception, so that the call's own handlers let it pass."""
 
 
-class Workbench:
+class TimeLimitedCaller:
     """A thread that makes calls one after another, so that its caller need not wait for ever.
 
     An alarm signal would need no thread, but works only in the main thread, which clusters do not give us. A call in
     Python code is stopped; one that is stuck outside of Python is left behind, asleep. After a `TimeLimitError` the
-    bench is used up.
+    caller must not be used again.
     """
 
     def __init__(self) -> None:

@@ -13,7 +13,7 @@ from typing import Any, Final
 from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.scores import read
 from magical_mj.extras import check_extra
-from magical_mj.leaderboard.claims import Checked, Claim, check_claims, missing
+from magical_mj.leaderboard.claims import SEEDS, Checked, Claim, check_claims, missing
 from magical_mj.leaderboard.entry import Entry, claim_of, recorded, unpacked
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.registry import TASKS, check_rules
@@ -121,6 +121,8 @@ def check_entry(
     entry = unpacked(data, path)
     chosen = entry.episodes if everything else _sample(entry.episodes, data)
     findings = Findings(unfit=[] if entry.protocol == PROTOCOL else ["no protocol's number was recorded"])
+    if all(episode.seed >= SEEDS for episode in entry.episodes):
+        findings.unfit.append(f"none of its episodes starts in the scenes of seeds 0 to {SEEDS - 1}")
     findings.replay(chosen, entry.rules, jobs, watch)
     return entry, findings
 

@@ -209,6 +209,8 @@ def unpacked(data: bytes, name: object = "the entry") -> Entry:
         for run, *rest in rows
     ]
     _check_unique(episodes, name)
+    if content["runs"] != sorted({episode.run for episode in episodes}):
+        raise EvaluationError(f"{name} names the runs {content['runs']}, and its episodes are of others")
     kept = {what: content[what] for what in ("card", "observations", "rules", "protocol", "versions")}
     return Entry(**kept, episodes=episodes)
 

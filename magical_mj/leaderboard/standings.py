@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from magical_mj.evaluation.results import PUBLISHED_RULES, published_results
 from magical_mj.evaluation.statistics import bootstrap, interquartile_mean, mean_interval, summarise
-from magical_mj.leaderboard.claims import SEEDS
+from magical_mj.leaderboard.claims import SEEDS, Claim
 from magical_mj.leaderboard.entry import Entry
 from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS
 
@@ -87,10 +87,11 @@ def standing(entry: Entry) -> Standing:
 
 
 def frame(entry: Entry) -> pd.DataFrame:
-    """A row for each episode."""
+    """A row for each episode that the protocol asks for."""
     import pandas as pd
 
-    return pd.DataFrame(entry.episodes, columns=list(entry.episodes[0]._fields))
+    counted = [episode for episode in entry.episodes if episode.seed < SEEDS]
+    return pd.DataFrame(counted, columns=list(Claim._fields))
 
 
 def _gaps(entry: Entry) -> list[str]:
