@@ -11,12 +11,9 @@ from typing import Any
 from fetch import MUJOCO, fetched
 
 import magical_mj
-from magical_mj.assets.robot import controls
-from magical_mj.assets.world import world_mjcf
-from magical_mj.scene import Scene
 from magical_mj.web import PAGE
 from magical_mj.web.catalogue import catalogue
-from magical_mj.web.scenes import environment_scenes, with_models
+from magical_mj.web.scenes import environment_scenes, exported, with_models
 
 
 def write_play(folder: Path) -> int:
@@ -25,11 +22,14 @@ def write_play(folder: Path) -> int:
     shutil.copytree(PAGE, folder)
     for task, variant in magical_mj.ENVIRONMENTS:
         data = environment_scenes(task, variant)
-        models = [world_mjcf(Scene.from_json(json.dumps(entry["scene"]))) for entry in data["scenes"]]
+        env = magical_mj.load(task, variant, seed=0, observations=())
+        models = []
+        for entry in data["scenes"]:
+            env.reset(seed=entry["seed"])
+            models.append(exported(env))
+        env.close()
         _write(folder / "scenes" / f"{task}-{variant}.json", with_models(data, models))
-    _write(
-        folder / "catalogue.json", {**catalogue(magical_mj.ENVIRONMENTS, "browser"), "controls": controls().tolist()}
-    )
+    _write(folder / "catalogue.json", catalogue(magical_mj.ENVIRONMENTS, "browser"))
     (folder / "mujoco").mkdir()
     for name in ("mujoco.js", "mujoco.wasm"):
         shutil.copy(fetched(MUJOCO) / name, folder / "mujoco" / name)

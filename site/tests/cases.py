@@ -11,12 +11,11 @@ from typing import Any, Final
 import numpy as np
 
 import magical_mj
-from magical_mj.assets.robot import controls
-from magical_mj.assets.world import world_mjcf
 from magical_mj.environment import Environment
 from magical_mj.scene import Scene
 from magical_mj.web.catalogue import scene_data
 from magical_mj.web.look import look
+from magical_mj.web.scenes import exported
 
 ROUGH: Final = 200
 GLANCES: Final = (1, 20, 100)  # steps after which states are compared; and the last one
@@ -42,6 +41,7 @@ def episodes() -> Iterator[dict[str, Any]]:
 def _played(name: str, task: str, scene: Scene, actions: list[int]) -> dict[str, Any]:
     env = magical_mj.load(task, scene=scene, observations=())
     env.reset()
+    mjcf = exported(env)
     glances = {}
     for step, action in enumerate(actions, start=1):
         last = env.step(action).last()
@@ -55,7 +55,7 @@ def _played(name: str, task: str, scene: Scene, actions: list[int]) -> dict[str,
         "name": name,
         "task": task,
         "scene": scene_data(scene),
-        "mjcf": world_mjcf(scene),
+        "mjcf": mjcf,
         "actions": actions[: max(glances)],
         "glances": glances,
         "score": score,
@@ -105,5 +105,5 @@ if __name__ == "__main__":
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
     cases = {"episodes": list(episodes()), "scores": list(scores()), "pictures": list(pictures())}
-    for name, content in {**cases, "controls": controls().tolist(), "look": look()}.items():
+    for name, content in {**cases, "look": look()}.items():
         (folder / f"{name}.json").write_text(json.dumps(content))

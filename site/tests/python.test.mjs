@@ -31,7 +31,7 @@ test("scores are Python's", async () => {
 });
 
 test("episodes go as in Python", async () => {
-  const [mujoco, episodes, controls] = await Promise.all([loadMujoco(), read("episodes"), read("controls")]);
+  const [mujoco, episodes] = await Promise.all([loadMujoco(), read("episodes")]);
   const kinds = { demonstration: 0, "rough drive": 0.02 };  // share whose score may differ: heaps of blocks are chaotic
   for (const [kind, share] of Object.entries(kinds)) {
     const chosen = episodes.filter((/** @type {any} */ { name }) => name.startsWith(kind));
@@ -39,7 +39,7 @@ test("episodes go as in Python", async () => {
     const worst = { 1: 0, 20: 0, 100: 0, end: 0 };
     const unequal = [];
     for (const { name, task, scene, mjcf, actions, glances, score: right } of chosen) {
-      const simulation = new Simulation(mujoco, mjcf, scene, controls);
+      const simulation = new Simulation(mujoco, mjcf, scene);
       let now = scene;
       actions.forEach((/** @type {number} */ action, /** @type {number} */ i) => {
         now = simulation.act(action);

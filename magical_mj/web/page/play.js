@@ -19,7 +19,7 @@ const arena = element("arena");
 const controls = new Controls(arena, document.querySelectorAll("[data-command]"));
 const catalogue = await fetchJson("catalogue.json");
 const seat = catalogue.simulation === "server" ? new Seat() : null;
-const open = seat?.open ?? inBrowser(catalogue.controls);
+const open = seat?.open ?? inBrowser();
 
 /** What is on the page now. */
 const shown = {

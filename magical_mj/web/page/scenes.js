@@ -30,14 +30,13 @@ export async function fetchJson(path) {
 
 /**
  * Simulates in the browser, with MuJoCo's WebAssembly build.
- * @param {number[][]} controls  what each action writes into ctrl
  * @returns {Opener}
  */
-export function inBrowser(controls) {
+export function inBrowser() {
   const loading = import(new URL("mujoco/mujoco.js", document.baseURI).href).then((module) => module.default());
   return async ({ elements = [] }, { scene, mjcf = [] }) => {
     if (!scene) throw new Error("there is no such scene here");
-    const simulation = new Simulation(await loading, mjcf.map((i) => elements[i]).join(""), scene, controls);
+    const simulation = new Simulation(await loading, mjcf.map((i) => elements[i]).join(""), scene);
     return { scene, act: (action) => simulation.act(action), close: () => simulation.close() };
   };
 }

@@ -1,25 +1,24 @@
 // @ts-check
 /**
- * One world in MuJoCo's WebAssembly build.
+ * One world in MuJoCo's WebAssembly build, from a file that `magical_mj.export_mjcf` wrote: it says what an action does.
  * @typedef {import("./scene.js").Scene} Scene
  */
 import { moved } from "./scene.js";
 
-const SUBSTEPS = 10;  // calls of mj_step for an action, as in magical_mj.assets.world
-
 export class Simulation {
   /**
    * @param {any} mujoco  the module that its loader gives
-   * @param {string} mjcf  the world, at rest in its scene
-   * @param {Scene} scene
-   * @param {number[][]} controls  what each action writes into ctrl
+   * @param {string} mjcf  the world at the start of an episode
+   * @param {Scene} scene  the same
    */
-  constructor(mujoco, mjcf, scene, controls) {
+  constructor(mujoco, mjcf, scene) {
     this.mujoco = mujoco;
     this.scene = scene;
-    this.controls = controls;
     this.model = mujoco.MjModel.from_xml_string(mjcf);
     this.data = new mujoco.MjData(this.model);
+    mujoco.mj_resetDataKeyframe(this.model, this.data, 0);
+    this.controls = this.#numbers("controls");  // a row for each action
+    [this.substeps] = this.#numbers("substeps");
     const address = (/** @type {string} */ joint) => {
       const id = mujoco.mj_name2id(this.model, mujoco.mjtObj.mjOBJ_JOINT.value, joint);
       return this.model.jnt_qposadr[id];
@@ -37,11 +36,23 @@ export class Simulation {
    * @returns {Scene} the scene after it
    */
   act(action) {
-    this.data.ctrl.set(this.controls[action]);
-    for (let i = 0; i < SUBSTEPS; i++) this.mujoco.mj_step(this.model, this.data);
+    const { ctrl } = this.data;
+    ctrl.set(this.controls.subarray(action * ctrl.length, (action + 1) * ctrl.length));
+    for (let i = 0; i < this.substeps; i++) this.mujoco.mj_step(this.model, this.data);
     const qpos = this.data.qpos, { robot, fingers, blocks } = this.addresses;
     const planar = (/** @type {number} */ first) => [qpos[first], qpos[first + 1], qpos[first + 2]];
     return moved(this.scene, { robot: planar(robot), fingers: fingers.map((at) => qpos[at]), blocks: blocks.map(planar) });
+  }
+
+  /**
+   * What the model's <custom> says under a name.
+   * @param {string} name
+   * @returns {Float64Array}
+   */
+  #numbers(name) {
+    const { numeric_adr: first, numeric_size: size, numeric_data: data } = this.model;
+    const id = this.mujoco.mj_name2id(this.model, this.mujoco.mjtObj.mjOBJ_NUMERIC.value, name);
+    return data.slice(first[id], first[id] + size[id]);
   }
 
   /** Frees the memory, which JavaScript does not do by itself. */
