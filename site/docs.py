@@ -17,7 +17,7 @@ from magical_mj.web.look import look
 ROOT: Final = Path(__file__).parent.parent
 PAGES: Final = ROOT / "site" / "pages"
 SOURCES: Final = ROOT / "out" / "site-sources"
-PLACEHOLDER: Final = re.compile(r"^<!-- (README|file|actions|docstring|others): ?(.*?) -->$", re.MULTILINE)
+PLACEHOLDER: Final = re.compile(r"^<!-- (README|file|actions|others): ?(.*?) -->$", re.MULTILINE)
 LINK: Final = re.compile(r"\[([^]]*)\]\((?!https?:|#)([\w./-]+)(#[\w-]*)?\)")
 REPOSITORY_FILES: Final = {"README.md": "index.md", "CHANGELOG.md": "changelog.md"}
 
@@ -57,8 +57,6 @@ def _filled(found: re.Match[str]) -> str:
     if kind == "others":  # pages of docs/ that the index does not name
         index = (PAGES / "index.md").read_text(encoding="utf-8").split()
         return "\n".join(path.stem for path in sorted((ROOT / "docs").glob("*.md")) if path.stem not in index)
-    if kind == "docstring":
-        return (ROOT / name).read_text(encoding="utf-8").split('"""')[1]
     rows = (
         f"| {number} | {' | '.join(part.name.lower() for part in action)} |" for number, action in enumerate(ACTIONS)
     )
