@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -199,6 +201,13 @@ def test_scenes_do_not_depend_on_who_draws_them() -> None:
         np.testing.assert_array_equal(here.poses, there.poses)
     np.testing.assert_array_equal(drawn[2][1].poses[0], drawn[0][1].poses[0])
     np.testing.assert_array_equal(drawn[2][2].poses[0], drawn[0][0].poses[0])
+
+
+def test_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    page = (Path(__file__).parent.parent / "docs" / "batched.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    exec(compile(code, "batched.md", "exec"), {})
+    assert capsys.readouterr().out == f"{torch.zeros(4, dtype=torch.float64)} {torch.zeros(4, dtype=torch.bool)}\n"
 
 
 def test_wrong_settings_are_named() -> None:

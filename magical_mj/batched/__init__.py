@@ -62,6 +62,9 @@ def make(
         UnknownNameError: if there is no such task, variant or preset.
     """
     check_extra("batched worlds", "gpu")
+    import warp
+
+    warp.config.quiet = True  # or it tells of every kernel that it compiles
     from magical_mj.batched.environment import BatchedEnv
     from magical_mj.batched.physics import check_device
 

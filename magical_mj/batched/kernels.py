@@ -14,8 +14,6 @@ import warp as wp
 from magical_mj import constants as c
 from magical_mj.assets import style
 
-wp.config.quiet = True  # Warp would tell of every kernel that it compiles
-
 ROBOT_LAYERS: Final = (
     ("pupils", 0, style.BLACK),
     ("eyes", 0, style.WHITE),

@@ -102,6 +102,18 @@ class Physics:
             place[worlds] = torch.from_numpy(start).to(place)
         self._overflow[worlds] = 0
 
+    def take_over(self, world: int, data: mujoco.MjData) -> None:
+        """Puts a world into the state of a simulation of the scene that it holds, in the middle of an episode."""
+        own = len(data.qpos) - (self.model.nq - 3 * self.blocks)  # coordinates of the scene's blocks
+        state = {"qpos": data.qpos, "qvel": data.qvel, "act": data.act, "qacc_warmstart": data.qacc_warmstart}
+        for name, values in state.items():
+            row = self._state[name][world]
+            given = torch.from_numpy(np.array(values)).to(row)
+            if name == "act":
+                row[:] = given
+            else:
+                row[:own], row[3 * self.blocks :] = given[:own], given[own:]
+
     def _precise(self, friction: NDArray[np.float64]) -> NDArray[np.float64]:
         """The friction of pairs, which presses with a force in proportion to 1 / (1 - impedance), repaired."""
         impedance = self.model.pair_solimp[:, 0]

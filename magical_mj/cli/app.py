@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 import magical_mj
-from magical_mj.cli import bench, demo, demos, doctor, environments, evaluate, leaderboard, play, results
+from magical_mj.cli import bench, demo, demo_exports, demos, doctor, environments, evaluate, leaderboard, play, results
 from magical_mj.cli.console import complain
 from magical_mj.errors import MagicalError
 
@@ -29,6 +29,7 @@ app.command("compare")(results.make_comparison)
 app.command("verify")(leaderboard.verify_folder)
 app.command("submit")(leaderboard.make_entry)
 app.command("leaderboard")(leaderboard.make_leaderboard)
+demos.app.command("export")(demo_exports.export)
 app.add_typer(demos.app, name="demos")
 app.command("play")(play.play)
 app.command("export")(environments.export)

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from functools import partial
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -47,12 +47,6 @@ Least = Annotated[float, typer.Option(min=0, max=1, help="The score that a demon
 Filmed = Annotated[int, typer.Option("--count", min=1, help="How many to film at most.")]
 Movie = Annotated[Path, typer.Option("--out", help="The MP4 file.", show_default=False)]
 Speed = Annotated[int, typer.Option(min=1, help="Times real time.")]
-Target = Annotated[Literal["npz", "minari"], typer.Option(help="A numpy archive, or a Minari data set.")]
-Name = Annotated[
-    str | None, typer.Option("--out", help="The file, or the data set's id.", show_default="by environment and preset")
-]
-Preset = Annotated[str | None, typer.Option(help="The observations.", show_default="LoRes4E; State for Minari")]
-DropNoop = Annotated[bool, typer.Option(help="For npz: leave out the steps in which nothing is done.")]
 
 app = typer.Typer(help="Demonstrations: make, import, check, see and export them.")
 
@@ -129,7 +123,7 @@ def _replayed(file: Path) -> Imported:
 @app.command()
 def info(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "all") -> None:
     """Say what is in demonstrations: scores, lengths, and how much they differ from each other."""
-    describe(_read(paths, tasks, variants))
+    describe(read_chosen(paths, tasks, variants))
 
 
 def describe(demos: Sequence[Demonstration]) -> None:
@@ -207,7 +201,7 @@ def video(
 ) -> None:
     """Film demonstrations, both views side by side."""
     check_suffix(out, ".mp4")
-    demos = _read(paths, tasks, variants)[:count]
+    demos = read_chosen(paths, tasks, variants)[:count]
     claim(out, force)
     with film(out, size, speed) as made:
         for demo in demos:
@@ -224,39 +218,7 @@ def video(
     console().print(out, soft_wrap=True)
 
 
-@app.command()
-def export(
-    paths: Paths = None,
-    tasks: Tasks = "all",
-    variants: Variants = "all",
-    to: Target = "npz",
-    out: Name = None,
-    preset: Preset = None,
-    drop_noop: DropNoop = True,
-    force: Force = False,
-) -> None:
-    """Hand demonstrations to other tools."""
-    demos = _read(paths, tasks, variants)
-    screen = console()
-    names = list(dict.fromkeys(demo.name for demo in demos))
-    if to == "npz":
-        preset = "LoRes4E" if preset is None else preset
-        path = Path(out or f"{names[0] if len(names) == 1 else 'demonstrations'}-{preset or 'views'}{SUFFIX}")
-        check_suffix(path, SUFFIX)
-        magical_mj.demos.to_npz(demos, claim(path, force), preset, drop_noop=drop_noop, overwrite=force)
-        screen.print(path, soft_wrap=True)
-        return
-    if out is not None and len(names) > 1:
-        raise typer.BadParameter(
-            f"one data set holds one environment, but these are of {', '.join(names)}: drop --out."
-        )
-    for name in names:
-        some = [demo for demo in demos if demo.name == name]
-        preset = "State" if preset is None else preset
-        screen.print(magical_mj.demos.to_minari(some, out, preset, overwrite=force), soft_wrap=True)
-
-
-def _read(paths: Sequence[Path] | None, tasks: str, variants: str) -> list[Demonstration]:
+def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str) -> list[Demonstration]:
     """The demonstrations in files and folders, or the shipped ones, that are of these tasks and variants."""
     demos = [magical_mj.demos.read(path) for path in _files(paths)]
     if (tasks, variants) == ("all", "all"):

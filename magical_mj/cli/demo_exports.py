@@ -1,0 +1,76 @@
+"""`magical-mj demos export`: demonstrations for other tools: numpy, Minari, LeRobot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import typer
+
+import magical_mj
+from magical_mj.cli.console import Force, Tasks, Variants, check_suffix, claim, claim_folder, console
+from magical_mj.cli.demos import SUFFIX, Paths, read_chosen
+from magical_mj.demos.lerobot import to_lerobot
+from magical_mj.errors import SettingsError
+
+VIEWS: Final = {"LoRes4E": "ego", "LoRes4A": "allo", "LoResStack": "both"}
+"""By preset: what LeRobot's policies see, which stack frames themselves if they want any."""
+
+Target = Annotated[
+    Literal["npz", "minari", "lerobot"], typer.Option(help="A numpy archive, or Minari or LeRobot data sets.")
+]
+Name = Annotated[
+    str | None,
+    typer.Option("--out", help="The file, the data set's id, or the folder.", show_default="by environment and preset"),
+]
+Preset = Annotated[str | None, typer.Option(help="The observations.", show_default="LoRes4E; State for Minari")]
+DropNoop = Annotated[bool, typer.Option(help="For npz: leave out the steps in which nothing is done.")]
+Video = Annotated[bool, typer.Option("--video", help="For LeRobot: videos, which are lossy, instead of pictures.")]
+Fingers = Annotated[bool, typer.Option("--fingers", help="For LeRobot: the fingers' angles, too.")]
+
+
+def export(
+    paths: Paths = None,
+    tasks: Tasks = "all",
+    variants: Variants = "all",
+    to: Target = "npz",
+    out: Name = None,
+    preset: Preset = None,
+    drop_noop: DropNoop = True,
+    video: Video = False,
+    fingers: Fingers = False,
+    force: Force = False,
+) -> None:
+    """Hand demonstrations to other tools."""
+    demos = read_chosen(paths, tasks, variants)
+    screen = console()
+    names = list(dict.fromkeys(demo.name for demo in demos))
+    if to == "npz":
+        preset = "LoRes4E" if preset is None else preset
+        path = Path(out or f"{names[0] if len(names) == 1 else 'demonstrations'}-{preset or 'views'}{SUFFIX}")
+        check_suffix(path, SUFFIX)
+        magical_mj.demos.to_npz(demos, claim(path, force), preset, drop_noop=drop_noop, overwrite=force)
+        screen.print(path, soft_wrap=True)
+        return
+    if out is not None and len(names) > 1:
+        raise typer.BadParameter(
+            f"one data set holds one environment, but these are of {', '.join(names)}: drop --out."
+        )
+    for name in names:
+        some = [demo for demo in demos if demo.name == name]
+        if to == "minari":
+            preset = "State" if preset is None else preset
+            made = magical_mj.demos.to_minari(some, out, preset, overwrite=force)
+        else:
+            views = _views("LoRes4E" if preset is None else preset)
+            folder = Path(out or f"{name}-{views}{'-fingers' if fingers else ''}-lerobot")
+            claim_folder(folder.parent)
+            to_lerobot(some, folder, views=views, fingers=fingers, video=video)
+            made = str(folder)
+        screen.print(made, soft_wrap=True)
+
+
+def _views(preset: str) -> str:
+    if preset not in VIEWS:
+        raise SettingsError(f"LeRobot data sets are of the presets {', '.join(VIEWS)}, not {preset}")
+    return VIEWS[preset]

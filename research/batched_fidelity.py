@@ -1,0 +1,131 @@
+"""How near batched worlds stay to MuJoCo's own: from states in mid-episode, and over whole episodes played open loop.
+
+python research/batched_fidelity.py actions [--states 200] [--steps 10] [--device cpu]
+python research/batched_fidelity.py replays [--count 25] [--device cpu] [--human ARCHIVE]
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+import magical_mj
+from magical_mj.batched.physics import Physics
+from magical_mj.batched.scenes import Capacity, SceneArrays
+from magical_mj.batched.scores import Start, score
+from magical_mj.scene import Scene
+
+BATCH = 60
+"""Worlds at a time: Warp's CPU device takes 60 to 190 ms for an action of one."""
+
+
+def table(scene: Scene) -> NDArray[np.float64]:
+    """x, y, angle of the robot and of each block."""
+    return np.array([scene.robot.pose, *(block.pose for block in scene.blocks)])
+
+
+def held(rng: np.random.Generator, steps: int) -> list[int]:
+    """Random actions, each held for a few steps, so that the robot gets somewhere."""
+    actions: list[int] = []
+    while len(actions) < steps:
+        actions += [int(rng.integers(18))] * int(rng.integers(2, 7))
+    return actions[:steps]
+
+
+def compare(states: int, steps: int, device: str) -> None:
+    """Prints how far the worst body of a world is off after each action, over states of all environments."""
+    rng = np.random.default_rng(0)
+    rows: list[tuple[str, NDArray[np.float64]]] = []
+    pairs = magical_mj.ENVIRONMENTS
+    for first in range(0, states, BATCH):
+        chosen = [pairs[number % len(pairs)] for number in range(first, min(first + BATCH, states))]
+        envs = [magical_mj.load(*pair, seed=first, observations=()) for pair in chosen]
+        for env in envs:
+            env.reset()
+            for action in held(rng, int(rng.integers((env.horizon or 1) - steps))):
+                env.step(action)
+        scenes = [env.initial_scene for env in envs]
+        physics = Physics(SceneArrays.of(scenes, Capacity.of(scenes)), device)
+        for world, env in enumerate(envs):
+            physics.take_over(world, env.physics.data.ptr)
+        plans = np.array([held(rng, steps) for _ in envs])
+        errors = np.zeros((len(envs), steps))
+        for step in range(steps):
+            physics.step(torch.from_numpy(plans[:, step]).to(device))
+            poses = physics.poses.cpu().numpy()
+            for world, env in enumerate(envs):
+                env.step(int(plans[world, step]))
+                wanted = table(env.scene)
+                errors[world, step] = np.linalg.norm(poses[world, : len(wanted), :2] - wanted[:, :2], axis=-1).max()
+        rows += [(f"{task}-{variant}", error) for (task, variant), error in zip(chosen, errors, strict=True)]
+        print(f"{len(rows)} states", flush=True)
+    every = np.array([errors for _, errors in rows])
+    for step in (1, steps):
+        median, most, worst = np.quantile(every[:, step - 1], (0.5, 0.95, 1.0))
+        print(f"after {step}: median {median:.1e}, 95 % below {most:.1e}, at most {worst:.1e}")
+    for name, errors in sorted(rows, key=lambda row: -row[1][-1])[:10]:
+        print(f"  {name}: {errors[0]:.1e} after one action, {errors[-1]:.1e} after {steps}")
+
+
+def sequences(human: Path | None, count: int) -> Iterator[tuple[str, str, Scene, NDArray[np.int64]]]:
+    """Who, task, scene and actions of what is replayed."""
+    for task in magical_mj.TASKS:
+        for demo in magical_mj.demos.load(task)[:count]:
+            yield "expert", task, demo.scene, demo.actions.astype(np.int64)
+    if human is not None and human.exists():
+        with np.load(human) as data:
+            for key in data.files:
+                if key.endswith("/actions"):
+                    task = key.split("/")[0]
+                    yield "people", task, magical_mj.sample_scene(task, "Demo", 0), data[key].astype(np.int64)
+
+
+def replay(human: Path | None, count: int, device: str) -> None:
+    """Prints mean scores of sequences replayed here and in batched worlds, by task."""
+    groups: dict[tuple[str, str], list[tuple[Scene, NDArray[np.int64]]]] = {}
+    for who, task, scene, actions in sequences(human, count):
+        groups.setdefault((who, task), []).append((scene, actions))
+    for (who, task), cases in groups.items():
+        ours = []
+        for scene, actions in cases:
+            env = magical_mj.load(task, scene=scene, observations=())
+            env.reset()
+            for action in actions:
+                env.step(int(action))
+            ours.append(env.score())
+        scenes, length = [scene for scene, _ in cases], max(len(actions) for _, actions in cases)
+        arrays = SceneArrays.of(scenes, Capacity.of(scenes))
+        physics, start = Physics(arrays, device), Start.of(arrays, device)
+        ends = torch.zeros(len(cases), dtype=torch.float64)
+        for step in range(length):
+            plan = [int(actions[step]) if step < len(actions) else 0 for _, actions in cases]
+            physics.step(torch.tensor(plan, device=device))
+            now = score(task, start, physics.poses.double()).cpu()
+            last = torch.tensor([step == len(actions) - 1 for _, actions in cases])
+            ends = torch.where(last, now, ends)
+        print(f"{who} {task}: {len(cases)} sequences, here {np.mean(ours):.3f}, batched {ends.mean():.3f}", flush=True)
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("actions", "replays"))
+    parser.add_argument("--states", type=int, default=200)
+    parser.add_argument("--steps", type=int, default=10)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--human", type=Path, help="an archive of people's sequences, task/number/actions")
+    parser.add_argument("--count", type=int, default=25, help="demonstrations of each task")
+    chosen = parser.parse_args()
+    if chosen.what == "actions":
+        compare(chosen.states, chosen.steps, chosen.device)
+    else:
+        replay(chosen.human, chosen.count, chosen.device)
+
+
+if __name__ == "__main__":
+    main()
