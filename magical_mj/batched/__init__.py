@@ -64,7 +64,7 @@ def make(
     check_extra("batched worlds", "gpu")
     import warp
 
-    warp.config.quiet = True  # or it tells of every kernel that it compiles
+    warp.config.log_level = warp.LOG_ERROR  # or it tells of every kernel that it compiles
     from magical_mj.batched.environment import BatchedEnv
     from magical_mj.batched.physics import check_device
 
