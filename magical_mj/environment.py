@@ -125,6 +125,8 @@ class Environment(OpenEnvironment):
         self._open()
         if not isinstance(state, State):
             raise StateError(f"set_state() takes what get_state() gave, not {type(state).__name__}")
+        if not isinstance(state.steps, int) or state.steps < 0:
+            raise StateError(f"the steps of a state are an integer from 0 up, not {state.steps!r}")
         if self.task.next_scene is not None or state.scene != self.initial_scene:
             self.task.settings.check(state.scene)
             self.over = True  # until the rest is well, too

@@ -18,7 +18,7 @@ from magical_mj import constants as c
 from magical_mj.actions import ACTIONS, to_discrete
 from magical_mj.env_settings import Reward
 from magical_mj.environment import Environment, load
-from magical_mj.errors import InvalidSceneError, check_name
+from magical_mj.errors import InvalidSceneError, SettingsError, check_name
 from magical_mj.frames import Images, Stacks
 from magical_mj.observations import CAMERAS, STATE_NAMES, VIEWS
 from magical_mj.presets import Layout
@@ -148,7 +148,9 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             StateError: if the state is none of an episode of the task that goes on.
         """
         super().reset(seed=seed)
-        options = options or {}
+        options = {} if options is None else options
+        if not isinstance(options, Mapping):
+            raise SettingsError(f'options are a dict such as {{"scene": scene}}, not {options!r:.80}')
         self._warn_of_unknown(options)
         scene, state = _scene_option(options), options.get("state")
         if scene is not None or state is not None:

@@ -20,6 +20,7 @@ from magical_mj.rendering.canvas import Picture
 from magical_mj.rendering.renderer import Renderer, SolidRenderer
 
 _RK4: Final = mujoco.mjtIntegrator.mjINT_RK4.value
+_LEAST: Final = np.iinfo(np.int32).min
 _INTEGRATION: Final = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
@@ -106,10 +107,14 @@ class Simulation(UnindexedPhysics):
         """
         model, data = self.model.ptr, self.data.ptr
         size = mujoco.mj_stateSize(model, _INTEGRATION)
-        if saved.shape != (size + model.ntree,) or not np.isfinite(saved).all():
-            raise StateError(f"a state of this scene is {size + model.ntree} finite numbers, not {saved.shape}")
-        asleep = saved[size:].astype(np.int32)
-        if not np.array_equal(np.sort(asleep[asleep >= 0]), np.flatnonzero(asleep >= 0)):
+        whole = isinstance(saved, np.ndarray) and saved.dtype == np.float64 and saved.shape == (size + model.ntree,)
+        if not whole or not np.isfinite(saved).all():
+            raise StateError(
+                f"a state of this scene is an array of {size + model.ntree} finite float64; see get_state()"
+            )
+        asleep = saved[size:]
+        sleeping = asleep >= 0
+        if not np.array_equal(np.sort(asleep[sleeping]), np.flatnonzero(sleeping)) or asleep.min() < _LEAST:
             raise StateError("the state is damaged: what sleeps must sleep together with something that sleeps")
         mujoco.mj_resetData(model, data)
         mujoco.mj_setState(model, data, saved[:size], _INTEGRATION)

@@ -106,6 +106,9 @@ def test_unknown_options_are_ignored_with_one_warning() -> None:
         env.reset(seed=4, options={"task_id": 2})
     with pytest.raises(InvalidSceneError, match="scene"), pytest.warns(UserWarning, match="'other'"):
         env.reset(options={"scene": 3, "other": None})
+    for wrong in ("scene", 3, ["scene"]):
+        with pytest.raises(SettingsError, match="options are a dict"):
+            env.reset(options=wrong)
     env.reset(options={})
 
 
@@ -141,7 +144,7 @@ def test_rendered_views(size: int) -> None:
 
 
 def test_unknown_views_and_sizes_are_refused() -> None:
-    with pytest.raises(UnknownNameError, match="ego, allo, both"):
+    with pytest.raises(UnknownNameError, match="ego, allo, scene, both"):
         gymnasium.make(CLUSTER, render_view="top")
     with pytest.raises(SettingsError, match=r"render_size must be an integer in 1\.\."):
         gymnasium.make(CLUSTER, render_size=0)
