@@ -119,6 +119,7 @@ def _after_one_draw(learner: BehaviouralCloning) -> torch.Generator:
     return generator
 
 
+@pytest.mark.slow
 def test_only_normal_heads_learn_by_the_papers_sgd() -> None:
     """With a small network and three demonstrations; docs/learners.md has the command for the full setting."""
     losses = {}

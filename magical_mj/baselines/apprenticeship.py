@@ -23,6 +23,7 @@ FIGURES: Final[tuple[str, ...]] = ("reconstruction", "distance", "reward", "scor
 CHUNK: Final = 64
 """Samples at a time: the paper's first layer gives 2.4 MB for each."""
 ACTION_WEIGHT: Final = 0.1
+"""Of the actions' log loss beside the observations' squared error, which is far smaller."""
 RESTART: Final = 100
 """Batches of the autoencoder between two looks for features that are always 0."""
 

@@ -55,9 +55,10 @@ class BehaviouralCloning(Learner):
         """One batch. Its log loss, and the share of actions that were the most probable ones."""
         observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._draw)
         actions, tasks = actions.to(self.device), tasks.to(self.device)
+        seen = self._augment(as_input(observations, self.device), self._noise)
         self._actor.train()
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.settings.precision == "bfloat16"):
-            logits = self._actor(self._augment(as_input(observations, self.device), self._noise), tasks)
+            logits = self._actor(seen, tasks)
         loss = nn.functional.cross_entropy(logits.float(), actions)
         self._optimizer.zero_grad()
         loss.backward()
@@ -75,11 +76,9 @@ class BehaviouralCloning(Learner):
             norm.momentum = None  # the plain mean
         self._actor.train()
         for _ in range(CALIBRATION if norms else 0):
-            batch = self._data.sample(self.settings.bc.batch_size, draw)
+            observations, _, tasks = self._data.sample(self.settings.bc.batch_size, draw)
             with torch.no_grad():
-                self._actor(
-                    self._augment(as_input(batch.observations, self.device), noise), batch.tasks.to(self.device)
-                )
+                self._actor(self._augment(as_input(observations, self.device), noise), tasks.to(self.device))
         for norm in norms:
             norm.momentum = 0.1  # PyTorch's
 
@@ -112,6 +111,7 @@ def clone(settings: TrainingSettings, demonstrations: Demonstrations | None = No
     learner = BehaviouralCloning(settings, demonstrations)
     for _ in range(learner.updates):
         learner.update()
+    learner.recalibrate()
     return TrainedPolicy(learner.actor, settings.tasks, settings.preset)
 
 

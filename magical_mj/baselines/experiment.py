@@ -35,8 +35,8 @@ ENTRIES: Final = {
 }
 """Of an experiment's file, with examples; the first three must be there."""
 EVALUATION: Final = {name: getattr(EvaluationSettings, name) for name in ("variants", "episodes", "rules")}
-SIDE_BY_SIDE: Final = 10
-"""Episodes that are played at once, for networks like batches; with states, which are small, all 100."""
+SIDE_BY_SIDE: Final = {"pictures": 10, "states": 100}
+"""Episodes that are played at once, for networks like batches; pictures fill the memory."""
 NAMED: Final = ("preset", "augment", "device", "evaluations", "episodes", "checkpoints")
 """Settings that a method's name shows in its own way, or that change nothing in what is learnt."""
 LEAST_PAIRS: Final = 5
@@ -101,7 +101,7 @@ class Run:
             run=self.settings.seed,
             out=self.scores,
             resume=True,
-            envs=100 if self.settings.states else SIDE_BY_SIDE,
+            envs=SIDE_BY_SIDE["states" if self.settings.states else "pictures"],
             jobs=1,
             **self.evaluation,
         )
