@@ -56,7 +56,7 @@ def difference(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("view", VIEWS)
-@pytest.mark.parametrize("task", magical_mj.TASKS)
+@pytest.mark.parametrize("task", [task for task in magical_mj.TASKS if list(IMAGES.glob(f"{task}-Demo-*"))])
 def test_demo_looks_like_the_original(task: str, view: str) -> None:
     with Image.open(IMAGES / f"{task}-Demo-{view}-96.png") as reference:
         expected = np.asarray(reference.convert("RGB"))
