@@ -10,7 +10,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test leaderboard check format docs demonstrations lerobot lerobot-test constraints system site site-test site-picture node chromium
+.PHONY: demo test leaderboard check format docs demonstrations lerobot lerobot-test constraints system site site-test site-picture node chromium xvfb
 
 demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all 60 environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
@@ -32,7 +32,13 @@ format: $(VENV)/.installed-dev  ## format, and fix what can be fixed
 
 docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the README
 	$(BIN)/magical-mj view --grid --size 112 --out docs/environments.png --force
-	$(BIN)/magical-mj view FindDupe --size 288 --out docs/views.png --force
+	$(BIN)/magical-mj view FindDupe --camera scene,ego --size 400 --out docs/scene.png --force
+	rm -rf out/models
+	$(BIN)/magical-mj export FindDupe Demo --out out/models
+	$(BIN)/magical-mj export FixColour All --seed 2 --out out/models
+	$(BIN)/magical-mj export ClusterShape Demo --out out/models
+	$(BIN)/magical-mj export MatchRegions All --seed 4 --out out/models
+	$(BIN)/python tools/exported_models.py out/models docs/exported-models.png
 	$(BIN)/python tools/experts_picture.py
 	$(BIN)/python research/physics_picture.py
 	$(BIN)/python tools/readme_tables.py
@@ -87,7 +93,7 @@ $(VENV)/.installed-%: pyproject.toml constraints.txt magical_mj/_version.py $(BI
 $(BIN)/python: | system
 	$(PYTHON) -m venv $(VENV)
 
-node chromium:
+node chromium xvfb:
 	@tools/system.sh $(PYTHON) $@
 
 system:

@@ -129,6 +129,16 @@ def test_view(shell: Shell, tmp_path: Path) -> None:
     assert left.tobytes() == Image.fromarray(env.render("allo", 64)).tobytes()
 
 
+def test_view_draws_the_cameras_that_are_named(shell: Shell, tmp_path: Path) -> None:
+    assert shell("view", "FindDupe", "--camera", "scene", "--size", 64, "--out", "scene.png")[0] == 0
+    assert shell("view", "FindDupe", "--camera", "scene,ego,allo", "--size", 64, "--out", "three.png")[0] == 0
+    scene, three = opened(tmp_path / "scene.png"), opened(tmp_path / "three.png")
+    assert (scene.size, three.size) == ((64, 64), (192, 64))
+    assert three.crop((0, 0, 64, 64)).tobytes() == scene.tobytes()
+    assert "scene" in shell.fails(2, "view", "FindDupe", "--camera", "scenes")
+    assert "scene" in shell.fails(2, "rollout", "FindDupe", "--camera", "scenes")
+
+
 def test_view_grid(shell: Shell, tmp_path: Path) -> None:
     assert shell("view", "--grid", "--size", 32)[0] == 0
     pitch = 32 + environments.GAP

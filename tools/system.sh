@@ -1,7 +1,7 @@
 #!/bin/sh
 # What pip cannot install: OpenGL without a display (EGL), and Debian's separately packaged `venv`.
 # Installs what is absent with apt-get where that is permitted, and says in one line what to install where it is not.
-# Usage: tools/system.sh PYTHON [node] [chromium]
+# Usage: tools/system.sh PYTHON [node] [chromium] [xvfb]
 
 missing=""
 if [ "$(uname)" = Linux ]; then
@@ -14,6 +14,7 @@ fi
     'import sys; print("python{}.{}".format(*sys.version_info))')")-venv"
 case $* in *node*) command -v npm >/dev/null || missing="$missing nodejs npm" ;; esac
 case $* in *chromium*) [ -x "${CHROMIUM:-/usr/bin/chromium}" ] || missing="$missing chromium" ;; esac
+case $* in *xvfb*) command -v Xvfb >/dev/null || missing="$missing xvfb" ;; esac
 [ -z "$missing" ] && exit 0
 
 if [ "$(id -u)" = 0 ]; then as_root=""; else as_root="sudo -n"; fi
