@@ -47,6 +47,8 @@ FORKED: Final = (
 
 
 _IS_DRAWN: Final = np.isin(np.arange(mujoco.mjNGROUP), DRAWN_GROUPS)
+_PLANE, _MESH = mujoco.mjtGeom.mjGEOM_PLANE.value, mujoco.mjtGeom.mjGEOM_MESH.value
+_ASSETS: Final = ("mesh_vertnum", "mesh_vert", "mesh_face", "tex_data")
 
 
 def drawn(groups: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -67,24 +69,33 @@ class Context:
     size: tuple[int, int] = (0, 0)  # of the offscreen buffer: (width, height), pixels
     scenes: dict[tuple[int, bytes], mujoco.MjvScene] = field(default_factory=dict)  # by geoms and skins
 
+    def __post_init__(self) -> None:
+        """Keeps what models that are drawn here must begin with."""
+        self.assets = {name: getattr(self.model, name).copy() for name in _ASSETS}
+
     def draws(self, model: mujoco.MjModel) -> bool:
         """Whether a scene of this model can be drawn here: it shows nothing but the library's meshes and skins."""
         mine = self.model
         if self.lit:
             return model is mine
+        if (
+            model.nmesh < mine.nmesh
+            or model.nskin > mine.nskin
+            or model.nhfield
+            or model.nflex
+            or model.ntex != mine.ntex
+        ):
+            return False
         shown = drawn(model.geom_group)
-        shown_meshes = model.geom_dataid[shown & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)]
+        kinds, meshes = model.geom_type[shown], model.geom_dataid[shown]
         return (
-            np.array_equal(model.tex_data, mine.tex_data)
-            and model.nhfield == model.nflex == 0
-            and not (shown & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)).any()
-            and (shown_meshes < mine.nmesh).all()
-            and np.array_equal(model.mesh_vertnum[: mine.nmesh], mine.mesh_vertnum)
-            and np.array_equal(model.mesh_vert[: mine.nmeshvert], mine.mesh_vert)
-            and np.array_equal(model.mesh_face[: mine.nmeshface], mine.mesh_face)
-            and model.nskin <= mine.nskin
-            and np.array_equal(model.skin_vertnum, mine.skin_vertnum[: model.nskin])
-            and np.array_equal(model.skin_face, mine.skin_face[: model.nskinface])
+            not (kinds == _PLANE).any()
+            and meshes[kinds == _MESH].max(initial=-1) < mine.nmesh
+            and all(
+                getattr(model, name)[: len(array)].tobytes() == array.tobytes() for name, array in self.assets.items()
+            )
+            and model.skin_vertnum.tobytes() == mine.skin_vertnum[: model.nskin].tobytes()
+            and model.skin_face.tobytes() == mine.skin_face[: model.nskinface].tobytes()
         )
 
     def scene_for(self, model: mujoco.MjModel) -> mujoco.MjvScene:
