@@ -6,7 +6,6 @@ from functools import lru_cache
 from typing import Final
 
 import mujoco
-import numpy as np
 
 from magical_mj import constants as c
 from magical_mj.assets import solids, style
@@ -25,6 +24,8 @@ INERTIA: Final[dict[Shape, float]] = {
     "star": 0.004682686464592393,
 }
 """About the centre, as in the original's engine."""
+SIDES: Final = 3
+"""Which of a block's geoms its sides are, after outline, fill and foot."""
 
 
 def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSettings = SETTINGS) -> str:
@@ -53,9 +54,9 @@ def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dyn
     """Give a block of a compiled model another pose, colour and friction, as if compiled with them."""
     move_body(model, f"block{index}", block.pose)
     body = model.body(f"block{index}")
-    outline, fill, _, sides = body.geomadr[0] + np.arange(4)
-    model.geom_rgba[[outline, sides]] = style.levels(BLOCK_OUTLINE[block.colour])
-    model.geom_rgba[fill] = style.levels(BLOCK_FILL[block.colour])
+    first, colours = int(body.geomadr[0]), model.geom_rgba
+    colours[first] = colours[first + SIDES] = style.levels(BLOCK_OUTLINE[block.colour])
+    colours[first + 1] = style.levels(BLOCK_FILL[block.colour])
     model.pair_friction[model.pair(f"block{index}_foot").id, :2] = dynamics.block_friction_force / PRESS
     model.dof_frictionloss[body.dofadr[0] + 2] = dynamics.block_friction_torque
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from magical_mj.assets import solids
 from magical_mj.assets.arena import LOOK, SKY, arena_mjcf, options
-from magical_mj.assets.block import INERTIA, block_mjcf, block_pair, collision_geoms, rewrite_block
+from magical_mj.assets.block import INERTIA, SIDES, block_mjcf, block_pair, collision_geoms, rewrite_block
 from magical_mj.assets.contacts import SETTINGS, PhysicsSettings, geom_classes
 from magical_mj.assets.meshes import library
 from magical_mj.assets.mjcf import comment
@@ -101,7 +101,7 @@ def _unshaped(blocks: int, dashes: tuple[int, ...]) -> mujoco.MjSpec:
     spec = mujoco.MjSpec.from_string(world_mjcf(Scene(Robot(0, 0, 0), apart), regions=blank_regions_mjcf(dashes)))
     for index in range(blocks):
         block = spec.body(f"block{index}")
-        for geom in (block.geoms[-1], *block.first_body().geoms):  # its sides, and what collides
+        for geom in (block.geoms[SIDES], *block.first_body().geoms):  # and what collides
             spec.delete(geom)
     return spec
 
