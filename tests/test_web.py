@@ -81,8 +81,7 @@ def test_the_expert_that_is_watched_solves_every_variant(task: str) -> None:
             env = magical_mj.load(task, variant, seed=entry["seed"], observations=())
             env.reset()
             for letter in entry["expert"]:
-                last = env.step(ord(letter) - ord("a")).last()
-            assert last, (task, variant)
+                env.step(ord(letter) - ord("a"))
             assert env.score() == 1.0, (task, variant)
             env.close()
 

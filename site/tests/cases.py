@@ -43,12 +43,11 @@ def _played(name: str, task: str, scene: Scene, actions: list[int]) -> dict[str,
     env.reset()
     mjcf = exported(env)
     glances = {}
+    actions = actions[: env.horizon]
     for step, action in enumerate(actions, start=1):
-        last = env.step(action).last()
-        if last or step in GLANCES:
+        env.step(action)
+        if step == len(actions) or step in GLANCES:
             glances[step] = scene_data(env.scene)
-        if last:
-            break
     score = env.score()
     env.close()
     return {
@@ -56,7 +55,7 @@ def _played(name: str, task: str, scene: Scene, actions: list[int]) -> dict[str,
         "task": task,
         "scene": scene_data(scene),
         "mjcf": mjcf,
-        "actions": actions[: max(glances)],
+        "actions": actions,
         "glances": glances,
         "score": score,
     }
