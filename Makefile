@@ -12,7 +12,7 @@ INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --con
 
 .PHONY: demo test leaderboard check format docs demonstrations lerobot lerobot-test constraints system site site-test site-picture node chromium xvfb
 
-demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all 60 environments; the report is out/demo/report.md
+demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
 
 test: $(VENV)/.installed-dev  ## run all tests; ARGS="-k scene" selects some

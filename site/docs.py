@@ -19,7 +19,11 @@ PAGES: Final = ROOT / "site" / "pages"
 SOURCES: Final = ROOT / "out" / "site-sources"
 PLACEHOLDER: Final = re.compile(r"^<!-- (README|file|actions|others): ?(.*?) -->$", re.MULTILINE)
 LINK: Final = re.compile(r"\[([^]]*)\]\((?!https?:|#)([\w./-]+)(#[\w-]*)?\)")
-REPOSITORY_FILES: Final = {"README.md": "index.md", "CHANGELOG.md": "changelog.md"}
+REPOSITORY_FILES: Final = {
+    "README.md": "index.md",
+    "CHANGELOG.md": "changelog.md",
+    "CONTRIBUTING.md": "contributing.md",
+}
 
 
 def write_docs(folder: Path) -> None:

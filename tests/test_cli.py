@@ -165,8 +165,8 @@ def test_rollouts_repeat(shell: Shell) -> None:
 
 def test_rollout_plays_what_evaluate_plays(shell: Shell, tmp_path: Path) -> None:
     """The same actions for the same seed, of built-in agents and of one's own, whatever they look at."""
-    (tmp_path / "mine.py").write_text("def turn(observation):\n    return int(observation[0, 0, 0]) % 18\n")
-    for policy in ("random", "mine:turn"):
+    (tmp_path / "watchful.py").write_text("def turn(observation):\n    return int(observation[0, 0, 0]) % 18\n")
+    for policy in ("random", "watchful:turn"):
         code, out, _ = shell("rollout", "FixColour", "All", "--policy", policy, "--episodes", 3)
         assert code == 0
         evaluate = ("evaluate", "--policy", policy, "--out", policy.replace(":", ""), "--episodes", 3, "--jobs", 1)

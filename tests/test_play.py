@@ -16,8 +16,8 @@ import pytest
 import magical_mj
 from magical_mj.actions import ACTIONS, Action, Drive, Gripper, Turn
 from magical_mj.cli import main
-from magical_mj.cli.play import play_in
-from magical_mj.demos import Demonstration, load, verify
+from magical_mj.cli.play import Episodes, play_in
+from magical_mj.demos import load, verify
 
 pygame = pytest.importorskip("pygame")
 
@@ -76,41 +76,71 @@ def test_opposite_keys_cancel_and_a_lost_focus_lets_go(window: Window) -> None:
     assert window.action() == 0
 
 
-def test_an_episode_is_played_recorded_and_read_again(window: Window, monkeypatch: pytest.MonkeyPatch) -> None:
-    env = magical_mj.load("MoveToRegion", seed=0, observations=())
-    played: list[Demonstration] = []
-    frames = 0
-    show = window.show
+class Player:
+    """Somebody at the keyboard: at some frames keys are pressed and released."""
 
-    def script(pictures: np.ndarray, text: str) -> None:
-        nonlocal frames
-        show(pictures, text)
-        frames += 1
-        if frames == 1:
-            press(pygame.K_UP)
-        if frames == 10:
-            release(pygame.K_UP)
-            press(pygame.K_r)  # again, from the start
-        if frames == 12:
-            press(pygame.K_LEFT)
-        if played:
+    def __init__(self, window: Window, monkeypatch: pytest.MonkeyPatch, keys: dict[int, list[int]]) -> None:
+        self.keys, self.lines, self.show = keys, [], window.show
+        monkeypatch.setattr(window, "show", self.look)
+
+    def look(self, pictures: np.ndarray, lines: list[str]) -> None:
+        self.show(pictures, lines)
+        self.lines.append(lines)
+        for key in self.keys.get(len(self.lines), []):
+            press(key)
+            if key not in (pygame.K_UP, pygame.K_LEFT):
+                release(key)
+        if len(self.lines) == 500:
             press(pygame.K_ESCAPE)
 
-    monkeypatch.setattr(window, "show", script)
-    play_in(window, env, "MoveToRegion", "Demo", 0, SIZE, played.append)
+
+def test_an_episode_is_played_recorded_and_read_again(
+    window: Window, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    env = magical_mj.load("MoveToRegion", seed=0, observations=())
+    keys = {5: [pygame.K_UP], 14: [pygame.K_r], 16: [pygame.K_LEFT], 80: [pygame.K_ESCAPE]}
+    player = Player(window, monkeypatch, keys)
+    play_in(window, env, "MoveToRegion", "Demo", 0, SIZE, Episodes(tmp_path))
     env.close()
-    (demo,) = played
+    assert all(lines[0] == "Drive into the goal region." for lines in player.lines)
+    assert ["press a key to start" in lines[1] for lines in player.lines[:7]] == [True] * 5 + [False] * 2
+    assert "5 s, score so far 0.00" in player.lines[5][1]
+    assert "not solved; kept, D discards it" in player.lines[-1][1]
+    (demo,) = load("MoveToRegion", tmp_path)
     assert len(demo.actions) == 40
     assert demo.demonstrator == "human"
-    assert set(demo.actions.tolist()) == {0, Action(turn=Turn.LEFT).number}
+    first = Action(turn=Turn.LEFT, drive=Drive.FORWARD).number  # the up key is held still
+    assert set(demo.actions.tolist()) <= {Action(drive=Drive.FORWARD).number, first}
     assert verify(demo).exact
+
+
+@pytest.mark.parametrize("discard", [True, False])
+def test_what_was_played_is_kept_at_once_and_discarded_on_request(
+    window: Window, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str], discard: bool
+) -> None:
+    env = magical_mj.load("MoveToRegion", seed=0, observations=())
+    last = [pygame.K_d, pygame.K_d] if discard else [pygame.K_n]
+    player = Player(window, monkeypatch, {1: [pygame.K_UP], 50: last, 55: [pygame.K_ESCAPE]})
+    play_in(window, env, "MoveToRegion", "Demo", 0, SIZE, Episodes(tmp_path))
+    env.close()
+    assert "solved" in player.lines[45][1]
+    assert len(list(tmp_path.iterdir())) == (not discard)
+    assert ("discarded" in capsys.readouterr().out) == discard
+    assert ("discarded" in player.lines[-1][1]) == discard
+
+
+def test_without_a_folder_nothing_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
+    episodes = Episodes(None)
+    assert episodes.finish(load("MoveToRegion")[0]) == "score 1.00, solved"
+    assert episodes.discard() is None
+    assert capsys.readouterr().out == "seed 0: score 1.00, solved\n"
 
 
 def test_the_command_records_under_a_free_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     wishes = iter([[] for _ in range(41)] + [["reset"]] + [[] for _ in range(41)] + [["quit"]])
     monkeypatch.setattr(Window, "wishes", lambda _: next(wishes))
-    actions = itertools.chain([1] * 40, [2] * 40)
+    actions = itertools.chain([1] * 41, [2] * 41)
     monkeypatch.setattr(Window, "action", lambda _: next(actions))
     assert main(["play", "MoveToRegion", "--record", str(tmp_path), "--size", str(SIZE), "--speed", "4"]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == [
@@ -120,10 +150,32 @@ def test_the_command_records_under_a_free_name(tmp_path: Path, monkeypatch: pyte
     assert {demo.demonstrator for demo in load("MoveToRegion", tmp_path)} == {"human"}
 
 
-def test_without_a_display_it_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setenv("SDL_VIDEODRIVER", "no such driver")
-    assert main(["play", "FindDupe"]) == 1
-    assert "is there a display?" in capsys.readouterr().err
+@pytest.mark.parametrize("driver", ["no such driver", None])
+def test_without_a_display_it_says_so_and_makes_nothing(driver: str | None, tmp_path: Path) -> None:
+    hidden = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
+    variables = {name: value for name, value in os.environ.items() if name not in hidden}
+    command = [sys.executable, "-m", "magical_mj", "play", "FindDupe", "--record", str(tmp_path / "mine")]
+    result = subprocess.run(
+        command,
+        env=variables | ({} if driver is None else {"SDL_VIDEODRIVER": driver}),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert (result.returncode, result.stdout) == (1, "")
+    assert "A window needs a display" in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_its_extra_no_folder_is_made(tmp_path: Path) -> None:
+    hide = "import sys; sys.modules['pygame'] = None; from magical_mj.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", hide, "play", "FindDupe", "--record", str(tmp_path / "mine")]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    assert 'pip install "magical-mj[window]"' in result.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.skipif(not (shutil.which("Xvfb") and shutil.which("xdotool")), reason="needs Xvfb and xdotool")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import os
+import sys
 import warnings
 from collections.abc import Sequence
 from importlib.metadata import entry_points
@@ -12,12 +15,12 @@ import typer
 import magical_mj
 from magical_mj.cli import bench, demo, demo_exports, demos, doctor, environments, evaluate, leaderboard, play, results
 from magical_mj.cli.console import complain
+from magical_mj.cli.doctor import NO_DM_CONTROL
 from magical_mj.errors import MagicalError
 
 app = typer.Typer(
     name="magical-mj",
     context_settings={"help_option_names": ["-h", "--help"]},
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 app.command("list")(environments.list_environments)
@@ -56,16 +59,29 @@ def start(
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run the application; an expected error becomes one line on stderr and an exit code."""
     warnings.filterwarnings("ignore", module="glfw")  # what it says without a display, our own error says better
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # terminals that cannot show a sign show a question mark
     try:
         return app(args=arguments, prog_name="magical-mj", standalone_mode=False) or 0
     except typer.TyperException as error:
-        complain(f"{error.format_message().rstrip('.')}; see magical-mj --help")
+        context = getattr(error, "ctx", None)
+        command = context.command_path if context else "magical-mj"
+        complain(f"{error.format_message().rstrip('.')}; see {command} --help")
         return error.exit_code
     except typer.Abort:
         return 130
     except MagicalError as error:
         complain(str(error))
         return 2 if isinstance(error, ValueError) else 1
+    except BrokenPipeError:  # whoever read our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except ModuleNotFoundError as error:
+        if error.name != "dm_control":
+            raise
+        complain(NO_DM_CONTROL)
+        return 1
     except OSError as error:
         complain(f"{error.filename}: {error.strerror}" if error.filename else str(error))
         return 1

@@ -20,7 +20,7 @@ from rich.progress import track
 from rich.table import Table
 
 from magical_mj._version import __version__
-from magical_mj.cli.console import Tasks, Variants, console
+from magical_mj.cli.console import Tasks, Variants, complain, console, some_of
 from magical_mj.extras import check_extra
 from magical_mj.presets import PRESETS, preset
 from magical_mj.registry import environments, listed
@@ -43,7 +43,7 @@ NAMES: Final = 2  # columns that hold no numbers
 CAUSES: Final[tuple[Cause, ...]] = ("rewritten", "compiled")
 CPU_INFO: Final = Path("/proc/cpuinfo")
 
-Presets = Annotated[str, typer.Option(help="Presets, separated by commas; or all.")]
+Presets = Annotated[str, typer.Option(help="Presets, separated by commas; or all.", autocompletion=some_of(PRESETS))]
 Steps = Annotated[int, typer.Option(min=1, help="At least so many in each environment, in whole episodes.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, times in seconds.")]
 Markdown = Annotated[bool, typer.Option("--markdown", help="Print a Markdown table.")]
@@ -120,6 +120,8 @@ def _measure(chosen: Sequence[tuple[str, str, str]], steps: int) -> tuple[list[M
     from magical_mj.speed.yardstick import Yardstick
 
     screen, yardstick, measurements = Console(stderr=True), Yardstick(), []
+    if yardstick.problem is not None:
+        complain(f"gym-pusht is installed but does not work, so nothing is measured beside it: {yardstick.problem}")
     for task, variant, name in track(
         chosen, "measuring", console=screen, transient=True, disable=not screen.is_terminal
     ):

@@ -14,18 +14,41 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from magical_mj import TASKS, VARIANTS
 from magical_mj.evaluation.settings import described
+from magical_mj.presets import PRESETS
 from magical_mj.registry import Names, task_spec, variant_name
 
 Result = TypeVar("Result")
 
 PLAIN_WIDTH = 120  # columns where the output is a file or a pipe
 
-TASK_HELP = f"One of {', '.join(TASKS)}, a task that a package announces, or package.module:SPEC."
 
-Task = Annotated[str, typer.Argument(help=TASK_HELP, show_default=False)]
-Variant = Annotated[str, typer.Argument(help=f"One of {', '.join(VARIANTS)}.")]
-Tasks = Annotated[str, typer.Option(help="Tasks, separated by commas; or all.")]
-Variants = Annotated[str, typer.Option(help="Variants, separated by commas; or all.")]
+def one_of(names: Iterable[str]) -> Callable[[str], list[str]]:
+    """For the shell's completion: the names that begin like what is typed."""
+    return lambda incomplete: [name for name in names if name.startswith(incomplete)]
+
+
+def some_of(names: Iterable[str]) -> Callable[[str], list[str]]:
+    """The same for lists with commas: their last name is completed."""
+
+    def complete(incomplete: str) -> list[str]:
+        done, comma, last = incomplete.rpartition(",")
+        return [f"{done}{comma}{name}" for name in ("all", *names) if name.startswith(last)]
+
+    return complete
+
+
+TASK_HELP = f"One of {', '.join(TASKS)}, a task that a package announces, or package.module:SPEC."
+VARIANT_HELP = f"One of {', '.join(VARIANTS)}."
+
+COMPLETIONS = {"tasks": some_of(TASKS), "variants": some_of(VARIANTS), "preset": one_of(PRESETS)}
+
+Task = Annotated[str, typer.Argument(help=TASK_HELP, show_default=False, autocompletion=one_of(TASKS))]
+OptionalTask = Annotated[str | None, typer.Argument(help=TASK_HELP, show_default=False, autocompletion=one_of(TASKS))]
+Variant = Annotated[str, typer.Argument(help=VARIANT_HELP, autocompletion=one_of(VARIANTS))]
+Tasks = Annotated[str, typer.Option(help="Tasks, separated by commas; or all.", autocompletion=COMPLETIONS["tasks"])]
+Variants = Annotated[
+    str, typer.Option(help="Variants, separated by commas; or all.", autocompletion=COMPLETIONS["variants"])
+]
 Seed = Annotated[int, typer.Option(min=0, help="Which of the variant's scenes.")]
 Size = Annotated[int, typer.Option(min=16, max=2048, help="Side of each picture in pixels.")]
 Cameras = Annotated[
@@ -50,7 +73,11 @@ def _options(settings: type) -> Iterator[tuple[str, Any]]:
     for name, (kind, about) in described(settings).items():
         declared = [f"--{name.replace('_', '-')}"] if kind is bool else []
         shown = str if kind == Names else kind  # a list is given with commas
-        yield name, Annotated[shown, typer.Option(*declared, help=about.text, min=about.least)]
+        completion = COMPLETIONS.get(name)
+        yield (
+            name,
+            Annotated[shown, typer.Option(*declared, help=about.text, min=about.least, autocompletion=completion)],
+        )
 
 
 def console() -> Console:

@@ -1,4 +1,4 @@
-"""`magical-mj demo`: the benchmark at work: an evaluation of all 60 environments, its report, and videos."""
+"""`magical-mj demo`: the benchmark at work: an evaluation of all environments, its report, and videos."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Episodes = Annotated[int, typer.Option(min=1, help="Of each agent in each enviro
 
 
 def demo(out: Out = Path("out/demo"), tasks: Tasks = "all", episodes: Episodes = 3, jobs: Jobs = None) -> None:
-    """Evaluate the expert, the random and the no-op agent in all 60 environments, and write the report."""
+    """Evaluate the expert, the random and the no-op agent in all environments, and write the report."""
     screen = console()
     start = time.perf_counter()
     settings = EvaluationSettings(tasks=tasks, episodes=episodes, jobs=jobs, out=out)

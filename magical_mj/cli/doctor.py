@@ -25,7 +25,13 @@ EXTRAS: Final = {
     "eval": ("joblib", "jsonschema", "matplotlib", "pandas", "scipy"),
     "video": ("imageio-ffmpeg",),
     "window": ("pygame-ce",),
+    "web": ("websockets",),
+    "minari": ("minari",),
 }
+NO_DM_CONTROL: Final = (
+    "dm_control is missing: pip install dm_control; with Python 3.13, for which a package that it lists but does not "
+    "need here has no wheels: pip install --no-deps dm_control"
+)
 BACKENDS: Final = ("egl", "osmesa", "glfw")  # only the last needs a display
 TIMEOUT: Final = 60  # seconds for one backend
 SIZE: Final = 96  # pixels, as in the LoRes presets
@@ -60,6 +66,9 @@ def _print_versions(out: Console) -> None:
             table.add_row(name, _version(name) or rf'not installed: pip install "magical-mj\[{extra}]"')
     table.add_row("MUJOCO_GL", os.environ.get("MUJOCO_GL") or "not set")
     out.print(table)
+    if _version("dm_control") is None:
+        out.print(f"\n{NO_DM_CONTROL}", style="bold red")
+        raise typer.Exit(1)
 
 
 def _version(name: str) -> str | None:

@@ -13,9 +13,9 @@ import magical_mj
 from magical_mj import ENVIRONMENTS, TASKS, VARIANTS, env_id
 from magical_mj.announced import announced
 from magical_mj.cli.console import (
-    TASK_HELP,
     Cameras,
     Force,
+    OptionalTask,
     Seed,
     Task,
     Variant,
@@ -35,7 +35,6 @@ PAPER: Final = (255, 255, 255)
 ABSENT: Final = (242, 242, 242)  # a cell whose task does not have the variant
 
 Ids = Annotated[bool, typer.Option("--ids", help="Print only the Gymnasium ids, one per line.")]
-OptionalTask = Annotated[str | None, typer.Argument(help=TASK_HELP, show_default=False)]
 Grid = Annotated[bool, typer.Option("--grid", help="All environments on one sheet, instead of TASK and VARIANT.")]
 Picture = Annotated[Path | None, typer.Option("--out", help="The PNG file.", show_default="TASK-VARIANT-SEED.png")]
 Size = Annotated[

@@ -13,7 +13,19 @@ from rich import progress as bars
 from rich.console import Console
 from rich.text import Text
 
-from magical_mj.cli.console import Cameras, Force, Seed, Size, Task, Variant, add_options, check_suffix, claim, console
+from magical_mj.cli.console import (
+    COMPLETIONS,
+    Cameras,
+    Force,
+    Seed,
+    Size,
+    Task,
+    Variant,
+    add_options,
+    check_suffix,
+    claim,
+    console,
+)
 from magical_mj.cli.film import film, replay, views_of
 from magical_mj.evaluation.loading import sources
 from magical_mj.evaluation.policies import check_fit
@@ -38,7 +50,10 @@ Policies = Annotated[
 ]
 AnyPolicy = Annotated[str, typer.Option(help=_POLICIES)]
 Out = Annotated[Path, typer.Option(help="The folder for the scores.", show_default=False)]
-Preset = Annotated[str, typer.Option(help="The observations: a preset's name, or an empty one.")]
+Preset = Annotated[
+    str,
+    typer.Option(help="The observations: a preset's name, or an empty one.", autocompletion=COMPLETIONS["preset"]),
+]
 Number = Annotated[int, typer.Option("--episodes", min=1, help="How many; in the scenes of SEED, SEED + 1, ...")]
 Video = Annotated[Path | None, typer.Option(help="Write an MP4 file of the episodes, both views.", show_default=False)]
 Trust = Annotated[bool, typer.Option("--trust", help="Load model files that hold code, which then runs.")]

@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 import magical_mj
-from magical_mj.cli.console import TASK_HELP, Seed, Size, Variant, claim_folder, console
+from magical_mj.actions import NOOP
+from magical_mj.cli.console import OptionalTask, Seed, Size, Variant, claim_folder, console
 from magical_mj.cli.film import side_by_side
 from magical_mj.cli.web import Collect, Host, Origin, Port, Tasks, Variants, Wanted, serve_page
 from magical_mj.cli.window import Window
 from magical_mj.constants import CONTROL_RATE
-from magical_mj.registry import environments, variant_name
+from magical_mj.registry import environments, task_spec, variant_name
 
 if TYPE_CHECKING:
     from magical_mj.demos import Demonstration
     from magical_mj.environment import Environment
 
 KEYS: Final = "arrows drive, space grips, R again, N next scene, Esc quits"
+AFTER: Final = "R again, N next scene, Esc quits"
 
 Record = Annotated[Path | None, typer.Option(help="Write each finished episode into this folder.", show_default=False)]
 Speed = Annotated[float, typer.Option(min=0.1, max=4.0, help="Times real time.")]
-OptionalTask = Annotated[str | None, typer.Argument(help=TASK_HELP, show_default=False)]
 Web = Annotated[bool, typer.Option("--web", help="Play in a browser instead of a window.")]
 
 
@@ -46,6 +46,8 @@ def play(
 ) -> None:
     """Drive the robot yourself: arrows, space to grip, R to start again, N for the next scene, Esc to quit.
 
+    With --record, finished episodes are kept as demonstrations; D discards the last one.
+
     With --web, and any of the options below it, in a browser: on this machine, or on another one through ssh -L.
     """
     if web:
@@ -53,50 +55,71 @@ def play(
         serve_page(first, environments(tasks, variants), collect, wanted, host, port, origin)
         return
     if task is None:
-        raise typer.BadParameter("which task? Only --web does without")
+        raise typer.BadParameter("give TASK, or --web to choose in the browser.")
     env = magical_mj.load(task, variant, seed=seed, observations=())
-    screen = console()
-    if record is not None:
-        claim_folder(record)
-
-    def finished(demo: Demonstration) -> None:
-        screen.print(f"seed {demo.scene_seed}: score {demo.score:.2f}")
-        if record is not None:
-            screen.print(magical_mj.demos.keep(demo, record), soft_wrap=True)
-
     window = Window(f"{task} {variant_name(variant)}", size, speed)
     try:
-        play_in(window, env, task, variant, seed, size, finished)
+        episodes = Episodes(None if record is None else claim_folder(record))
+        play_in(window, env, task, variant, seed, size, episodes)
     finally:
         window.close()
         env.close()
 
 
+class Episodes:
+    """What becomes of the episodes that were played to their end: they are told and, given a folder, kept at once.
+
+    Nothing is lost if the window is closed or the process dies after an episode: what nobody wants is deleted again.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder, self._screen = folder, console()
+        self._path: Path | None = None
+
+    def finish(self, demo: Demonstration) -> str:
+        """Takes an episode that has ended; returns what to tell the player."""
+        result = f"score {demo.score:.2f}, {'solved' if demo.score == 1.0 else 'not solved'}"
+        self._screen.print(f"seed {demo.scene_seed}: {result}")
+        if self._folder is None:
+            return result
+        self._path = magical_mj.demos.keep(demo, self._folder)
+        self._screen.print(self._path, soft_wrap=True)
+        return f"{result}; kept, D discards it"
+
+    def discard(self) -> str | None:
+        """Deletes the last episode if it was kept; returns what to tell the player."""
+        if self._path is None:
+            return None
+        self._path.unlink()
+        self._screen.print(f"discarded {self._path}", soft_wrap=True)
+        self._path = None
+        return "discarded"
+
+
 def play_in(
-    window: Window,
-    env: Environment,
-    task: str,
-    variant: str,
-    seed: int,
-    size: int,
-    finished: Callable[[Demonstration], None],
+    window: Window, env: Environment, task: str, variant: str, seed: int, size: int, episodes: Episodes
 ) -> None:
-    """The loop: episodes until somebody wants to quit; `finished` is given each that was played to its end."""
+    """The loop: episodes until somebody wants to quit. The clock of each starts with the first key."""
+    goal = task_spec(task).summary
     horizon = env.horizon or 0
     while True:
         env.reset(seed=seed)
-        recorder, steps, over = magical_mj.demos.Recorder(env), 0, False
+        recorder, steps, result = magical_mj.demos.Recorder(env), 0, ""
         while True:
-            left = f"score {env.score():.2f}" if over else f"{(horizon - steps) / CONTROL_RATE:.0f} s"
-            window.show(side_by_side(env, size), f"{left}   ({KEYS})")
+            left = f"{(horizon - steps) / CONTROL_RATE:.0f} s" if steps else "press a key to start"
+            now = f"{result}; {AFTER}" if result else f"{left}, score so far {env.score():.2f} ({KEYS})"
+            window.show(side_by_side(env, size), [f"{goal[0].upper()}{goal[1:]}.", now])
             wishes = window.wishes()
             if "quit" in wishes:
                 return
-            if wishes:
+            if "discard" in wishes and result:
+                result = episodes.discard() or result
+            elif wishes and "discard" not in wishes:
                 seed += "next" in wishes
                 break
-            if not over:
-                over = recorder.step(window.action()).last()
+            action = window.action()
+            if not result and (steps or action != NOOP):
+                over = recorder.step(action).last()
                 steps += 1
                 if over:
-                    finished(recorder.demonstration(task, variant, seed, "human", seed))
+                    result = episodes.finish(recorder.demonstration(task, variant, seed, "human", seed))

@@ -14,7 +14,6 @@ from magical_mj.cli.console import claim_folder, console
 from magical_mj.errors import SettingsError
 from magical_mj.extras import missing_extra
 from magical_mj.registry import ENVIRONMENTS
-from magical_mj.web.collection import Collection
 
 if TYPE_CHECKING:
     from magical_mj.web.server import PlayServer
@@ -61,6 +60,7 @@ def serve_page(
     if wanted is not None and collect is None:
         raise SettingsError("--wanted needs --collect")
     try:
+        from magical_mj.web.collection import Collection
         from magical_mj.web.server import PlayServer
     except ModuleNotFoundError:
         raise missing_extra("Playing in a browser", "web") from None

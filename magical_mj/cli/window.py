@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
+import sys
+from collections.abc import Sequence
 from typing import Final, Literal
 
 import numpy as np
@@ -13,16 +15,19 @@ from magical_mj.actions import Action, Drive, Gripper, Turn
 from magical_mj.errors import MagicalError
 from magical_mj.extras import missing_extra
 
-Wish = Literal["reset", "next", "quit"]
+Wish = Literal["reset", "next", "discard", "quit"]
 
-BAR: Final = 36  # pixels below the pictures, for a line of text
+LINES: Final = 2  # of text below the pictures
+LINE: Final = 26  # pixels
+BAR: Final = LINES * LINE + 16  # pixels below the pictures, for the text
+FALLBACKS: Final = ("offscreen", "dummy")  # what SDL takes, if it is not told, where no display answers
 PAPER: Final = (255, 255, 255)
 INK: Final = (60, 60, 60)
 TEXT_SIZE: Final = 22  # pixels
 
 
 class Window:
-    """A window as wide as two pictures, with a line of text below them.
+    """A window as wide as two pictures, with two lines of text below them.
 
     Args:
         title: what the frame says.
@@ -42,10 +47,18 @@ class Window:
         self._pygame = pygame
         self._size, self._rate = size, speed * c.CONTROL_RATE
         try:
+            if _without_display():  # SDL would look for one, and complain in words of its own
+                raise pygame.error("there is no display")
             pygame.display.init()
+            if pygame.display.get_driver() in FALLBACKS and "SDL_VIDEODRIVER" not in os.environ:
+                raise pygame.error("the display does not answer")
             self._surface = pygame.display.set_mode((2 * size, size + BAR))
         except pygame.error as error:
-            raise MagicalError(f"no window can be opened here: {error}; is there a display?") from error
+            pygame.display.quit()
+            raise MagicalError(
+                f"no window can be opened here: {error}. A window needs a display (on Linux, DISPLAY or "
+                "WAYLAND_DISPLAY); without one, play in a browser: magical-mj play --web"
+            ) from None
         pygame.display.set_caption(title)
         pygame.font.init()
         self._font = pygame.font.Font(None, TEXT_SIZE)
@@ -53,12 +66,13 @@ class Window:
         self._held: set[int] = set()
         self._tapped: set[int] = set()
 
-    def show(self, pictures: np.ndarray, text: str) -> None:
-        """Show two pictures of shape (size, 2 size, 3) and a text, and wait until it is time for the next step."""
+    def show(self, pictures: np.ndarray, lines: Sequence[str]) -> None:
+        """Show two pictures of shape (size, 2 size, 3) and two lines, and wait until it is time for the next step."""
         pygame, surface = self._pygame, self._surface
         surface.fill(PAPER)
         surface.blit(pygame.surfarray.make_surface(pictures.swapaxes(0, 1)), (0, 0))
-        surface.blit(self._font.render(text, True, INK), (10, self._size + 10))
+        for number, line in enumerate(lines):
+            surface.blit(self._font.render(line, True, INK), (10, self._size + 10 + number * LINE))
         pygame.display.flip()
         self._clock.tick(self._rate)
 
@@ -68,6 +82,7 @@ class Window:
         meanings: dict[int, Wish] = {
             pygame.K_r: "reset",
             pygame.K_n: "next",
+            pygame.K_d: "discard",
             pygame.K_q: "quit",
             pygame.K_ESCAPE: "quit",
         }
@@ -103,3 +118,8 @@ class Window:
         """Close the window."""
         self._pygame.display.quit()
         self._pygame.font.quit()
+
+
+def _without_display() -> bool:
+    displays = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
+    return sys.platform == "linux" and not any(os.environ.get(name) for name in displays)

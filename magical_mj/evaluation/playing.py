@@ -11,7 +11,7 @@ import copy
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import dm_env
 import gymnasium
@@ -19,7 +19,6 @@ import numpy as np
 from gymnasium.vector.utils import iterate
 
 from magical_mj.actions import action_number
-from magical_mj.environment import Environment, load
 from magical_mj.episodes import LETTERS, Episode, begin, is_blind
 from magical_mj.episodes import play as play_actions
 from magical_mj.errors import EvaluationError, RenderingError
@@ -27,10 +26,13 @@ from magical_mj.evaluation.policies import BatchPolicy
 from magical_mj.registration import env_id
 from magical_mj.tasks.spec import Rules
 
+if TYPE_CHECKING:
+    from magical_mj.environment import Environment
+
 Act = Callable[[Any], Any]
 """A policy, or a plain function from observation to action."""
-World = Environment | gymnasium.Env[Any, Any]
 Envs = gymnasium.vector.VectorEnv[Any, Any, Any]
+World: TypeAlias = "Environment | gymnasium.Env[Any, Any]"
 
 REASON_LENGTH: Final = 300
 
@@ -58,13 +60,15 @@ def world_for(policy: Act, task: str, variant: str, preset: str, rules: Rules) -
     Gymnasium's is without the wrappers of `gymnasium.make`, which check at each step what the tests have checked.
     """
     if is_blind(policy):
+        from magical_mj.environment import load  # which loads the simulator
+
         return load(task, variant, seed=0, observations=(), rules=rules)
     return gymnasium.make(env_id(task, variant, preset), rules=rules).unwrapped
 
 
 def simulation(world: World) -> Environment:
     """The dm_env environment that a world is, or that it runs."""
-    return world if isinstance(world, Environment) else world.unwrapped.dm_env  # type: ignore[attr-defined]
+    return world.unwrapped.dm_env if isinstance(world, gymnasium.Env) else world  # type: ignore[attr-defined]
 
 
 def play(world: World, policy: Act, episode: Episode) -> Outcome:

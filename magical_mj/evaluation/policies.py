@@ -7,7 +7,6 @@ from typing import Any, Protocol, runtime_checkable
 
 from magical_mj.episodes import Episode, is_blind
 from magical_mj.errors import SettingsError
-from magical_mj.gym_env import MagicalEnv
 from magical_mj.presets import PRESETS
 
 Shape = tuple[int | None, ...]
@@ -58,6 +57,8 @@ def _check_shape(wanted: Sequence[Shape], task: str, preset: str) -> None:
 
 def _shape(task: str, preset: str) -> tuple[int, ...] | None:
     """The shape of the preset's observations; None if they are dicts."""
+    from magical_mj.gym_env import MagicalEnv  # which loads the simulator
+
     env = MagicalEnv(task, preset=preset)
     env.close()
     return env.observation_space.shape

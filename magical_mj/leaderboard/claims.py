@@ -6,13 +6,15 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-from magical_mj.environment import Environment, load
 from magical_mj.episodes import LETTERS, actions_of, play
 from magical_mj.parallel import spread
 from magical_mj.registry import ENVIRONMENTS, sample_scene
 from magical_mj.tasks.spec import Rules
+
+if TYPE_CHECKING:
+    from magical_mj.environment import Environment
 
 SEEDS: Final = 100
 """Of each environment: what the protocol asks for."""
@@ -83,6 +85,8 @@ def check_claims(episodes: Iterable[Claim], rules: Rules, jobs: int | None = Non
 def check_chunk(episodes: Sequence[Claim], rules: Rules) -> Checked:
     """What a worker does: some episodes of one environment."""
     first = episodes[0]
+    from magical_mj.environment import load  # which loads the simulator
+
     env = load(first.task, first.variant, seed=0, observations=(), rules=rules)
     try:
         problems = [f"{episode}: {problem}" for episode in episodes if (problem := check_claim(episode, env))]

@@ -14,15 +14,23 @@ STEPS: Final = 100
 
 
 class Yardstick:
-    """gym-pusht's pixels under random actions, resets included."""
+    """gym-pusht's pixels under random actions, resets included.
+
+    Attributes:
+        problem: why it cannot be used though it is installed; None if it can, or is not there.
+    """
 
     def __init__(self) -> None:
         self.steps, self.seconds = 0, 0.0
+        self.problem: str | None = None
         self._env: gymnasium.Env[Any, Any] | None = None
         self._actions = np.random.default_rng(0)
         if find_spec("gym_pusht"):
-            self._env = gymnasium.make("gym_pusht:gym_pusht/PushT-v0", obs_type="pixels")
-            self._env.reset(seed=0)
+            try:
+                self._env = gymnasium.make("gym_pusht:gym_pusht/PushT-v0", obs_type="pixels")
+                self._env.reset(seed=0)
+            except Exception as error:  # noqa: BLE001  # whatever is wrong with it, ours can be measured
+                self._env, self.problem = None, f"{type(error).__name__}: {error}"
 
     def run(self) -> None:
         """Takes a few more steps."""

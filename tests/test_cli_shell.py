@@ -1,0 +1,124 @@
+"""The command line in shells that differ: completion, pipes, narrow terminals, other encodings, missing packages."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from magical_mj.cli import main
+from magical_mj.speed.yardstick import Yardstick
+
+COMMANDS = (
+    *("list", "view", "rollout", "evaluate", "report", "compare", "play", "export", "bench", "doctor", "demo"),
+    *("train", "experiment", "demos", "demos generate", "demos import", "demos info", "demos verify", "demos video"),
+    "demos export",
+)
+
+
+def process(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "magical_mj", *arguments]
+    return subprocess.run(command, env=os.environ | variables, capture_output=True, text=True, check=False, timeout=120)
+
+
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [
+        ("view Fi", ["FindDupe", "FixColour"]),
+        ("rollout FindDupe Co", ["Colour", "CountPlus"]),
+        ("evaluate --tasks FindDupe,ClusterS", ["FindDupe,ClusterShape"]),
+        ("demos info --variants Demo,Dy", ["Demo,Dynamics"]),
+        ("bench --presets LoRes4", ["LoRes4E", "LoRes4A"]),
+        ("demos ve", ["verify"]),
+    ],
+)
+def test_the_shell_completes(line: str, offered: list[str]) -> None:
+    words = f"magical-mj {line}"
+    asked = {"_MAGICAL_MJ_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+    script = Path(sys.executable).with_name("magical-mj")
+    result = subprocess.run([script], env=os.environ | asked, capture_output=True, text=True, check=False)
+    assert sorted(result.stdout.split()) == sorted(offered)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_wrong_options_are_one_line_that_names_the_commands_own_help(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*command.split(), "--no-such-option"]) == 2
+    out, error = capsys.readouterr()
+    assert out == ""
+    assert error.count("\n") == 1
+    assert f"; see magical-mj {command} --help" in error
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("columns", ["20", "300"])
+def test_help_fits_any_terminal(
+    command: str, columns: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    assert main([*command.split(), "--help"]) == 0
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= int(columns)
+
+
+def test_demos_alone_prints_its_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demos"]) == 0
+    assert "verify" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
+def test_terminals_that_cannot_show_every_sign(encoding: str) -> None:
+    for command in (("demos", "info", "--tasks", "MoveToRegion"), ("evaluate", "--help"), ("view", "Größe")):
+        result = subprocess.run(
+            [sys.executable, "-m", "magical_mj", *command],
+            env=os.environ | {"PYTHONIOENCODING": encoding},
+            capture_output=True,
+            check=False,
+        )
+        assert b"Traceback" not in result.stderr
+        assert result.returncode == (2 if "Größe" in command else 0)
+
+
+def test_a_reader_that_has_seen_enough_is_no_error() -> None:
+    command = f"'{sys.executable}' -m magical_mj list | head -1; exit ${{PIPESTATUS[0]}}"
+    result = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stderr) == (0, "")
+
+
+def test_without_a_home(tmp_path: Path) -> None:
+    hidden = {name: value for name, value in os.environ.items() if name not in ("HOME", "XDG_CONFIG_HOME")}
+    for command in (("list",), ("view", "FindDupe", "--size", "32"), ("rollout", "MoveToRegion")):
+        call = [sys.executable, "-m", "magical_mj", *command]
+        result = subprocess.run(call, env=hidden, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert (result.returncode, result.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("command", ["doctor", "rollout MoveToRegion", "demos info"])
+def test_without_dm_control_it_says_what_to_install(command: str) -> None:
+    """As under Python 3.13, where pip cannot install it without being told how."""
+    code = (
+        "import sys, importlib.metadata as m; sys.modules['dm_control'] = None; known = m.version\n"
+        "def version(name):\n"
+        "    if name == 'dm_control': raise m.PackageNotFoundError(name)\n"
+        "    return known(name)\n"
+        "m.version = version\n"
+        "from magical_mj.cli import main; sys.exit(main(sys.argv[1:]))"
+    )
+    result = subprocess.run([sys.executable, "-c", code, *command.split()], capture_output=True, text=True, check=False)
+    said = " ".join((result.stdout + result.stderr).split())
+    assert result.returncode == 1
+    assert "pip install --no-deps dm_control" in said
+    assert "Traceback" not in said
+
+
+def test_a_broken_gym_pusht_spoils_no_measurement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Installed, but a package that it needs is missing."""
+    (tmp_path / "gym_pusht.py").write_text("import a_package_that_is_not_there\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    yardstick = Yardstick()
+    yardstick.run()
+    assert yardstick.rate is None
+    assert "a_package_that_is_not_there" in str(yardstick.problem)
