@@ -10,7 +10,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test leaderboard check format docs demonstrations lerobot lerobot-test constraints system site site-test site-picture node chromium xvfb
+.PHONY: demo test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints system site site-test site-picture node chromium xvfb
 
 demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
@@ -55,6 +55,9 @@ site-test: site | chromium  ## the site in headless Chromium, and its simulation
 
 site-picture: site | chromium  ## docs/site.png, anew
 	$(BIN)/python site/screenshots.py
+
+readme: $(VENV)/.installed-dev  ## run README.md in a new environment that has only what the page tells to install
+	$(BIN)/python tools/readme_run.py
 
 demonstrations: $(VENV)/.installed-dev  ## after a change of the physics: the shipped demonstrations and docs/experts.md, anew
 	rm -rf magical_mj/demos/data

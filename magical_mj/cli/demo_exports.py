@@ -10,7 +10,6 @@ import typer
 import magical_mj
 from magical_mj.cli.console import Force, Tasks, Variants, check_suffix, claim, claim_folder, console
 from magical_mj.cli.demos import SUFFIX, Paths, read_chosen
-from magical_mj.demos.lerobot import to_lerobot
 from magical_mj.errors import SettingsError
 
 VIEWS: Final = {"LoRes4E": "ego", "LoRes4A": "allo", "LoResStack": "both"}
@@ -42,6 +41,8 @@ def export(
     force: Force = False,
 ) -> None:
     """Hand demonstrations to other tools."""
+    from magical_mj.demos.lerobot import to_lerobot  # which loads the simulator
+
     demos = read_chosen(paths, tasks, variants)
     screen = console()
     names = list(dict.fromkeys(demo.name for demo in demos))

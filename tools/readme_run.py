@@ -1,0 +1,63 @@
+"""Runs README.md as a reader would: in a new environment that has only what the page tells to install. `make readme`.
+
+The wheel is built, an environment is made, and then each block is run in the page's order: `pip install` with the wheel
+in place of ".", commands that begin with `magical-mj`, and Python. Names of sections can be given to leave out others.
+
+    python tools/readme_run.py [SECTION...]
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import venv
+from pathlib import Path
+from typing import Final
+
+ROOT: Final = Path(__file__).parent.parent
+BLOCK: Final = re.compile(r"^```(console|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+def blocks(text: str, sections: list[str]) -> list[tuple[str, str]]:
+    """The language and the code of each block, of all sections or of those that are named."""
+    found = []
+    for section in re.split(r"^## ", text, flags=re.MULTILINE):
+        if not sections or section.partition("\n")[0] in sections:
+            found += BLOCK.findall(section)
+    return found
+
+
+def run(text: str, sections: list[str], folder: Path) -> None:
+    """Runs the blocks in a new environment in `folder`; the first that fails ends everything."""
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(folder)],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+    )
+    (wheel,) = folder.glob("*.whl")
+    venv.create(folder / "env", with_pip=True)
+    programs = folder / "env" / "bin"
+    place = folder / "reader"
+    place.mkdir()
+    variables = {**os.environ, "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
+    constraints = f"-q --disable-pip-version-check -c {ROOT / 'constraints.txt'}"
+    for language, code in blocks(text, sections):
+        if language == "python":
+            print("python:", code.splitlines()[0])
+            subprocess.run([programs / "python", "-c", code], cwd=place, env=variables, check=True)
+            continue
+        for line in re.findall(r"^\$ (.*)$", code, re.MULTILINE):
+            if line.startswith("make "):  # which makes an environment of its own
+                continue
+            command = re.sub(r'^pip install "\.(\[.*?\])?"', rf'pip install {constraints} "{wheel}\1"', line)
+            print(line)
+            subprocess.run(["/bin/sh", "-c", command], cwd=place, env=variables, check=True)
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as folder:
+        run((ROOT / "README.md").read_text(), sys.argv[1:], Path(folder))
