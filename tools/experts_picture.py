@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 import magical_mj
 
@@ -14,6 +14,8 @@ PICTURE: Final = Path(__file__).parent.parent / "docs" / "experts.png"
 SIZE: Final = 112  # pixels, of a frame
 FRAMES: Final = 8
 GAP: Final = 4  # pixels
+LINE: Final = 24  # pixels, of a task's name
+INK: Final = (60, 60, 60)
 
 
 def strip(demo: magical_mj.demos.Demonstration) -> np.ndarray:
@@ -26,6 +28,15 @@ def strip(demo: magical_mj.demos.Demonstration) -> np.ndarray:
     )
 
 
+def label(task: str, width: int) -> np.ndarray:
+    """The task's name, above its row."""
+    line = Image.new("RGB", (width, LINE), "white")
+    ImageDraw.Draw(line).text((GAP, LINE - GAP), task, INK, ImageFont.load_default(14), anchor="ls")
+    return np.asarray(line)
+
+
 if __name__ == "__main__":
     tasks = [task for task in magical_mj.TASKS if task != "MoveToRegion"]  # there is little to see in driving
-    Image.fromarray(np.concatenate([strip(magical_mj.demos.load(task)[0]) for task in tasks])).save(PICTURE)
+    rows = {task: strip(magical_mj.demos.load(task)[0]) for task in tasks}
+    labelled = [part for task, row in rows.items() for part in (label(task, row.shape[1]), row)]
+    Image.fromarray(np.concatenate(labelled)).save(PICTURE)
