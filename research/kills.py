@@ -28,8 +28,6 @@ EVALUATE: Final = ("--policy", "random", "--tasks", "MoveToRegion,FixColour", "-
 SIGNALS: Final = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 PATIENCE: Final = 15.0
 """Seconds within which all processes must be gone."""
-LATEST: Final = 20.0
-"""Seconds after its start at which a command is killed at the latest, on an idle machine."""
 
 
 def main() -> None:
@@ -43,17 +41,17 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         whole = folder / "whole"
-        subprocess.run([*MAIN, "evaluate", *EVALUATE, "--out", whole], check=True, stdout=subprocess.DEVNULL)
-        kill_evaluations(folder / "killed", rows(whole), arguments.kills, rng)
+        seconds = undisturbed(["evaluate", *EVALUATE, "--jobs", "2", "--out", str(whole)])
+        kill_evaluations(folder / "killed", rows(whole), arguments.kills, seconds, rng)
         kill_reports(whole, folder, arguments.kills, rng)
 
 
-def kill_evaluations(out: Path, expected: set[str], kills: int, rng: random.Random) -> None:
+def kill_evaluations(out: Path, expected: set[str], kills: int, seconds: float, rng: random.Random) -> None:
     """Kills an evaluation again and again, resumes it each time, and lets it end."""
     command = [*MAIN, "evaluate", *EVALUATE, "--out", str(out), "--jobs", "2", "--resume"]
     for number in range(kills):
         before = lines(out)
-        how, ended = killed(command, rng)
+        how, ended = killed(command, seconds, rng)
         if lines(out)[: len(before)] != before:
             raise SystemExit(f"lines were lost or changed: {out}")
         told(f"evaluate {number}: {how}, {len(lines(out)) - len(before)} more lines{', it had ended' if ended else ''}")
@@ -68,12 +66,12 @@ def kill_evaluations(out: Path, expected: set[str], kills: int, rng: random.Rand
 
 def kill_reports(scores: Path, folder: Path, kills: int, rng: random.Random) -> None:
     """Kills a report again and again over the files of the last one."""
-    undisturbed, out = folder / "report", folder / "killed-report"
-    subprocess.run([*MAIN, "report", str(scores), "--out", str(undisturbed)], check=True, stdout=subprocess.DEVNULL)
-    expected = {path.name: path.read_bytes() for path in undisturbed.iterdir()}
+    whole, out = folder / "report", folder / "killed-report"
+    seconds = undisturbed(["report", str(scores), "--out", str(whole)])
+    expected = {path.name: path.read_bytes() for path in whole.iterdir()}
     command = [*MAIN, "report", str(scores), "--out", str(out)]
     for number in range(kills):
-        how, _ = killed(command, rng)
+        how, _ = killed(command, seconds, rng)
         there = {path.name: path for path in out.iterdir() if not path.name.startswith(".")} if out.exists() else {}
         for name, path in there.items():
             check_whole(path, expected[name])
@@ -99,10 +97,17 @@ def check_whole(path: Path, expected: bytes) -> None:
         raise SystemExit(f"{path} is not what it is to be")
 
 
-def killed(command: list[str], rng: random.Random) -> tuple[str, bool]:
-    """Starts a command and kills it; returns how and when, and whether it had ended before."""
+def undisturbed(arguments: list[str]) -> float:
+    """Lets a command end, and returns how many seconds it took."""
+    start = time.monotonic()
+    subprocess.run([*MAIN, *arguments], check=True, stdout=subprocess.DEVNULL)
+    return time.monotonic() - start
+
+
+def killed(command: list[str], latest: float, rng: random.Random) -> tuple[str, bool]:
+    """Starts a command and kills it within so many seconds; returns how and when, and whether it had ended before."""
     process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    moment, how = rng.uniform(0, LATEST), rng.choice(SIGNALS)
+    moment, how = rng.uniform(0, latest), rng.choice(SIGNALS)
     try:
         process.wait(moment)
         ended = True
