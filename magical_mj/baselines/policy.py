@@ -60,6 +60,8 @@ class TrainedPolicy:
         self._actor.eval()
         with torch.inference_mode(), one_thread():
             logits = self._actor(as_input(observations, self._device), self._heads[: len(observations)])
+        if not logits.isfinite().all():
+            raise ValueError("the network's answer is not finite")
         shares = logits.double().softmax(dim=1).cumsum(dim=1).cpu().numpy()
         points = np.array([rng.random() for rng in self._rngs[: len(observations)]])
         return np.minimum((shares < points[:, None]).sum(axis=1), shares.shape[1] - 1)
