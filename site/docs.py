@@ -28,7 +28,8 @@ REPOSITORY_FILES: Final = {
 
 def write_docs(folder: Path) -> None:
     """Gather all sources in one flat folder, and have Sphinx make the pages; warnings are errors."""
-    shutil.rmtree(SOURCES, ignore_errors=True)
+    for old in (SOURCES, folder):
+        shutil.rmtree(old, ignore_errors=True)
     media = SOURCES / "extra" / "media"
     media.mkdir(parents=True)
     for path in (ROOT / "docs").glob("*"):
@@ -37,6 +38,8 @@ def write_docs(folder: Path) -> None:
         elif path.is_file():
             shutil.copy(path, SOURCES)
     for path in PAGES.iterdir():
+        if (ROOT / "docs" / path.name).exists():
+            raise SystemExit(f"{path.name} is in docs/ and in {PAGES}: give one of them another name")
         if path.suffix == ".md":
             (SOURCES / path.name).write_text(
                 PLACEHOLDER.sub(_filled, path.read_text(encoding="utf-8")), encoding="utf-8"
