@@ -114,7 +114,7 @@ def test_a_collection_asks_for_what_it_has_least_of(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        ([], "which task"),
+        ([], "give TASK"),
         (["--web", "--tasks", "Tetris"], "Tetris"),
         (["--web", "--wanted", "3"], "--wanted needs --collect"),
         (["FindDupe", "--web", "--tasks", "MakeLine"], "not among"),
