@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from learners import tiny
 
 from magical_mj import demos
 from magical_mj.actions import NOOP
+from magical_mj.baselines import checkpoint
 from magical_mj.baselines.bc import BehaviouralCloning
 from magical_mj.baselines.data import Dataset, drawn
 from magical_mj.baselines.learner import seeded
@@ -154,6 +156,18 @@ def test_bfloat16_learns_the_same_within_its_precision() -> None:
     ]
     np.testing.assert_allclose(losses[1], losses[0], rtol=0.1)
     assert losses[0] != losses[1]
+
+
+def test_what_is_resumed_ends_as_what_was_not_broken(tmp_path: Path) -> None:
+    """Also where weights and what the optimizer remembers of them are not laid out alike in memory."""
+    whole, resumed = BehaviouralCloning(tiny()), BehaviouralCloning(tiny())
+    for _ in range(3):
+        whole.update()
+    checkpoint.write(tmp_path / "kept.safetensors", whole.state())
+    resumed.restore(checkpoint.read(tmp_path / "kept.safetensors"))
+    for _ in range(3):
+        assert whole.update() == resumed.update()
+    assert all(map(torch.equal, whole.actor.parameters(), resumed.actor.parameters()))
 
 
 def test_equal_seeds_give_equal_weights() -> None:

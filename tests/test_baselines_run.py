@@ -15,14 +15,16 @@ import pytest
 import torch
 from learners import tiny
 
+import magical_mj
 from magical_mj.baselines import checkpoint, load_policy, train
-from magical_mj.baselines.config import from_toml
+from magical_mj.baselines.config import from_toml, read_toml, recorded
 from magical_mj.baselines.metrics import read_metrics
 from magical_mj.baselines.policy import POLICY, is_done
 from magical_mj.baselines.run import CHECKPOINT, CONFIG
 from magical_mj.episodes import Episode
 from magical_mj.errors import MagicalError, SettingsError, TrainingError, UnknownNameError
 from magical_mj.evaluation import evaluate
+from magical_mj.protocol import PROTOCOL
 
 START = "import sys; sys.path.insert(0, 'tests'); from learners import tiny; from magical_mj.baselines import train; "
 
@@ -33,7 +35,10 @@ def test_a_folder_holds_everything(tmp_path: Path) -> None:
     train(settings, tmp_path / "run", watch=seen.append)
     names = {path.name for path in (tmp_path / "run").iterdir()}
     assert names == {CONFIG, "metrics.csv", CHECKPOINT, POLICY, "tensorboard"}
-    assert from_toml(tmp_path / "run" / CONFIG) == settings
+    assert recorded(from_toml(tmp_path / "run" / CONFIG)) == recorded(settings)
+    made = read_toml(tmp_path / "run" / CONFIG)["made"]
+    assert {"date", "command", "torch", "mujoco"} <= set(made)
+    assert (made["magical_mj"], made["protocol"]) == (magical_mj.__version__, PROTOCOL)
     rows = read_metrics(tmp_path / "run")
     assert [int(row["update"]) for row in rows] == list(range(1, 13))
     assert all(float(row["loss"]) > 0 and 0 <= float(row["accuracy"]) <= 1 for row in rows)

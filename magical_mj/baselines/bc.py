@@ -10,7 +10,7 @@ from torch import nn
 
 from magical_mj.baselines.augmentation import augmentation
 from magical_mj.baselines.data import Dataset, Demonstrations
-from magical_mj.baselines.learner import Learner, seeded
+from magical_mj.baselines.learner import Learner, restore_optimizer, seeded
 from magical_mj.baselines.network import Actor, as_input
 from magical_mj.baselines.policy import TrainedPolicy
 from magical_mj.baselines.settings import Cloning, TrainingSettings
@@ -95,7 +95,7 @@ class BehaviouralCloning(Learner):
     def restore(self, state: dict[str, Any]) -> None:
         """Restores a `state`."""
         self._actor.load_state_dict(state["actor"])
-        self._optimizer.load_state_dict(state["optimizer"])
+        restore_optimizer(self._optimizer, state["optimizer"])
         self._rate.load_state_dict(state["rate"])
         self._draw.set_state(state["draw"])
         self._noise.set_state(state["noise"])

@@ -96,7 +96,10 @@ def seeded(seed: int) -> Iterator[None]:
 
 
 def restore_optimizer(optimizer: torch.optim.Optimizer, state: dict[str, Any]) -> None:
-    """Restores an optimizer's state, laid out in memory as its weights are: sums come out the same, and as fast."""
+    """Restores an optimizer's state, laid out in memory as its weights are.
+
+    Otherwise sums come out a little differently, and fused optimizers take one weight's memory for another's.
+    """
     optimizer.load_state_dict(state)
     for weights, memory in optimizer.state.items():
         for name, value in memory.items():
