@@ -174,7 +174,7 @@ def test_a_policy_that_exits_has_failed(how: dict[str, int]) -> None:
         ("", {}, "give a policy"),
         (3, {}, "3 is not a policy"),
         ("no_such_module:thing", {}, "no_such_module:thing cannot be imported"),
-        ("agents:nothing", {}, "no attribute 'nothing'"),
+        ("agents:nothing", {}, "no 'nothing' in agents"),
         ("agents:NOT_CALLABLE", {}, "is a int, which cannot be called"),
         ("missing.zip", {}, "no file missing.zip"),
         ("noop", {"tasks": "FindDup"}, "Did you mean 'FindDupe'"),
