@@ -17,8 +17,8 @@ from magical_mj.experts import Expert, make_expert, run_episode
 from magical_mj.experts.driving import drive, steer
 from magical_mj.experts.hand import Hand
 from magical_mj.experts.lookahead import Lookahead, state_of
-from magical_mj.experts.manoeuvres import obstacles, simplified
-from magical_mj.experts.navigation import EMPTY, cells, explore, toll
+from magical_mj.experts.manoeuvres import manoeuvres, obstacles, simplified
+from magical_mj.experts.navigation import EMPTY, Ways, cells, explore, toll
 from magical_mj.planning import Noise, Subgoal, done
 from magical_mj.planning.arrangements import cluster_targets, line_targets
 from magical_mj.registry import task_spec
@@ -297,3 +297,13 @@ def test_plain_scenes_have_no_expert() -> None:
     env.reset()
     with pytest.raises(InvalidSceneError):
         make_expert(env, "FindDupe")
+
+
+def test_a_place_out_of_reach_is_approached() -> None:
+    """As after random actions, when the ways that the robot can see end before the place."""
+    ways = Ways(np.array([(0.0, 0.0, 0.0), (0.0, 0.1, 0.0)]), np.array([-1, 0]), np.array([0, 1]))
+    scene = magical_mj.sample_scene("MoveToRegion", "Demo", 0)
+    free = toll(obstacles(scene), loaded=False)
+    (found,) = manoeuvres(ways, free, scene, Subgoal(None, (0.5, 0.5), 0.1), Noise(np.random.default_rng(0), 1.0))
+    assert found.route[-1] == (0.5, 0.5)
+    assert found.estimate == 1.0

@@ -73,7 +73,8 @@ def manoeuvres(ways: Ways, tolls: Ints, scene: Scene, subgoal: Subgoal, noise: N
         noise: varies the choice.
     """
     if subgoal.block is None:
-        nodes = np.flatnonzero(np.hypot(*(ways.poses[:, :2] - subgoal.target).T) <= subgoal.tolerance)
+        gaps = np.hypot(*(ways.poses[:, :2] - subgoal.target).T)
+        nodes = np.flatnonzero(gaps <= max(subgoal.tolerance, gaps.min()))  # the nearest, if none is near enough
         node = int(nodes[ways.steps[nodes].argmin()])
         route = simplified([*ways.to(node), (*subgoal.target, 0.0)], tolls)
         return [Manoeuvre(subgoal, route, False, float(ways.steps[node]))]
