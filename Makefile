@@ -48,12 +48,14 @@ site: $(VENV)/.installed-dev | node  ## the documentation and the page to play o
 	$(BIN)/python site/play.py out/site/play
 
 site-test: site | chromium  ## the site in headless Chromium, and its simulation and scores beside Python's
+	$(BIN)/python site/fetch.py
 	$(BIN)/python site/tests/cases.py out/site-test
 	node --test --test-concurrency=1 --test-reporter=spec site/tests/
 	$(BIN)/python site/tests/saved.py out/site-test/saved.json
 	$(BIN)/python site/seats.py 10 10
 
 site-picture: site | chromium  ## docs/site.png, anew
+	$(BIN)/python site/fetch.py
 	$(BIN)/python site/screenshots.py
 
 readme: $(VENV)/.installed-dev  ## run README.md in a new environment that has only what the page tells to install

@@ -71,3 +71,7 @@ def _is(folder: Path, package: Package) -> bool:
     """Whether the folder was unpacked from just this archive."""
     mark = folder / ".sha512"
     return mark.exists() and mark.read_text() == package.sha512
+
+
+if __name__ == "__main__":  # for the tests in JavaScript, which import it
+    fetched(PLAYWRIGHT)
