@@ -24,16 +24,8 @@ PARTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
 )
 """The parts of the settings that mean something to a method; of one that is not here, all of them may."""
 
-QUICK: Final[Mapping[str, Any]] = MappingProxyType(
+_SHORT: Final[Mapping[str, Any]] = MappingProxyType(
     {
-        "network.first_stride": 4,
-        "network.first_channels": 32,
-        "network.channels": 64,
-        "evaluations": 5,
-        "bc.batches": 1_500,
-        "bc.optimizer": "adam",
-        "bc.final_learning_rate": 1e-5,
-        "ppo.total_steps": 80_000,
         "ppo.steps": 16,
         "ppo.epochs": 4,
         "ppo.learning_rate": 3e-4,
@@ -43,16 +35,32 @@ QUICK: Final[Mapping[str, Any]] = MappingProxyType(
         "ppo.anneal_clip": False,
         "ppo.normalise_advantages": True,
         "discriminator.steps": 6,
-        "discriminator.batch_size": 32,
         "discriminator.learning_rate": 1e-4,
         "features.batches": 1_000,
         "features.learning_rate": 1e-3,
+    }
+)
+"""Of trainings that are short enough for two cores, from pictures or states."""
+
+QUICK: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        **_SHORT,
+        "network.first_stride": 4,
+        "network.first_channels": 32,
+        "network.channels": 64,
+        "evaluations": 5,
+        "bc.batches": 1_500,
+        "bc.optimizer": "adam",
+        "bc.final_learning_rate": 1e-5,
+        "ppo.total_steps": 80_000,
+        "discriminator.batch_size": 32,
     }
 )
 """What `quick` changes: a smaller network and shorter training, for two cores without an accelerator."""
 
 STATE_TRACK: Final[Mapping[str, Any]] = MappingProxyType(
     {
+        **_SHORT,
         "evaluations": 2,
         "checkpoints": 2,
         "bc.batches": 3_000,
@@ -62,20 +70,8 @@ STATE_TRACK: Final[Mapping[str, Any]] = MappingProxyType(
         "bc.final_learning_rate": 1e-5,
         "bc.heads": "uniform",
         "ppo.total_steps": 300_000,
-        "ppo.steps": 16,
-        "ppo.epochs": 4,
         "ppo.minibatch": 128,
-        "ppo.learning_rate": 3e-4,
-        "ppo.discount": 0.9,
-        "ppo.entropy": 0.003,
-        "ppo.clip": 0.2,
-        "ppo.anneal_clip": False,
-        "ppo.normalise_advantages": True,
-        "discriminator.steps": 6,
         "discriminator.batch_size": 128,
-        "discriminator.learning_rate": 1e-4,
-        "features.batches": 1_000,
-        "features.learning_rate": 1e-3,
     }
 )
 """What the preset State changes: the paper has no such track."""
