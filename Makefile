@@ -61,12 +61,12 @@ site-picture: site | chromium  ## docs/site.png, anew
 readme: $(VENV)/.installed-dev  ## run README.md in a new environment that has only what the page tells to install
 	$(BIN)/python tools/readme_run.py
 
-demonstrations: $(VENV)/.installed-dev  ## after a change of the physics: the shipped demonstrations and docs/experts.md, anew
+demonstrations: $(VENV)/.installed-dev  ## after a change of the physics: the shipped demonstrations, docs/experts.md and the site's episodes, anew
 	rm -rf magical_mj/demos/data
 	$(BIN)/magical-mj demos generate --count 25 --out magical_mj/demos/data
 	rm -rf out/experts
 	$(BIN)/magical-mj evaluate --policy expert --episodes 20 --out out/experts
-	$(BIN)/python tools/experts_page.py out/experts
+	$(BIN)/python tools/experts.py out/experts
 
 LEROBOT := .venv-lerobot
 LEROBOT_PYTHON ?= $(shell for p in python3.12 python3.13; do $$p -c '' 2>/dev/null && echo $$p && break; done)

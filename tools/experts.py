@@ -1,11 +1,14 @@
-"""Writes docs/experts.md from an evaluation of the expert. `make demonstrations` runs this.
+"""Writes docs/experts.md, and the episodes that the site can show, from an evaluation of the expert.
 
-magical-mj evaluate --policy expert --episodes 20 --out out/experts
-python tools/experts_page.py out/experts
+    magical-mj evaluate --policy expert --episodes 20 --out out/experts
+    python tools/experts.py out/experts
+
+`make demonstrations` does both.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -14,6 +17,7 @@ from typing import Final
 
 from magical_mj import ENVIRONMENTS, TASKS, VARIANTS
 from magical_mj.evaluation.scores import Score, read
+from magical_mj.web.scenes import EXPERT, SCENES
 
 PAGE: Final = Path(__file__).parent.parent / "docs" / "experts.md"
 
@@ -43,5 +47,18 @@ def _table(scores: Sequence[Score], cell: Callable[[list[Score]], str]) -> Itera
         yield f"| {task} | {' | '.join(cell(some) if some else '' for some in row)} |"
 
 
+def episodes(scores: Sequence[Score]) -> str:
+    """The actions of the first seeds of all environments but Demo, which has demonstrations, as JSON."""
+    actions = {(score.task, score.variant, score.seed): score.actions for score in scores}
+    table = {
+        f"{task}-{variant}": [actions[task, variant, seed] for seed in range(SCENES)]
+        for task, variant in ENVIRONMENTS
+        if variant != "Demo"
+    }
+    return json.dumps(table, indent=0) + "\n"
+
+
 if __name__ == "__main__":
-    PAGE.write_text(page(read(Path(sys.argv[1]))))
+    found = read(Path(sys.argv[1]))
+    PAGE.write_text(page(found))
+    EXPERT.write_text(episodes(found))
