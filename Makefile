@@ -30,7 +30,7 @@ format: $(VENV)/.installed-dev  ## format, and fix what can be fixed
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the README
+docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the README and of docs/results.md
 	$(BIN)/magical-mj view --grid --size 112 --out docs/environments.png --force
 	$(BIN)/magical-mj view FindDupe --camera scene,ego --size 400 --out docs/scene.png --force
 	rm -rf out/models
@@ -41,7 +41,7 @@ docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the READ
 	$(BIN)/python tools/exported_models.py out/models docs/exported-models.png
 	$(BIN)/python tools/experts_picture.py
 	$(BIN)/python research/physics_picture.py
-	$(BIN)/python tools/readme_tables.py
+	$(BIN)/python tools/tables.py
 
 site: $(VENV)/.installed-dev | node  ## the documentation and the page to play on, complete in out/site
 	$(BIN)/python site/docs.py out/site

@@ -20,7 +20,7 @@ from magical_mj.evaluation.results import gather, published_results
 from magical_mj.evaluation.run import evaluate
 from magical_mj.evaluation.scores import frame
 from magical_mj.evaluation.settings import EvaluationSettings, settings_from
-from magical_mj.evaluation.statistics import by_environment
+from magical_mj.evaluation.statistics import by_environment, rank_correlation
 from magical_mj.parallel import check_backend, spread
 from magical_mj.registry import TASKS, listed, task_name, task_spec
 
@@ -175,16 +175,17 @@ def conduct(
 
 def agreement(planned: list[Run]) -> Iterator[str]:
     """How alike the methods of runs that are done and the paper's rank the environments, a line for each method."""
-    from scipy.stats import spearmanr
-
     ours = by_environment(frame(gather([run.scores for run in planned])))
     paper = published_results()
     for method, counterpart in {run.method: run.counterpart for run in planned}.items():
-        pairs = ours[ours["policy"] == method].merge(paper[paper["policy"] == counterpart], on=["task", "variant"])
-        if len(pairs) >= LEAST_PAIRS and pairs["mean_x"].nunique() > 1:
-            means = pairs[["mean_x", "mean_y"]].groupby(pairs["variant"]).mean()
-            ranks, others = (spearmanr(table["mean_x"], table["mean_y"]).statistic for table in (pairs, means))
-            counts = f"{ranks:.2f} over {len(pairs)} environments, {others:.2f} over the means of {len(means)} variants"
+        first = ours[ours["policy"] == method].set_index(["task", "variant"])["mean"]
+        second = paper[paper["policy"] == counterpart].set_index(["task", "variant"])["mean"]
+        shared = first.index.intersection(second.index)
+        ranks = rank_correlation(first.to_dict(), second.to_dict())
+        if len(shared) >= LEAST_PAIRS and ranks == ranks:  # it is no number if all means are alike
+            by_variant = [means[shared].groupby("variant").mean().to_dict() for means in (first, second)]
+            counts = f"{ranks:.2f} over {len(shared)} environments"
+            counts += f", {rank_correlation(*by_variant):.2f} over the means of {len(by_variant[0])} variants"
             yield f"{method} and the paper's {counterpart}: rank correlation {counts}"
 
 

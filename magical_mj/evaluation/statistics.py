@@ -11,7 +11,7 @@ that of the training.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -117,6 +117,24 @@ def _iqm_of_means(*strata: Floats, axis: int = -1) -> Any:
 
 def _iqm_of_values(*strata: Floats, axis: int = -1) -> Any:
     return interquartile_mean(np.concatenate(strata, axis=axis), axis=axis)
+
+
+def rank_correlation(first: Mapping[Any, Any], second: Mapping[Any, Any]) -> float:
+    """Spearman's rank correlation of two methods' mean scores, over the environments that both have.
+
+    Args:
+        first: by environment, a mean score or those of several runs.
+        second: likewise.
+
+    Returns:
+        In [-1, 1]; NaN if one of the methods has the same score everywhere, or there are fewer than two environments.
+    """
+    from scipy.stats import spearmanr
+
+    means = np.array([(np.mean(first[key]), np.mean(second[key])) for key in first if key in second])
+    if len(means) < 2 or (np.ptp(means, axis=0) == 0).any():
+        return float("nan")
+    return float(spearmanr(means[:, 0], means[:, 1]).statistic)
 
 
 def by_environment(scores: pd.DataFrame) -> pd.DataFrame:

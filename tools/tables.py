@@ -1,0 +1,169 @@
+"""Writes tables between their markers: README.md's from the registry, docs/results.md's from the entries in results/.
+
+`make docs` runs this.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from magical_mj import ENVIRONMENTS, TASKS
+from magical_mj import constants as c
+from magical_mj.evaluation.statistics import rank_correlation
+from magical_mj.leaderboard.entry import SUFFIX, unpacked
+from magical_mj.leaderboard.sections import label
+from magical_mj.leaderboard.standings import Standing, published, standing
+from magical_mj.presets import PRESETS
+from magical_mj.registry import task_spec
+from magical_mj.variants import VARIANTS, Axis
+
+ROOT: Final = Path(__file__).parent.parent
+EXPERTS: Final = ROOT / "docs" / "experts.md"
+COMPARED: Final = ("BC (ST)", "BC (MT)", "GAIL (ST)", "GAIL (MT)", "WGAIL-GP (ST)", "AL (ST)")
+"""The paper's methods with its default settings, beside which ours stand."""
+
+AXES: Final[dict[Axis, str]] = {
+    "jitter": f"small changes of every pose: ±{c.JITTER_POSITION} per axis, ±{c.JITTER_ANGLE:.3f} rad",
+    "layout": "all poses, and the sizes of goal regions",
+    "colour": "colours",
+    "shape": "shapes",
+    "count": "how many blocks, and in FixColour regions",
+    "dynamics": "motor forces and the blocks' friction",
+}
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def tasks() -> str:
+    """Each task, its goal and its horizon."""
+    rows = []
+    for task in TASKS:
+        spec = task_spec(task)
+        variants = sum(name == task for name, _ in ENVIRONMENTS)
+        rows.append((f"**{task}**", _sentence(spec.summary), str(spec.horizon()), str(variants)))
+    return table(("Task", "Goal", "Steps", "Variants"), rows)
+
+
+def variants() -> str:
+    """Each variant, what is drawn anew, and which tasks lack it."""
+    rows = []
+    for variant, axes in VARIANTS.items():
+        missing = [task for task in TASKS if (task, variant) not in ENVIRONMENTS]
+        words = "; ".join(AXES[axis] for axis in axes)
+        if variant == "All":
+            words = "everything that can vary in the task, at once"
+        rows.append((f"**{variant}**", _sentence(words or "nothing: the scene of the demonstrations"), _but(missing)))
+    return table(("Variant", "Drawn anew at each reset", "Tasks"), rows)
+
+
+def presets() -> str:
+    """Each preset of the Gymnasium ids and what it observes."""
+    rows = [(f"`-{name}`" if name else "none", _sentence(entry.summary)) for name, entry in PRESETS.items()]
+    return table(("Preset", "Observation"), rows)
+
+
+def experts() -> str:
+    """The experts' mean scores, as `make demonstrations` found them."""
+    return EXPERTS.read_text().split("\n\n")[2]
+
+
+def _entries() -> dict[str, Standing]:
+    """Our own results by the names of their files, the best first."""
+    found = {
+        path.name.removesuffix(SUFFIX): standing(unpacked(path.read_bytes(), path))
+        for path in sorted((ROOT / "results").glob(f"*{SUFFIX}"))
+    }
+    return dict(sorted(found.items(), key=lambda item: -_mean(item[1], VARIANTS)))
+
+
+def _mean(one: Standing, variants: Iterable[str]) -> float:
+    """Over the environments of these variants; NaN if there are none."""
+    means = [float(values.mean()) for (_, variant), values in one.means.items() if variant in variants]
+    return sum(means) / len(means) if means else float("nan")
+
+
+def _number(value: float) -> str:
+    return "" if value != value else f"{value:.2f}"
+
+
+def overview(entries: Mapping[str, Standing], paper: Iterable[Standing]) -> str:
+    """Of each method, ours and the paper's, the mean score over tasks in each variant."""
+    rows = []
+    for one in (*entries.values(), *paper):
+        looks_at = "pictures" if one.entry is None else one.entry.observations or "nothing"
+        runs = "5" if one.entry is None else str(len(one.entry.runs))
+        rows.append((label(one), looks_at, runs, *(_number(_mean(one, (name,))) for name in VARIANTS)))
+    return table(("Method", "Looks at", "Runs", *VARIANTS), rows)
+
+
+def agreement(entries: Mapping[str, Standing], paper: Iterable[Standing]) -> str:
+    """Of each of our methods, its rank correlation with each of the paper's over the environments."""
+    rows = [
+        (label(one), *(_number(rank_correlation(one.means, other.means)) for other in paper))
+        for one in entries.values()
+    ]
+    return table(("", *COMPARED), rows)
+
+
+def environments(one: Standing) -> str:
+    """A method's mean scores, and the standard deviations of its runs."""
+    rows = []
+    for task in TASKS:
+        cells = []
+        for variant in VARIANTS:
+            values = one.means.get((task, variant))
+            cells.append("" if values is None else f"{values.mean():.2f} ± {values.std():.2f}")
+        rows.append((task, *cells))
+    return table(("", *VARIANTS), rows)
+
+
+def _sentence(words: str) -> str:
+    return words[:1].upper() + words[1:]
+
+
+def _but(missing: Sequence[str]) -> str:
+    return f"all but {' and '.join(missing)}" if missing else "all"
+
+
+def readme() -> dict[str, str]:
+    """The tables of README.md by name."""
+    return {"tasks": tasks(), "variants": variants(), "presets": presets(), "experts": experts()}
+
+
+def results() -> dict[str, str]:
+    """The tables of docs/results.md by name; an entry's has the name of its file."""
+    entries = _entries()
+    paper = sorted((one for one in published() if one.name in COMPARED), key=lambda one: COMPARED.index(one.name))
+    learnt = {name: one for name, one in entries.items() if name not in ("noop", "random")}
+    return {
+        "overview": overview(entries, paper),
+        "agreement": agreement(learnt, paper),
+        **{name: environments(one) for name, one in learnt.items()},
+    }
+
+
+PAGES: Final[Mapping[str, Callable[[], dict[str, str]]]] = {"README.md": readme, "docs/results.md": results}
+"""The pages that have such tables."""
+
+
+def filled(text: str, tables: Mapping[str, str]) -> str:
+    """A page's text with up-to-date tables."""
+    for name, body in tables.items():
+        start, end = f"<!-- {name}: written by make docs -->", f"<!-- end of {name} -->"
+        text, count = re.subn(f"{start}.*?{end}", f"{start}\n{body}\n{end}", text, flags=re.DOTALL)
+        if count != 1:
+            raise ValueError(f"the page needs exactly one pair of markers {start} and {end}")
+    return text
+
+
+if __name__ == "__main__":
+    for page, tables in PAGES.items():
+        path = ROOT / page
+        path.write_text(filled(path.read_text(), tables()))
