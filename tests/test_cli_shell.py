@@ -19,11 +19,6 @@ COMMANDS = (
 )
 
 
-def process(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "magical_mj", *arguments]
-    return subprocess.run(command, env=os.environ | variables, capture_output=True, text=True, check=False, timeout=120)
-
-
 @pytest.mark.parametrize(
     ("line", "offered"),
     [

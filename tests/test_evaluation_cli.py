@@ -3,28 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
+from commands import Shell
 
-from magical_mj.cli import main
 from magical_mj.evaluation.scores import SCORES, read
 
-Shell = Callable[..., tuple[int, str, str]]
 SMALL = ("--tasks", "MoveToRegion", "--variants", "Demo,Layout", "--episodes", "2", "--jobs", "1")
-
-
-@pytest.fixture
-def shell(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Shell:
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: Any) -> tuple[int, str, str]:
-        code = main([str(argument) for argument in arguments])
-        return code, *capsys.readouterr()
-
-    return run
 
 
 def test_from_scores_to_videos(shell: Shell, tmp_path: Path) -> None:

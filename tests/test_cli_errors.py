@@ -1,0 +1,110 @@
+"""The command line: one clear line for everything that can go wrong. Exit code 2 for wrong use, 1 for failures."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from commands import Shell, process
+
+from magical_mj.rendering.backend import osmesa_works
+
+
+@pytest.mark.parametrize(
+    ("line", "hint"),
+    [
+        ("frobnicate", "No such command"),
+        ("view", "give TASK"),
+        ("view FindDupe --grid", "either TASK or --grid"),
+        ("view FindDup", "Did you mean 'FindDupe'"),
+        ("view FindDupe Color", "Did you mean 'Colour'"),
+        ("view FindDupe TestDemo", "Did you mean 'Demo'"),
+        ("view MoveToCorner Layout", "It has: Demo, Jitter"),
+        ("view FindDupe --seed -1", "--seed"),
+        ("view FindDupe --seed x", "--seed"),
+        ("view FindDupe --size 0", "--size"),
+        ("view FindDupe --out a.jpg", "must end in .png"),
+        ("view FindDupe Demo extra", "extra"),
+        ("rollout FindDupe --policy greedy", "unknown policy"),
+        ("rollout FindDupe --policy gone.zip", "no file gone.zip"),
+        ("rollout FindDupe --agent expert", "--agent"),
+        ("rollout FindDupe --episodes 0", "--episodes"),
+        ("rollout FindDupe --video a.avi", "must end in .mp4"),
+        ("rollout MoveToRegion CountPlus", "It has: Demo, Jitter"),
+        ("export FindDupe", "--out"),
+        ("export", "TASK"),
+        ("export FindDupe Nothing --out x", "unknown variant"),
+        ("demo --jobs 0", "--jobs"),
+    ],
+)
+def test_wrong_use(shell: Shell, line: str, hint: str, tmp_path: Path) -> None:
+    assert hint.lower() in shell.fails(2, *line.split()).lower()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "view FindDupe --out {}/a.png",
+        "view --grid --out {}/a.png",
+        "rollout FindDupe --video {}/a.mp4",
+        "export FindDupe --out {}",
+        "demo --out {}",
+    ],
+)
+def test_unwritable_path_is_said_before_the_work(shell: Shell, line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_work(*_: object, **__: object) -> None:
+        pytest.fail("the path was not checked first")
+
+    monkeypatch.setattr("magical_mj.environment.Environment.reset", no_work)
+    assert "cannot write into /dev/null/folder" in shell.fails(1, *line.format("/dev/null/folder").split())
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        ("view MoveToRegion --out a.png --size 16", "a.png"),
+        ("rollout MoveToRegion --video a.mp4 --size 16", "a.mp4"),
+        ("export MoveToRegion --out .", "MoveToRegion-Demo-0.xml"),
+    ],
+)
+def test_nothing_is_overwritten_unless_forced(shell: Shell, line: str, name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text("precious")
+    assert "--force" in shell.fails(1, *line.split())
+    assert (tmp_path / name).read_text() == "precious"
+    assert shell(*line.split(), "--force")[0] == 0
+    assert (tmp_path / name).read_bytes() != b"precious"
+
+
+@pytest.mark.parametrize("extra", ["typer", "imageio_ffmpeg"])
+def test_missing_extra_is_one_line(extra: str, tmp_path: Path) -> None:
+    hide = f"import sys; sys.modules[{extra!r}] = None; from magical_mj.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", hide, "rollout", "MoveToRegion", "--video", str(tmp_path / "a.mp4")]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    assert 'pip install "magical-mj[' in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("backend", ["glfw", "osmesa"])
+def test_no_opengl_is_one_line(backend: str, tmp_path: Path) -> None:
+    """Backends that do not work: GLFW without a display, OSMesa where its library is not installed."""
+    if backend == "osmesa" and osmesa_works():
+        pytest.skip("OSMesa works here")
+    variables = {"MUJOCO_GL": backend, "DISPLAY": "", "WAYLAND_DISPLAY": ""}
+    result = process("view", "FindDupe", "--out", str(tmp_path / "a.png"), **variables)
+    assert result.returncode == 1
+    assert "MUJOCO_GL" in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert process("list", **variables).stderr == ""
+
+
+def test_mujoco_may_be_imported_first(tmp_path: Path) -> None:
+    out = str(tmp_path / "a.png")
+    code = f"import mujoco, sys, magical_mj.cli as cli; sys.exit(cli.main(['view', 'FindDupe', '--out', {out!r}]))"
+    variables = {name: value for name, value in os.environ.items() if name not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
+    result = subprocess.run([sys.executable, "-c", code], env=variables, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr

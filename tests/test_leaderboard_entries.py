@@ -1,0 +1,156 @@
+"""Entries of the leaderboard: what they say, what is refused, and that they are replayed."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from entries import EPISODES, TAMPERED, Row, rewrite, whole
+
+import magical_mj
+from magical_mj.errors import EvaluationError, SettingsError, UnknownNameError
+from magical_mj.leaderboard import check_entry, submit
+from magical_mj.leaderboard.claims import Claim, missing
+from magical_mj.leaderboard.entry import packed, unpacked
+from magical_mj.registry import ENVIRONMENTS
+
+CARD = """
+method = "Oracle"
+links = ["https://example.org/oracle"]
+hardware = "two cores"
+[demonstrations]
+set = 1
+per_task = 10
+[training]
+hours = 1.5
+"""
+
+
+def test_an_entry_says_everything_and_checks(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "card.toml").write_text(CARD)
+    path = tmp_path / "entry.json.gz"
+    made = submit([folder], path, card=tmp_path / "card.toml")
+    entry, found = check_entry(path, everything=True)
+    assert entry == made
+    assert (found.episodes, found.differing, found.unfit) == (EPISODES, [], [])
+    assert entry.card == {
+        "method": "Oracle",
+        "description": None,
+        "authors": None,
+        "links": ["https://example.org/oracle"],
+        "demonstrations": {"set": 1, "per_task": 10, "other": None},
+        "training": {"hours": 1.5, "device": None, "steps": None},
+        "hardware": "two cores",
+    }
+    assert (entry.observations, entry.rules, entry.protocol, entry.runs) == (None, "paper", 1, [0])
+    assert entry.versions["version"] == [magical_mj.__version__]
+    with pytest.raises(FileExistsError):
+        submit([folder], path)
+
+
+def test_what_the_card_does_not_say_is_null(folder: Path, tmp_path: Path) -> None:
+    card = submit([folder], tmp_path / "entry.json.gz").card
+    assert card.pop("method") == "expert"
+    said = [value for part in card.values() for value in (part.values() if isinstance(part, dict) else [part])]
+    assert said == [None] * len(said)
+
+
+def test_the_same_entry_has_the_same_bytes(folder: Path, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        submit([folder], tmp_path / f"{name}.json.gz")
+        rewrite(folder, list.reverse)
+    assert (tmp_path / "a.json.gz").read_bytes() == (tmp_path / "b.json.gz").read_bytes()
+
+
+def content(path: Path) -> dict[str, Any]:
+    return json.loads(gzip.decompress(path.read_bytes()))
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"rules": "released"}, "was altered after it was made"),
+        ({"rules": "mine"}, r"does not follow the schema at \$.rules"),
+        ({"format": 2}, r"does not follow the schema at \$.format"),
+        ({"surprise": 1}, "does not follow the schema"),
+        ({"environments": {"FindDupe-Everything": [[0, 0, None, 0, "", None]]}}, "which is no environment"),
+        ({"environments": {"FindDupe-All": [[0, 0, None, 2, "", None]]}}, r"at \$.environments.*2 is greater"),
+    ],
+)
+def test_what_is_no_entry_is_named(folder: Path, tmp_path: Path, change: dict[str, Any], problem: str) -> None:
+    path = tmp_path / "entry.json.gz"
+    submit([folder], path)
+    path.write_bytes(gzip.compress(json.dumps({**content(path), **change}).encode()))
+    with pytest.raises(EvaluationError, match=problem):
+        check_entry(path)
+
+
+DAMAGED = {"empty": b"", "text": b"no", "half": gzip.compress(b"[1"), "list": gzip.compress(b"[]"), "cut": b"\x1f\x8b"}
+
+
+@pytest.mark.parametrize("data", DAMAGED.values(), ids=DAMAGED)
+def test_damaged_files_are_named(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "entry.json.gz").write_bytes(data)
+    with pytest.raises(EvaluationError, match=r"entry.json.gz (cannot be read|does not follow)"):
+        check_entry(tmp_path / "entry.json.gz")
+
+
+@pytest.mark.parametrize(("change", "problem"), TAMPERED[:3])
+def test_an_entry_with_a_proper_hash_is_still_replayed(
+    folder: Path, tmp_path: Path, change: Callable[[list[Row]], None], problem: str
+) -> None:
+    rewrite(folder, change)
+    submit([folder], tmp_path / "entry.json.gz")
+    _, found = check_entry(tmp_path / "entry.json.gz", everything=True)
+    assert problem in found.differing[-1]
+
+
+def test_a_random_part_is_checked_and_always_the_same(tmp_path: Path) -> None:
+    """A tenth of 200 episodes that all lie."""
+    episodes = [Claim(0, "MoveToRegion", "Demo", seed, None, 0.7, "a" * 40, None) for seed in range(200)]
+    entry = replace(unpacked(packed(whole(runs=1))), episodes=episodes)
+    (tmp_path / "entry.json.gz").write_bytes(packed(entry))
+    found, again = (check_entry(tmp_path / "entry.json.gz")[1] for _ in range(2))
+    assert len(found.differing) == found.episodes == 20
+    assert found.differing == again.differing
+
+
+def test_an_entry_without_the_protocol_s_scenes_is_not_shown(tmp_path: Path) -> None:
+    lone = Claim(0, "MoveToRegion", "Demo", 100, None, 0.0, "", "ValueError: no")
+    (tmp_path / "entry.json.gz").write_bytes(packed(replace(whole(runs=1), episodes=[lone])))
+    assert check_entry(tmp_path / "entry.json.gz")[1].unfit == [
+        "none of its episodes starts in the scenes of seeds 0 to 99"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("card", "arguments", "error", "problem"),
+    [
+        ('colour = "red"', {}, UnknownNameError, "unknown entry of .*card.toml 'colour'"),
+        ("[training]\nhuors = 1", {}, UnknownNameError, "Did you mean 'hours'"),
+        ("method =", {}, SettingsError, "cannot be read as TOML"),
+        ("", {"policy": "nobody"}, UnknownNameError, "unknown policy 'nobody'"),
+        ("", {"out": "entry.json"}, SettingsError, "must end in .json.gz"),
+    ],
+)
+def test_bad_submissions_are_explained(
+    folder: Path, tmp_path: Path, card: str, arguments: dict[str, Any], error: type[Exception], problem: str
+) -> None:
+    (tmp_path / "card.toml").write_text(card)
+    with pytest.raises(error, match=problem):
+        submit([folder], **{"out": tmp_path / "entry.json.gz", "card": tmp_path / "card.toml", **arguments})
+    assert not list(tmp_path.glob("entry*"))
+
+
+def test_a_thousand_rows_too_few_are_named() -> None:
+    entry = whole()
+    assert missing(entry.episodes, magical_mj.TASKS) == []
+    found = missing(entry.episodes[1000:], magical_mj.TASKS)
+    assert found == [
+        f"run 0, {task} {variant}: all of the 100 episodes are missing" for task, variant in ENVIRONMENTS[:10]
+    ]
