@@ -1,0 +1,14 @@
+#!/usr/bin/env bash
+# Trains and evaluates the full-size tables from pictures, for a limited time. Call it again to go on where it stopped.
+#   experiments/accelerator.sh 580 12 runs    # for so many seconds, so many runs side by side, into this folder
+# Runs side by side share the card: one alone keeps it waiting for its small kernels to be launched.
+set -uo pipefail
+seconds=$1 jobs=$2 out=$3
+for table in pixels-bc pixels-bc-multi pixels-bc-no-augmentation pixels-bc-no-trans-rot pixels-bc-allo \
+    pixels-gail-multi pixels-gail; do
+  left=$((seconds - SECONDS))
+  [ "$left" -gt 0 ] || break
+  timeout --signal=INT --kill-after=20 "$left" \
+    magical-mj experiment "experiments/$table.toml" --jobs "$jobs" --out "$out/$table"
+done
+cd "$out" && find . -path '*/evaluations/*' -type f | tar -czf evaluations.tar.gz -T -  # all that tables are made of
