@@ -4,6 +4,7 @@
 # Runs side by side share the card: one alone keeps it waiting for its small kernels to be launched.
 set -uo pipefail
 seconds=$1 jobs=$2 out=$3
+mkdir -p "$out"
 for table in pixels-bc pixels-bc-multi pixels-bc-no-augmentation pixels-bc-no-trans-rot pixels-bc-allo \
     pixels-gail-multi pixels-gail; do
   left=$((seconds - SECONDS))
