@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any, Final
 
 import mujoco
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from magical_mj.actions import action_number
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import control_signal
-from magical_mj.assets.world import World, world_spec
+from magical_mj.assets.world import World, world_model
 from magical_mj.composer_internals import UnindexedPhysics
 from magical_mj.errors import StateError
 from magical_mj.observations import SOLID_VIEW
@@ -36,7 +37,7 @@ class Simulation(UnindexedPhysics):
         """Compiles a world: its spec, or composer's tree where somebody asked for it."""
         if world.tree is not None:
             return cls.from_mjcf_model(world.tree)
-        model = wrapper.MjModel(world_spec(world.structure).compile())
+        model = wrapper.MjModel(copy(world_model(world.structure)))
         data = wrapper.MjData(model)
         world.rewrite(model.ptr, data.ptr)
         mujoco.mj_resetData(model.ptr, data.ptr)  # to the scene
