@@ -49,7 +49,7 @@ QUICK: Final[Mapping[str, Any]] = MappingProxyType(
         "network.first_channels": 32,
         "network.channels": 64,
         "evaluations": 5,
-        "bc.batches": 1_500,
+        "bc.batches": 1_000,
         "bc.optimizer": "adam",
         "bc.final_learning_rate": 1e-5,
         "ppo.total_steps": 80_000,
