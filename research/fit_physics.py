@@ -154,7 +154,7 @@ def decoded(point: Array) -> PhysicsSettings:
 def search(folder: Path, minutes: float, seed: int) -> PhysicsSettings:
     """The best settings that CMA-ES finds, from the present ones on."""
     try:
-        import nevergrad  # type: ignore[import-not-found]
+        import nevergrad
     except ImportError:
         sys.exit("searching needs nevergrad: pip install nevergrad")
     start = coded(SETTINGS)

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import pymunk  # type: ignore[import-not-found]
+import pymunk
 from rollouts import Array, Case, Rollouts, demo_scene, distances, final_score, probe_poses, probe_scene, recordings
 
 from magical_mj import constants as c

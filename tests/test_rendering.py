@@ -15,7 +15,7 @@ from magical_mj import constants as c
 from magical_mj.assets import style
 from magical_mj.assets.world import World
 from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS
-from magical_mj.rendering.renderer import LARGEST, Renderer, check_size, on_paper
+from magical_mj.rendering.renderer import LARGEST, Renderer, check_size, on_white
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.simulation import Simulation
 
@@ -154,10 +154,10 @@ def test_averaging_is_exact_on_white_paper() -> None:
     sums = pixels[::-1].reshape(12, 2, 8, 2, 4).sum(axis=(1, 3))
     averages = (sums + 2) // 4  # rounded
     expected = averages[..., :3] + 255 - averages[..., 3:]
-    found, places = on_paper(pixels), np.zeros((12, 8, 7), np.uint8)
+    found, places = on_white(pixels), np.zeros((12, 8, 7), np.uint8)
     assert found.dtype == np.uint8
     np.testing.assert_array_equal(found, expected)
-    on_paper(pixels, places[..., 2:5])
+    on_white(pixels, places[..., 2:5])
     np.testing.assert_array_equal(places[..., 2:5], expected)
     assert not places[..., [0, 1, 5, 6]].any()
 

@@ -94,7 +94,7 @@ def world_spec(structure: Structure) -> mujoco.MjSpec:
     return spec
 
 
-@lru_cache(32)
+@lru_cache(16)
 def world_model(structure: Structure) -> mujoco.MjModel:
     """The compiled model of the worlds of this structure (0.2 MB), shared: copy it before `World.rewrite`."""
     return world_spec(structure).compile()

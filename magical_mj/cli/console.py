@@ -66,7 +66,7 @@ def add_options(command: Callable[..., None], settings: type) -> None:
         for name, option in _options(settings)
         if name not in [parameter.name for parameter in named]
     ]
-    command.__signature__ = inspect.Signature([*named, *options])  # type: ignore[attr-defined]
+    command.__signature__ = inspect.Signature([*named, *options])
 
 
 def _options(settings: type) -> Iterator[tuple[str, Any]]:

@@ -103,7 +103,7 @@ class EvaluationSettings:
 def described(settings: type) -> dict[str, tuple[Any, About]]:
     """The type of each setting, and what is to be said about it, by their names."""
     hints = get_type_hints(settings, include_extras=True)
-    return {setting.name: get_args(hints[setting.name]) for setting in fields(settings)}  # type: ignore[misc]
+    return {setting.name: get_args(hints[setting.name]) for setting in fields(settings)}
 
 
 def settings_from(arguments: Mapping[str, Any]) -> EvaluationSettings:

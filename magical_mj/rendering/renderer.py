@@ -85,10 +85,10 @@ class Renderer:
             except gl.functions().error:
                 CANVAS.restart()
                 pixels = self.paint(data, camera, size)
-        return on_paper(pixels, out)
+        return on_white(pixels, out)
 
     def paint(self, data: mujoco.MjData, camera: str, size: int) -> Picture:
-        """What `on_paper` makes the picture of; the canvas must be current, and the next painting overwrites it."""
+        """What `on_white` makes the picture of; the canvas must be current, and the next painting overwrites it."""
         context, scene, option = self._context, self._scene, self._option
         if context is None or scene is None or context not in CANVAS.contexts:
             context = self._context = CANVAS.context_for(self.model)
@@ -137,7 +137,7 @@ class SolidRenderer(Renderer):
         return CANVAS.draw(context, scene, OVERSAMPLING * size, OVERSAMPLING * size)
 
 
-def on_paper(pixels: Picture, out: Picture | None = None) -> Picture:
+def on_white(pixels: Picture, out: Picture | None = None) -> Picture:
     """The picture of a drawing: averaged 2 x 2, on white paper, top row first.
 
     Args:

@@ -12,7 +12,7 @@ from magical_mj.assets.robot import control_signal
 from magical_mj.assets.world import World
 from magical_mj.presets import Preset
 from magical_mj.rendering.canvas import CANVAS
-from magical_mj.rendering.renderer import Renderer, on_paper
+from magical_mj.rendering.renderer import Renderer, on_white
 from magical_mj.scene import Scene
 from magical_mj.simulation import Simulation
 
@@ -43,7 +43,7 @@ class BareLoop:
 
     def _draw(self) -> None:
         for view in self._views:
-            on_paper(self._renderer.paint(self.simulation.data.ptr, view, self._size))
+            on_white(self._renderer.paint(self.simulation.data.ptr, view, self._size))
 
     def close(self) -> None:
         """Frees the simulation."""
