@@ -5,6 +5,7 @@ Boxes and cylinders where they will do, for they cost less than meshes and are e
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final
 
 from magical_mj import constants as c
@@ -33,6 +34,7 @@ def cylinder(radius: float, height: float) -> str:
     return f'type="cylinder" size="{numbers(radius, height / 2)}" pos="0 0 {numbers(height / 2)}"'
 
 
+@lru_cache(64)
 def block(name: str, shape: Shape, colour: Colour) -> str:
     """The sides of a block."""
     sides = f'type="mesh" mesh="{shape}_sides"'

@@ -72,7 +72,7 @@ class Structure(NamedTuple):
 
 
 _GEOM: Final = ("name", "type", "size", "pos", "fromto", "meshname")
-"""What geoms say of themselves that differ between shapes; their classes say the rest."""
+"""The attributes of geoms that differ between shapes."""
 
 
 def world_spec(structure: Structure) -> mujoco.MjSpec:
@@ -114,13 +114,16 @@ def _unshaped(blocks: int, dashes: tuple[int, ...]) -> mujoco.MjSpec:
 
 @cache
 def _parsed(geoms: str) -> tuple[tuple[str, tuple[tuple[str, Any], ...]], ...]:
-    """Class and attributes of each of these geoms."""
+    """The class of each of these geoms, and the attributes in which it differs from its class."""
     spec = mujoco.MjSpec.from_string(
         f"<mujoco><default>{geom_classes()}</default><worldbody>{geoms}</worldbody></mujoco>"
     )
-    return tuple(
-        (geom.classname.name, tuple((name, copy(getattr(geom, name))) for name in _GEOM)) for geom in spec.geoms
-    )
+
+    def own_attributes(geom: Any) -> tuple[tuple[str, Any], ...]:
+        values = ((name, getattr(geom, name), getattr(geom.classname.geom, name)) for name in _GEOM)
+        return tuple((name, copy(value)) for name, value, default in values if str(value) != str(default))
+
+    return tuple((geom.classname.name, own_attributes(geom)) for geom in spec.geoms)
 
 
 class World(composer.Entity):
