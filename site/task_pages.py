@@ -7,19 +7,23 @@ from pathlib import Path
 from pictures import animation, examples, scenes
 
 from magical_mj.constants import CONTROL_RATE
-from magical_mj.evaluation.results import published_results
+from magical_mj.leaderboard.sections import label
+from magical_mj.leaderboard.standings import Standing, own_standings, published
 from magical_mj.registry import ENVIRONMENTS, TASKS, task_spec
 from magical_mj.web.catalogue import sections
 
 METHODS = ("BC (ST)", "BC (MT)", "GAIL (ST)", "WGAIL-GP (ST)", "AL (ST)")
+RESULTS = Path(__file__).parent.parent / "results"
 
 
 def write_task_pages(folder: Path, media: Path) -> None:
     """Write `<Task>.md` for every task, and `tasks.md`, which shows them all; their pictures go into `media`."""
+    methods = [one for one in published() if one.name in METHODS]
+    methods += own_standings(RESULTS).values()
     cards = []
     for task in TASKS:
         animation(task, media / f"{task}.webp")
-        (folder / f"{task}.md").write_text(_page(task, media), encoding="utf-8")
+        (folder / f"{task}.md").write_text(_page(task, methods, media), encoding="utf-8")
         goal = _sentence(task_spec(task).summary)
         cards.append(f'<a class="card" href="{task}.html">{_animation(task)}<strong>{task}</strong> {goal}</a>')
     listed = "```{toctree}\n:hidden:\n\n" + "\n".join(TASKS) + "\n```"
@@ -27,7 +31,7 @@ def write_task_pages(folder: Path, media: Path) -> None:
     (folder / "tasks.md").write_text(text, encoding="utf-8")
 
 
-def _page(task: str, media: Path) -> str:
+def _page(task: str, methods: list[Standing], media: Path) -> str:
     spec, said = task_spec(task), sections(task)
     variants = [variant for known, variant in ENVIRONMENTS if known == task]
     paper, released = spec.horizon("paper"), spec.horizon("released")
@@ -45,7 +49,7 @@ def _page(task: str, media: Path) -> str:
         said["Score"],
         _examples(task, media),
         "## Results",
-        _results(task, variants),
+        _results(task, variants, methods),
         "## Differences from the original",
         said["Differences from the original"],
     ]
@@ -86,15 +90,16 @@ def _examples(task: str, media: Path) -> str:
     return f'<div class="examples">{"".join(figures)}</div>'
 
 
-def _results(task: str, variants: list[str]) -> str:
-    table = published_results()
-    mine = table[(table["task"] == task) & table["policy"].isin(METHODS)]
-    means = mine.pivot_table(index="policy", columns="variant", values="mean").reindex(METHODS)[variants]
+def _results(task: str, variants: list[str], methods: list[Standing]) -> str:
     lines = [f"| Method | {' | '.join(variants)} |", f"| --- |{' ---: |' * len(variants)}"]
-    lines += [f"| {method} | {' | '.join(f'{value:.2f}' for value in row)} |" for method, row in means.iterrows()]
+    for one in methods:
+        means = [one.means.get((task, variant)) for variant in variants]
+        if any(values is not None for values in means):
+            cells = ["" if values is None else f"{values.mean():.2f}" for values in means]
+            lines.append(f"| {label(one)} | {' | '.join(cells)} |")
     return (
-        "The paper's, in the original simulator: mean scores of five runs (ST: trained on this task, MT: on all).\n\n"
+        "† The paper's, in the original simulator. Mean scores of the runs; ST was trained on this task, MT on all.\n\n"
         + "\n".join(lines)
         + "\n\nThe expert of this package scores 1.00 in every variant ([details](experts.md)). "
-        "What this package's learners score is in [Learners](learners.md)."
+        "How ours were trained: [Results](results.md)."
     )

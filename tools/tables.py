@@ -13,9 +13,8 @@ from typing import Final
 from magical_mj import ENVIRONMENTS, TASKS
 from magical_mj import constants as c
 from magical_mj.evaluation.statistics import rank_correlation
-from magical_mj.leaderboard.entry import SUFFIX, unpacked
 from magical_mj.leaderboard.sections import label
-from magical_mj.leaderboard.standings import Standing, published, standing
+from magical_mj.leaderboard.standings import Standing, own_standings, published
 from magical_mj.presets import PRESETS
 from magical_mj.registry import task_spec
 from magical_mj.variants import VARIANTS, Axis
@@ -74,15 +73,6 @@ def experts() -> str:
     return EXPERTS.read_text().split("\n\n")[2]
 
 
-def _entries() -> dict[str, Standing]:
-    """Our own results by the names of their files, the best first."""
-    found = {
-        path.name.removesuffix(SUFFIX): standing(unpacked(path.read_bytes(), path))
-        for path in sorted((ROOT / "results").glob(f"*{SUFFIX}"))
-    }
-    return dict(sorted(found.items(), key=lambda item: -_mean(item[1], VARIANTS)))
-
-
 def _mean(one: Standing, variants: Iterable[str]) -> float:
     """Over the environments of these variants; NaN if there are none."""
     means = [float(values.mean()) for (_, variant), values in one.means.items() if variant in variants]
@@ -139,7 +129,8 @@ def readme() -> dict[str, str]:
 
 def results() -> dict[str, str]:
     """The tables of docs/results.md by name; an entry's has the name of its file."""
-    entries = _entries()
+    found = own_standings(ROOT / "results")
+    entries = dict(sorted(found.items(), key=lambda item: -_mean(item[1], VARIANTS)))
     paper = sorted((one for one in published() if one.name in COMPARED), key=lambda one: COMPARED.index(one.name))
     learnt = {name: one for name, one in entries.items() if name not in ("noop", "random")}
     return {

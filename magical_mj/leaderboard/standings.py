@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from magical_mj.evaluation.results import PUBLISHED_RULES, published_results
 from magical_mj.evaluation.statistics import bootstrap, interquartile_mean, mean_interval, summarise
 from magical_mj.leaderboard.claims import SEEDS, Claim
-from magical_mj.leaderboard.entry import Entry
+from magical_mj.leaderboard.entry import SUFFIX, Entry, unpacked
 from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS
 
 if TYPE_CHECKING:
@@ -84,6 +85,16 @@ def standing(entry: Entry) -> Standing:
             scores[variant] = Estimate(found.iqm, found.iqm_low, found.iqm_high)
     kind: Kind = "partial" if gaps else "official"
     return Standing(entry.method, kind, entry, gaps, means, scores, _drops(means))
+
+
+def own_standings(folder: Path) -> dict[str, Standing]:
+    """The standings of the entries in a folder, by the names of their files; `check_entry` replays them.
+
+    Raises:
+        EvaluationError: if a file is no entry.
+    """
+    paths = sorted(folder.glob(f"*{SUFFIX}"))
+    return {path.name.removesuffix(SUFFIX): standing(unpacked(path.read_bytes(), path)) for path in paths}
 
 
 def frame(entry: Entry) -> pd.DataFrame:
