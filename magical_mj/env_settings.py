@@ -11,7 +11,7 @@ from magical_mj.geometry import check_scene
 from magical_mj.observations import OBSERVATIONS, VIEWS, StateEncoder
 from magical_mj.registry import check_rules, environment_axes, sample_scene, task_spec
 from magical_mj.rendering.renderer import check_size
-from magical_mj.scene import Scene
+from magical_mj.scene import Scene, check_scene_type
 from magical_mj.tasks.spec import Rules
 
 Reward = Literal["none", "score"]
@@ -48,8 +48,7 @@ class EnvironmentSettings:
 
     def check(self, scene: Scene) -> None:
         """Raise `InvalidSceneError` unless an episode can start in `scene`."""
-        if not isinstance(scene, Scene):
-            raise InvalidSceneError(f"{scene!r:.80} is no magical_mj.Scene; Scene.from_json reads one from JSON")
+        check_scene_type(scene)
         check_scene(scene)
         if "state" in self.observations:
             StateEncoder(scene)

@@ -26,7 +26,7 @@ from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
 from magical_mj.scene_task import SceneTask
 from magical_mj.simulation import Simulation
-from magical_mj.state import State
+from magical_mj.state import State, check_state
 from magical_mj.tasks.spec import Rules
 from magical_mj.variants import check_seed
 
@@ -123,10 +123,7 @@ class Environment(OpenEnvironment):
             InvalidSceneError: if its scene is not one of this task.
         """
         self._open()
-        if not isinstance(state, State):
-            raise StateError(f"set_state() takes what get_state() gave, not {type(state).__name__}")
-        if not isinstance(state.steps, int) or state.steps < 0:
-            raise StateError(f"the steps of a state are an integer from 0 up, not {state.steps!r}")
+        check_state(state)
         if self.task.next_scene is not None or state.scene != self.initial_scene:
             self.task.settings.check(state.scene)
             self.over = True  # until the rest is well, too

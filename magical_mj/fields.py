@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from magical_mj.errors import InvalidSceneError, shown
@@ -35,6 +35,26 @@ def as_number(owner: object, name: str, value: Any) -> float:
     if not abs(found) <= MAX_NUMBER:
         raise InvalidSceneError(f"{_called(owner, name)} must be finite and at most {MAX_NUMBER:g}, not {shown(value)}")
     return found + 0.0  # -0.0 becomes 0.0: equal scenes have equal digests
+
+
+def as_tuple(value: Any, need: str, count: int | None = None) -> tuple[Any, ...]:
+    """The things in `value`, which may be any sequence of them, but no text and no mapping.
+
+    Args:
+        value: what was given.
+        need: what is needed, for the error.
+        count: how many there must be; None: any number.
+
+    Raises:
+        InvalidSceneError: if it is no sequence, or of another length.
+    """
+    try:
+        found = None if isinstance(value, str | bytes | Mapping) else tuple(value)
+    except TypeError:  # also of arrays without a dimension, which look like sequences
+        found = None
+    if found is None or count not in (None, len(found)):
+        raise InvalidSceneError(f"{need}, not {shown(value)}")
+    return found
 
 
 def set_numbers(owner: object, names: Iterable[str]) -> None:

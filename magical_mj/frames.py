@@ -97,7 +97,8 @@ class Stacks:
         """The stacks of an episode's first pictures, or those that `save` gave, where they fit."""
         for name, stack in self._stacks.items():
             saved = (frames or {}).get(name)
-            if saved is not None and saved.shape == stack.shape and stack.remembers:
+            fits = isinstance(saved, np.ndarray) and (saved.dtype, saved.shape) == (np.uint8, stack.shape)
+            if saved is not None and fits and stack.remembers:
                 stack.latest[:] = saved
             else:
                 stack.start(see)

@@ -10,7 +10,7 @@ import numpy as np
 from magical_mj.announced import announced, load_spec
 from magical_mj.errors import InvalidSceneError, SettingsError, shown, unknown_name
 from magical_mj.references import is_reference
-from magical_mj.scene import Scene
+from magical_mj.scene import Scene, check_scene_type
 from magical_mj.tasks import RULES, SPECS, Rules, TaskSpec
 from magical_mj.variants import VARIANTS as _VARIANTS
 from magical_mj.variants import Axis, variants_of, varied_axes, vary
@@ -165,6 +165,8 @@ def score(task: str, initial: Scene, final: Scene, rules: Rules = "paper") -> fl
     """
     spec = task_spec(task)
     rules = check_rules(rules)
+    for scene in (initial, final):
+        check_scene_type(scene)
     spec.check(initial)
     _check_same(initial, final)
     return spec.score(initial, final, rules)

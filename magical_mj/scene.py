@@ -9,14 +9,14 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
 from magical_mj import constants as c
 from magical_mj.constants import COLOURS, SHAPES, Colour, Shape
 from magical_mj.errors import InvalidSceneError, shown
-from magical_mj.fields import as_number, check_type, set_choice, set_numbers
+from magical_mj.fields import as_number, as_tuple, check_type, set_choice, set_numbers
 
 SCENE_FORMAT: Final = 1
 """Version of the JSON form, stored in it as ``"format"``."""
@@ -41,8 +41,7 @@ class Robot:
 
     def __post_init__(self) -> None:
         set_numbers(self, ("x", "y", "angle"))
-        if not isinstance(self.fingers, Iterable) or len(fingers := tuple(self.fingers)) != 2:
-            raise InvalidSceneError(f"Robot.fingers must be two angles (left, right), not {shown(self.fingers)}")
+        fingers = as_tuple(self.fingers, "Robot.fingers must be two angles (left, right)", 2)
         left, right = (as_number(self, "fingers", angle) for angle in fingers)
         object.__setattr__(self, "fingers", (left, right))
 
@@ -137,10 +136,8 @@ class Scene:
 
     def __post_init__(self) -> None:
         for name, kind in (("blocks", Block), ("regions", GoalRegion)):
-            value = getattr(self, name)
-            if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
-                raise InvalidSceneError(f"Scene.{name} must be a sequence of {kind.__name__}, not {shown(value)}")
-            object.__setattr__(self, name, tuple(value))
+            value = as_tuple(getattr(self, name), f"Scene.{name} must be a sequence of {kind.__name__}")
+            object.__setattr__(self, name, value)
         for part, kind in ((self.robot, Robot), (self.dynamics, Dynamics)):
             check_type(part, kind)
         for part, kind in [*((b, Block) for b in self.blocks), *((r, GoalRegion) for r in self.regions)]:
@@ -155,9 +152,8 @@ class Scene:
         moved = self.robot if robot is None else _at(self.robot, robot)
         if blocks is None:
             return dataclasses.replace(self, robot=moved)
-        if not isinstance(blocks, Iterable) or len(blocks) != len(self.blocks):
-            raise InvalidSceneError(f"{len(self.blocks)} blocks need as many poses, not {shown(blocks)}")
-        return dataclasses.replace(self, robot=moved, blocks=tuple(map(_at, self.blocks, blocks)))
+        poses = as_tuple(blocks, f"{len(self.blocks)} blocks need as many poses", len(self.blocks))
+        return dataclasses.replace(self, robot=moved, blocks=tuple(map(_at, self.blocks, poses)))
 
     def to_json(self) -> str:
         """The scene as one line of JSON; floats are exact, so `from_json` gives an equal scene."""
@@ -213,14 +209,18 @@ def _not_default(value: Any) -> Any:
     return told
 
 
+def check_scene_type(scene: object) -> None:
+    """Raise `InvalidSceneError` unless it is a `Scene`."""
+    if not isinstance(scene, Scene):
+        raise InvalidSceneError(f"{shown(scene)} is no magical_mj.Scene; Scene.from_json reads one from JSON")
+
+
 _Thing = TypeVar("_Thing", Robot, Block)
 
 
 def _at(thing: _Thing, pose: Sequence[float]) -> _Thing:
     """The same robot or block at another pose."""
-    if not isinstance(pose, Iterable) or len(pose) != 3:
-        raise InvalidSceneError(f"a pose is (x, y, angle), not {shown(pose)}")
-    x, y, angle = pose
+    x, y, angle = as_tuple(pose, "a pose is (x, y, angle)", 3)
     return dataclasses.replace(thing, x=x, y=y, angle=angle)
 
 

@@ -16,6 +16,7 @@ from magical_mj.assets.robot import control_signal
 from magical_mj.assets.world import World, world_model
 from magical_mj.composer_internals import UnindexedPhysics
 from magical_mj.errors import StateError
+from magical_mj.fields import MAX_NUMBER
 from magical_mj.observations import SOLID_VIEW
 from magical_mj.rendering.canvas import Picture
 from magical_mj.rendering.renderer import Renderer, SolidRenderer
@@ -109,13 +110,15 @@ class Simulation(UnindexedPhysics):
         model, data = self.model.ptr, self.data.ptr
         size = mujoco.mj_stateSize(model, _INTEGRATION)
         whole = isinstance(saved, np.ndarray) and saved.dtype == np.float64 and saved.shape == (size + model.ntree,)
-        if not whole or not np.isfinite(saved).all():
+        if not whole or not (np.abs(saved) <= MAX_NUMBER).all():  # beyond, MuJoCo starts again without a word
             raise StateError(
-                f"a state of this scene is an array of {size + model.ntree} finite float64; see get_state()"
+                f"a state of this scene is an array of {size + model.ntree} finite float64, none of them beyond "
+                f"{MAX_NUMBER:g}; see get_state()"
             )
         asleep = saved[size:]
         sleeping = asleep >= 0
-        if not np.array_equal(np.sort(asleep[sleeping]), np.flatnonzero(sleeping)) or asleep.min() < _LEAST:
+        together = np.array_equal(np.sort(asleep[sleeping]), np.flatnonzero(sleeping))
+        if not together or asleep.min() < _LEAST or (asleep % 1).any():
             raise StateError("the state is damaged: what sleeps must sleep together with something that sleeps")
         mujoco.mj_resetData(model, data)
         mujoco.mj_setState(model, data, saved[:size], _INTEGRATION)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from magical_mj.errors import StateError, shown
 from magical_mj.scene import Scene
 
 
@@ -44,3 +45,15 @@ class State:
 
     def __hash__(self) -> int:
         return hash((self.steps, self.simulation.tobytes()))
+
+
+def check_state(state: object) -> None:
+    """Raise `StateError` unless it is a `State`, whose simulation may still not fit."""
+    if not isinstance(state, State):
+        raise StateError(f"set_state() takes what get_state() gave, not {type(state).__name__}")
+    if type(state.steps) is not int or state.steps < 0:
+        raise StateError(f"the steps of a state are an integer from 0 up, not {shown(state.steps)}")
+    if not isinstance(state.scene, Scene):
+        raise StateError(f"the scene of a state is a magical_mj.Scene, not {shown(state.scene)}")
+    if not isinstance(state.frames, Mapping):
+        raise StateError(f"the frames of a state are a mapping of names to pictures, not {shown(state.frames)}")

@@ -78,6 +78,17 @@ def test_a_finished_run_resumes_to_itself(tmp_path: Path) -> None:
     assert (tmp_path / "run" / POLICY).read_bytes() == before
 
 
+@pytest.mark.parametrize(
+    "text", ["update,loss\n,1", "update,loss\n1", "loss\n1", "update\n1,2,3", "update\n\xff", "update\n\0"]
+)
+def test_damaged_figures_are_refused_and_kept(text: str, tmp_path: Path) -> None:
+    train(tiny(), tmp_path / "run")
+    (tmp_path / "run" / "metrics.csv").write_text(text, "latin-1")
+    with pytest.raises(TrainingError, match=r"metrics\.csv is damaged: .*; delete it"):
+        train(tiny(), tmp_path / "run", resume=True)
+    assert (tmp_path / "run" / "metrics.csv").read_text("latin-1") == text
+
+
 def test_what_is_there_is_never_overwritten(tmp_path: Path) -> None:
     train(tiny(), tmp_path / "run")
     with pytest.raises(TrainingError, match="holds a training already; --resume"):

@@ -84,12 +84,16 @@ def test_text_values_are_read_as_the_fields_kind() -> None:
         ({"ppo.anneal_clip": 1}, "ppo.anneal_clip must be true or false"),
         ({"ppo.entropy": -1}, "ppo.entropy must be 0 or more"),
         ({"ppo.learning_rate": float("nan")}, "ppo.learning_rate must be positive"),
+        ({"ppo.learning_rate": float("inf")}, "ppo.learning_rate must be positive"),
+        ({"bc.batches": float("inf")}, "bc.batches must be a number"),
+        ({"bc.batches": [3]}, "bc.batches must be a number"),
+        ({"tasks": 3}, "give at least one of"),
         ({"bc.final_learning_rate": 1}, "learning rates fall"),
         ({"preset": "LoResCHW4E"}, "one stack of frames"),
         ({"preset": "LoRes5E"}, "LoRes4E"),
         ({"tasks": "FindDupes"}, "FindDupe"),
         ({"tasks": "FindDupe,FindDupe"}, "several different tasks"),
-        ({"tasks": ()}, "several different tasks"),
+        ({"tasks": ()}, "give at least one of"),
         ({"tasks": "FindDupe,MakeLine,FixColour"}, "ppo.environments=32 must be a multiple of 3"),
         ({"ppo.minibatch": 100}, "ppo.minibatch=100 does not divide"),
         ({"ppo.minibatch": 1}, "more than one sample"),
@@ -110,7 +114,18 @@ def test_cloning_does_not_mind_what_playing_needs() -> None:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("text", ["method = ", "seed = 3", "method = 'bc'\ntasks = ['Nope']", "\xff"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "method = ",
+        "seed = 3",
+        "method = 'bc'\ntasks = ['Nope']",
+        "method = 'bc'\ntasks = 3",
+        "method = 3\ntasks = 'all'",
+        "\xff",
+        f"a = {'[' * 10_000}",
+    ],
+)
 def test_files_that_are_no_settings_are_refused(text: str, tmp_path: Path) -> None:
     path = tmp_path / "config.toml"
     path.write_text(text, "latin-1")

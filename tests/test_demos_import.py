@@ -147,6 +147,12 @@ def refused(content: bytes, hint: str, good: dict[str, Any], folder: Path, capsy
     assert not (folder / "made").exists()
 
 
+@pytest.mark.parametrize("wrong", [None, 5, ["{}"], {"format": 1}, Path("played.json")])
+def test_what_is_no_text_is_refused(wrong: Any) -> None:
+    with pytest.raises(DemonstrationError, match="given as its text, not as"):
+        demos.from_recording(wrong)
+
+
 def test_finals_of_infinite_numbers_are_refused(saved: dict[str, Any]) -> None:
     text = json.dumps(saved).replace('"robot": [', '"robot": [1e999, ', 1)
     with pytest.raises(DemonstrationError, match="final must hold"):

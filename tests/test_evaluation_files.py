@@ -76,6 +76,7 @@ def test_a_half_written_last_line_is_repaired(tmp_path: Path, cut: int) -> None:
         ("score", "line 3: the score 1.5 is not in [0, 1]"),
         ("steps", "line 3: steps must not be 'many'"),
         ("\x00\x00", "line 3"),
+        ("[" * 100_000, "line 3: lists in lists without end"),
     ],
 )
 def test_corrupted_lines_are_named(tmp_path: Path, line: str, hint: str) -> None:

@@ -11,7 +11,7 @@ import pytest
 import magical_mj
 from magical_mj import ENVIRONMENTS, TASKS, Block, Robot, Scene
 from magical_mj.actions import NOOP, Action, Drive, Gripper, Turn
-from magical_mj.errors import InvalidSceneError, UnknownNameError
+from magical_mj.errors import InvalidSceneError, InvalidSeedError, UnknownNameError
 from magical_mj.experts import Expert, make_expert, run_episode
 from magical_mj.experts.driving import drive, steer
 from magical_mj.experts.hand import Hand
@@ -212,6 +212,9 @@ def test_wrong_tasks_and_scenes_are_refused() -> None:
         make_expert(env, "MakeLines")
     with pytest.raises(InvalidSceneError):
         make_expert(env, "FindDupe")
+    for seed in (-1, 0.5, "1", None):
+        with pytest.raises(InvalidSeedError):
+            make_expert(env, "MakeLine", seed)
 
 
 def test_a_hopeless_scene_is_played_to_its_end() -> None:

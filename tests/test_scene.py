@@ -134,7 +134,7 @@ def test_a_region_contains_centres_borders_included() -> None:
         (Robot, (0, 0, 1e308), r"Robot.angle must be finite and at most 1e\+10, not 1e\+308"),
         (Robot, (0, 0, -math.inf), "Robot.angle must be finite"),
         (Robot, (0, 0, 0, (math.nan, 0)), "Robot.fingers must be finite"),
-        (Robot, (0, 0, 0, "ab"), "Robot.fingers must be a number, not 'a'"),
+        (Robot, (0, 0, 0, "ab"), r"Robot.fingers must be two angles \(left, right\), not 'ab'"),
         (GoalRegion, ("red", -1e300, 0, 1e300, 1), "GoalRegion.x_min must be finite and at most"),
         (Block, (["star"], "red", 0, 0, 0), r"Block.shape is \['star'\]"),
         (Block, (np.array(["star", "star"]), "red", 0, 0, 0), "Block.shape is array"),

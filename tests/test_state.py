@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import pickle
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -190,6 +191,11 @@ def test_states_that_do_not_fit_are_refused_and_harm_nothing() -> None:
     for wrong in (values[:-1], np.append(values, 0), np.full_like(values, np.nan), asleep, values[None]):
         with pytest.raises(StateError):
             env.set_state(State(state.scene, 0, wrong))
+    for wrong in (None, "", {}, state, values):
+        with pytest.raises(StateError, match="the scene of a state"):
+            env.set_state(State(wrong, 0, values))
+    with pytest.raises(StateError, match="the frames of a state"):
+        env.set_state(State(state.scene, 0, values, 5))
     for wrong in (None, values.tolist(), values.astype(np.float32), values.astype(object)):
         with pytest.raises(StateError, match="finite float64"):
             env.set_state(State(state.scene, 0, wrong))
@@ -207,6 +213,30 @@ def test_states_that_do_not_fit_are_refused_and_harm_nothing() -> None:
     for use in (env.get_state, env.clone, lambda: env.set_state(state), lambda: pickle.dumps(env)):
         with pytest.raises(ClosedError, match="closed"):
             use()
+
+
+def test_numbers_that_mujoco_would_not_take_are_refused() -> None:
+    """It would start again without a word; whatever it takes is what `get_state` gives."""
+    env = magical_mj.load("FixColour", seed=0, observations=())
+    env.reset()
+    env.step(4)
+    state = env.get_state()
+    numbers, size = state.simulation, len(state.simulation) - env.physics.model.ntree  # the rest is what sleeps
+
+    def with_number(place: int, number: float) -> State:
+        return State(state.scene, 1, np.where(np.arange(len(numbers)) == place, number, numbers))
+
+    for place, number in itertools.product(range(len(numbers)), (1e308, -1e11)):
+        with pytest.raises(StateError, match="none of them beyond 1e"):
+            env.set_state(with_number(place, number))
+    for place, number in itertools.product(range(size), (1e9, -0.5)):
+        taken = with_number(place, number)
+        env.set_state(taken)
+        assert env.get_state().simulation[:size].tobytes() == taken.simulation[:size].tobytes()
+    with pytest.raises(StateError, match="damaged"):
+        env.set_state(with_number(size, -1.5))
+    env.set_state(state)
+    assert env.get_state() == state
 
 
 def test_what_somebody_changed_is_not_copied_without_a_word() -> None:

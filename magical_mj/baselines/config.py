@@ -6,12 +6,13 @@ import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
+from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, TypeVar, get_type_hints
 
 from magical_mj.baselines.settings import STATE, TrainingSettings
-from magical_mj.errors import SettingsError, unknown_name
+from magical_mj.errors import SettingsError, shown, unknown_name
 from magical_mj.registry import TASKS, listed, task_name
 
 PARTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
@@ -90,9 +91,8 @@ def load_settings(
         quick: use a smaller network and a shorter training on pictures.
         changes: by field; those of parts with dots, as in ``**{"ppo.clip": 0.02}``.
     """
-    if isinstance(tasks, str):
-        tasks = tuple(task_name(task) for task in listed(tasks, TASKS))
-    if changes.get("preset") == STATE:
+    tasks = tuple(task_name(task) for task in listed(tasks, TASKS))
+    if isinstance(chosen := changes.get("preset"), str) and chosen == STATE:
         if quick:
             raise SettingsError("quick is for pictures: learning from states is quick as it is")
         changes = {**STATE_TRACK, **changes}
@@ -135,7 +135,7 @@ def names(settings: Any, prefix: str = "") -> list[str]:
 
 def _fitting(name: str, value: Any, kind: Any) -> Any:
     if kind == tuple[str, ...]:
-        return tuple(value.split(",")) if isinstance(value, str) else tuple(value)
+        return tuple(listed(value, TASKS))
     if kind is str and isinstance(value, str):
         return value
     if kind is bool or kind is str:
@@ -144,11 +144,11 @@ def _fitting(name: str, value: Any, kind: Any) -> Any:
             raise SettingsError(f"{name} must be {'true or false' if kind is bool else 'text'}, not {value!r}")
         return made
     try:
-        made = kind(value)
-    except (TypeError, ValueError):
+        made = kind(value) if isinstance(value, str | Real) and not isinstance(value, bool) else None
+    except (ValueError, OverflowError):
         made = None
-    if made is None or isinstance(value, bool) or (kind is int and isinstance(value, float) and made != value):
-        raise SettingsError(f"{name} must be a number ({kind.__name__}), not {value!r}")
+    if made is None or (kind is int and isinstance(value, Real) and made != value):
+        raise SettingsError(f"{name} must be a number ({kind.__name__}), not {shown(value)}")
     return made
 
 
@@ -184,14 +184,15 @@ def from_toml(path: Path) -> TrainingSettings:
     table.pop(MADE, None)
     if "method" not in table or "tasks" not in table:
         raise SettingsError(f"{path} must give a method and tasks")
-    return changed(TrainingSettings(table.pop("method"), tuple(table.pop("tasks"))), flattened(table))
+    method, tasks = table.pop("method"), tuple(listed(table.pop("tasks"), TASKS))
+    return changed(TrainingSettings(method, tasks), flattened(table))
 
 
 def read_toml(path: Path) -> dict[str, Any]:
     """What is in a TOML file; a `SettingsError` if it is none."""
     try:
         return tomllib.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise SettingsError(f"{path} cannot be read as TOML: {error}") from error
 
 

@@ -75,9 +75,23 @@ class Metrics:
 
 
 def read_metrics(folder: Path) -> list[dict[str, str]]:
-    """The rows of a run's metrics.csv; none if there is no such file yet."""
+    """The rows of a run's metrics.csv; none if there is no such file yet.
+
+    Raises:
+        TrainingError: if it is damaged.
+    """
+    path = folder / METRICS
     try:
-        with (folder / METRICS).open(newline="") as file:
-            return list(csv.DictReader(file))
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        for row in rows:
+            if None in row or None in row.values():  # which stands for fields without a column, or the reverse
+                raise ValueError(f"the row of update {row['update']} has another number of fields than the first line")
+            int(row["update"])
     except FileNotFoundError:
         return []
+    except (csv.Error, KeyError, ValueError) as error:
+        raise TrainingError(
+            f"{path} is damaged: {error}; delete it, and the training goes on without the rows so far"
+        ) from error
+    return rows

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, is_dataclass
+from math import inf
 from typing import Any, Final
 
-from magical_mj.errors import SettingsError
+from magical_mj.errors import SettingsError, shown
 from magical_mj.presets import PRESETS, preset
 from magical_mj.registry import task_spec
 
@@ -120,6 +121,9 @@ class TrainingSettings:
 
     def __post_init__(self) -> None:
         """Raises a `SettingsError` or an `UnknownNameError` for invalid settings."""
+        if not isinstance(self.method, str) or not isinstance(self.tasks, tuple):
+            found = shown((self.method, self.tasks))
+            raise SettingsError(f"the method must be a name and the tasks a tuple of names, not {found}")
         for task in self.tasks:
             task_spec(task)  # or its error
         if not self.tasks or len(set(self.tasks)) < len(self.tasks):
@@ -187,6 +191,6 @@ def _check_positive(part: Any, prefix: str) -> None:
         elif (
             isinstance(value, int | float)
             and not isinstance(value, bool)
-            and not (value > 0 or (value == 0 and name in MAY_BE_ZERO))
+            and not (0 < value < inf or (value == 0 and name in MAY_BE_ZERO))
         ):
             raise SettingsError(f"{name} must be {'0 or more' if name in MAY_BE_ZERO else 'positive'}, not {value}")

@@ -100,6 +100,8 @@ def _replayed(task: str, variant: str, seed: int, actions: list[int], seen: Any)
 
 
 def _parsed(text: str | bytes) -> dict[str, Any]:
+    if not isinstance(text, str | bytes):
+        raise DemonstrationError(f"a recording is given as its text, not as {type(text).__name__}")
     if len(text) > MAX_BYTES:
         raise DemonstrationError(f"a recording has at most {MAX_BYTES:,} bytes; this one is longer")
     try:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO, Any, Final, Self
 
 from magical_mj import files
-from magical_mj.errors import EvaluationError
+from magical_mj.errors import EvaluationError, shown
 from magical_mj.evaluation.settings import check_unchanged
 
 SCORES: Final = "scores.jsonl"
@@ -84,14 +84,17 @@ _TYPES: Final[dict[str, tuple[type, ...]]] = {
 
 def parse(line: str) -> Score:
     """The episode of a line; a ValueError that says what is wrong with it."""
-    entry = json.loads(line)
+    try:
+        entry = json.loads(line)
+    except RecursionError:
+        raise ValueError("lists in lists without end") from None
     if isinstance(entry, dict):
         entry.setdefault("scene", None)
     if not isinstance(entry, dict) or entry.keys() != _TYPES.keys():
         raise ValueError(f"it must be an object with the keys {', '.join(_TYPES)}")
     for name, types in _TYPES.items():
         if not isinstance(entry[name], types) or isinstance(entry[name], bool):
-            raise ValueError(f"{name} must not be {entry[name]!r}")
+            raise ValueError(f"{name} must not be {shown(entry[name])}")
     if not 0 <= entry["score"] <= 1:
         raise ValueError(f"the score {entry['score']} is not in [0, 1]")
     return Score(**entry)
@@ -224,6 +227,6 @@ def prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[Score]
 
 def _read_settings(folder: Path) -> dict[str, Any]:
     try:
-        return json.loads((folder / SETTINGS).read_text())
-    except (OSError, ValueError) as error:
+        return dict(json.loads((folder / SETTINGS).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError, RecursionError) as error:
         raise EvaluationError(f"{folder / SETTINGS} cannot be read ({error}); start again in another folder") from error

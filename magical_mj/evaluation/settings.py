@@ -6,17 +6,18 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from numbers import Integral, Real
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, get_args, get_type_hints
+from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
 
 import mujoco
 
 from magical_mj._version import __version__
-from magical_mj.errors import SettingsError, unknown_name
+from magical_mj.errors import SettingsError, check_name, shown, unknown_name
 from magical_mj.parallel import Backend, check_backend
 from magical_mj.presets import preset as check_preset
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
-from magical_mj.registry import Names, check_rules, environments
+from magical_mj.registry import Names, environments
 from magical_mj.tasks.spec import Rules
 
 Vectorization = Literal["sync", "async"]
@@ -71,16 +72,11 @@ class EvaluationSettings:
     trust: Annotated[bool, About("Load model files that hold code, which then runs.")] = False
 
     def __post_init__(self) -> None:
-        for name, (_, about) in described(type(self)).items():
-            value = getattr(self, name)
-            if about.least is not None and value is not None and not value >= about.least:
-                raise SettingsError(f"{name} must be at least {about.least}, not {value}")
+        for name, (kind, about) in described(type(self)).items():
+            object.__setattr__(self, name, _fitting(name, getattr(self, name), kind, about))
         _ = self.environments
         check_preset(self.preset)
-        check_rules(self.rules)
         check_backend(self.backend, self.jobs, self.address)
-        if self.vectorization not in get_args(Vectorization):
-            raise unknown_name("vectorization", self.vectorization, get_args(Vectorization))
 
     @property
     def environments(self) -> list[tuple[str, str]]:
@@ -98,6 +94,26 @@ class EvaluationSettings:
             "mujoco": mujoco.__version__,
             "gl": os.environ.get("MUJOCO_GL", ""),
         }
+
+
+def _fitting(name: str, value: Any, kind: Any, about: About) -> Any:
+    """The value of a setting as a plain one of its type.
+
+    Raises:
+        SettingsError, UnknownNameError: if it is none.
+    """
+    if get_origin(kind) is Literal:
+        check_name(name, value, get_args(kind))
+    elif about.least is not None and value is not None:
+        number, said = (Real, "a number") if kind is float else (Integral, "an integer")
+        if not isinstance(value, number) or isinstance(value, bool):
+            raise SettingsError(f"{name} must be {said}, not {shown(value)}")
+        value = float(value) if kind is float else int(value)
+        if not value >= about.least:
+            raise SettingsError(f"{name} must be at least {about.least}, not {shown(value)}")
+    elif kind != Names and not isinstance(value, kind):
+        raise SettingsError(f"{name} must be {getattr(kind, '__name__', kind)}, not {shown(value)}")
+    return value
 
 
 def described(settings: type) -> dict[str, tuple[Any, About]]:

@@ -11,6 +11,7 @@ from magical_mj.environment import Environment
 from magical_mj.experts.lookahead import Lookahead, state_of
 from magical_mj.experts.planner import Plan, Planner
 from magical_mj.registry import task_spec
+from magical_mj.variants import check_seed
 
 BUDGET: Final = 150  # simulated steps for each step of an episode, after which no new plan is begun
 
@@ -29,13 +30,14 @@ class Expert:
         UnknownNameError: if there is no such task.
         TaskError: if it has no plan.
         InvalidSceneError: if the environment's scene is not one of the task.
+        InvalidSeedError: if the seed is not an integer, or negative.
     """
 
     def __init__(self, env: Environment, task: str, seed: int = 0) -> None:
         self._spec = task_spec(task)
         self._spec.check_plan()
         self._spec.check(env.initial_scene)
-        self._env, self._seed = env, seed
+        self._env, self._seed = env, check_seed(seed)
         self._plan = Plan(0.0, 0, [], [])
         self._step = 0
 

@@ -133,15 +133,15 @@ def _protocol(folders: Sequence[Path | str]) -> int | None:
 def recorded(folder: Path) -> dict[str, Any]:
     """The settings that an evaluation recorded; empty if there are none."""
     try:
-        return dict(json.loads((folder / SETTINGS).read_text()))
-    except (OSError, ValueError, TypeError):
+        return dict(json.loads((folder / SETTINGS).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError, RecursionError):
         return {}
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise SettingsError(f"{path} cannot be read as TOML: {error}") from error
 
 

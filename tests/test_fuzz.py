@@ -1,0 +1,52 @@
+"""A short campaign of tools/fuzz: what is wrong is refused in words, and nothing dies, hangs or is overwritten."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from magical_mj.errors import MagicalError
+
+FUZZ = Path(__file__).parent.parent / "tools" / "fuzz"
+CASES = {"calls": 300, "scenes": 60, "states": 60, "files": 10, "commands": 10, "clients": 15}
+
+
+@pytest.mark.parametrize("kind", CASES)
+def test_hostile_cases_are_refused_or_harmless(kind: str) -> None:
+    command = [sys.executable, str(FUZZ), "--kinds", kind, "--cases", str(CASES[kind])]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+    tried, refused = map(int, re.findall(rf"^{kind}: (\d+) cases, of which (\d+)", result.stdout, re.MULTILINE)[0])
+    assert tried == CASES[kind]
+    assert refused > 0 or kind in ("states", "clients")
+
+
+def test_what_must_not_be_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The campaign itself can fail: by exceptions of other kinds, errors without words, and processes that die."""
+    monkeypatch.syspath_prepend(str(FUZZ))
+    cases = importlib.import_module("cases")
+    for raised, expected in (
+        (ZeroDivisionError("x"), "find"),
+        (MagicalError(""), "find"),
+        (cases.FindError("gone"), "find"),
+        (MagicalError("why"), "refused"),
+        (None, "fine"),
+    ):
+
+        def case(rng: object, folder: Path, raised: Exception | None = raised) -> None:
+            if raised is not None:
+                raise raised
+
+        monkeypatch.setitem(cases.KINDS, "calls", case)
+        assert cases.result("calls", 0, tmp_path, loud=False)["result"] == expected
+    campaign = runpy.run_path(str(FUZZ / "__main__.py"))["Campaign"](tmp_path)
+    for number in (0, 6, 11):
+        program = f"import os; os.kill(os.getpid(), {number})"
+        campaign.watch("calls", [sys.executable, "-c", program])
+    assert list(campaign.finds) == [f"calls: the process ends with {-number}" for number in (6, 11)]

@@ -1,0 +1,223 @@
+"""The cases of each kind. Run by `python tools/fuzz`, which reads a line of JSON for each case from standard output.
+
+python tools/fuzz/cases.py KIND FIRST:END SECONDS FOLDER [--loud]
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import random
+import shutil
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final, TextIO
+
+from clients import clients, states
+from gymnasium.error import Error as GymnasiumError
+from hostile import FindError, json_value, spoilt_tree, value
+from stock import damaged_files, hostile_command
+
+import magical_mj
+from magical_mj.actions import ACTIONS
+from magical_mj.env_settings import EnvironmentSettings
+from magical_mj.errors import MagicalError
+from magical_mj.observations import CAMERAS
+
+Case = Callable[[random.Random, Path], None]
+
+
+def scenes(rng: random.Random, folder: Path) -> None:
+    """A scene's JSON with a few changes: refused, or drawn, played, written and exported."""
+    task, variant = rng.choice(magical_mj.ENVIRONMENTS)
+    first = magical_mj.sample_scene(task, variant, rng.randrange(1000))
+    tree = spoilt_tree(json.loads(first.to_json()), rng) if rng.random() < 0.97 else json_value(rng)
+    text = "[" * 10**5 if rng.random() < 0.005 else json.dumps(tree)
+    scene = magical_mj.Scene.from_json(text)
+    env = magical_mj.load_scene(scene, observations=(), image_size=16)
+    try:
+        env.reset()
+        for camera in CAMERAS:
+            env.render(camera, 32)
+        for _ in range(5):
+            env.step(rng.randrange(len(ACTIONS)))
+        now = env.scene
+        if magical_mj.Scene.from_json(now.to_json()) != now:
+            raise FindError("a scene is not what its JSON says")
+        magical_mj.export_mjcf(env, folder / "scene.xml")
+    finally:
+        env.close()
+
+
+def calls(rng: random.Random, _folder: Path) -> None:
+    """A public function with a hostile argument or two."""
+    name = rng.choice(list(CALLS))
+    call, arguments = CALLS[name]
+    given = dict(arguments)
+    open_to_all = [key for key, usual in arguments.items() if not isinstance(usual, bool)]  # anything is true or false
+    for key in rng.sample(open_to_all, k=min(len(open_to_all), rng.choice((1, 1, 2)))):
+        given[key] = value(rng)
+    env = call(**given)
+    if hasattr(env, "reset"):
+        env.reset()
+        env.step(0)
+        env.close()
+
+
+def _episode(preset: str, seed: Any, options: Any, action: Any) -> None:
+    env = gymnasium_env(preset)
+    env.reset(seed=seed, options=options)
+    env.step(action)
+    env.close()
+
+
+def gymnasium_env(preset: str, **settings: Any) -> Any:
+    """One of the environments with Gymnasium's own checks."""
+    import gymnasium
+
+    return gymnasium.make(magical_mj.env_id("FindDupe", "All", preset), **settings)
+
+
+def _draw(view: Any, size: Any) -> None:
+    env = magical_mj.load("MoveToRegion", observations=())
+    env.reset()
+    env.render(view, size)
+    env.close()
+
+
+def _moved(robot: Any, blocks: Any) -> None:
+    scene = magical_mj.sample_scene("FixColour", "Demo", 0).moved(robot, blocks)
+    magical_mj.score("FixColour", scene, scene)
+
+
+def _expert(task: Any, seed: Any) -> None:
+    env = magical_mj.load("MoveToRegion", observations=())
+    env.reset()
+    env.step(magical_mj.experts.Expert(env, task, seed)())
+
+
+def _learn(task: Any, preset: Any) -> None:
+    magical_mj.demos.transitions(magical_mj.demos.load(task)[:1], preset)
+
+
+def _settings(**given: Any) -> None:
+    from magical_mj.evaluation import EvaluationSettings
+
+    EvaluationSettings(**given)
+
+
+def _training(**given: Any) -> None:
+    from magical_mj.baselines import load_settings
+
+    known = {key: given.pop(key) for key in ("method", "tasks", "quick")}
+    load_settings(known["method"], known["tasks"], quick=known["quick"], **{str(given["name"]): given["given"]})
+
+
+SETTINGS: Final[dict[str, Any]] = {
+    name: getattr(EnvironmentSettings, name) for name in ("image_size", "reward", "rules")
+}
+CALLS: Final[dict[str, tuple[Callable[..., Any], dict[str, Any]]]] = {
+    "sample_scene": (magical_mj.sample_scene, {"task": "FindDupe", "variant": "All", "seed": 0}),
+    "score": (
+        magical_mj.score,
+        {
+            "task": "MoveToRegion",
+            **dict.fromkeys(("initial", "final"), magical_mj.sample_scene("MoveToRegion", "Demo", 0)),
+        },
+    ),
+    "load": (
+        magical_mj.load,
+        {"task": "FindDupe", "variant": "All", "seed": 0, "scene": None, "observations": ("ego",), **SETTINGS},
+    ),
+    "load_scene": (
+        magical_mj.load_scene,
+        {"scene": magical_mj.sample_scene("FindDupe", "All", 0), "seed": 1, "observations": (), "image_size": 16},
+    ),
+    "env_id": (magical_mj.env_id, {"task": "FindDupe", "variant": "All", "preset": "State"}),
+    "make": (
+        gymnasium_env,
+        {"preset": "LoRes4E", "action": "discrete", "render_view": "ego", "render_size": 32, "score_every_step": True}
+        | SETTINGS,
+    ),
+    "episode": (_episode, {"preset": "State", "seed": 1, "options": None, "action": 0}),
+    "render": (_draw, {"view": "ego", "size": 16}),
+    "moved": (_moved, {"robot": (0, 0, 0), "blocks": None}),
+    "robot": (magical_mj.Robot, {"x": 0, "y": 0, "angle": 0, "fingers": (0, 0)}),
+    "block": (magical_mj.Block, {"shape": "star", "colour": "red", "x": 0, "y": 0, "angle": 0}),
+    "region": (magical_mj.GoalRegion, {"colour": "red", "x_min": 0, "y_min": 0, "x_max": 1, "y_max": 1}),
+    "dynamics": (magical_mj.Dynamics, {"drive_force": 1.0, "turn_torque": 1.0}),
+    "scene": (magical_mj.Scene, {"robot": magical_mj.Robot(0, 0, 0), "blocks": (), "regions": ()}),
+    "from_json": (magical_mj.Scene.from_json, {"text": "{}"}),
+    "expert": (_expert, {"task": "MoveToRegion", "seed": 0}),
+    "transitions": (_learn, {"task": "MoveToRegion", "preset": "State"}),
+    "recording": (magical_mj.demos.from_recording, {"text": "{}"}),
+    "evaluation": (
+        _settings,
+        {"tasks": "all", "variants": "all", "episodes": 3, "preset": "", "rules": "paper", "jobs": 1, "run": 0}
+        | {"backend": "local", "address": None, "time_limit": 3.0, "envs": 1, "vectorization": "sync"},
+    ),
+    "training": (
+        _training,
+        {"method": "bc", "tasks": "MoveToRegion", "quick": True, "name": "bc.batches", "given": 3},
+    ),
+}
+
+KINDS: Final[dict[str, Case]] = {
+    "calls": calls,
+    "scenes": scenes,
+    "states": states,
+    "files": damaged_files,
+    "commands": hostile_command,
+    "clients": clients,
+}
+
+
+def result(kind: str, number: int, folder: Path, *, loud: bool) -> dict[str, str]:
+    """Tries a case: whether it was fine, or refused with a clear error, or what was found."""
+    rng = random.Random(f"{kind} {number}")  # noqa: S311  no secret
+    place = Path(tempfile.mkdtemp(dir=folder))
+    before = Path.cwd()
+    os.chdir(place)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore" if not loud else "default")
+            KINDS[kind](rng, place)
+    except (MagicalError, GymnasiumError) as error:
+        told = {"result": "refused" if str(error).strip() else "find", "what": type(error).__name__, "said": str(error)}
+    except Exception as error:  # noqa: BLE001  these are the finds
+        if loud:
+            traceback.print_exc()
+        frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "tools/fuzz" not in frame.filename]
+        ours = [frame for frame in frames if "/magical_mj/" in frame.filename] or frames
+        where = f" at {Path(ours[-1].filename).name}:{ours[-1].lineno} in {ours[-1].name}" if ours else ""
+        what = str(error)[:80] if isinstance(error, FindError) else f"{type(error).__name__}{where}"
+        told = {"result": "find", "what": what, "said": str(error)}
+    else:
+        told = {"result": "fine", "what": "", "said": ""}
+    finally:
+        os.chdir(before)
+        shutil.rmtree(place, ignore_errors=True)
+    return told
+
+
+def main(kind: str, numbers: str, seconds: str, folder: str, *rest: str) -> None:
+    """Tries the cases of these numbers, as many as fit into the time, at least one; tells of each on a line."""
+    end = time.monotonic() + float(seconds)
+    out: TextIO = os.fdopen(os.dup(1), "w")
+    with contextlib.redirect_stdout(sys.stderr):
+        os.dup2(2, 1)  # whatever else is printed, by whatever library, is no line for the reader
+        for number in range(*map(int, numbers.split(":"))):
+            told = result(kind, number, Path(folder), loud="--loud" in rest)
+            print(json.dumps(told), file=out, flush=True)
+            if time.monotonic() > end:
+                return
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
