@@ -12,8 +12,9 @@ from learners import playing
 from stable_baselines3.common.utils import obs_as_tensor
 
 from magical_mj import MagicalEnv
+from magical_mj.baselines.copies import SEEN, TASK
 from magical_mj.baselines.data import Dataset, Rollout
-from magical_mj.baselines.environments import SEEN, TASK, Environments
+from magical_mj.baselines.environments import Environments
 from magical_mj.baselines.learner import seeded
 from magical_mj.baselines.network import ONE_HOT, Actor, Heads, Torso, as_input, standardise
 from magical_mj.baselines.policy import load_policy, save_policy

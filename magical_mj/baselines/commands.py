@@ -41,6 +41,9 @@ MultiTask = Annotated[bool, typer.Option("--multi-task", help="One policy for al
 Augment = Annotated[str, typer.Option(help="all, none, or no-trans-rot.")]
 Preset = Annotated[str, typer.Option(help="What is looked at, such as LoRes4A.")]
 Device = Annotated[str, typer.Option(help="auto, cpu, cuda, ...")]
+Worlds = Annotated[
+    str, typer.Option(help="What gail, wgail-gp and al play in: single, or batched on DEVICE (extra gpu).")
+]
 Quick = Annotated[bool, typer.Option("--quick", help="A smaller network and a shorter training, for two cores.")]
 Change = Annotated[
     list[str] | None, typer.Option("--set", help="Any setting, such as ppo.clip=0.02.", show_default=False)
@@ -76,6 +79,7 @@ def train(
     augment: Augment = "all",
     preset: Preset = "LoRes4E",
     device: Device = "auto",
+    worlds: Worlds = "single",
     quick: Quick = False,
     change: Change = None,
     resume: Resume = False,
@@ -83,7 +87,7 @@ def train(
     """Train a policy; OUT then holds it, for `magical-mj evaluate --policy OUT`, with the settings and the figures."""
     if method not in baselines.METHODS:  # which also says what to install, if something is missing
         raise unknown_name("method", method, baselines.METHODS)
-    given = {"seed": seed, "augment": augment, "preset": preset, "device": device}
+    given = {"seed": seed, "augment": augment, "preset": preset, "device": device, "ppo.worlds": worlds}
     changes = given | dict(_change(text) for text in change or [])
     settings = baselines.load_settings(method, tasks, quick=quick, **changes)
     if len(settings.tasks) > 1 and not multi_task:

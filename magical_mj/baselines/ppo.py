@@ -19,8 +19,9 @@ from stable_baselines3.common.type_aliases import DictRolloutBufferSamples, Sche
 from stable_baselines3.common.utils import obs_as_tensor
 from torch import Tensor, nn
 
+from magical_mj.baselines.copies import SEEN, TASK
 from magical_mj.baselines.data import Rollout
-from magical_mj.baselines.environments import SEEN, TASK, Environments
+from magical_mj.baselines.environments import Environments
 from magical_mj.baselines.learner import restore_optimizer
 from magical_mj.baselines.network import Actor, Heads, Torso, as_input
 from magical_mj.baselines.settings import TrainingSettings

@@ -7,6 +7,7 @@ from math import inf
 from typing import Any, Final
 
 from magical_mj.errors import SettingsError, shown
+from magical_mj.evaluation.settings import WORLDS
 from magical_mj.presets import PRESETS, preset
 from magical_mj.registry import task_spec
 
@@ -47,6 +48,7 @@ class PPO:
     """The policy's side of GAIL, WGAIL-GP and AL (appendix, table "Hyperparameters for GAIL experiments")."""
 
     total_steps: int = 1_000_000  # environment steps
+    worlds: str = "single"  # that are played in: each in MuJoCo by itself, or "batched" on an accelerator
     environments: int = 32
     steps: int = 8  # in each environment, between two updates
     epochs: int = 12
@@ -137,12 +139,15 @@ class TrainingSettings:
         for name, (value, allowed) in {
             "bc.optimizer": (self.bc.optimizer, ("sgd", "adam")),
             "bc.heads": (self.bc.heads, ("normal", "uniform")),
+            "ppo.worlds": (self.ppo.worlds, WORLDS),
             "precision": (self.precision, ("float32", "bfloat16")),
         }.items():
             if value not in allowed:
                 raise SettingsError(f"{name} must be {' or '.join(allowed)}, not {value!r}")
         if self.bc.final_learning_rate > self.bc.learning_rate:
             raise SettingsError("learning rates fall: bc.final_learning_rate must be at most bc.learning_rate")
+        if self.method == "bc" and self.ppo.worlds != "single":
+            raise SettingsError("bc learns without playing: worlds are chosen for gail, wgail-gp and al")
         if self.method != "bc":
             self._check_reinforcement()
 

@@ -60,12 +60,16 @@ class History:
     def __init__(self, states: NDArray[np.float32]) -> None:
         """Episodes begin with `states`, which are repeated."""
         self.states = np.repeat(states[..., None, :], HISTORY, axis=-2)
-        """Shape (..., HISTORY, names), oldest first; a new array after each `add`."""
+        """Shape (..., HISTORY, names), oldest first; a new array after each change."""
 
     def add(self, states: NDArray[np.float32]) -> NDArray[np.float32]:
         """Takes in what came next, shape (..., names); returns `states`."""
         self.states = np.concatenate([self.states[..., 1:, :], states[..., None, :]], axis=-2)
         return self.states
+
+    def restart(self, which: NDArray[np.bool_], states: NDArray[np.float32]) -> None:
+        """Other episodes begin in some rows, `which` (n,), with their rows of `states` (n, names)."""
+        self.states = np.where(which[:, None, None], states[:, None], self.states)
 
 
 class StateTorso(nn.Module):

@@ -62,11 +62,7 @@ def make(
         UnknownNameError: if there is no such task, variant or preset.
     """
     check_extra("batched worlds", "gpu")
-    import warp
-
-    warp.config.log_level = warp.LOG_ERROR  # or it tells of every kernel that it compiles
     from magical_mj.batched.environment import BatchedEnv
-    from magical_mj.batched.physics import check_device
 
     if num_envs < 1:
         raise SettingsError(f"num_envs must be at least 1, not {num_envs}")
@@ -74,7 +70,7 @@ def make(
     return BatchedEnv(
         [pairs[world % len(pairs)] for world in range(num_envs)],
         preset=preset,
-        device=check_device(device),
+        device=device,
         seed=seed,
         image_size=image_size,
         rules=rules,

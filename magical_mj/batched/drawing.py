@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 
@@ -44,6 +45,15 @@ class SceneDrawer:
     def seed(self, seed: int) -> None:
         """Starts the seeds of all episodes anew."""
         self._seed, self._episodes, self._ahead = seed, [0] * len(self._pairs), ([], [])
+
+    def get_state(self) -> dict[str, Any]:
+        """Of which episodes the next scenes are."""
+        return {"seed": self._seed, "episodes": list(self._episodes)}
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Goes back to a state."""
+        self.seed(state["seed"])
+        self._episodes = list(state["episodes"])
 
     def scenes(self, worlds: Sequence[int], seeds: Sequence[int] | None = None) -> SceneArrays:
         """Scenes for these worlds, in their order.

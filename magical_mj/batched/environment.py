@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, Final
 
 import gymnasium
@@ -18,8 +19,8 @@ from magical_mj.actions import ACTIONS
 from magical_mj.assets.region import DASHES
 from magical_mj.batched.drawing import Pair, SceneDrawer
 from magical_mj.batched.observations import Frames, Observation, States
-from magical_mj.batched.physics import Physics
-from magical_mj.batched.scenes import Capacity
+from magical_mj.batched.physics import Physics, check_device
+from magical_mj.batched.scenes import Capacity, SceneArrays
 from magical_mj.batched.scores import Start, score
 from magical_mj.env_settings import REWARDS, Reward
 from magical_mj.errors import InvalidActionError, SettingsError, unknown_name
@@ -31,6 +32,12 @@ from magical_mj.tasks.spec import Rules
 from magical_mj.variants.axes import varied_axes
 
 MODES: Final = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
+
+
+OVERFLOW: Final = (
+    "worlds had more contacts than there is room for, and some were dropped: do not trust the episodes that "
+    'info["overflowed"] marks'
+)
 
 
 class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
@@ -50,14 +57,14 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self,
         pairs: Sequence[Pair],
         *,
-        preset: str,
-        device: str,
-        seed: int,
-        image_size: int | None,
-        rules: Rules,
-        reward: Reward,
-        autoreset_mode: AutoresetMode,
-        workers: int,
+        preset: str = "LoRes4E",
+        device: str = "cuda",
+        seed: int = 0,
+        image_size: int | None = None,
+        rules: Rules = "paper",
+        reward: Reward = "none",
+        autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
+        workers: int = 0,
     ) -> None:
         if autoreset_mode not in MODES:
             raise SettingsError(f"autoreset_mode must be SAME_STEP or DISABLED, not {autoreset_mode}")
@@ -67,7 +74,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.metadata = {"autoreset_mode": autoreset_mode, "render_fps": c.CONTROL_RATE}
         self._same_step = autoreset_mode == AutoresetMode.SAME_STEP
         self._rules: Rules = check_rules(rules)
-        self._reward, self.device = reward, device
+        self._reward, self.device = reward, check_device(device)
+        device = self.device
         self._tasks = {task: self._numbers(pairs, task) for task in dict.fromkeys(task for task, _ in pairs)}
         horizons = [task_spec(task).horizon(rules) for task, _ in pairs]
         self._horizons = torch.tensor(horizons, device=device)
@@ -115,15 +123,42 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return observation, self._info(torch.zeros(self.num_envs, dtype=torch.float64, device=self.device))
 
     def _begin(self, worlds: list[int], seeds: list[int] | None = None) -> Observation:
-        scenes, where = self._drawer.scenes(worlds, seeds), torch.tensor(worlds, device=self.device)
-        self._scenes.write(scenes, np.asarray(worlds))
-        for name, column in zip(Start._fields, self._start, strict=True):
-            column[where] = torch.from_numpy(getattr(scenes, name)).to(column)
-        self._physics.reset(scenes, where)
-        self._observer.start(scenes, where)
+        where = torch.tensor(worlds, device=self.device)
+        self._put(self._drawer.scenes(worlds, seeds), where)
         self._steps[where] = 0
         self._running[where] = True
         return self._observer.begin(self._physics, where)
+
+    def _put(self, scenes: SceneArrays, worlds: Tensor) -> None:
+        """Puts scenes, at rest, into these worlds."""
+        self._scenes.write(scenes, worlds.cpu().numpy())
+        for name, column in zip(Start._fields, self._start, strict=True):
+            column[worlds] = torch.from_numpy(getattr(scenes, name)).to(column)
+        self._physics.reset(scenes, worlds)
+        self._observer.start(scenes, worlds)
+
+    def get_state(self) -> dict[str, Any]:
+        """The present state of all worlds, the pictures in the stacks included: tensors, arrays and plain values."""
+        return {
+            "scenes": asdict(self._scenes),
+            "drawer": self._drawer.get_state(),
+            "physics": self._physics.get_state(),
+            "observer": self._observer.get_state(),
+            "steps": self._steps.clone(),
+            "running": self._running.clone(),
+        }
+
+    def set_state(self, state: Mapping[str, Any]) -> Observation:
+        """Goes back to a state, of this environment or another of the same worlds; returns what is seen then.
+
+        What follows is the same to the bit on Warp's CPU device. On an accelerator the state is the same, and what
+        follows is as near as any two runs are there: contacts are taken down in the order in which threads find them.
+        """
+        self._put(SceneArrays(**state["scenes"]), torch.arange(self.num_envs, device=self.device))
+        self._drawer.set_state(state["drawer"])
+        self._physics.set_state(state["physics"])
+        self._steps[:], self._running[:] = state["steps"], state["running"]
+        return self._observer.set_state(state["observer"], self._physics)
 
     def step(self, actions: Any) -> tuple[Observation, Tensor, Tensor, Tensor, dict[str, Any]]:
         """One action in every world.
@@ -147,6 +182,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         info: dict[str, Any] = self._info(scores, broken)
         if bool(broken.any()):  # put at rest what cannot be drawn
             self._physics.reset(self._scenes.rows(broken.nonzero()[:, 0].cpu().numpy()), broken.nonzero()[:, 0])
+        if bool((ended & info["overflowed"]).any()):
+            gymnasium.logger.warn(OVERFLOW)
         observation = self._observer.look(self._physics)
         reward = scores.float() if self._reward == "score" else torch.zeros(self.num_envs, device=self.device)
         self._running &= ~ended

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -60,6 +61,15 @@ class States:
         del worlds
         return self.look(physics)
 
+    def get_state(self) -> dict[str, Tensor]:
+        """Nothing: they are the present ones."""
+        return {}
+
+    def set_state(self, state: Mapping[str, Tensor], physics: Physics) -> Tensor:
+        """Goes back to a state; returns what is seen then."""
+        del state
+        return self.look(physics)
+
 
 class Frames:
     """Stacks of pictures as a preset orders them, uint8: one tensor, or by view for the layout "dict"."""
@@ -105,6 +115,16 @@ class Frames:
                 newest = stack[worlds, :, :, first + 3 * (count - 1) : first + 3 * count]
                 stack[worlds, :, :, first : first + 3 * count] = newest.repeat(1, 1, 1, count)
                 first += 3 * count
+        return self._seen()
+
+    def get_state(self) -> dict[str, Tensor]:
+        """The stacks; copies."""
+        return {name: stack.clone() for name, stack in self._stacks.items()}
+
+    def set_state(self, state: Mapping[str, Tensor], physics: Physics) -> Observation:
+        """Goes back to a state; returns what is seen then."""
+        del physics
+        self._stacks = {name: state[name].to(stack, copy=True) for name, stack in self._stacks.items()}
         return self._seen()
 
     def _draw(self, physics: Physics) -> None:

@@ -7,6 +7,7 @@ off by 2e-4 of its distance to 1 in single precision; and the mid-phase, a flag 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Final
 
 import mujoco
@@ -22,6 +23,8 @@ from magical_mj.assets.robot import controls
 from magical_mj.batched.scenes import SceneArrays
 from magical_mj.batched.slots import FIELDS, Slots, slotted_model
 from magical_mj.errors import SettingsError
+
+wp.config.log_level = wp.LOG_ERROR  # or it tells of every kernel that it compiles
 
 CONTACTS: Final = 64
 """Room for contacts in each world; more are reported as an overflow."""
@@ -101,6 +104,18 @@ class Physics:
             start = self._slots.positions(scenes) if name == "qpos" else np.zeros((len(worlds), *place.shape[1:]))
             place[worlds] = torch.from_numpy(start).to(place)
         self._overflow[worlds] = 0
+
+    def get_state(self) -> dict[str, Tensor]:
+        """All that the steps to come depend on, scenes aside; copies."""
+        return {name: values.clone() for name, values in self._kept().items()}
+
+    def set_state(self, state: Mapping[str, Tensor]) -> None:
+        """Goes back to a state of worlds that hold the same scenes."""
+        for name, values in self._kept().items():
+            values[:] = state[name].to(values)
+
+    def _kept(self) -> dict[str, Tensor]:
+        return {**self._state, "overflow": self._overflow}
 
     def take_over(self, world: int, data: mujoco.MjData) -> None:
         """Puts a world into the state of a simulation of the scene that it holds, in the middle of an episode."""

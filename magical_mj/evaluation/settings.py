@@ -21,6 +21,8 @@ from magical_mj.registry import Names, environments
 from magical_mj.tasks.spec import Rules
 
 Vectorization = Literal["sync", "async"]
+Worlds = Literal["single", "batched"]
+WORLDS: Final[tuple[Worlds, ...]] = get_args(Worlds)
 
 SHOWN: Final = 300
 """Characters of a setting that an error shows."""

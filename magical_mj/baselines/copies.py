@@ -1,0 +1,129 @@
+"""Copies of the tasks' environments side by side, stopped and taken up in mid-episode; and what PPO sees of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from magical_mj.actions import ACTIONS
+from magical_mj.baselines.settings import TrainingSettings
+from magical_mj.baselines.states import HISTORY, History
+from magical_mj.gym_env import MagicalEnv
+from magical_mj.registry import task_spec
+
+SEEN: Final = "seen"
+"""Of an observation: the stack of frames, shape (96, 96, 12) uint8; or the history, shape (HISTORY, names) float32."""
+TASK: Final = "task"
+"""Of an observation: the task as a one-hot vector, shape (tasks,) float32."""
+
+Seen = dict[str, NDArray[Any]]
+
+
+class Copy(gymnasium.Env[Any, Any]):
+    """One copy of a task's environment: episode k starts with a seed that follows from the run's, the copy and k.
+
+    The first begins with a head start of random actions; see `head_start`.
+
+    Args:
+        settings: of the run.
+        number: of the copy, from 0 to `ppo.environments` - 1; the copies of a task follow one another.
+    """
+
+    def __init__(self, settings: TrainingSettings, number: int) -> None:
+        self._task = task_number(settings, number)
+        self._env = MagicalEnv(settings.tasks[self._task], "Demo", settings.preset)
+        self.observation_space = space(settings, self._env.observation_space)
+        self.action_space = self._env.action_space
+        self._one_hot = np.eye(len(settings.tasks), dtype=np.float32)[self._task]
+        self._seed, self._number = settings.seed, number
+        self._head_start = head_start(settings, number)
+        self._states = settings.states
+        self._history: History | None = None
+        self._episode, self._actions = -1, list[int]()
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Seen, dict[str, Any]]:  # noqa: ARG002
+        """The next episode begins. Copies have seeds of their own, and no options."""
+        self._episode += 1
+        first = self._rng().integers(len(ACTIONS), size=self._head_start) if self._episode == 0 else ()
+        return self._replay(first), {}
+
+    def step(self, action: Any) -> tuple[Seen, float, bool, bool, dict[str, Any]]:
+        """One action. The reward is 0; `info["eval_score"]` is the score, at an episode's last step."""
+        self._actions.append(int(action))
+        observation, reward, terminated, truncated, info = self._env.step(action)
+        return self._seen(observation), reward, terminated, truncated, info
+
+    def state(self) -> dict[str, Any]:
+        """The episode's number, and what has been done in it."""
+        return {"episode": self._episode, "actions": np.array(self._actions, np.int64)}
+
+    def restore(self, state: dict[str, Any]) -> Seen:
+        """Restores a `state` by doing everything again; returns what is seen then."""
+        self._episode = state["episode"]
+        return self._replay(state["actions"])
+
+    def close(self) -> None:
+        """Frees the simulation."""
+        self._env.close()
+
+    def _replay(self, actions: Sequence[int] | NDArray[np.int64]) -> Seen:
+        self._actions, self._history = [], None
+        seen = self._seen(self._env.reset(seed=int(self._rng().integers(2**63)))[0])
+        for action in actions:
+            seen = self.step(action)[0]
+        return seen
+
+    def _rng(self) -> np.random.Generator:
+        return np.random.default_rng([self._seed, self._number, self._episode])
+
+    def _seen(self, observation: Any) -> Seen:
+        if self._states:
+            self._history = self._history or History(observation)
+            observation = self._history.add(observation)
+        return {SEEN: observation, TASK: self._one_hot}
+
+
+class Copies(DummyVecEnv):
+    """All copies of a run, in this process: a copy's step takes less time than sending its pictures does."""
+
+    def __init__(self, settings: TrainingSettings) -> None:
+        self._copies = [Copy(settings, number) for number in range(settings.ppo.environments)]
+        super().__init__([lambda copy=copy: copy for copy in self._copies])
+
+    def state(self) -> list[dict[str, Any]]:
+        """Where all copies are."""
+        return [copy.state() for copy in self._copies]
+
+    def restore(self, state: Sequence[dict[str, Any]]) -> Seen:
+        """Restores a `state`; returns what all copies see, as `reset` does."""
+        seen = [copy.restore(one) for copy, one in zip(self._copies, state, strict=True)]
+        return {key: np.stack([one[key] for one in seen]) for key in (SEEN, TASK)}
+
+
+def space(settings: TrainingSettings, given: spaces.Space[Any]) -> spaces.Dict:
+    """Of what PPO sees, where the environment gives observations of that space."""
+    if settings.states:
+        given = spaces.Box(-np.inf, np.inf, (HISTORY, *(given.shape or ())), np.float32)
+    return spaces.Dict({SEEN: given, TASK: spaces.Box(0, 1, (len(settings.tasks),), np.float32)})
+
+
+def head_start(settings: TrainingSettings, number: int) -> int:
+    """With how many random actions the first episode of an environment begins.
+
+    Environments that all start at the same time would stay at the same time of their episodes for ever, and every batch
+    would hold one part of the task only. So those of a task are spread over its horizon, as rlpyt, the paper's PPO,
+    does it by default.
+    """
+    siblings = settings.ppo.environments // len(settings.tasks)
+    return number % siblings * task_spec(settings.tasks[task_number(settings, number)]).horizon() // siblings
+
+
+def task_number(settings: TrainingSettings, number: int) -> int:
+    """The task that is played in an environment."""
+    return number * len(settings.tasks) // settings.ppo.environments
