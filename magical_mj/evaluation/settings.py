@@ -108,7 +108,7 @@ def _fitting(name: str, value: Any, kind: Any, about: About) -> Any:
         check_name(name, value, get_args(kind))
     elif about.least is not None and value is not None:
         number, said = (Real, "a number") if kind is float else (Integral, "an integer")
-        if not isinstance(value, number) or isinstance(value, bool):
+        if not issubclass(type(value), number) or type(value) is bool:
             raise SettingsError(f"{name} must be {said}, not {shown(value)}")
         value = float(value) if kind is float else int(value)
         if not value >= about.least:
