@@ -1,35 +1,45 @@
-"""Imported before any test module: magical_mj chooses the OpenGL backend, which mujoco looks at when it is imported."""
+"""Imported before any test module: magical_mj chooses the OpenGL backend, which mujoco looks at when it is imported.
+
+The tests' temporary files lie in a folder of their own, which goes when all is well: a test, or the code that it runs,
+that leaves something behind lets the tests fail, and the system's folder stays as it was.
+"""
 
 import os
 import shutil
+import tempfile
+from collections.abc import Generator
 from pathlib import Path
 
 import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # PyTorch's: several tests run at once, and its threads wait busily
 
-from commands import Shell
-from entries import EPISODES
+import magical_mj  # noqa: F401
 
-import magical_mj
-
-
-@pytest.fixture
-def shell(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Shell:
-    """Runs `magical-mj` in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-    return Shell(capsys)
+MAY_STAY = ("pytest-of-*", "torchinductor_*")
+"""What pytest keeps of tests that fail, and a folder that PyTorch makes when its optimisers are first used."""
+FOLDER = pytest.StashKey[Path]()
 
 
-@pytest.fixture(scope="session")
-def evaluated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A few episodes of the expert, who is right everywhere, so that nobody else's actions would be."""
-    out = tmp_path_factory.mktemp("evaluated") / "expert"
-    magical_mj.evaluate("expert", tasks="MoveToRegion", variants="Layout", episodes=EPISODES, out=out)
-    return out
+def pytest_configure(config: pytest.Config) -> None:
+    if hasattr(config, "workerinput"):  # one of several processes, which has the folder from the first
+        return
+    folder = Path(tempfile.mkdtemp(prefix="magical-mj-"))
+    config.stash[FOLDER] = folder
+    os.environ["TMPDIR"] = os.environ["RAY_TMPDIR"] = tempfile.tempdir = str(folder)
 
 
-@pytest.fixture
-def folder(evaluated: Path, tmp_path: Path) -> Path:
-    """A copy of that evaluation, to tamper with."""
-    return Path(shutil.copytree(evaluated, tmp_path / "expert"))
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_sessionfinish(session: pytest.Session) -> Generator[None, None, None]:
+    yield
+    folder = session.config.stash.get(FOLDER, None)
+    if folder is None:
+        return
+    left = {path.name for path in folder.iterdir()} - {path.name for name in MAY_STAY for path in folder.glob(name)}
+    if left:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+    if session.exitstatus in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED):
+        shutil.rmtree(folder)
+    else:
+        reason = f"; left behind, though it should be gone: {', '.join(sorted(left))}" if left else ""
+        session.config.get_terminal_writer().line(f"\n\ntemporary files are in {folder}{reason}")

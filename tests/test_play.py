@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -176,36 +175,3 @@ def test_without_its_extra_no_folder_is_made(tmp_path: Path) -> None:
     assert result.returncode == 1
     assert 'pip install "magical-mj[window]"' in result.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.skipif(not (shutil.which("Xvfb") and shutil.which("xdotool")), reason="needs Xvfb and xdotool")
-def test_real_keys_under_a_virtual_display(tmp_path: Path) -> None:
-    """The whole command in a real X server, with keys that the server sends."""
-    read_end, write_end = os.pipe()
-    command = ["Xvfb", "-displayfd", str(write_end), "-screen", "0", "640x480x24", "-nolisten", "tcp"]
-    server = subprocess.Popen(command, pass_fds=[write_end], stderr=subprocess.DEVNULL)
-    os.close(write_end)
-    with os.fdopen(read_end) as pipe:
-        display = f":{pipe.readline().strip()}"
-    variables = os.environ | {"DISPLAY": display, "SDL_VIDEODRIVER": "x11"}
-    play = [sys.executable, "-m", "magical_mj", "play", "MoveToRegion", "--record", str(tmp_path), "--size", "96"]
-    game = subprocess.Popen([*play, "--speed", "4"], env=variables, stderr=subprocess.PIPE, text=True)
-    try:
-
-        def type_keys(*keys: str) -> None:
-            subprocess.run(["xdotool", *keys], env=variables, check=True, timeout=20)
-
-        for _ in range(200):  # until the window is there, nobody hears
-            type_keys("key", "--delay", "100", "Up")
-            if any(tmp_path.glob("*.npz")) or game.poll() is not None:
-                break
-        type_keys("key", "Escape")
-        _, error = game.communicate(timeout=20)
-        assert (game.returncode, error) == (0, "")
-    finally:
-        game.kill()
-        game.wait()
-        server.terminate()
-        server.wait()
-    (demo,) = load("MoveToRegion", tmp_path)
-    assert Action(drive=Drive.FORWARD).number in demo.actions

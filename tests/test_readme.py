@@ -10,6 +10,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer import Context
+from typer.core import TyperGroup
+from typer.main import get_command
+
+from magical_mj.cli.app import app
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "README.md").read_text()
@@ -37,6 +42,21 @@ def test_command_runs(command: str, tmp_path: Path) -> None:
     assert result.stderr == ""
     named = re.findall(r"\S+\.(?:png|mp4)", command)
     assert all((tmp_path / name).stat().st_size > 0 for name in named)
+
+
+def test_commands_in_the_text_lack_nothing() -> None:
+    """Of what is named with arguments, on all pages; it is not run, since much of it takes folders of the reader's."""
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/*.md"), *ROOT.glob("site/pages/*.md")]
+    texts = [re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL) for page in pages]
+    found = [shlex.split(command) for text in texts for command in re.findall(r"`magical-mj\s([^`]+)`", text)]
+    assert len(found) > 20
+    for words in found:
+        command, name, rest = get_command(app), "magical-mj", words
+        while isinstance(command, TyperGroup) and rest:
+            name, command, rest = command.resolve_command(Context(command), rest)
+        assert command is not None
+        if rest:
+            command.make_context(name or "", rest)  # an error says what is missing
 
 
 def test_tables_are_up_to_date() -> None:

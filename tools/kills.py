@@ -1,27 +1,40 @@
-"""Kills `demos generate` and `play --record` at random moments, and looks whether anything is lost.
+"""Kills commands at random moments, and checks that nothing is lost, and that no process stays behind.
 
-    python tools/kills.py [ROUNDS]
+    python tools/kills.py [--kills 20] [--kinds evaluate,train-bc] [--seed 0]
 
-After each kill, every file that bears a demonstration's name must be whole, those of earlier rounds must be unchanged,
-and the command must go on from there.
+- After each kill, what was finished before is still there, unchanged, and every file is whole.
+- The command goes on with what is there, and what it has made in the end is, to the bit, what it makes undisturbed.
+- A few seconds after each kill, no process that the command had started is left.
 """
 
 from __future__ import annotations
 
+import argparse
+import hashlib
+import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from PIL import Image
+
 from magical_mj import demos
 
-LONGEST: Final = 6.0  # seconds before a kill
-GENERATE: Final = ("-m", "magical_mj", "demos", "generate", "--tasks", "FixColour,MoveToRegion", "--count", "300")
+SIGNALS: Final = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+PATIENCE: Final = 20.0
+"""Seconds within which all processes must be gone."""
+PLAYING: Final = 8.0
+"""Seconds within which somebody who plays without end is killed."""
+MAIN: Final = (sys.executable, "-m", "magical_mj")
 PLAYER: Final = """
 import random, sys
 from magical_mj.cli import main
@@ -31,46 +44,231 @@ Window.wishes = lambda self: ["next"] if random.random() < 0.02 else []
 Window.show = lambda self, *_: None
 sys.exit(main(sys.argv[1:]))
 """  # somebody who plays without end, at any speed
+TINY: Final = (
+    *("network.first_stride=4", "network.first_channels=4", "network.channels=4", "network.hidden=8"),
+    *("network.entity=8", "demonstrations=2", "evaluations=2", "episodes=2", "checkpoints=16", "device=cpu"),
+)
+GAIL: Final = (
+    *("ppo.environments=4", "ppo.steps=4", "ppo.minibatch=8", "ppo.epochs=2", "ppo.total_steps=1024"),
+    *("discriminator.steps=2", "discriminator.batch_size=8"),
+)
+
+Found = Mapping[str, bytes]
+"""What a command has finished so far, by name."""
 
 
-def killed(command: list[str], seconds: float) -> None:
-    """Runs a command in a session of its own, and kills all its processes after some time."""
+@dataclass(frozen=True)
+class Kind:
+    """A command that is killed.
+
+    Attributes:
+        command: without its --out.
+        finished: what is finished in the folder, which must be there after each kill as it was before. It raises an
+            error if something there is not whole.
+        result: what depends on nothing but the command; None of one that never ends by itself.
+    """
+
+    command: tuple[str, ...]
+    finished: Callable[[Path], Found]
+    result: Callable[[Path], Found] | None
+
+    def into(self, out: Path) -> tuple[str, ...]:
+        """The whole command."""
+        return (*self.command, "--record" if "play" in self.command else "--out", str(out))
+
+
+def demonstrations(out: Path) -> Found:
+    """The files of demonstrations, each of which can be read."""
+    paths = demos.files_in(out) if out.exists() else []
+    for path in paths:
+        demos.read(path)
+    return {path.name: path.read_bytes() for path in paths}
+
+
+def lines(out: Path) -> Found:
+    """The whole lines of an evaluation's file, by their numbers."""
+    path = out / "scores.jsonl"
+    text = path.read_text().split("\n")[:-1] if path.exists() else []
+    return {str(number): line.encode() for number, line in enumerate(text)}
+
+
+def rows(out: Path) -> Found:
+    """The episodes of an evaluation, without the time that they took."""
+    found = [json.loads(line) | {"seconds": 0} for line in lines(out).values()]
+    return {json.dumps(row, sort_keys=True): b"" for row in found}
+
+
+def pages(out: Path) -> Found:
+    """A report's texts; its pictures, which hold the time, must open."""
+    paths = [path for path in out.glob("*") if not path.name.startswith(".")]
+    for path in paths:
+        if path.suffix == ".png":
+            with Image.open(path) as picture:
+                picture.load()
+        elif path.suffix == ".pdf" and not path.read_bytes().rstrip().endswith(b"%%EOF"):
+            raise SystemExit(f"{path} is not whole")
+    return {path.name: b"" if path.suffix in (".png", ".pdf") else path.read_bytes() for path in paths}
+
+
+def training(out: Path) -> Found:
+    """A checkpoint and a policy can be read; that of the last update, and the figures, depend on the settings alone."""
+    from magical_mj.baselines import checkpoint
+    from magical_mj.baselines.metrics import read_metrics
+    from magical_mj.baselines.policy import POLICY
+    from magical_mj.baselines.run import CHECKPOINT
+
+    found = {"figures": repr([row | {"seconds": ""} for row in read_metrics(out)]).encode()}
+    for name in (CHECKPOINT, POLICY):
+        if (out / name).exists():
+            kept = checkpoint.read(out / name)
+            found[name] = repr(sorted(tensors(kept))).encode()
+    return found
+
+
+def tensors(tree: object, name: str = "") -> list[tuple[str, str]]:
+    """The digest of each tensor and value in nested dicts and lists, the seconds that a training took apart."""
+    if isinstance(tree, dict):
+        return [found for key, item in tree.items() if key != "seconds" for found in tensors(item, f"{name}/{key}")]
+    if isinstance(tree, list):
+        return [found for key, item in enumerate(tree) for found in tensors(item, f"{name}/{key}")]
+    data = tree.numpy().tobytes() if hasattr(tree, "numpy") else repr(tree).encode()  # type: ignore[union-attr]
+    return [(name, hashlib.sha256(data).hexdigest())]
+
+
+def updates(out: Path) -> Found:
+    """The updates of a training that are in its checkpoint; everything can be read."""
+    from magical_mj.baselines import checkpoint
+    from magical_mj.baselines.run import CHECKPOINT
+
+    training(out)
+    done = checkpoint.read(out / CHECKPOINT)["update"] if (out / CHECKPOINT).exists() else 0
+    return {str(update): b"" for update in range(done)}
+
+
+def train(method: str, look: tuple[str, ...], *settings: str) -> Kind:
+    """A training of a second or two, beside the time that the command takes to start."""
+    words = [word for setting in (*TINY, *settings) for word in ("--set", setting)]
+    return Kind((*MAIN, "train", method, "--tasks", "MoveToRegion", "--resume", *look, *words), updates, training)
+
+
+def kinds(scores: Path) -> dict[str, Kind]:
+    """All commands, by name; the report is one of an evaluation in this folder."""
+    evaluate = ("evaluate", "--policy", "random", "--tasks", "MoveToRegion,FixColour", "--episodes", "60", "--resume")
+    generate = ("demos", "generate", "--tasks", "FixColour,MoveToRegion", "--count", "20", "--jobs", "2")
+    play = ("play", "MoveToRegion", "Jitter", "--size", "16")
+    return {
+        "evaluate": Kind((*MAIN, *evaluate, "--jobs", "2"), lines, rows),
+        "report": Kind((*MAIN, "report", str(scores)), pages, pages),
+        "generate": Kind((*MAIN, *generate), demonstrations, demonstrations),
+        "play": Kind((sys.executable, "-c", PLAYER, *play), demonstrations, None),
+        "train-bc-state": train("bc", ("--preset", "State"), "bc.batches=800"),
+        "train-bc": train("bc", ("--quick",), "bc.batches=160", "bc.batch_size=8"),
+        "train-gail": train("gail", ("--quick",), *GAIL),
+    }
+
+
+def kill(kind: Kind, name: str, folder: Path, kills: int, rng: random.Random) -> None:
+    """Kills a command again and again, and lets it end; an error tells what is not as it must be."""
+    expected, seconds = None, PLAYING
+    if kind.result is not None:
+        start = time.monotonic()
+        undisturbed(kind, folder / "undisturbed")
+        seconds = time.monotonic() - start
+        expected = kind.result(folder / "undisturbed")
+    out, ends = folder / "killed", 0
+    for number in range(kills):
+        before = kind.finished(out)
+        start = time.monotonic()
+        how, ended = killed(kind.into(out), seconds, rng)
+        now = kind.finished(out)
+        lost = [thing for thing in before if now.get(thing) != before[thing]]
+        if lost:
+            raise SystemExit(f"{name}, {how}: lost or changed: {', '.join(lost)}")
+        print(f"{name} {number}: {how}; {len(now) - len(before)} more, {len(now)} in all", flush=True)
+        if ended and kind.result is not None:
+            ends, seconds = ends + 1, min(seconds, time.monotonic() - start)
+            compare(name, kind.result(out), expected)
+            shutil.rmtree(out)
+    if kind.result is not None:
+        undisturbed(kind, out)
+        compare(name, kind.result(out), expected)
+    print(f"{name}: {kills} kills, {ends} of them too late; nothing lost, no process left, the same in the end")
+
+
+def compare(name: str, found: Found, expected: Found | None) -> None:
+    """Ends the program if what was made is not what is made undisturbed."""
+    if expected is None or found.keys() != expected.keys():
+        raise SystemExit(f"{name}: there is {sorted(found)}, and there must be {sorted(expected or ())}")
+    differing = [thing for thing in found if found[thing] != expected[thing]]
+    if differing:
+        raise SystemExit(f"{name}: not what it is undisturbed: {', '.join(differing)}")
+
+
+def undisturbed(kind: Kind, out: Path) -> None:
+    """Lets a command end."""
+    result = subprocess.run(kind.into(out), capture_output=True, text=True, check=False, env=variables())
+    if result.returncode != 0:
+        raise SystemExit(f"{' '.join(kind.into(out))}: {result.stderr}")
+
+
+def killed(command: tuple[str, ...], latest: float, rng: random.Random) -> tuple[str, bool]:
+    """Starts a command and kills it within so many seconds; returns how and when, and whether it had ended before."""
     process = subprocess.Popen(
-        [sys.executable, *command],
-        start_new_session=True,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        env=os.environ | {"SDL_VIDEODRIVER": "dummy"},
+        command, start_new_session=True, env=variables(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
-    time.sleep(seconds)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+    moment, how, ended = rng.uniform(0, latest), rng.choice(SIGNALS), False
+    try:
+        process.wait(moment)
+        ended = True
+    except subprocess.TimeoutExpired:
+        process.send_signal(how)  # to the process alone; its workers must notice by themselves
+        process.wait()
+    start = time.monotonic()
+    while left := session(process.pid):
+        if time.monotonic() - start > PATIENCE:
+            raise SystemExit(f"{how.name} after {moment:.1f} s left processes: {left}")
+        time.sleep(0.05)
+    gone = f"all gone {time.monotonic() - start:.1f} s later"
+    return (f"had ended before {moment:.1f} s" if ended else f"{how.name} after {moment:.1f} s, {gone}"), ended
 
 
-def main(rounds: int) -> None:
-    """Prints a line for each kill; an error that tells what was lost ends it."""
-    draw = random.Random(0)  # noqa: S311
+def session(leader: int) -> list[int]:
+    """The processes of a session."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:  # it has just ended
+            continue
+        if int(fields[3]) == leader and fields[0] != "Z":
+            found.append(int(stat.parent.name))
+    return found
+
+
+def variables() -> dict[str, str]:
+    """The environment of each command: no window is seen, and sums are the same each time."""
+    return os.environ | {"SDL_VIDEODRIVER": "dummy", "OMP_NUM_THREADS": "1"}
+
+
+def main() -> None:
+    """See the module."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kills", type=int, default=20, help="of each command")
+    parser.add_argument("--kinds", default="all", help="which commands, separated by commas")
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # shells ignore it in what they start in the background
     with tempfile.TemporaryDirectory() as name:
-        folders = {kind: Path(name) / kind for kind in ("generate", "play")}
-        kept: dict[Path, bytes] = {}
-        for number in range(rounds):
-            kind = ("generate", "play")[number % 2]
-            folder = folders[kind]
-            folder.mkdir(exist_ok=True)
-            generate = [*GENERATE, "--out", str(folder), "--jobs", "2"]
-            play = ["-c", PLAYER, "play", "MoveToRegion", "Jitter", "--record", str(folder), "--size", "16"]
-            seconds = draw.uniform(2.0, 2.0 + LONGEST)
-            killed(generate if kind == "generate" else play, seconds)
-            for path in demos.files_in(folder):
-                demos.read(path)
-            found = {path: path.read_bytes() for path in demos.files_in(folder)}
-            lost = [str(path) for path in kept if path.parent == folder and found.get(path) != kept[path]]
-            if lost:
-                raise SystemExit(f"lost or changed after {seconds:.1f} s of {kind}: {', '.join(lost)}")
-            fresh = len(found.keys() - kept.keys())
-            kept |= found
-            print(f"{kind} killed after {seconds:.1f} s: {fresh} more, {len(found)} in all, each whole")
+        scores = Path(name) / "scores"
+        every = kinds(scores)
+        chosen = list(every) if given.kinds == "all" else given.kinds.split(",")
+        if "report" in chosen:
+            undisturbed(every["evaluate"], scores)
+        for kind in chosen:
+            folder = Path(name) / kind
+            folder.mkdir()
+            kill(every[kind], kind, folder, given.kills, random.Random(given.seed))  # noqa: S311  no secret
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 20)
+    main()

@@ -13,6 +13,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import time
 import venv
 from pathlib import Path
 from typing import Final
@@ -28,6 +29,11 @@ def blocks(text: str, sections: list[str]) -> list[tuple[str, str]]:
         if not sections or section.partition("\n")[0] in sections:
             found += BLOCK.findall(section)
     return found
+
+
+def told(what: str) -> None:
+    """Prints at once what is run next, and when."""
+    print(f"{time.strftime('%H:%M:%S')} {what}", flush=True)
 
 
 def run(text: str, sections: list[str], folder: Path) -> None:
@@ -47,14 +53,14 @@ def run(text: str, sections: list[str], folder: Path) -> None:
     constraints = f"-q --disable-pip-version-check -c {ROOT / 'constraints.txt'}"
     for language, code in blocks(text, sections):
         if language == "python":
-            print("python:", code.splitlines()[0])
+            told(f"python: {code.splitlines()[0]}")
             subprocess.run([programs / "python", "-c", code], cwd=place, env=variables, check=True)
             continue
         for line in re.findall(r"^\$ (.*)$", code, re.MULTILINE):
             if line.startswith("make "):  # which makes an environment of its own
                 continue
             command = re.sub(r'^pip install "\.(\[.*?\])?"', rf'pip install {constraints} "{wheel}\1"', line)
-            print(line)
+            told(line)
             subprocess.run(["/bin/sh", "-c", command], cwd=place, env=variables, check=True)
 
 

@@ -14,7 +14,10 @@ fi
     'import sys; print("python{}.{}".format(*sys.version_info))')")-venv"
 case $* in *node*) command -v npm >/dev/null || missing="$missing nodejs npm" ;; esac
 case $* in *chromium*) [ -x "${CHROMIUM:-/usr/bin/chromium}" ] || missing="$missing chromium" ;; esac
-case $* in *xvfb*) command -v Xvfb >/dev/null || missing="$missing xvfb" ;; esac
+case $* in *xvfb*)
+    command -v Xvfb >/dev/null || missing="$missing xvfb"
+    command -v xdotool >/dev/null || missing="$missing xdotool" ;;
+esac
 [ -z "$missing" ] && exit 0
 
 if [ "$(id -u)" = 0 ]; then as_root=""; else as_root="sudo -n"; fi
