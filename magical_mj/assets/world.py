@@ -78,6 +78,7 @@ _GEOM: Final = ("name", "type", "size", "pos", "fromto", "meshname")
 def world_spec(structure: Structure) -> mujoco.MjSpec:
     """A spec of the worlds of this structure, whose numbers are still to be written."""
     spec = _unshaped(len(structure.shapes), structure.dashes).copy()
+    find_class = cache(spec.find_default)
     for index, shape in enumerate(structure.shapes):
         block = spec.body(f"block{index}")
         block.inertia = [INERTIA[shape]] * 3
@@ -88,7 +89,7 @@ def world_spec(structure: Structure) -> mujoco.MjSpec:
             (block.first_body(), collision_geoms(shape)),
         ):
             for kind, attributes in _parsed(geoms):
-                geom = body.add_geom(spec.find_default(kind))
+                geom = body.add_geom(find_class(kind))
                 for name, value in attributes:  # twice as fast as naming them to `add_geom`
                     setattr(geom, name, value)
     return spec

@@ -53,7 +53,7 @@ _ASSETS: Final = ("mesh_vertnum", "mesh_vert", "mesh_face", "tex_data")
 
 def drawn(groups: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Which of these geom or skin groups the task cameras see."""
-    return _IS_DRAWN[groups.clip(0, mujoco.mjNGROUP - 1)]  # as MuJoCo takes groups that there are not
+    return _IS_DRAWN.take(groups, mode="clip")  # MuJoCo, too, clips groups
 
 
 @dataclass(eq=False)
