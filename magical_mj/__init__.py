@@ -1,6 +1,6 @@
 """The MAGICAL benchmark for robust imitation (Toyer et al., NeurIPS 2020) on MuJoCo.
 
-Eight tasks, seven test variants, 60 environments: through dm_env with `load`, through Gymnasium with
+A table of tasks and test variants (`magical_mj.ENVIRONMENTS`): through dm_env with `load`, through Gymnasium with
 ``gymnasium.make("magical_mj/FindDupe-Demo-LoRes4E-v0")``, and as MJCF files with `export_mjcf`.
 """
 

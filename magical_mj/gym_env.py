@@ -38,7 +38,7 @@ STATE_BOUND: Final = 1000.0  # of any entry of the state vector; angles add up t
 
 
 class MagicalEnv(gymnasium.Env[Observation, Any]):
-    """One of the 60 environments; make it with `gymnasium.make("magical_mj/...")`.
+    """One of the benchmark's environments; make it with `gymnasium.make("magical_mj/...")`.
 
     ## Actions
     `Discrete(18)`: 9 * gripper + 3 * turn + drive; see `magical_mj.actions`. One action lasts 1/8 s. With

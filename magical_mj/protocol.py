@@ -1,6 +1,6 @@
 """Protocol numbers: what must be the same for two results to be comparable.
 
-Under one `PROTOCOL` number stay the same: the 60 environments, the scenes of every seed, the horizons, the scores
+Under one `PROTOCOL` number stay the same: the environments, the scenes of every seed, the horizons, the scores
 under both sets of rules, the 18 actions, and the physics settings of the model. Whatever changes one of them gets the
 next number. Evaluations record both numbers beside the versions of this package and of MuJoCo.
 """

@@ -14,6 +14,7 @@ from typer import Context
 from typer.core import TyperGroup
 from typer.main import get_command
 
+import magical_mj
 from magical_mj.cli.app import app
 
 ROOT = Path(__file__).parent.parent
@@ -69,6 +70,10 @@ def test_tables_are_up_to_date() -> None:
     for page, of_page in tables.PAGES.items():
         text = (ROOT / page).read_text()
         assert tables.filled(text, of_page()) == text, f"run `make docs`: {page}"
+
+
+def test_the_numbers_of_tasks_and_environments_are_those_of_the_registry() -> None:
+    assert f": {len(magical_mj.TASKS)} tasks,\n{len(magical_mj.ENVIRONMENTS)} environments, for " in TEXT
 
 
 def test_links_and_make_targets_exist() -> None:
