@@ -20,8 +20,8 @@ from magical_mj.env_settings import Reward
 from magical_mj.environment import Environment, load
 from magical_mj.errors import InvalidSceneError, SettingsError, check_name
 from magical_mj.frames import Images, Stacks
-from magical_mj.observations import CAMERAS, STATE_NAMES, VIEWS
-from magical_mj.presets import Layout
+from magical_mj.observations import CAMERAS, FINGERS, STATE_NAMES, VIEWS
+from magical_mj.presets import Preset
 from magical_mj.presets import preset as preset_named
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
@@ -31,10 +31,11 @@ from magical_mj.wrappers import CONTINUOUS_SPACE
 
 ActionForm = Literal["discrete", "continuous"]
 ACTION_FORMS: Final[tuple[str, ...]] = get_args(ActionForm)
-Observation = NDArray[Any] | dict[str, Images]
+Observation = NDArray[Any] | dict[str, NDArray[Any]]
 
 RENDER_VIEWS: Final = (*CAMERAS, "both")
 STATE_BOUND: Final = 1000.0  # of any entry of the state vector; angles add up to 100 rad in the longest episode
+FINGERS_SPACE: Final = spaces.Box(-np.pi, np.pi, (2,), np.float32)
 
 
 class MagicalEnv(gymnasium.Env[Observation, Any]):
@@ -46,7 +47,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
 
     ## Observations
     What the preset says (`magical_mj.presets.PRESETS`): uint8 pictures stacked along the channels, oldest
-    first, or the state vector. After a reset the first frame fills the stack.
+    first, the state vector, or pictures and the fingers' angles. After a reset the first frame fills the stack.
 
     ## Episodes
     `reset(seed=7)` starts in `sample_scene(task, variant, 7)`; `reset()` in a scene drawn by `np_random`;
@@ -95,20 +96,20 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._render_size = check_size(render_size, "render_size")
         made = preset_named(preset)
         size = made.image_size if image_size is None else check_size(image_size)
-        self._layout = made.layout
+        self._preset = made
         self._stacks = Stacks(made, size)
         self._env = load(
             task,
             variant,
             seed=0,  # of an episode that is never played: every reset gives a seed
-            observations=["state"] if made.layout == "state" else [],  # pictures are drawn into the stacks
+            observations=["state"] if made.layout == "state" or made.fingers else [],  # pictures go to the stacks
             image_size=size,
             reward=reward,
             rules=rules,
         )
         self._continuous = action == "continuous"
         self.action_space = CONTINUOUS_SPACE if self._continuous else spaces.Discrete(len(ACTIONS))
-        self.observation_space = _space(made.layout, self._stacks.shapes)
+        self.observation_space = _space(made, self._stacks.shapes)
         self._score_every_step = score_every_step
         self._begun = self._running = False
         self._seeded: int | None = None
@@ -237,17 +238,21 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._env.render(view, len(place), out=place)
 
     def _observation(self, seen: Mapping[str, NDArray[Any]], stacks: dict[str, Images]) -> Observation:
-        if self._layout == "state":
+        if self._preset.layout == "state":
             return seen["state"]
-        return stacks if self._layout == "dict" else stacks["all"]
+        if self._preset.fingers:
+            return {**stacks, "fingers": seen["state"][FINGERS]}
+        return stacks if self._preset.layout == "dict" else stacks["all"]
 
 
-def _space(layout: Layout, shapes: Mapping[str, tuple[int, ...]]) -> spaces.Space[Any]:
-    """The space of the observations in this layout, of stacks of these shapes."""
-    if layout == "state":
+def _space(made: Preset, shapes: Mapping[str, tuple[int, ...]]) -> spaces.Space[Any]:
+    """The space of a preset's observations, with stacks of these shapes."""
+    if made.layout == "state":
         return spaces.Box(-STATE_BOUND, STATE_BOUND, (len(STATE_NAMES),), np.float32)
     boxes: dict[str, spaces.Space[Any]] = {name: spaces.Box(0, 255, shape, np.uint8) for name, shape in shapes.items()}
-    return spaces.Dict(boxes) if layout == "dict" else boxes["all"]
+    if made.fingers:
+        boxes["fingers"] = FINGERS_SPACE
+    return spaces.Dict(boxes) if made.layout == "dict" else boxes["all"]
 
 
 def _scene_option(options: Mapping[str, Any]) -> Scene | None:

@@ -47,6 +47,10 @@ World units, rad, units/s and rad/s; colours and shapes are one-hot; angles are 
 """
 
 
+FINGERS: Final = slice(STATE_NAMES.index("robot.left_finger"), STATE_NAMES.index("robot.right_finger") + 1)
+"""Where the angles of the two fingers are in the state vector."""
+
+
 class StateEncoder:
     """Writes the state vectors of one episode: what stays in it is written once.
 

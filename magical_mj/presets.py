@@ -22,12 +22,15 @@ class Preset:
             one such array (height x width x channels) per view; "state" is the state vector instead.
         image_size: side of the pictures in pixels, unless the user asks for another.
         summary: one line for people.
+        fingers: whether the dict also has "fingers", the angles of the left and the right finger (rad), which the
+            paper's learners do not see.
     """
 
     frames: tuple[tuple[str, int], ...]
     layout: Layout
     image_size: int
     summary: str
+    fingers: bool = False
 
 
 PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
@@ -37,6 +40,9 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
         "LoRes4A": Preset((("allo", 4),), "hwc", 96, "the last four allo frames"),
         "LoRes3EA": Preset((("allo", 1), ("ego", 3)), "hwc", 96, "the current allo frame, then the last three ego"),
         "LoResStack": Preset((("ego", 4), ("allo", 4)), "dict", 96, "a dict of the last four frames of each view"),
+        "LoResFingers": Preset(
+            (("ego", 1), ("allo", 1)), "dict", 96, "a dict of both current frames and the angles of the fingers", True
+        ),
         "LoResCHW4E": Preset((("ego", 4),), "chw", 96, "LoRes4E with the channels first, as PyTorch wants them"),
         "State": Preset((), "state", 96, "the state vector (magical_mj.observations.STATE_NAMES)"),
     }

@@ -73,6 +73,7 @@ SHAPES = {
     "LoRes4A": (96, 96, 12),
     "LoRes3EA": (96, 96, 12),
     "LoResStack": {"ego": (96, 96, 12), "allo": (96, 96, 12)},
+    "LoResFingers": {"ego": (96, 96, 3), "allo": (96, 96, 3)},
     "LoResCHW4E": (12, 96, 96),
 }
 
@@ -80,7 +81,7 @@ SHAPES = {
 def stacked(preset: str, seen: list[dict[str, np.ndarray]]) -> np.ndarray | dict[str, np.ndarray]:
     """What a preset should give, said in another way than the package does."""
     ego, allo = ([frame[view] for frame in seen] for view in ("ego", "allo"))
-    if preset == "":
+    if preset in ("", "LoResFingers"):
         return {"ego": ego[-1], "allo": allo[-1]}
     if preset == "LoResStack":
         return {"ego": np.concatenate(ego[-4:], axis=2), "allo": np.concatenate(allo[-4:], axis=2)}
@@ -108,6 +109,18 @@ def test_frames_are_stacked_oldest_first(preset: str) -> None:
             assert expected.shape == SHAPES[preset]
         observation = env.step(action)[0]
         seen.append(single.step(action).observation)
+
+
+def test_fingers_are_those_of_the_scene() -> None:
+    env = gymnasium.make("magical_mj/FixColour-Demo-LoResFingers-v0").unwrapped
+    observation, _ = env.reset(seed=0)
+    for action in (0, 9, 9, 9, 0):
+        np.testing.assert_allclose(observation["fingers"], env.scene.robot.fingers, atol=1e-6)
+        open_by = float(np.ptp(observation["fingers"]))
+        observation = env.step(action)[0]
+        assert env.observation_space.contains(observation)
+    assert open_by < np.ptp(observation["fingers"])  # closed, then opening
+    env.close()
 
 
 @pytest.mark.parametrize("task", magical_mj.TASKS)

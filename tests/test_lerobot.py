@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,7 +16,8 @@ from gymnasium.utils.env_checker import check_env
 
 import magical_mj
 from magical_mj.demos.lerobot import to_lerobot
-from magical_mj.errors import DemonstrationError, MagicalError, UnknownNameError
+from magical_mj.episodes import Episode
+from magical_mj.errors import DemonstrationError, InvalidActionError, MagicalError, SettingsError, UnknownNameError
 
 needs_lerobot = pytest.mark.skipif(find_spec("lerobot") is None, reason="lerobot is not installed: make lerobot-test")
 pytestmark = pytest.mark.filterwarnings("default")  # lerobot's own are not ours to mend
@@ -58,6 +60,8 @@ def test_a_data_set_read_back_replays_to_the_full_score(task: str, plugin: Any, 
             number += 1
         assert reward == info["eval_score"] == 1.0
     env.close()
+    size = sum(path.stat().st_size for path in (tmp_path / "set").rglob("*") if path.is_file())
+    sys.stdout.write(f"{task}: {len(demos)} demonstrations, {number} frames alike, {size / 1e6:.1f} MB, scores 1.0\n")
 
 
 @needs_lerobot
@@ -70,6 +74,21 @@ def test_both_views_and_the_fingers(plugin: Any, tmp_path: Path) -> None:
     np.testing.assert_allclose(row["observation.state"].numpy(), observation["agent_pos"], atol=1e-7)
     np.testing.assert_allclose(observation["agent_pos"], (np.pi / 8, -np.pi / 8), atol=1e-6)
     assert {f"observation.images.{view}" for view in observation["pixels"]} <= row.keys()
+    env.close()
+
+
+@needs_lerobot
+def test_states_instead_of_pictures(plugin: Any, tmp_path: Path) -> None:
+    demo = magical_mj.demos.load("FixColour")[0]
+    made = to_lerobot([demo], tmp_path / "set", views="state")
+    wanted = magical_mj.demos.observations(demo, "State")
+    env = plugin.PixelsAndFingers("FixColour", "Demo", "state")
+    observation, _ = env.reset(options={"scene": demo.scene})
+    assert set(observation) == {"environment_state", "agent_pos"}
+    for number, action in enumerate(demo.actions[:5]):
+        np.testing.assert_array_equal(made[number]["observation.environment_state"].numpy(), wanted[number])
+        np.testing.assert_array_equal(observation["environment_state"], wanted[number])
+        observation = env.step(magical_mj.actions.to_vector(action))[0]
     env.close()
 
 
@@ -90,7 +109,7 @@ def test_nothing_is_overwritten_and_nothing_half_made_stays(tmp_path: Path, monk
 
 
 @needs_lerobot
-@pytest.mark.parametrize("options", [{}, {"views": "both"}, {"views": "allo", "fingers": True}])
+@pytest.mark.parametrize("options", [{}, {"views": "both"}, {"views": "allo", "fingers": True}, {"views": "state"}])
 @pytest.mark.filterwarnings("ignore")
 def test_gymnasium_finds_nothing_wrong(plugin: Any, options: dict[str, Any]) -> None:
     env = plugin.PixelsAndFingers("MoveToRegion", "Demo", **options)
@@ -154,11 +173,23 @@ def tiny_checkpoint(plugin: Any, folder: Path, **options: Any) -> Path:
     return folder
 
 
+OBSERVED = [
+    ({}, "LoRes4E"),
+    ({"views": "both"}, "LoResStack"),
+    ({"views": "state"}, "State"),
+    ({"views": "allo", "fingers": True}, "LoResFingers"),
+    ({"views": "state", "fingers": True}, "State"),
+]
+
+
 @needs_lerobot
-def test_a_checkpoint_is_evaluated_like_any_policy(plugin: Any, tmp_path: Path) -> None:
-    folder = tiny_checkpoint(plugin, tmp_path / "pretrained_model")
+@pytest.mark.parametrize(("options", "preset"), OBSERVED)
+def test_a_checkpoint_is_evaluated_like_any_policy(
+    plugin: Any, tmp_path: Path, options: dict[str, Any], preset: str
+) -> None:
+    folder = tiny_checkpoint(plugin, tmp_path / "pretrained_model", **options)
     runs = [
-        magical_mj.evaluate(str(folder), tasks="MoveToRegion", variants="Demo,Layout", episodes=2, preset="LoRes4E")
+        magical_mj.evaluate(str(folder), tasks="MoveToRegion", variants="Demo,Layout", episodes=2, preset=preset)
         for _ in range(2)
     ]
     assert runs[0]["failure"].isna().all()
@@ -167,15 +198,60 @@ def test_a_checkpoint_is_evaluated_like_any_policy(plugin: Any, tmp_path: Path) 
 
 
 @needs_lerobot
+@pytest.mark.parametrize(("options", "preset"), OBSERVED)
+def test_a_checkpoint_sees_here_what_it_sees_in_lerobot(
+    plugin: Any, tmp_path: Path, options: dict[str, Any], preset: str
+) -> None:
+    """Its first action is the same here and by lerobot's own steps."""
+    import torch
+    from lerobot.envs.utils import preprocess_observation
+    from lerobot.policies.act.modeling_act import ACTPolicy
+
+    folder = tiny_checkpoint(plugin, tmp_path / "pretrained_model", **options)
+    policy, theirs = plugin.load_checkpoint(folder), ACTPolicy.from_pretrained(folder).eval()
+    env, ours = plugin.PixelsAndFingers("FixColour", "Demo", **options), gymnasium.make(
+        magical_mj.env_id("FixColour", "Demo", preset)
+    )  # fmt: skip
+    seen, _ = env.reset(seed=3)
+    observation, _ = ours.reset(seed=3)
+    policy.reset(Episode("FixColour", "Demo", 3, 3))
+    with torch.inference_mode():
+        wanted = theirs.select_action(preprocess_observation({name: _batch(value) for name, value in seen.items()}))
+    assert policy(observation) == magical_mj.actions.to_discrete(wanted[0].numpy())
+    env.close()
+    ours.close()
+
+
+def _batch(value: Any) -> Any:
+    return {view: picture[None] for view, picture in value.items()} if isinstance(value, dict) else value[None]
+
+
+@needs_lerobot
 def test_checkpoints_of_other_observations_are_refused(plugin: Any, tmp_path: Path) -> None:
     folder = tiny_checkpoint(plugin, tmp_path / "pretrained_model")
     with pytest.raises(MagicalError, match="--preset LoRes4E"):
         magical_mj.evaluate(str(folder), tasks="MoveToRegion", episodes=1, preset="LoRes4A")
-    config = json.loads((folder / "config.json").read_text())
-    config["input_features"]["observation.images.wrist"] = config["input_features"].pop("observation.image")
-    (folder / "config.json").write_text(json.dumps(config))
-    with pytest.raises(MagicalError, match="wrist"):
-        plugin.load_checkpoint(folder)
+    original = (folder / "config.json").read_text()
+    for change, said in (
+        (lambda config: config["input_features"].update(wrist=config["input_features"]["observation.image"]), "wrist"),
+        (lambda config: config["input_features"]["observation.image"].update(shape=[3, 84, 84]), "84, 84"),
+        (lambda config: config["output_features"]["action"].update(shape=[7]), r"\(7,\)"),
+    ):
+        config = json.loads(original)
+        change(config)
+        (folder / "config.json").write_text(json.dumps(config))
+        with pytest.raises(SettingsError, match=said):
+            plugin.load_checkpoint(folder)
+
+
+@needs_lerobot
+@pytest.mark.parametrize("action", [[np.nan, 0, 0], [0, np.inf, 0], [0, 0], [0, 0, 0, 0]])
+def test_actions_that_are_none_are_refused(plugin: Any, action: list[float]) -> None:
+    env = plugin.PixelsAndFingers("MoveToRegion", "Demo", "state")
+    env.reset(seed=0)
+    with pytest.raises(InvalidActionError, match="three finite numbers"):
+        env.step(np.array(action, np.float32))
+    env.close()
 
 
 @needs_lerobot

@@ -13,7 +13,7 @@ from torch import Tensor
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter, View
 from magical_mj.batched.scenes import ABSENT, SceneArrays
-from magical_mj.gym_env import STATE_BOUND
+from magical_mj.gym_env import FINGERS_SPACE, STATE_BOUND
 from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
 from magical_mj.presets import Preset
 
@@ -72,11 +72,14 @@ class States:
 
 
 class Frames:
-    """Stacks of pictures as a preset orders them, uint8: one tensor, or by view for the layout "dict"."""
+    """Stacks of pictures as a preset orders them, uint8: one tensor, or for the layout "dict" by view.
+
+    Where the preset says so, the dict also holds the angles of the fingers, float32.
+    """
 
     def __init__(self, preset: Preset, size: int, scenes: SceneArrays, device: str) -> None:
         self._painter = Painter(scenes, device)
-        self._layout, worlds = preset.layout, len(scenes.shapes)
+        self._preset, worlds = preset, len(scenes.shapes)
         groups = {view: ((view, count),) for view, count in preset.frames}
         self._groups = groups if preset.layout == "dict" else {"all": preset.frames}
         self._stacks = {
@@ -84,9 +87,11 @@ class Frames:
             for name, frames in self._groups.items()
         }
         self._stacks = {name: stack.to(device) for name, stack in self._stacks.items()}
-        boxes = {
+        boxes: dict[str, spaces.Space[Any]] = {
             name: spaces.Box(0, 255, self._shaped(one[:1])[0].shape, np.uint8) for name, one in self._stacks.items()
         }
+        if preset.fingers:
+            boxes["fingers"] = FINGERS_SPACE
         self.space: spaces.Space[Any] = spaces.Dict(dict(boxes)) if preset.layout == "dict" else boxes["all"]
 
     def start(self, scenes: SceneArrays, worlds: Tensor) -> None:
@@ -103,7 +108,7 @@ class Frames:
                 first += 3 * count
             self._stacks[name] = moved
         self._draw(physics)
-        return self._seen()
+        return self._seen(physics)
 
     def begin(self, physics: Physics, worlds: Tensor) -> Observation:
         """Fills the stacks of these worlds with their present pictures; fresh tensors, of all worlds."""
@@ -115,7 +120,7 @@ class Frames:
                 newest = stack[worlds, :, :, first + 3 * (count - 1) : first + 3 * count]
                 stack[worlds, :, :, first : first + 3 * count] = newest.repeat(1, 1, 1, count)
                 first += 3 * count
-        return self._seen()
+        return self._seen(physics)
 
     def get_state(self) -> dict[str, Tensor]:
         """The stacks; copies."""
@@ -137,10 +142,11 @@ class Frames:
                 seen: View = "ego" if view == "ego" else "allo"
                 self._painter.draw(seen, self._stacks[name][..., end - 3 : end])
 
-    def _seen(self) -> Observation:
-        if self._layout == "dict":
-            return {name: self._shaped(stack) for name, stack in self._stacks.items()}
-        return self._shaped(self._stacks["all"])
+    def _seen(self, physics: Physics) -> Observation:
+        seen = {name: self._shaped(stack) for name, stack in self._stacks.items()}
+        if self._preset.fingers:
+            seen["fingers"] = physics.fingers
+        return seen if self._preset.layout == "dict" else seen["all"]
 
     def _shaped(self, stack: Tensor) -> Tensor:
-        return stack.permute(0, 3, 1, 2) if self._layout == "chw" else stack
+        return stack.permute(0, 3, 1, 2) if self._preset.layout == "chw" else stack

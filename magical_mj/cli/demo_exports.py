@@ -12,7 +12,7 @@ from magical_mj.cli.console import Force, Tasks, Variants, check_suffix, claim, 
 from magical_mj.cli.demos import SUFFIX, Paths, read_chosen
 from magical_mj.errors import SettingsError
 
-VIEWS: Final = {"LoRes4E": "ego", "LoRes4A": "allo", "LoResStack": "both"}
+VIEWS: Final = {"LoRes4E": "ego", "LoRes4A": "allo", "LoResStack": "both", "State": "state"}
 """By preset: what LeRobot's policies see, which stack frames themselves if they want any."""
 
 Target = Annotated[

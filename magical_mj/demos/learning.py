@@ -18,7 +18,7 @@ from magical_mj.observations import StateEncoder
 from magical_mj.presets import Preset, preset
 
 Observations = NDArray[Any] | dict[str, NDArray[np.uint8]]
-"""One array with a row for each time; for presets with the layout "dict" one for each view."""
+"""One array with a row for each time; for presets with the layout "dict" one for each name in it."""
 
 
 class Transitions(NamedTuple):
@@ -72,7 +72,11 @@ def observations(demo: Demonstration, preset: str = "LoRes4E") -> Observations:
         states = zip(demo.qpos, demo.qvel, strict=True)
         return np.array([encode(world.poses(qpos), world.poses(qvel), world.fingers(qpos)) for qpos, qvel in states])
     if made.layout == "dict":
-        return {view: _stacked(demo, made, ((view, count),)) for view, count in made.frames}
+        rows: dict[str, NDArray[Any]] = {view: _stacked(demo, made, ((view, n),)) for view, n in made.frames}
+        if made.fingers:
+            world = World(demo.scene)
+            rows["fingers"] = np.array([world.fingers(qpos) for qpos in demo.qpos], np.float32)
+        return rows
     return _stacked(demo, made, made.frames)
 
 

@@ -1,7 +1,8 @@
 """Demonstrations as LeRobot data sets (format 3.0), written by lerobot itself.
 
-Frames are drawn at 96 px, not scaled down, and stored as PNG unless videos are asked for: AV1 is lossy. Actions are
-vectors (drive, turn, grip); no-ops stay, for LeRobot takes frames to be evenly spaced in time.
+Frames are drawn at 96 px, not scaled down, and stored as PNG unless videos are asked for: AV1 is lossy; the state
+vector can take their place. Actions are vectors (drive, turn, grip); no-ops stay, for LeRobot takes frames to be evenly
+spaced in time.
 """
 
 from __future__ import annotations
@@ -19,8 +20,10 @@ from magical_mj import constants as c
 from magical_mj.actions import to_vector
 from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration
+from magical_mj.demos.learning import observations
 from magical_mj.demos.replay import see
 from magical_mj.errors import DemonstrationError, MagicalError, unknown_name
+from magical_mj.observations import STATE_NAMES
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.registry import task_spec
 
@@ -29,9 +32,9 @@ if TYPE_CHECKING:
 
 IMAGE_SIZE: Final = 96
 VIEWS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {"ego": ("ego",), "allo": ("allo",), "both": ("ego", "allo")}
+    {"ego": ("ego",), "allo": ("allo",), "both": ("ego", "allo"), "state": ()}
 )
-"""The views that a policy sees, by the word that options use."""
+"""The pictures that a policy sees, by the word that options use; instead of none, it sees the state vector."""
 
 
 def missing_lerobot() -> MagicalError:
@@ -67,7 +70,7 @@ def to_lerobot(
     Args:
         demos: demonstrations of one environment; each becomes an episode.
         folder: the data set's root, which must not exist.
-        views: "ego", "allo" or "both".
+        views: "ego", "allo" or "both"; "state" for the state vector instead of pictures.
         fingers: put the two finger angles (left, right; rad), which the paper's learners do not see, into
             ``observation.state``. Without, it is a constant: LeRobot's policies cannot do without a state.
         video: store AV1 videos instead of PNG: smaller, but lossy (0.7 levels on average, at most 31).
@@ -106,6 +109,7 @@ def to_lerobot(
     return made
 
 
+STATE_VECTOR: Final = "observation.environment_state"
 NO_STATE: Final = ("zero0", "zero1", "zero2")
 FINGERS: Final = ("left_finger", "right_finger")
 """What the entries of LeRobot's state are; their number tells which it is (a single one loses its axis in lerobot)."""
@@ -122,21 +126,32 @@ def _features(keys: Mapping[str, str], *, fingers: bool, video: bool) -> dict[st
         "shape": (IMAGE_SIZE, IMAGE_SIZE, 3),
         "names": ["height", "width", "channels"],
     }
-    names = list(FINGERS if fingers else NO_STATE)
+    seen = dict.fromkeys(keys.values(), image) if keys else {STATE_VECTOR: _vector(STATE_NAMES)}
     return {
-        **dict.fromkeys(keys.values(), image),
-        "observation.state": {"dtype": "float32", "shape": (len(names),), "names": names},
-        "action": {"dtype": "float32", "shape": (3,), "names": ["drive", "turn", "grip"]},
+        **seen,
+        "observation.state": _vector(FINGERS if fingers else NO_STATE),
+        "action": _vector(("drive", "turn", "grip")),
     }
+
+
+def _vector(names: Sequence[str]) -> dict[str, Any]:
+    return {"dtype": "float32", "shape": (len(names),), "names": list(names)}
 
 
 def _frames(demo: Demonstration, keys: Mapping[str, str], *, fingers: bool) -> Iterator[dict[str, Any]]:
     """What was seen before each action, and the action."""
     sentence, world = task_spec(demo.task).summary, World(demo.scene)
-    for pictures, qpos, action in zip(see(demo, list(keys), IMAGE_SIZE), demo.qpos, demo.actions, strict=False):
+    for seen, qpos, action in zip(_seen(demo, keys), demo.qpos, demo.actions, strict=False):
         yield {
-            **{key: pictures[view] for view, key in keys.items()},
+            **seen,
             "observation.state": state(world.fingers(qpos) if fingers else None),
             "action": to_vector(action),
             "task": sentence,
         }
+
+
+def _seen(demo: Demonstration, keys: Mapping[str, str]) -> Iterator[dict[str, Any]]:
+    """What a policy sees at the start and after each action: pictures, or without keys of any the state vector."""
+    if not keys:
+        return ({STATE_VECTOR: row} for row in observations(demo, "State"))
+    return ({key: pictures[view] for view, key in keys.items()} for pictures in see(demo, list(keys), IMAGE_SIZE))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Final, cast
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -12,8 +12,18 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from magical_mj import constants as c
-from magical_mj.demos.lerobot import FINGERS, IMAGE_SIZE, NO_STATE, VIEWS, image_keys, missing_lerobot, state
+from magical_mj.demos.lerobot import (
+    FINGERS,
+    IMAGE_SIZE,
+    NO_STATE,
+    STATE_VECTOR,
+    VIEWS,
+    image_keys,
+    missing_lerobot,
+    state,
+)
 from magical_mj.gym_env import STATE_BOUND, MagicalEnv
+from magical_mj.observations import FINGERS as WHERE_FINGERS
 from magical_mj.observations import STATE_NAMES
 from magical_mj.registry import environments, task_spec
 
@@ -23,8 +33,6 @@ try:
 except ImportError:
     raise missing_lerobot() from None
 
-_FINGERS: Final = slice(STATE_NAMES.index("robot.left_finger"), STATE_NAMES.index("robot.right_finger") + 1)
-
 
 class PixelsAndFingers(gymnasium.ObservationWrapper[dict[str, Any], NDArray[np.float32], NDArray[np.float32]]):
     """One environment with the names and shapes that LeRobot reads.
@@ -32,7 +40,7 @@ class PixelsAndFingers(gymnasium.ObservationWrapper[dict[str, Any], NDArray[np.f
     Args:
         task: a task's name.
         variant: a variant's name.
-        views: "ego", "allo" or "both".
+        views: "ego", "allo" or "both"; with "state", ``environment_state`` is the state vector, without pictures.
         fingers: whether ``agent_pos`` holds the angles of the fingers (rad), shape (2,), or zeros, shape (3,).
     """
 
@@ -43,14 +51,14 @@ class PixelsAndFingers(gymnasium.ObservationWrapper[dict[str, Any], NDArray[np.f
         self.task = task
         self.task_description = task_spec(task).summary
         self._max_episode_steps = task_spec(task).horizon()
-        picture = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
-        several = spaces.Dict(dict.fromkeys(self._views, picture))
+        seen: dict[str, spaces.Space[Any]] = {"environment_state": env.observation_space}
+        if self._views:
+            picture = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
+            several = spaces.Dict(dict.fromkeys(self._views, picture))
+            seen = {"pixels": picture if len(self._views) == 1 else several}
         state_shape = (len(FINGERS if fingers else NO_STATE),)
         self.observation_space = spaces.Dict(
-            {
-                "pixels": picture if len(self._views) == 1 else several,
-                "agent_pos": spaces.Box(-STATE_BOUND, STATE_BOUND, state_shape, np.float32),
-            }
+            {**seen, "agent_pos": spaces.Box(-STATE_BOUND, STATE_BOUND, state_shape, np.float32)}
         )
 
     def reset(
@@ -61,12 +69,12 @@ class PixelsAndFingers(gymnasium.ObservationWrapper[dict[str, Any], NDArray[np.f
         return super().reset(seed=seed, options=ours)
 
     def observation(self, observation: NDArray[np.float32]) -> dict[str, Any]:
-        """The pictures of the present state, and the fingers from the state vector."""
-        pictures = {view: self._dm_env.render(view, IMAGE_SIZE) for view in self._views}
-        return {
-            "pixels": pictures if len(pictures) > 1 else pictures[self._views[0]],
-            "agent_pos": state(observation[_FINGERS] if self._with_fingers else None),
-        }
+        """The pictures of the present state, or its vector, and the fingers from the vector."""
+        seen: dict[str, Any] = {"environment_state": observation}
+        if self._views:
+            pictures = {view: self._dm_env.render(view, IMAGE_SIZE) for view in self._views}
+            seen = {"pixels": pictures if len(pictures) > 1 else pictures[self._views[0]]}
+        return {**seen, "agent_pos": state(observation[WHERE_FINGERS] if self._with_fingers else None)}
 
 
 @EnvConfig.register_subclass("magical")
@@ -85,17 +93,16 @@ class MagicalConfig(EnvConfig):
     def __post_init__(self) -> None:
         picture = PolicyFeature(type=FeatureType.VISUAL, shape=(IMAGE_SIZE, IMAGE_SIZE, 3))
         keys = image_keys(self.views)
-        names = {view: "pixels" if len(keys) == 1 else f"pixels/{view}" for view in keys}
+        seen = {"pixels" if len(keys) == 1 else f"pixels/{view}": key for view, key in keys.items()}
         self.features = {
             "action": PolicyFeature(type=FeatureType.ACTION, shape=(3,)),
             "agent_pos": PolicyFeature(type=FeatureType.STATE, shape=(len(FINGERS if self.fingers else NO_STATE),)),
-            **{names[view]: picture for view in keys},
+            **dict.fromkeys(seen, picture),
         }
-        self.features_map = {
-            "action": "action",
-            "agent_pos": "observation.state",
-            **{names[view]: key for view, key in keys.items()},
-        }
+        if not seen:
+            seen = {"environment_state": STATE_VECTOR}
+            self.features["environment_state"] = PolicyFeature(type=FeatureType.ENV, shape=(len(STATE_NAMES),))
+        self.features_map = {"action": "action", "agent_pos": "observation.state", **seen}
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:

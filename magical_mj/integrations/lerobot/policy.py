@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from magical_mj.actions import to_discrete
-from magical_mj.demos.lerobot import NO_STATE, VIEWS, image_keys, missing_lerobot, state
+from magical_mj.demos.lerobot import (
+    FINGERS,
+    IMAGE_SIZE,
+    NO_STATE,
+    STATE_VECTOR,
+    VIEWS,
+    image_keys,
+    missing_lerobot,
+    state,
+)
 from magical_mj.episodes import Episode
 from magical_mj.errors import SettingsError
+from magical_mj.observations import FINGERS as WHERE_FINGERS
+from magical_mj.observations import STATE_NAMES
 from magical_mj.registry import task_spec
 
 try:
@@ -24,27 +35,28 @@ try:
 except ImportError:
     raise missing_lerobot() from None
 
-_PRESETS: Final = {"ego": "LoRes4E", "allo": "LoRes4A", "both": "LoResStack"}
-"""The preset whose newest frames are the views that a checkpoint sees."""
+_PRESETS: Final = {"ego": "LoRes4E", "allo": "LoRes4A", "both": "LoResStack", "state": "State"}
+"""The preset whose newest frames are the views that a checkpoint sees, or whose vector is the state."""
 
 
 class LeRobotPolicy:
     """A LeRobot checkpoint as `magical_mj.evaluate` plays policies; action chunks start anew with each episode.
 
     Attributes:
-        preset: the preset whose newest frames the checkpoint sees.
+        preset: the preset whose newest frames, or whose vectors, the checkpoint sees.
     """
 
     def __init__(self, folder: Path) -> None:
         torch.set_num_threads(1)  # sums depend on how they are split, and workers must not fight for cores
         config = PreTrainedConfig.from_pretrained(folder)
-        self._views = _views_of(folder, config.input_features)
+        self._views, self._fingers = _observed(folder, config)
         config.device = "cpu"
         self._policy = get_policy_class(config.type).from_pretrained(folder, config=config).eval()
         self._before, self._after = make_pre_post_processors(
             config, str(folder), preprocessor_overrides={"device_processor": {"device": "cpu"}}
         )
-        self.preset = _PRESETS[self._views]
+        with_fingers = self._fingers and self._views != "state"
+        self.preset = "LoResFingers" if with_fingers else _PRESETS[self._views]
         self._sentence = ""
 
     def reset(self, episode: Episode) -> None:
@@ -54,14 +66,16 @@ class LeRobotPolicy:
         self._sentence = task_spec(episode.task).summary
 
     def __call__(self, observation: Any) -> int:
-        """The action for the newest frames of the preset."""
-        frames = observation if isinstance(observation, dict) else {self._views: observation}
-        keys = image_keys(self._views)
+        """The action for the newest frames of the preset, or for the state."""
+        seen = observation if isinstance(observation, dict) else {self._views: observation}
+        fingers = None
+        if self._fingers:
+            fingers = seen["fingers"] if "fingers" in seen else seen["state"][WHERE_FINGERS]
         batch: dict[str, Any] = {
-            key: torch.from_numpy(np.ascontiguousarray(frames[view][..., -3:])).permute(2, 0, 1)[None].float() / 255
-            for view, key in keys.items()
-        }
-        batch["observation.state"] = torch.from_numpy(state(None))[None]
+            key: torch.from_numpy(np.ascontiguousarray(seen[view][..., -3:])).permute(2, 0, 1)[None].float() / 255
+            for view, key in image_keys(self._views).items()
+        } or {STATE_VECTOR: torch.from_numpy(seen["state"])[None]}
+        batch["observation.state"] = torch.from_numpy(state(fingers))[None]
         with torch.inference_mode():
             action = self._after(self._policy.select_action(self._before({**batch, "task": [self._sentence]})))
         return to_discrete(action[0].numpy())
@@ -76,13 +90,22 @@ def load_checkpoint(folder: Path | str) -> LeRobotPolicy:
     return LeRobotPolicy(Path(folder))
 
 
-def _views_of(folder: Path, features: Mapping[str, Any]) -> str:
-    """Which of `VIEWS` a checkpoint sees."""
-    for views in VIEWS:
-        seen = {*image_keys(views).values(), "observation.state"}
-        if features.keys() == seen and features["observation.state"].shape == (len(NO_STATE),):
-            return views
-    known = " or ".join(" and ".join(image_keys(views).values()) for views in VIEWS)
+def _observed(folder: Path, config: Any) -> tuple[str, bool]:
+    """Which of `VIEWS` a checkpoint sees, and whether the angles of the fingers."""
+    seen = {name: tuple(feature.shape) for name, feature in config.input_features.items()}
+    actions = {name: tuple(feature.shape) for name, feature in config.output_features.items()}
+    for views, fingers in itertools.product(VIEWS, (False, True)):
+        if seen == _features(views, fingers) and actions == {"action": (3,)}:
+            return views, fingers
+    known = "\n".join(f"  {_features(views, fingers)}" for views in VIEWS for fingers in (False, True))
     raise SettingsError(
-        f"the checkpoint {folder} looks at {', '.join(features)}; evaluations have {known}, without the fingers' angles"
+        f"the checkpoint {folder} makes {actions} of {seen}, and evaluations take {{'action': (3,)}} made of one of\n"
+        f"{known}\nTrain it on a data set of magical-mj demos export --to lerobot."
     )
+
+
+def _features(views: str, fingers: bool) -> dict[str, tuple[int, ...]]:
+    """Name -> shape of what a checkpoint sees."""
+    pictures = dict.fromkeys(image_keys(views).values(), (3, IMAGE_SIZE, IMAGE_SIZE))
+    entries = len(FINGERS if fingers else NO_STATE)
+    return {**(pictures or {STATE_VECTOR: (len(STATE_NAMES),)}), "observation.state": (entries,)}
