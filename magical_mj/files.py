@@ -48,7 +48,7 @@ def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
         _to_disk(unfinished)
         _rename(unfinished, path, overwrite)
     except OSError as error:
-        if error.filename not in (None, str(unfinished)):
+        if error.errno is None or error.filename not in (None, str(unfinished)):
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error  # a full disk names no file
     finally:

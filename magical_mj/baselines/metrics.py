@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
+import os
+import platform
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, Self
 
-from torch.utils.tensorboard import SummaryWriter
+from tensorboard.compat.proto.event_pb2 import Event, SessionLog
+from tensorboard.compat.proto.summary_pb2 import Summary
+from tensorboard.summary.writer.record_writer import RecordWriter
 
 from magical_mj import files
 from magical_mj.errors import TrainingError
@@ -31,7 +37,7 @@ class Metrics:
         self._count = 0
         self._rows = [row for row in read_metrics(folder) if int(row["update"]) <= update]
         self._write()
-        self._board = SummaryWriter(str(folder / TENSORBOARD), purge_step=update + 1)
+        self._board = _Board(folder / TENSORBOARD, update + 1)
 
     def add(self, figures: Mapping[str, float]) -> None:
         """Takes in the figures of one update."""
@@ -44,8 +50,7 @@ class Metrics:
         means = {name: total / self._count for name, total in self._sums.items()}
         self._sums, self._count = {}, 0
         figures = {**means, **{f"score {task}": score for task, score in scores.items()}}
-        for name, value in figures.items():
-            self._board.add_scalar(name, value, update)
+        self._board.add(figures, update)
         row = {"update": str(update), "seconds": f"{seconds:.1f}"}
         self._rows.append(row | {name: f"{value:.6g}" for name, value in figures.items()})
         self._write()
@@ -56,7 +61,7 @@ class Metrics:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Writes what is left for TensorBoard."""
+        """Closes the file for TensorBoard."""
         self._board.close()
 
     def _write(self) -> None:
@@ -72,6 +77,46 @@ class Metrics:
             raise TrainingError(
                 f"cannot write {self._path}: {error.strerror}; what was saved before is kept"
             ) from error
+
+
+class _Board:
+    """The same figures for TensorBoard, in a file of its own for each time that a run goes on.
+
+    PyTorch's `SummaryWriter` writes from a thread, and where the disk is full, that thread is all that learns of it.
+
+    Args:
+        folder: of all these files.
+        first: the first update that is to come: what earlier files say from there on did not last.
+    """
+
+    def __init__(self, folder: Path, first: int) -> None:
+        self._path = folder / f"events.out.tfevents.{time.time_ns()}.{platform.node()}.{os.getpid()}"
+        try:
+            folder.mkdir(exist_ok=True)
+            self._file = self._path.open("wb")
+        except OSError as error:
+            raise self._failed(error) from error
+        self._records = RecordWriter(self._file)
+        self._write(Event(wall_time=time.time(), file_version="brain.Event:2"))
+        self._write(Event(wall_time=time.time(), step=first, session_log=SessionLog(status=SessionLog.START)))
+
+    def add(self, figures: Mapping[str, float], update: int) -> None:
+        values = [Summary.Value(tag=name, simple_value=value) for name, value in figures.items()]
+        self._write(Event(wall_time=time.time(), step=update, summary=Summary(value=values)))
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):  # which was told before
+            self._file.close()
+
+    def _write(self, event: Event) -> None:
+        try:
+            self._records.write(event.SerializeToString())
+            self._records.flush()
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def _failed(self, error: OSError) -> TrainingError:
+        return TrainingError(f"cannot write {self._path}: {error.strerror}; what was saved before is kept")
 
 
 def read_metrics(folder: Path) -> list[dict[str, str]]:

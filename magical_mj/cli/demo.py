@@ -8,6 +8,7 @@ from typing import Annotated, Final
 
 import typer
 
+from magical_mj import files
 from magical_mj.cli.console import Jobs, Tasks, claim_folder, console
 from magical_mj.cli.environments import contact_sheet
 from magical_mj.cli.evaluate import show_progress, summary
@@ -39,7 +40,8 @@ def demo(out: Out = Path("out/demo"), tasks: Tasks = "all", episodes: Episodes =
     show_progress(screen, evaluation)
     for line in summary(evaluation.scores):
         screen.print(line, soft_wrap=True)
-    contact_sheet(0, size=128).save(out / SHEET)
+    with files.new_file(out / SHEET, overwrite=True) as unfinished:
+        contact_sheet(0, size=128).save(unfinished)
     best = [
         (which, score) for which, score in extremes(evaluation.scores) if (which, score.policy) == ("best", AGENTS[0])
     ]

@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 from rich.table import Table
 
 import magical_mj
-from magical_mj import ENVIRONMENTS, TASKS, VARIANTS, env_id
+from magical_mj import ENVIRONMENTS, TASKS, VARIANTS, env_id, files
 from magical_mj.announced import announced
 from magical_mj.cli.console import (
     Cameras,
@@ -85,7 +85,8 @@ def view(
         env.reset()
         picture = Image.fromarray(side_by_side(env, size or 384, views))
         env.close()
-    picture.save(path)
+    with files.new_file(path, overwrite=force) as unfinished:
+        picture.save(unfinished)
     console().print(path, soft_wrap=True)
 
 

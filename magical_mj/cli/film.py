@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import logging
+import struct
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -121,11 +123,13 @@ def film(path: Path, size: int, speed: int = 1, views: Sequence[str] = SIDE_BY_S
     logging.getLogger("imageio_ffmpeg").setLevel(logging.ERROR)  # it warns of videos without frames, which none stay
     rate = speed * CONTROL_RATE
 
+    failed = OSError(errno.EIO, "the video cannot be written; is the disk full?", str(path))
+
     def send(picture: Picture) -> None:
         try:
             writer.send(np.ascontiguousarray(picture))
         except OSError as error:  # a pipe that ffmpeg has closed, whatever happened to it
-            raise OSError(f"{path}: the video cannot be written; is the disk full?") from error
+            raise failed from error
 
     with files.new_file(path, overwrite=True) as unfinished:
         made = Film(send, size, views, pause=PAUSE * rate)
@@ -135,13 +139,27 @@ def film(path: Path, size: int, speed: int = 1, views: Sequence[str] = SIDE_BY_S
             fps=rate,
             macro_block_size=2,
             quality=8,
-            ffmpeg_log_level="error",
+            ffmpeg_log_level="quiet",
         )
         writer.send(None)
         try:
             yield made
         finally:
             writer.close()
+        if not _is_whole(unfinished):  # ffmpeg tells nobody
+            raise failed
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether an MP4 file has its index, which is written last, and none of its boxes is cut short."""
+    data, kinds, place = path.read_bytes() if path.exists() else b"", [], 0
+    while place + 8 <= len(data):
+        size, kind = struct.unpack(">I4s", data[place : place + 8])
+        if size == 1:  # a longer one
+            (size,) = struct.unpack(">Q", data[place + 8 : place + 16].rjust(8, b"\0"))
+        kinds.append(kind)
+        place += max(size, 8)
+    return b"moov" in kinds and place == len(data)
 
 
 def replay(made: Film, score: Score) -> None:

@@ -9,6 +9,7 @@ import dataclasses
 import json
 import os
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final, Self
@@ -159,14 +160,18 @@ class ScoreFile:
 
     def __exit__(self, *_: object) -> None:
         if self._file is not None:
-            self._file.close()
+            with suppress(OSError):  # of what could not be written, which `add` has told
+                self._file.close()
 
     def add(self, scores: Iterable[Score]) -> None:
         """Appends finished episodes, all in one write."""
         if self._file is None:
             raise RuntimeError("enter the file first")
-        self._file.write("".join(score.line() for score in scores))
-        self._file.flush()
+        try:
+            self._file.write("".join(score.line() for score in scores))
+            self._file.flush()
+        except OSError as error:  # a full disk names no file
+            raise OSError(error.errno, error.strerror, str(self._path)) from error
 
 
 def _repair(path: Path) -> None:
