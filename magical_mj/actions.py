@@ -1,7 +1,7 @@
 """The 18 discrete actions: gripper (open, close) x turn (none, left, right) x drive (none, forward, back).
 
 The number of an action is ``9 * gripper + 3 * turn + drive``, as in the original (Toyer et al. 2020,
-section 3 "Action space"). Learners of continuous actions have the same 18 as vectors (drive, turn, grip).
+section 3 "Action space"). For learners of continuous actions, the same 18 are vectors (drive, turn, grip).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from magical_mj.errors import InvalidActionError
 
 
 class Gripper(IntEnum):
-    """What the two fingers are driven to."""
+    """The position to which the two fingers are driven."""
 
     OPEN = 0
     CLOSE = 1
@@ -62,7 +62,7 @@ ACTIONS: Final[tuple[Action, ...]] = tuple(Action(*parts) for parts in itertools
 """All actions; ``ACTIONS[n].number == n``."""
 
 NOOP: Final = Action().number
-"""The action that does nothing: the gripper is open at the start and stays so."""
+"""The action that does nothing: the gripper is open at the start and stays open."""
 
 
 def action_number(action: Any) -> int:
@@ -125,8 +125,8 @@ def to_vector(numbers: ArrayLike) -> NDArray[np.float32]:
 def to_discrete(vector: ArrayLike) -> int:
     """The action that a vector (drive, turn, grip) commands: the inverse of `to_vector` on all 18 actions.
 
-    Drive and turn command motion above 0.5 and below -0.5, grip closes above 0. Entries are meant to be in [-1, 1];
-    a policy's small overshoot is understood as the border.
+    Drive and turn command motion above 0.5 and below -0.5, grip closes above 0. Entries should be in [-1, 1];
+    larger ones have the same effect as 1 or -1.
 
     Args:
         vector: shape (3,).

@@ -1,4 +1,4 @@
-"""Tasks of other packages: those that are announced by entry points, and those given as ``"package.module:SPEC"``."""
+"""Tasks of other packages: announced by entry points, or given by reference as ``"package.module:SPEC"``."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from magical_mj.references import resolve
 from magical_mj.tasks import RULES, SPECS, TaskSpec
 
 GROUP: Final = "magical_mj.tasks"
-"""The group of entry points by which installed packages announce tasks, such as ``PushOut = "push_out:SPEC"``."""
+"""The entry-point group in which installed packages announce tasks, such as ``PushOut = "push_out:SPEC"``."""
 
 
 @cache
 def announced() -> Mapping[str, EntryPoint]:
-    """What installed packages announce, by the tasks' names; nothing is imported before it is used."""
+    """The entry points of announced tasks by the tasks' names; their modules are imported on first use."""
     found: dict[str, EntryPoint] = {}
     for point in sorted(entry_points(group=GROUP)):
         if point.name in (*SPECS, *found) and found.get(point.name) != point:
             warnings.warn(
-                f"the task {point.name!r} ({point.value}) is left out: there is one of that name", stacklevel=2
+                f"the task {point.name!r} ({point.value}) is ignored: another task has that name", stacklevel=2
             )
         else:
             found[point.name] = point
@@ -34,11 +34,11 @@ def announced() -> Mapping[str, EntryPoint]:
 
 @cache
 def load_spec(task: str) -> TaskSpec:
-    """The task of this announced name, or of this reference; checked once.
+    """The task with this announced name or reference; it is checked once.
 
     Raises:
         UnknownNameError: if its module or the object in it does not exist.
-        TaskError: if the object is no task, or one that cannot be played.
+        TaskError: if the object is not a valid task.
     """
     point = announced().get(task)
     try:
@@ -54,14 +54,14 @@ def load_spec(task: str) -> TaskSpec:
 
 
 def check_spec(spec: Any, task: str) -> None:
-    """Raise `TaskError` unless a task can be played: its demo scene is legal, and has a score.
+    """Raise `TaskError` unless `spec` is a valid task: its demo scene is legal and has a score.
 
     Args:
-        spec: what was found.
-        task: what it was asked for as.
+        spec: the object that was found.
+        task: the name or reference by which the user asked for it.
     """
     if not isinstance(spec, TaskSpec):
-        raise TaskError(f"{task} is no magical_mj.tasks.TaskSpec but {shown(spec)}")
+        raise TaskError(f"{task} is not a magical_mj.tasks.TaskSpec but {shown(spec)}")
     try:
         check_scene(spec.demo)
         spec.check(spec.demo)

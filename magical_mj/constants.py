@@ -1,8 +1,8 @@
-"""The measures of the world: sizes, masses, speeds, force caps and score thresholds.
+"""The constants of the world: sizes, masses, speeds, force caps and score thresholds.
 
 Units are world units (the workspace is 2 x 2), seconds, radians and mass units. The values are those of
 the original benchmark (Toyer et al. 2020, appendix "Additional environment details", and measurements on
-its released simulation); where the two differ, the paper counts.
+its released simulation); where the two differ, the paper's are used.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The errors that tell a user what was wrong, what is allowed, and what to do about it."""
+"""The exceptions of this package. Their messages say what was wrong, what is allowed, and what to do."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Final
 
 _SHOWN: Final = 80
-"""Characters of a wrong value that an error repeats."""
+"""The number of characters of a wrong value that a message shows."""
 
 
 class MagicalError(Exception):
@@ -19,7 +19,7 @@ class UnknownNameError(MagicalError, ValueError):
 
 
 class TaskError(MagicalError, ValueError):
-    """A task of one's own that cannot be played, or lacks what is asked of it."""
+    """A user's task that is invalid, or lacks something that was asked for, such as a plan."""
 
 
 class InvalidActionError(MagicalError, ValueError):
@@ -35,7 +35,7 @@ class InvalidSeedError(MagicalError, ValueError):
 
 
 class PlacementError(MagicalError, RuntimeError):
-    """No legal placement was found within the bounded number of tries."""
+    """No legal placement was found within the allowed number of tries."""
 
 
 class DemonstrationError(MagicalError, ValueError):
@@ -55,7 +55,7 @@ class RenderingError(MagicalError, RuntimeError):
 
 
 class SettingsError(MagicalError, ValueError):
-    """Settings that are invalid, or that do not go together."""
+    """Settings that are invalid, or that cannot be combined."""
 
 
 class MissingExtraError(MagicalError, ImportError):
@@ -63,7 +63,7 @@ class MissingExtraError(MagicalError, ImportError):
 
 
 class WorkerError(MagicalError, RuntimeError):
-    """Worker processes that died again and again, or a cluster that does not answer."""
+    """Worker processes died repeatedly, or a cluster does not respond."""
 
 
 class EvaluationError(MagicalError, RuntimeError):
@@ -71,11 +71,11 @@ class EvaluationError(MagicalError, RuntimeError):
 
 
 class TrainingError(MagicalError, RuntimeError):
-    """A training, or the files of one, that cannot go on."""
+    """A training run, or its files, that cannot be continued."""
 
 
 def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownNameError:
-    """The error for a `name` that is not among the `allowed`, offering the nearest one."""
+    """The error for a `name` that is not among the `allowed`; it suggests the closest one."""
     allowed = tuple(allowed)
     near = difflib.get_close_matches(name[:_SHOWN], allowed, n=1, cutoff=0.5) if isinstance(name, str) else []
     hint = f" Did you mean {near[0]!r}?" if near else ""
@@ -83,16 +83,16 @@ def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownName
 
 
 def shown(value: object) -> str:
-    """`value` as it stands in an error: cut short, whatever somebody may have given."""
+    """`value` as text for a message, shortened; works for any value."""
     try:
         text = repr(value)
-    except (ValueError, RecursionError):  # an integer of thousands of digits; lists in lists in lists
+    except (ValueError, RecursionError):  # integers with thousands of digits, deeply nested lists
         text = f"a value of type {type(value).__name__}"
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 def check_name(kind: str, name: object, allowed: Iterable[str]) -> None:
-    """Raise `UnknownNameError`, offering the nearest name, unless `name` is one of the `allowed`."""
+    """Raise `UnknownNameError`, which suggests the closest name, unless `name` is one of the `allowed`."""
     allowed = tuple(allowed)
     if not isinstance(name, str) or name not in allowed:
         raise unknown_name(kind, name, allowed)

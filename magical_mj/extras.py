@@ -1,4 +1,4 @@
-"""The packages that only some features need, and one error for those that are not installed."""
+"""Optional dependencies: which packages each extra needs, and one error where they are not installed."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ MODULES: Final = {
     "gpu": ("mujoco_warp", "torch", "warp"),
     "il": ("kornia", "safetensors", "stable_baselines3", "tensorboard", "torch"),
 }
-"""What is imported from the packages of an extra; see pyproject.toml."""
+"""Extra -> the modules that are imported from its packages; see pyproject.toml."""
 
 
 def check_extra(what: str, *extras: str) -> None:
-    """Raises a `MissingExtraError` that says what to install, unless the packages of the extras are all there.
+    """Raises a `MissingExtraError` that says what to install, unless all packages of the extras are installed.
 
     Args:
-        what: what needs them, in the plural.
-        extras: their names; the last one installs the others too.
+        what: the feature that needs them, in the plural, for the message.
+        extras: the names of the extras; the last one includes the others.
     """
     missing = [name for extra in extras for name in MODULES[extra] if find_spec(name) is None]
     if missing:
@@ -28,7 +28,7 @@ def check_extra(what: str, *extras: str) -> None:
 
 
 def missing_extra(what: str, extra: str) -> MissingExtraError:
-    """The error for something that needs an extra which is not installed."""
+    """The error for a feature (`what`) whose extra is not installed."""
     return MissingExtraError(f"{what} needs its extra: {_remedy(extra)}")
 
 

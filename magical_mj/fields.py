@@ -1,4 +1,4 @@
-"""Fields of immutable values, checked when a value is made: numbers, choices and parts of the right kind."""
+"""Checks of dataclass fields when an object is made: numbers, choices, sequences and types."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any, Final
 from magical_mj.errors import InvalidSceneError, shown
 
 MAX_NUMBER: Final = 1e10
-"""The greatest absolute value of a number in a scene: that of a state that MuJoCo takes for a valid one."""
+"""The largest absolute value of a number in a scene; MuJoCo treats larger ones as a failed simulation."""
 
 
 def as_number(owner: object, name: str, value: Any) -> float:
-    """`value` as a float; numbers of numpy and other libraries are understood, booleans and texts are not.
+    """`value` as a float. Numbers of numpy and other libraries are accepted, booleans and strings are not.
 
     Args:
         owner: the object whose field it is, for the error.
@@ -23,7 +23,7 @@ def as_number(owner: object, name: str, value: Any) -> float:
     Raises:
         InvalidSceneError: if it is not a finite number, or greater than `MAX_NUMBER`.
     """
-    kind = getattr(getattr(value, "dtype", None), "kind", "f")  # of numpy's scalars and arrays
+    kind = getattr(getattr(value, "dtype", None), "kind", "f")  # the kind of numpy's scalars and arrays
     try:
         if isinstance(value, bool) or kind not in "fiu" or getattr(value, "ndim", 0) or not hasattr(value, "__float__"):
             raise TypeError
@@ -38,7 +38,7 @@ def as_number(owner: object, name: str, value: Any) -> float:
 
 
 def as_tuple(value: Any, need: str, count: int | None = None) -> tuple[Any, ...]:
-    """The things in `value`, which may be any sequence of them, but no text and no mapping.
+    """`value` as a tuple. It may be any sequence except a string; mappings are not accepted.
 
     Args:
         value: what was given.
@@ -46,11 +46,11 @@ def as_tuple(value: Any, need: str, count: int | None = None) -> tuple[Any, ...]
         count: how many there must be; None: any number.
 
     Raises:
-        InvalidSceneError: if it is no sequence, or of another length.
+        InvalidSceneError: if it is not a sequence, or has another length.
     """
     try:
         found = None if isinstance(value, str | bytes | Mapping) else tuple(value)
-    except TypeError:  # also of arrays without a dimension, which look like sequences
+    except TypeError:  # also raised by 0-d arrays, which look like sequences
         found = None
     if found is None or count not in (None, len(found)):
         raise InvalidSceneError(f"{need}, not {shown(value)}")
@@ -65,7 +65,7 @@ def set_numbers(owner: object, names: Iterable[str]) -> None:
     """
     for name in names:
         value = getattr(owner, name)
-        if type(value) is not float or value == 0.0 or not abs(value) <= MAX_NUMBER:  # most are fine as they are
+        if type(value) is not float or value == 0.0 or not abs(value) <= MAX_NUMBER:  # most need no change
             object.__setattr__(owner, name, as_number(owner, name, value))
 
 
@@ -78,7 +78,7 @@ def set_choice(owner: object, name: str, allowed: Sequence[str]) -> None:
     value = getattr(owner, name)
     if not isinstance(value, str) or value not in allowed:
         raise InvalidSceneError(f"{_called(owner, name)} is {shown(value)}; it must be one of {', '.join(allowed)}")
-    if type(value) is not str:  # numpy's strings, or an enumeration's
+    if type(value) is not str:  # a numpy string or an enum member
         object.__setattr__(owner, name, allowed[allowed.index(value)])
 
 

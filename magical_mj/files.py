@@ -1,4 +1,4 @@
-"""Writing files so that a name only ever stands for a whole file, whatever happens in between."""
+"""Writing files atomically: a file appears under its name only when it is complete."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from pathlib import Path
 
 
 def write(path: Path | str, data: str | bytes, *, overwrite: bool = False) -> None:
-    """Writes a file as a whole or not at all. Text is encoded as UTF-8.
+    """Writes a file completely or not at all. Text is encoded as UTF-8.
 
     Args:
-        path: of the file. Its folder must exist.
-        data: what the file shall hold.
-        overwrite: replace a file of that name.
+        path: the file. Its folder must exist.
+        data: the file's content.
+        overwrite: replace an existing file.
 
     Raises:
-        FileExistsError: if there is such a file and `overwrite` is false.
-        OSError: if it cannot be written; its `filename` is the path. A file that was there is kept.
+        FileExistsError: if the file exists and `overwrite` is false.
+        OSError: if it cannot be written; its `filename` is the path. An existing file is kept.
     """
     with new_file(path, overwrite=overwrite) as beside:
         beside.write_bytes(data.encode() if isinstance(data, str) else data)
@@ -30,9 +30,9 @@ def write(path: Path | str, data: str | bytes, *, overwrite: bool = False) -> No
 
 @contextmanager
 def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
-    """For programs that write a file themselves: yields a name beside `path`, and renames that file in the end.
+    """For code that writes a file by itself: yields a temporary path next to `path`, and renames that file at the end.
 
-    If the block raises, nothing is left. The yielded name has the suffix of `path`.
+    If the block raises, the temporary file is removed. The yielded path has the same suffix as `path`.
 
     Raises:
         FileExistsError, OSError: as `write`.
@@ -50,14 +50,14 @@ def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
     except OSError as error:
         if error.errno is None or error.filename not in (None, str(unfinished)):
             raise
-        raise OSError(error.errno, error.strerror, str(path)) from error  # a full disk names no file
+        raise OSError(error.errno, error.strerror, str(path)) from error  # a full disk's error has no file name
     finally:
         with suppress(OSError):
             unfinished.unlink()
 
 
 def _clear_up(path: Path) -> None:
-    """Removes what processes of this machine that were killed have left of earlier attempts."""
+    """Removes temporary files of this path that processes killed on this machine have left."""
     for left in path.parent.glob(f".{escape(path.stem)}.{escape(platform.node())}-*.part{escape(path.suffix)}"):
         with suppress(OSError, ValueError):
             process = int(left.name.split("-")[-2])
@@ -79,8 +79,8 @@ def _rename(unfinished: Path, path: Path, overwrite: bool) -> None:
         unfinished.replace(path)
         return
     try:
-        path.hardlink_to(unfinished)  # fails, unlike renaming, if another process has made the file meanwhile
+        path.hardlink_to(unfinished)  # unlike renaming, this fails if another process has made the file meanwhile
     except FileExistsError:
         raise _exists(path) from None
-    except OSError:  # the file system knows no links
+    except OSError:  # the file system has no hard links
         unfinished.rename(path)

@@ -1,7 +1,7 @@
 """Exact outlines of everything solid, and which scenes are legal.
 
-A solid part is a shapely geometry swollen by a radius: a disc is a point with a radius, the square has a
-small rounded margin, everything else is a polygon with radius 0. Two parts touch if the distance of their
+A solid part is a shapely geometry enlarged by a radius: a disc is a point with a radius, the square has a
+small rounded margin, everything else is a polygon with radius 0. Two parts touch if the distance between their
 geometries is at most the sum of their radii, which is exact for all of them.
 """
 
@@ -28,11 +28,11 @@ OVERLAP_TOLERANCE: Final = 0.04
 """How deep (world units) solid parts may overlap in a scene that a user gives: contacts are a little soft."""
 
 MAX_ANGLE: Final = 1e9
-"""Radians. A robot needs 12 years to turn so far, and an angle is still exact to 1e-7."""
+"""The largest angle (rad) that a scene may hold. Angles of this size are still exact to 1e-7."""
 
 
 class Part(NamedTuple):
-    """A solid part in the world: its core geometry, swollen by `radius`."""
+    """A solid part in the world: its core geometry, enlarged by `radius`."""
 
     core: BaseGeometry
     radius: float = 0.0
@@ -110,7 +110,7 @@ def block_solid(shape: Shape, pose: Pose) -> Solid:
     return Solid(x, y, reach, (Part(shapely.Polygon(placed(outline, pose)), margin),))
 
 
-@lru_cache(maxsize=64)  # the fingers are mostly open or closed, and placement asks for the same over and over
+@lru_cache(maxsize=64)  # placement calls this many times with the same few arguments
 def _robot_segments(fingers: tuple[float, float]) -> tuple[Outline, float]:
     """The four segments of both fingers in the robot's frame, shape (4, 4, 2), and how far the robot reaches."""
     root_x, root_y = c.FINGER_ROOT
@@ -138,7 +138,7 @@ def region_solid(region: GoalRegion) -> Solid:
 
 
 def touch(one: Solid, other: Solid, tolerance: float = 0.0) -> bool:
-    """Whether the solids touch, or with a `tolerance` (world units) overlap when each is shrunk by half of it."""
+    """Whether the solids touch. With a `tolerance` (world units), each is first shrunk by half of it."""
     if math.hypot(one.x - other.x, one.y - other.y) > one.reach + other.reach:
         return False
     for a in one.parts:
@@ -178,9 +178,9 @@ def solids(scene: Scene) -> dict[str, Solid]:
 
 
 def check_scene(scene: Scene) -> None:
-    """Raise unless the scene could be a state of the world: inside the walls, nothing deep inside anything else.
+    """Raise unless the scene is legal: everything is inside the walls, and no two solids overlap.
 
-    Contacts in a running world are a little soft, so overlaps up to `OVERLAP_TOLERANCE` pass.
+    Contacts in the simulation are a little soft, so overlaps up to `OVERLAP_TOLERANCE` are allowed.
 
     Raises:
         InvalidSceneError: naming what is outside or overlaps what.
@@ -188,7 +188,7 @@ def check_scene(scene: Scene) -> None:
     _check_fingers(scene.robot)
     for thing in (scene.robot, *scene.blocks):
         if abs(thing.angle) > MAX_ANGLE:
-            raise InvalidSceneError(f"the angle of {thing} is beyond {MAX_ANGLE:g} rad; take off whole turns")
+            raise InvalidSceneError(f"the angle of {thing} is larger than {MAX_ANGLE:g} rad; subtract whole turns")
     things = list(solids(scene).items())
     for name, solid in things:
         if not inside_walls(solid, OVERLAP_TOLERANCE):

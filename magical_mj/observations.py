@@ -1,6 +1,6 @@
-"""What an agent sees of the world besides pictures: the named, fixed-size state vector.
+"""Observations: the names of the views, and the state vector.
 
-The vector has the same length in every environment: entries of blocks and regions that are not there are 0.
+The state vector has the same length in every environment: entries of blocks and regions that do not exist are 0.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from magical_mj.scene import Scene
 Rows = NDArray[np.float64]
 
 VIEWS: Final = ("ego", "allo")
-"""The two pictures: from above with the robot in place and heading up, and of the whole workspace."""
+"""The two views of the benchmark, both from above: "ego" moves and turns with the robot, "allo" shows the workspace."""
 
 SOLID_VIEW: Final = "scene"
-"""The whole world as a solid thing with lights and shadows, from above a corner; for people."""
+"""The name of the view for people: the world in 3-D with lights and shadows, seen from above a corner."""
 
 CAMERAS: Final = (*VIEWS, SOLID_VIEW)
-"""Everything that `Environment.render` draws."""
+"""The views that `Environment.render` draws."""
 
 OBSERVATIONS: Final = (*VIEWS, "state")
-"""Everything that `magical_mj.load(observations=...)` understands."""
+"""The names that `magical_mj.load(observations=...)` accepts."""
 
 MAX_BLOCKS: Final = 10
 MAX_REGIONS: Final = 3
@@ -52,7 +52,7 @@ FINGERS: Final = slice(STATE_NAMES.index("robot.left_finger"), STATE_NAMES.index
 
 
 class StateEncoder:
-    """Writes the state vectors of one episode: what stays in it is written once.
+    """Computes the state vectors of one episode; entries that do not change within it are computed once.
 
     Raises:
         InvalidSceneError: if the scene has more blocks or regions than the vector holds.
@@ -62,7 +62,7 @@ class StateEncoder:
         if len(scene.blocks) > MAX_BLOCKS or len(scene.regions) > MAX_REGIONS:
             raise InvalidSceneError(
                 f"the state vector holds {MAX_BLOCKS} blocks and {MAX_REGIONS} regions, this scene has "
-                f"{len(scene.blocks)} and {len(scene.regions)}; observe pictures instead, or take some away"
+                f"{len(scene.blocks)} and {len(scene.regions)}; use pictures as observations, or a smaller scene"
             )
         self._count = len(scene.blocks)
         self._fixed = np.zeros(len(STATE_NAMES), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""The observation presets of the Gymnasium environments: which frames, stacked how."""
+"""The observation presets of the Gymnasium environments: which frames they contain and how these are stacked."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Preset:
         frames: the views and how many of the latest frames of each, in the order in which they are stacked.
         layout: "hwc" and "chw" stack all frames along the channels of one array, oldest first; "dict" gives
             one such array (height x width x channels) per view; "state" is the state vector instead.
-        image_size: side of the pictures in pixels, unless the user asks for another.
-        summary: one line for people.
+        image_size: default side of the pictures in pixels.
+        summary: one line of description.
         fingers: whether the dict also has "fingers", the angles of the left and the right finger (rad), which the
             paper's learners do not see.
     """
@@ -47,11 +47,11 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
         "State": Preset((), "state", 96, "the state vector (magical_mj.observations.STATE_NAMES)"),
     }
 )
-"""By name; the empty name is the environment without a preset."""
+"""The presets by name; the empty name is used when an environment is made without a preset."""
 
 
 def preset(name: str) -> Preset:
-    """The preset called `name`; raises `UnknownNameError`, offering the nearest name."""
+    """The preset with this name; raises `UnknownNameError` if there is none."""
     if not isinstance(name, str) or name:
         check_name("preset", name, filter(None, PRESETS))
     return PRESETS[name]

@@ -1,8 +1,8 @@
 """Protocol numbers: what must be the same for two results to be comparable.
 
-Under one `PROTOCOL` number stay the same: the environments, the scenes of every seed, the horizons, the scores
-under both sets of rules, the 18 actions, and the physics settings of the model. Whatever changes one of them gets the
-next number. Evaluations record both numbers beside the versions of this package and of MuJoCo.
+Under one `PROTOCOL` number, these stay the same: the environments, the scenes of every seed, the horizons, the scores
+under both sets of rules, the 18 actions, and the physics settings of the model. A change to any of them requires the
+next number. Evaluations record both numbers together with the versions of this package and of MuJoCo.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Final
 
 PROTOCOL: Final = 1
-"""The number of the present environments; `tests/test_protocol.py` fails if they change without a new one."""
+"""The protocol of the current environments; `tests/test_protocol.py` fails if they change without a new number."""
 
 DEMONSTRATIONS: Final = 2
 """The number of the shipped set of demonstrations, which policies learn from."""

@@ -1,4 +1,4 @@
-"""Objects of a user's own by reference, as ``"package.module:NAME"``."""
+"""References to objects in users' modules, as ``"package.module:NAME"``."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ _REFERENCE: Final = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
 
 
 def is_reference(text: object) -> bool:
-    """Whether this reads ``"package.module:NAME"``; nothing is imported."""
+    """Whether `text` has the form ``"package.module:NAME"``; nothing is imported."""
     return isinstance(text, str) and _REFERENCE.fullmatch(text) is not None
 
 
 def resolve(reference: str) -> Any:
-    """The object that ``"package.module:NAME"`` names; modules in the current folder are found too.
+    """The object that ``"package.module:NAME"`` refers to; modules in the current folder are found too.
 
     Raises:
-        ImportError: if there is no such module, or nothing of that name in it; whatever else the module raises.
+        ImportError: if there is no such module or object. Errors raised by the module itself pass through.
     """
     module, _, name = reference.partition(":")
     here = str(Path.cwd())
-    if here not in sys.path:  # which is where a program starts, but not a command that was installed
+    if here not in sys.path:  # Python adds it for scripts, but not for installed commands
         sys.path.insert(0, here)
     found: Any = importlib.import_module(module)
     for part in name.split("."):
         if not hasattr(found, part):
-            raise ImportError(f"{reference!r} names nothing: there is no {part!r} in {module}")
+            raise ImportError(f"{reference!r} does not exist: there is no {part!r} in {module}")
         found = getattr(found, part)
     return found

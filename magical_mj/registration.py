@@ -1,8 +1,8 @@
 """The Gymnasium ids: ``magical_mj/<Task>-<Demo|TestX>[-<Preset>]-v0`` for all environments and presets.
 
-Tasks that other packages announce have ids of the same form. Their modules are not imported for it, since they import
-this package: so all eight variants have ids, and one that the task lacks says so when it is made. The ids of a task
-that is given as ``"package.module:SPEC"`` are registered when `env_id` is asked for one.
+Tasks that other packages announce have ids of the same form. Their modules are not imported at registration, since
+they import this package. Therefore all eight variants get ids, and making one that the task lacks raises an error.
+The ids of a task given as ``"package.module:SPEC"`` are registered when `env_id` is called with it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def env_id(task: str, variant: str = "Demo", preset: str = "") -> str:
 
     Raises:
         UnknownNameError: if there is no such task, variant or preset, or the task does not have this variant.
-        TaskError: if it is a task of one's own that cannot be played, or another one has its name.
+        TaskError: if it is an invalid task of another package, or another task has its name.
     """
     environment_axes(task, variant)
     presets.preset(preset)
@@ -46,7 +46,7 @@ def register_all() -> None:
 
 
 def _register(task: str, name: str, variant: str, preset: str, steps: int | None) -> str:
-    """Registers one environment, unless it is, and returns its id. Its horizon may not be known yet."""
+    """Registers one environment if it is not registered yet, and returns its id. `steps` is None if not known yet."""
     test = variant if variant == "Demo" else f"Test{variant}"
     found = "-".join(filter(None, (f"magical_mj/{name}", test, preset, "v0")))
     if found not in gymnasium.registry:

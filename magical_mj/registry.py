@@ -16,26 +16,26 @@ from magical_mj.variants import VARIANTS as _VARIANTS
 from magical_mj.variants import Axis, variants_of, varied_axes, vary
 
 _REGION_TOLERANCE: Final = 1e-6
-"""A scene that was read back from the simulator may differ from the one put in by rounding."""
+"""A scene read from the simulation may differ from the original one by rounding, up to this (world units)."""
 
 TASKS: Final[tuple[str, ...]] = tuple(SPECS)
-"""The benchmark's 8 tasks in the paper's order: what "all" means. Those of other packages have to be named."""
+"""The benchmark's tasks in the paper's order. "all" means these; tasks of other packages must be named."""
 
 VARIANTS: Final[tuple[str, ...]] = tuple(_VARIANTS)
-"""The 8 variants: Demo, then the paper's test variants in its order."""
+"""The variants: Demo, then the paper's test variants in its order."""
 
 ENVIRONMENTS: Final[tuple[tuple[str, str], ...]] = tuple(
     (task, variant) for task, spec in SPECS.items() for variant in variants_of(spec)
 )
-"""The 60 pairs (task, variant) that exist, which follow from what each task supports."""
+"""All (task, variant) pairs of the benchmark; which exist follows from the axes that each task supports."""
 
 
 Names = str | Iterable[str]
-"""Names as a list, or in one string with commas between; "all" is all of them."""
+"""Names as a list, or as one string separated by commas; "all" stands for all of them."""
 
 
 def task_spec(task: str) -> TaskSpec:
-    """What is known about a task.
+    """The definition of a task.
 
     Args:
         task: one of `TASKS`, a task that an installed package announces, or ``"package.module:SPEC"``.
@@ -52,7 +52,7 @@ def task_spec(task: str) -> TaskSpec:
 
 
 def task_name(task: str) -> str:
-    """The name by which a task is kept: a reference to one that has a name here becomes this name.
+    """The name under which results of a task are stored: a reference to a named task becomes its name.
 
     Raises:
         UnknownNameError: if there is no such task.
@@ -64,7 +64,7 @@ def task_name(task: str) -> str:
 
 
 def variant_name(variant: str) -> str:
-    """The variant's own name; ``"TestAll"``, as in the ids, is understood as ``"All"``.
+    """The variant's name; ``"TestAll"``, as in the ids, is accepted for ``"All"``.
 
     Raises:
         UnknownNameError: if there is no such variant.
@@ -76,7 +76,7 @@ def variant_name(variant: str) -> str:
 
 
 def environment_axes(task: str, variant: str) -> tuple[Axis, ...]:
-    """What the environment draws anew at each reset, such as ``("layout", "colour", "dynamics")``.
+    """The axes along which the environment's scenes vary, such as ``("layout", "colour", "dynamics")``.
 
     Raises:
         UnknownNameError: if there is no such task or variant, or the task does not have this variant.
@@ -85,11 +85,11 @@ def environment_axes(task: str, variant: str) -> tuple[Axis, ...]:
 
 
 def environments(tasks: Names = "all", variants: Names = "all") -> list[tuple[str, str]]:
-    """The (task, variant) pairs of these tasks and variants that exist: the benchmark's in its order, then others.
+    """The existing (task, variant) pairs of these tasks and variants: first the benchmark's in its order, then others.
 
     Args:
-        tasks: names, as `task_spec` understands them; "all" is `TASKS`.
-        variants: names, as `variant_name` understands them; "all" is `VARIANTS`.
+        tasks: names that `task_spec` accepts; "all" is `TASKS`.
+        variants: names that `variant_name` accepts; "all" is `VARIANTS`.
 
     Raises:
         SettingsError: if no name is given.
@@ -105,13 +105,13 @@ def environments(tasks: Names = "all", variants: Names = "all") -> list[tuple[st
 
 
 def in_order(tasks: Iterable[str]) -> list[str]:
-    """Different tasks as tables list them: the benchmark's in its order, then the others as they come."""
+    """The tasks without duplicates in the order of tables: the benchmark's in its order, then others as given."""
     rank = {task: index for index, task in enumerate(TASKS)}
     return sorted(dict.fromkeys(tasks), key=lambda task: rank.get(task, len(rank)))
 
 
 def listed(names: Names, every: Iterable[str]) -> list[str]:
-    """The names, which may be given as a list or with commas between; "all" is `every` one.
+    """The names as a list; they may be given as a list or separated by commas, and "all" stands for `every` one.
 
     Raises:
         SettingsError: if no name is given.
@@ -119,7 +119,7 @@ def listed(names: Names, every: Iterable[str]) -> list[str]:
     if isinstance(names, str):
         names = names.split(",")
     found = [name.strip() if isinstance(name, str) else name for name in names] if isinstance(names, Iterable) else []
-    found = [name for name in found if name != ""]  # which a comma at the end leaves
+    found = [name for name in found if name != ""]  # from a comma at the end
     if not found:
         raise SettingsError(f"give at least one of {', '.join(every)}, or all; not {shown(names)}")
     return list(every) if found == ["all"] else found
@@ -151,17 +151,17 @@ def sample_scene(task: str, variant: str, seed: int) -> Scene:
 
 
 def score(task: str, initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-    """How well the final scene solves the task, in [0, 1]; poses alone count, not how they came about.
+    """How well the final scene solves the task, in [0, 1]. It depends on the two scenes only.
 
     Args:
         task: a task's name.
-        initial: the scene at the start, which tells what belongs where.
+        initial: the scene at the start; it determines which block belongs where.
         final: the same robot, blocks and regions with the poses at the end.
         rules: "paper", or "released" for the rules of the original's code where it differs.
 
     Raises:
         UnknownNameError: if there is no such task or set of rules.
-        InvalidSceneError: if `initial` is not a scene of the task, or `final` has other things in it.
+        InvalidSceneError: if `initial` is not a scene of the task, or `final` has other blocks or regions.
     """
     spec = task_spec(task)
     rules = check_rules(rules)
@@ -173,7 +173,7 @@ def score(task: str, initial: Scene, final: Scene, rules: Rules = "paper") -> fl
 
 
 def _check_same(initial: Scene, final: Scene) -> None:
-    """Raise `InvalidSceneError` unless both scenes have the same blocks and goal regions, poses of blocks apart."""
+    """Raise `InvalidSceneError` unless both scenes have the same blocks (poses may differ) and goal regions."""
     before, after = ([f"{block.colour} {block.shape}" for block in scene.blocks] for scene in (initial, final))
     if before != after:
         raise InvalidSceneError(

@@ -1,4 +1,4 @@
-"""What is where: the immutable description of a world, from which everything else is built.
+"""Scenes: immutable descriptions of where everything is. Models, pictures and scores are made from them.
 
 Frames: x to the right, y up, origin at the centre of the 2 x 2 workspace. Angles are in radians,
 counter-clockwise; a robot with angle 0 faces +y, a block with angle 0 has its tip (or top side) at +y.
@@ -110,7 +110,7 @@ class GoalRegion:
 
 @dataclass(frozen=True, slots=True)
 class Dynamics:
-    """The five force caps of the world, all positive; the Dynamics variant draws them anew."""
+    """The five force caps of the world, all positive; the Dynamics variant draws other values."""
 
     drive_force: float = c.DRIVE_FORCE
     turn_torque: float = c.TURN_TORQUE
@@ -144,7 +144,7 @@ class Scene:
             check_type(part, kind)
 
     def moved(self, robot: Sequence[float] | None = None, blocks: Sequence[Sequence[float]] | None = None) -> Scene:
-        """The same scene with other poses (x, y, angle); what is None stays. The fingers stay as they are.
+        """The same scene with other poses (x, y, angle). None leaves poses as they are; the fingers never change.
 
         Raises:
             InvalidSceneError: if the number of poses is not the number of blocks.
@@ -152,7 +152,7 @@ class Scene:
         moved = self.robot if robot is None else _at(self.robot, robot)
         if blocks is None:
             return dataclasses.replace(self, robot=moved)
-        poses = as_tuple(blocks, f"{len(self.blocks)} blocks need as many poses", len(self.blocks))
+        poses = as_tuple(blocks, f"{len(self.blocks)} blocks need {len(self.blocks)} poses", len(self.blocks))
         return dataclasses.replace(self, robot=moved, blocks=tuple(map(_at, self.blocks, poses)))
 
     def to_json(self) -> str:
@@ -164,7 +164,7 @@ class Scene:
         """The scene that `to_json` wrote.
 
         Raises:
-            InvalidSceneError: if the text is not JSON, misses or invents fields, or breaks a bound.
+            InvalidSceneError: if the text is not JSON, lacks a field, has an unknown one, or has an invalid value.
         """
         try:
             data = json.loads(text, object_pairs_hook=_without_repeats)
@@ -187,16 +187,16 @@ class Scene:
         )
 
     def digest(self) -> str:
-        """A short fingerprint: equal scenes, and only they, have equal digests.
+        """A short hash of the scene: equal scenes have equal digests, different ones different digests.
 
-        What has its default value is left out, so that a field that a later version adds changes no digest.
+        Fields with their default value are left out, so that fields added by later versions change no digest.
         """
         text = json.dumps(_not_default(self), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _not_default(value: Any) -> Any:
-    """A part of a scene as JSON takes it, without the fields that have their default value."""
+    """A part of a scene as plain lists and dicts, without the fields that have their default value."""
     if isinstance(value, tuple):
         return [_not_default(item) for item in value]
     if not dataclasses.is_dataclass(value):
@@ -212,7 +212,7 @@ def _not_default(value: Any) -> Any:
 def check_scene_type(scene: object) -> None:
     """Raise `InvalidSceneError` unless it is a `Scene`."""
     if not isinstance(scene, Scene):
-        raise InvalidSceneError(f"{shown(scene)} is no magical_mj.Scene; Scene.from_json reads one from JSON")
+        raise InvalidSceneError(f"{shown(scene)} is not a magical_mj.Scene; Scene.from_json reads one from JSON")
 
 
 _Thing = TypeVar("_Thing", Robot, Block)
@@ -225,11 +225,11 @@ def _at(thing: _Thing, pose: Sequence[float]) -> _Thing:
 
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object's fields, each of which must stand there once."""
+    """A JSON object's fields; a ValueError if a name occurs twice."""
     found = dict(pairs)
     if len(found) < len(pairs):
         names = [name for name, _ in pairs]
-        raise ValueError(f"{next(name for name in names if names.count(name) > 1)!r} stands twice in one object")
+        raise ValueError(f"{next(name for name in names if names.count(name) > 1)!r} occurs twice in one object")
     return found
 
 
@@ -244,7 +244,7 @@ def _check_fields(kind: type, data: dict[str, Any]) -> None:
     for name in sorted(data.keys() - set(names)):
         raise InvalidSceneError(f"{kind.__name__} has no field {name!r}; it has {', '.join(names)}")
     for name in sorted(set(required) - data.keys()):
-        raise InvalidSceneError(f"{kind.__name__} misses the field {name!r}; it needs {', '.join(required)}")
+        raise InvalidSceneError(f"{kind.__name__} lacks the field {name!r}; it needs {', '.join(required)}")
 
 
 def _part(kind: type[_Part], data: Any) -> _Part:

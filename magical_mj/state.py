@@ -1,4 +1,4 @@
-"""The state of an episode as plain data, to go back to: for search, for corrections by an expert, for resets."""
+"""The state of an episode as plain data that can be restored: for search, for an expert's corrections, for resets."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from magical_mj.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Everything that decides how an episode goes on, to the bit: `get_state` gives it, `set_state` goes back to it.
+    """Everything that determines how an episode continues: `get_state` returns it, `set_state` restores it exactly.
 
-    It holds numbers only, so it can be copied, pickled, sent to another process, or kept in a file field by field (the
-    scene as `scene.to_json()`). It fits every environment that runs the same task, or the same scene without a task,
-    whatever that environment observes. The generator that draws the scenes of later episodes is no part of it.
+    It holds numbers only, so it can be copied, pickled, sent to another process, or saved in a file field by field (the
+    scene as `scene.to_json()`). It can be restored in every environment that runs the same task, or the same scene
+    without a task, whatever that environment observes. The generator that draws the scenes of later episodes is not
+    part of it.
 
     Attributes:
-        scene: in which the episode started.
-        steps: control steps since then.
-        simulation: the state of MuJoCo, of the same length for all states of episodes with this scene: positions,
-            velocities, actuators, the solver's warm start, and which blocks sleep.
+        scene: the scene in which the episode started.
+        steps: number of control steps since then.
+        simulation: MuJoCo's state, a vector with the same length for all states of episodes with this scene:
+            positions, velocities, actuators, the solver's warm start, and which blocks sleep.
         frames: the stacks of pictures of a Gymnasium environment, by their names; empty elsewhere.
     """
 
@@ -34,7 +35,7 @@ class State:
     frames: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict[str, NDArray[np.uint8]])
 
     def __eq__(self, other: object) -> bool:
-        """Whether the simulations are in the same state, to the bit; pictures follow from it."""
+        """Whether the simulations are in exactly the same state. Pictures are not compared: they follow from it."""
         if not isinstance(other, State):
             return NotImplemented
         return (self.scene, self.steps, self.simulation.tobytes()) == (

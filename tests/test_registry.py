@@ -90,7 +90,7 @@ def test_tasks_of_ones_own_are_played_by_reference(mine: str) -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("DEMO", r"is no magical_mj\.tasks\.TaskSpec but Scene\("),
+        ("DEMO", r"is not a magical_mj\.tasks\.TaskSpec but Scene\("),
         ("TAKEN", "is called 'MatchRegions', as a task of the benchmark is"),
         ("OUTSIDE", "no episode of .*:OUTSIDE can start in its own demo scene: robot at"),
         ("NOT_ITS_OWN", "no episode of .* can start in its own demo scene: this is not a scene of MatchRegions"),

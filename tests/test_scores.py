@@ -218,7 +218,7 @@ def test_the_final_scene_must_be_the_initial_one_with_other_poses() -> None:
         score("FindDupe", start, replace(start, regions=()))
     for wrong in (None, "scene", start.to_json(), [start]):
         for pair in ((start, wrong), (wrong, start)):
-            with pytest.raises(InvalidSceneError, match=r"is no magical_mj\.Scene"):
+            with pytest.raises(InvalidSceneError, match=r"is not a magical_mj\.Scene"):
                 score("FindDupe", *pair)
     rounded = replace(start, regions=(replace(start.regions[0], x_max=1e-9),))
     assert score("FindDupe", start, rounded) == 0.0

@@ -83,7 +83,7 @@ def test_regions_that_outgrow_a_model_are_not_squeezed_in() -> None:
     assert dash_count(small) == DASHES < dash_count(large)
     worlds = [World(Scene(Robot(0, 0, 0), regions=(region,))) for region in (small, large)]
     assert worlds[0].structure != worlds[1].structure
-    with pytest.raises(ValueError, match="compile it afresh"):
+    with pytest.raises(ValueError, match="compile it again"):
         rewrite_region(Simulation.of(worlds[0]).model.ptr, 0, large)
 
 

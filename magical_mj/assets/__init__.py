@@ -1,1 +1,1 @@
-"""From a scene to MJCF: what each thing looks like, how it collides, and what drives it. Knows no tasks."""
+"""MJCF models of scenes: the look of each thing, its collision geometry and its actuators. Independent of tasks."""

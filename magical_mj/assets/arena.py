@@ -1,4 +1,4 @@
-"""The arena: walls, the floor that feet stand on, what they look like, and the settings of simulation and look."""
+"""The arena: walls, floor, cameras and lights, and MuJoCo's options."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ALLO_CAMERA: Final = f'<camera name="allo" {_CAMERA} pos="{numbers(0, 0, CAMERA_
 EGO_CAMERA: Final = (
     f'<camera name="ego" {_CAMERA} pos="{numbers(0, c.VISIBLE_SIZE * (0.5 - c.EGO_ANCHOR), CAMERA_HEIGHT)}"/>'
 )
-"""Rides on the robot, which stands in the middle, near the bottom, and heads up."""
+"""Attached to the robot, which appears in the middle near the bottom of the picture and heads up."""
 
 _SKY: Final = ".91 .91 .92"
 LOOK: Final = (
@@ -26,7 +26,7 @@ LOOK: Final = (
     f'<map znear="0.02" zfar="8" shadowclip="1"/><quality shadowsize="2048"/><rgba haze="{_SKY} 1"/></visual>'
     '<statistic extent="4" center="0.08 -0.1 0"/>'
 )
-"""For all but the task cameras: a free camera that starts above a corner and sees all, and soft light."""
+"""For all cameras except ego and allo: a free camera that starts above a corner with all in view, and soft light."""
 SKY: Final = f'<texture type="skybox" builtin="gradient" rgb1="1 1 1" rgb2="{_SKY}" width="16" height="96"/>'
 _LAMPS: Final = ((0.32, 0.18), (0.44, 0.18), (0.32, 0.30), (0.44, 0.30))
 LIGHTS: Final = "".join(
@@ -34,19 +34,19 @@ LIGHTS: Final = "".join(
     'ambient="0 0 0" diffuse=".11 .11 .11" specular="0 0 0"/>'
     for x, y in _LAMPS
 )
-"""Four lamps side by side, so that shadows have soft edges; far away, for shadows near a lamp are speckled."""
+"""Four lights side by side make shadows with soft edges. They are far away, since close lights make noisy shadows."""
 
 
 SIDES: Final = {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}
 
 
 def options(settings: PhysicsSettings = SETTINGS) -> str:
-    """How MuJoCo simulates.
+    """MuJoCo's options, as MJCF.
 
-    Elliptic cones make friction a disc. Explicit Euler with a fixed step is the original's integrator; implicit
-    damping would soften servos whose gain is chosen for the step. With so few geoms, testing all pairs beats the
-    mid-phase; sparse matrices make heaps of blocks cheaper. Blocks that have come to rest sleep until something
-    touches them, which is most blocks most of the time.
+    Elliptic cones make friction equal in all directions. Explicit Euler with a fixed step is the original's
+    integrator; implicit damping would soften servos whose gain is chosen for this step. With so few geoms, testing all
+    pairs is faster than the mid-phase, and sparse matrices make piles of blocks cheaper. Blocks at rest sleep until
+    something touches them: most blocks, most of the time.
     """
     return (
         comment("Ten steps of 12.5 ms are one action. What has come to rest sleeps until something touches it.")
@@ -59,7 +59,7 @@ def options(settings: PhysicsSettings = SETTINGS) -> str:
 
 
 def arena_mjcf() -> str:
-    """What stands still in the world: floor, walls, their look, the allo camera, and the regions' body."""
+    """The static part of the world, as MJCF: floor, walls, their look, the allo camera, and the regions' body."""
     half = c.ARENA_HALF_WIDTH
     parts = [
         comment("The arena: the ground, the white workspace, what the flat pictures show beyond it, the line between"),
@@ -74,7 +74,7 @@ def arena_mjcf() -> str:
     )
     for side, (x, y) in SIDES.items():
         pos, size = numbers((half + 1) * x, (half + 1) * y, 0), f"{1 + 2 * abs(y)} {1 + 2 * abs(x)} 1"
-        for kind in ("wall", "finger_wall"):  # bodies of their own: what is not near them is then not tested
+        for kind in ("wall", "finger_wall"):  # separate bodies, so that the broad phase skips what is far from them
             geom = f'<geom name="{side}_{kind}" class="{kind}" type="box" size="{size}"/>'
             parts.append(f'<body name="{side}_{kind}" pos="{pos}">{geom}</body>')
     return "".join(

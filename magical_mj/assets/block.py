@@ -1,4 +1,4 @@
-"""Blocks: a body that slides and turns, dry friction with the ground, a collision shape and a look."""
+"""Blocks: planar bodies with dry friction against the ground, collision geoms and visual geoms."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ INERTIA: Final[dict[Shape, float]] = {
     "pentagon": 0.0036611027179584824,
     "star": 0.004682686464592393,
 }
-"""About the centre, as in the original's engine."""
+"""Moments of inertia about the centre, as in the original's engine."""
 SIDES: Final = 3
-"""Which of a block's geoms its sides are, after outline, fill and foot."""
+"""The index of the sides among a block's geoms, after outline, fill and foot."""
 
 
 def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSettings = SETTINGS) -> str:
@@ -38,7 +38,7 @@ def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSe
         + comment("a foot with constant pressure: dry friction with the ground")
         + foot(f"{name}_foot")
         + solids.block(f"{name}_sides", block.shape, block.colour)
-        + f"<body>{collision_geoms(block.shape, settings)}</body>"  # collision tests then skip what is only drawn
+        + f"<body>{collision_geoms(block.shape, settings)}</body>"  # a separate body: collision tests skip visual geoms
     )
     spin = softness("friction", 1, settings.dry_impedance)
     hinge = f'frictionloss="{numbers(dynamics.block_friction_torque)}" {spin}'
@@ -51,7 +51,7 @@ def block_pair(index: int, dynamics: Dynamics, settings: PhysicsSettings = SETTI
 
 
 def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dynamics) -> None:
-    """Give a block of a compiled model another pose, colour and friction, as if compiled with them."""
+    """Changes pose, colour and friction of a block in a compiled model, with the same result as compiling."""
     move_body(model, f"block{index}", block.pose)
     body = model.body(f"block{index}")
     first, colours = int(body.geomadr[0]), model.geom_rgba
@@ -63,7 +63,7 @@ def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dyn
 
 @lru_cache(32)
 def collision_geoms(shape: Shape, settings: PhysicsSettings = SETTINGS) -> str:
-    """A disc, or edges and the vertices that stick out."""
+    """The collision geoms of a block, as MJCF: a disc, or edges and convex vertices."""
     if shape == "circle":
         return f'<geom class="disc" size="{numbers(c.BLOCK_SIZE - settings.block_overlap)}"/>'
     if shape == "square":

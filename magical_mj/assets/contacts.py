@@ -1,8 +1,8 @@
-"""How things touch: softness, friction and who meets whom. Fitted to roll-outs of the original simulation.
+"""Contacts: softness, friction and collision filters, fitted to roll-outs of the original simulation.
 
-Contacts of flat shapes are reduced to what a 2-D engine knows: vertices (small spheres) against edges (capsules and
-boxes) and discs (spheres). Of two geoms in contact the larger friction counts, so walls stand twice, once for the
-fingers and once for everything else; that gives the products of coefficients that the original uses.
+Contacts of flat shapes are reduced to those of a 2-D engine: vertices (small spheres) against edges (capsules and
+boxes) and discs (spheres). MuJoCo uses the larger friction coefficient of two geoms, the original the product. So there
+are two sets of walls, one for the fingers and one for everything else, with the coefficients that give these products.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ SUBSTEPS: Final = 10
 TIMESTEP: Final = 1 / c.CONTROL_RATE / SUBSTEPS
 """Seconds per physics step."""
 
-# Collision bits: two geoms meet if the contype of one has a bit of the other's conaffinity.
+# Collision bits: two geoms collide if the contype of one shares a bit with the conaffinity of the other.
 TOUCHES: Final = 1  # vertices and discs
 FINGER_TOUCHES: Final = 2  # vertices of the fingers
 
-# A foot cannot move vertically, so it presses on the floor with this force whatever happens: friction = cap / PRESS.
+# A foot cannot move vertically, so it always presses on the floor with this force; friction coefficient = cap / PRESS.
 PRESS: Final = 1e4
 FOOT_RADIUS, FOOT_DEPTH = 0.02, 0.01
 
 
 @dataclass(frozen=True)
 class PhysicsSettings:
-    """What the original does not dictate: how stiff, how round, how soft. `research/fit_physics.py` finds them."""
+    """The parameters that the original does not determine: stiffness, rounding, softness. Fitted by `research/fit_physics.py`."""
 
     contact_impedance: float = 0.9973
     """Share of the relative velocity that a contact removes; below 1 it gives way a little."""
     contact_damping: float = 1.03
     """Approach speed removed per substep; 1 is all of it (inelastic)."""
     contact_stiffness: float = 1320.0
-    """1/s^2: how fast overlap is pushed out; the original hardly does so below 0.01."""
+    """1/s^2: how strongly overlap is corrected; the original hardly corrects overlaps below 0.01."""
     impratio: float = 0.0813
-    """How stiff friction is against the normal direction; the original's gives way under load."""
+    """Stiffness of friction relative to the normal direction; the original's friction yields under load."""
     friction_finger_block: float = 1.34
     """2.5 in the original."""
     friction_finger_wall: float = 4.0
@@ -50,38 +50,38 @@ class PhysicsSettings:
     finger_impedance: float = 0.9939
     finger_damping: float = 1.16
     finger_stiffness: float = 1740.0
-    """The three for whatever a finger touches."""
+    """The same three for contacts of fingers."""
     foot_impedance: float = 0.9999
-    """Of what stands on the floor: the nearer to 1, the less it creeps below its force cap."""
+    """For contacts with the floor: the closer to 1, the less things creep below their force cap."""
     vertex_radius: float = 0.001
     """Of the sphere at a corner, world units."""
     edge_radius: float = 0.013
     """Of the capsule behind an edge, world units."""
     star_edge_radius: float = 0.015
     star_tip_radius: float = 0.00955
-    """Blunt: a tip that starts inside a finger must leave on the star's side of it."""
+    """Blunt, so that a tip that starts inside a finger is pushed out on the star's side."""
     star_tip_depth: float = 0.002
-    """World units by which a tip is shorter than drawn."""
+    """World units by which a colliding tip is shorter than the drawn one."""
     finger_overlap: float = 0.00351
-    """Surfaces lie this far inside the drawn ones: the overlap that the original tolerates."""
+    """Distance of collision surfaces inside the drawn ones: the overlap that the original tolerates."""
     block_overlap: float = 0.0
     body_overlap: float = 0.00241
     """The same for blocks, and for the robot's body."""
     dry_impedance: float = 0.99
-    """Of dry friction: turning, and the spin of blocks."""
+    """For dry friction of the robot's turning and of the blocks' rotation."""
     motor_impedance: float = 0.928
-    """Of the dry friction between a finger and its motor."""
+    """For the dry friction between a finger and its motor."""
     limit_impedance: float = 0.9999
     limit_stiffness: float = 5000.0
     """Both of the fingers' joint limits."""
     finger_armature: float = 0.0142
-    """Inertia that a finger's joint has besides the finger's."""
+    """Additional inertia (armature) of a finger's joint."""
     sway_damping: float = 0.15
-    """N m s: holds back fingers that move to the same side, as a block between them makes them do when the robot stops
-    turning. Both motors push alike, so nothing else does, and without it the block swings up to twice too far."""
+    """N m s: damps fingers that swing to the same side, which a block between them causes when the robot stops turning.
+    Since both motors push equally, nothing else damps this, and the block would swing up to twice too far."""
     loaded_share: float = 0.251
-    """A closed gripper that drags a block slows the original's servos, though their caps are not reached. So this
-    share of the drive, while the gripper is told to close, pulls towards a lower speed only; without load the larger
+    """A closed gripper that drags a block slows the original's servos, although their caps are not reached. Therefore,
+    while the gripper is commanded to close, this share of the drive targets a lower speed; without load, the larger
     share still reaches full speed."""
     loaded_turn_share: float = 0.224
     loaded_forward: float = 0.733
@@ -90,7 +90,7 @@ class PhysicsSettings:
     """The lower speeds, in units/s and rad/s."""
     iterations: int = 20
     tolerance: float = 1e-8
-    """Newton steps: as many as contacts need, which is about five in a heap."""
+    """The limits of the Newton solver; a pile of blocks needs about five iterations."""
 
 
 SETTINGS: Final = PhysicsSettings()
@@ -103,16 +103,16 @@ def softness(kind: str, stiffness: float, impedance: float, damping: float = 1.0
 
 
 def foot(name: str) -> str:
-    """A sphere that stands on the floor; `floor_pair` says how."""
+    """A sphere that stands on the floor; its contact is defined by `floor_pair`."""
     return f'<geom name="{name}" class="foot"/>'
 
 
 def floor_pair(name: str, friction_force: float, mass: float, settings: PhysicsSettings = SETTINGS) -> str:
-    """Lets a foot press on the floor with `PRESS` and so resist sliding with at most `friction_force`.
+    """The contact of a foot with the floor: it presses with `PRESS`, so friction resists with at most `friction_force`.
 
-    Its friction is that of a disc, the same in all directions. A pair that is named costs no search for what the foot
-    might touch. `mass` is what it carries: MuJoCo's inverse mass of a body is the mean of three directions, and
-    vertically this one cannot move.
+    Friction is the same in all directions. An explicit pair saves the search for contacts of the foot. `mass` is the
+    mass of the body; MuJoCo's inverse mass of a body is a mean over three directions, of which this body can move in
+    two.
     """
     stiffness = PRESS * (1 - settings.foot_impedance) * 2 / 3 / mass / FOOT_DEPTH
     soft = softness("", stiffness, settings.foot_impedance)
@@ -121,7 +121,7 @@ def floor_pair(name: str, friction_force: float, mass: float, settings: PhysicsS
 
 
 def vertex(x: float, y: float, radius: float, kind: str = "vertex") -> str:
-    """A small sphere that touches edges, discs and walls."""
+    """A small sphere that collides with edges, discs and walls."""
     return f'<geom class="{kind}" size="{numbers(radius)}" pos="{numbers(x, y, 0)}"/>'
 
 

@@ -1,10 +1,10 @@
-"""Meshes: what the visual geoms of all models show, made once.
+"""The meshes of the visual geoms, the same in all models.
 
-The task cameras look from straight above and see flat polygons: an outline, and on it a smaller one in the colour of
-the fill. What stands under them and makes them solid, which all others see too, is mostly boxes and cylinders; only
-pentagons and stars need meshes for their sides.
+The cameras ego and allo look straight down and see flat polygons: an outline, and on it a smaller one in the fill
+colour. The solids below them, which only other cameras see, are mostly boxes and cylinders; only pentagons and stars
+need meshes for their sides.
 
-Every model lists the same meshes in the same order, used or not: so one drawing context serves them all.
+Every model lists the same meshes in the same order, used or not, so that one drawing context can draw all models.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ Faces = NDArray[np.int64]
 Mesh = tuple[Vertices, Faces]
 
 CIRCLE_SIDES, ROBOT_SIDES, EYE_SIDES, PUPIL_SIDES = 32, 40, 16, 10
-SURROUND_HALF = 3.2  # world units: reaches beyond what the ego camera sees from any corner
+SURROUND_HALF = 3.2  # world units: larger than what the ego camera sees from any corner
 
 
 def disc(sides: int, radius: float) -> Points:
-    """A regular polygon with the area of the circle of this radius."""
+    """A regular polygon with the area of a circle of this radius. Shape (sides, 2)."""
     return regular_polygon(sides, radius * float(np.sqrt(2 * np.pi / sides / np.sin(2 * np.pi / sides))))
 
 
 def square(half: float) -> Points:
-    """Corners of the square of this half side, counter-clockwise."""
+    """Corners of the square with this half side, counter-clockwise. Shape (4, 2)."""
     return half * np.array([[1.0, 1], [-1, 1], [-1, -1], [1, -1]])
 
 
@@ -54,12 +54,12 @@ def inset(outline: Points, depth: float) -> Points:
 
 
 def at_height(points: Points, z: float) -> Vertices:
-    """Points of the plane at this height."""
+    """Points of the plane at height `z`. Shape (n, 3)."""
     return np.column_stack([points, np.full(len(points), z)])
 
 
 def convex(outline: Points, z: float = 0.0) -> Mesh:
-    """A flat convex polygon, cut by halving its arcs: stout triangles are filled faster than the slivers of a fan."""
+    """A flat convex polygon, triangulated by halving its arcs: compact triangles are drawn faster than a fan's."""
 
     def cut(first: int, last: int) -> list[tuple[int, int, int]]:
         if last - first < 2:
@@ -81,7 +81,7 @@ def around_centre(outline: Points, z: float = 0.0) -> Mesh:
 
 
 def frame(inner: float, outer: float, z: float) -> Mesh:
-    """A flat square frame between two half sides."""
+    """A flat frame between the squares with these half sides."""
     k = np.arange(4)
     n = np.roll(k, -1)
     faces = np.vstack([np.stack([k, k + 4, n + 4], axis=1), np.stack([k, n + 4, n], axis=1)])
@@ -89,7 +89,7 @@ def frame(inner: float, outer: float, z: float) -> Mesh:
 
 
 def sides(outline: Points, height: float) -> Mesh:
-    """The upright faces of a prism on the floor; each has its own corners, for corners are shaded as round."""
+    """The upright faces of a prism on the floor. Faces share no vertices, since shared ones are shaded as if round."""
     ends = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1).reshape(-1, 2)
     first, above = np.arange(0, len(ends), 2), len(ends)
     faces = [[first, first + 1, first + 1 + above], [first, first + 1 + above, first + above]]

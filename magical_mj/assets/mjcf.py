@@ -1,4 +1,4 @@
-"""MJCF text: numbers as attributes, bodies that move in the plane, and the layout of a file for people."""
+"""MJCF text: numbers as attributes, planar bodies, and indentation of files that people read."""
 
 from __future__ import annotations
 
@@ -15,43 +15,43 @@ from magical_mj.scene import Pose
 
 INDENT: Final = "  "
 LINE: Final = 120
-"""Characters in a line of a file for people."""
+"""The longest line of an indented file, in characters."""
 GROUPS: Final = {"vertex": 3, "face": 3}
-"""How many numbers of a list belong together, by attribute."""
+"""Attribute -> how many numbers of its list form one entry, such as 3 coordinates of a vertex."""
 
 
 def numbers(*values: float) -> str:
-    """Numbers as an MJCF attribute, with as few digits as still give the same doubles."""
+    """Numbers as an MJCF attribute, with the fewest digits that parse to the same doubles."""
     return " ".join(repr(float(value)).removesuffix(".0") for value in values)
 
 
 def single(values: Iterable[float]) -> str:
-    """Numbers that MuJoCo keeps in single precision, likewise."""
+    """The same for numbers that MuJoCo stores in single precision."""
     return " ".join(str(np.float32(value)).removesuffix(".0") for value in values)
 
 
 def quaternion(angle: float) -> tuple[float, float, float, float]:
-    """A turn about z by `angle` (rad), as w, x, y, z."""
+    """The rotation about z by `angle` (rad) as a quaternion w, x, y, z."""
     return math.cos(angle / 2), 0.0, 0.0, math.sin(angle / 2)
 
 
 def slide_axes(angle: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """The world's x and y axis in the frame of a body that is turned by `angle` (rad)."""
+    """The world's x and y axes in the frame of a body that is rotated by `angle` (rad)."""
     cosine, sine = math.cos(angle), math.sin(angle)
     return (cosine, -sine, 0.0), (sine, cosine, 0.0)
 
 
 def planar_body(name: str, pose: Pose, content: str, hinge: str = "") -> str:
-    """A body that stands at `pose` and slides and turns in the plane.
+    """A body at `pose` with two slide joints and a hinge: it moves in the plane.
 
-    Its joints `<name>_x`, `<name>_y` and `<name>_angle` read world coordinates, and its reference position is the
-    pose, so that a viewer which knows nothing of keyframes shows it in its place.
+    The values of its joints `<name>_x`, `<name>_y` and `<name>_angle` are world coordinates, and its reference position
+    is the pose, so that viewers that ignore keyframes show it in its place.
 
     Args:
-        name: of the body.
+        name: the body's name.
         pose: x, y, angle.
-        content: what is in the body.
-        hinge: more attributes of the hinge.
+        content: the elements in the body, as MJCF.
+        hinge: additional attributes of the hinge.
     """
     x, y, angle = pose
     x_axis, y_axis = slide_axes(angle)
@@ -65,7 +65,7 @@ def planar_body(name: str, pose: Pose, content: str, hinge: str = "") -> str:
 
 
 def move_body(model: mujoco.MjModel, name: str, pose: Pose) -> None:
-    """Change where a planar body of a compiled model stands, as if compiled there."""
+    """Changes the reference pose of a planar body in a compiled model, with the same result as compiling."""
     body = model.body(name).id
     joint = model.body_jntadr[body]
     model.body_pos[body, :2] = pose[:2]
@@ -76,7 +76,7 @@ def move_body(model: mujoco.MjModel, name: str, pose: Pose) -> None:
 
 
 def bend_body(model: mujoco.MjModel, name: str, angle: float) -> None:
-    """Change the reference angle of a body with one hinge, likewise."""
+    """The same for the reference angle of a body with one hinge."""
     body = model.body(name).id
     model.body_quat[body] = quaternion(angle)
     first = model.jnt_qposadr[model.body_jntadr[body]]
@@ -84,12 +84,12 @@ def bend_body(model: mujoco.MjModel, name: str, angle: float) -> None:
 
 
 def comment(text: str) -> str:
-    """A remark for those who read the model."""
+    """An XML comment."""
     return f"<!-- {text} -->"
 
 
 def indented(element: Element, depth: int = 0) -> str:
-    """An element as text: one element a line, sections apart, long lists of numbers on lines of their own."""
+    """An element as indented text: one per line, blank lines between sections, long lists of numbers wrapped."""
     pad = INDENT * depth
     if element.tag is Comment:
         return f"{pad}<!-- {str(element.text).strip()} -->\n"
@@ -104,7 +104,7 @@ def indented(element: Element, depth: int = 0) -> str:
 
 
 def _attributes(element: Element, pad: str) -> str:
-    """The attributes of an element; what is longer than a line goes on in the next one."""
+    """The attributes of an element, wrapped where the line would be too long."""
     text, width, deeper = "", len(pad) + len(str(element.tag)) + 1, pad + 2 * INDENT
     line_break = f"\n{deeper}"
     for name, value in element.items():
@@ -120,7 +120,7 @@ def _attributes(element: Element, pad: str) -> str:
 
 
 def wrap(value: str, group: int, width: int) -> Iterator[str]:
-    """A list of numbers as lines of whole groups."""
+    """A list of numbers as lines; groups of numbers are never split."""
     entries = value.split()
     row = ""
     for start in range(0, len(entries), group):

@@ -1,7 +1,7 @@
-"""Goal regions: drawn, never solid. Each is two flat skins, its fill and its dashed border.
+"""Goal regions: drawn, never solid. Each consists of two flat skins, its fill and its dashed border.
 
-A mesh would have to be uploaded again whenever a region changes its size, and the shared drawing context would have
-to know whose it holds. A skin's corners travel with every frame, so new corners in the model are all it takes.
+A mesh would have to be uploaded to the drawing context whenever a region changes its size, and that context is shared
+by all environments. The vertices of a skin are uploaded with every frame, so it is enough to change them in the model.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from magical_mj.assets.style import DASH_LENGTH, REGION_BORDER, REGION_BORDER_WI
 from magical_mj.scene import GoalRegion
 
 BONE = "regions"
-"""The still body at the world's origin to which the corners of all regions belong."""
+"""The static body at the world's origin to which the vertices of all regions' skins are bound."""
 
 DASHES = 42
-"""Quads kept for the border of one region: enough for 0.8 x 0.8 world units."""
+"""The least number of quads for the border of one region: enough for 0.8 x 0.8 world units."""
 
 
 _AHEAD: Final = np.array([[1.0, 0], [0, -1], [-1, 0], [0, 1]])
@@ -38,7 +38,7 @@ def dash_quads(region: GoalRegion) -> NDArray[np.float64]:
     """The dashes along a region's edge, clockwise from its top-left corner.
 
     Returns:
-        Shape (n, 4, 2): the corners of each dash, counter-clockwise; a dash that bends round a corner is two.
+        Shape (n, 4, 2): the corners of each dash, counter-clockwise; a dash around a corner is two quads.
     """
     x0, y0, x1, y1 = region.x_min, region.y_min, region.x_max, region.y_max
     corners = np.array([[x0, y1], [x1, y1], [x1, y0], [x0, y0]])
@@ -56,7 +56,7 @@ def dash_quads(region: GoalRegion) -> NDArray[np.float64]:
         end_of_side[side],
     )
     half = REGION_BORDER_WIDTH / 2
-    first -= half * (start[dash, 0] < start_of_side)  # a dash that bends round a corner is mitred
+    first -= half * (start[dash, 0] < start_of_side)  # a dash around a corner gets a mitre joint
     last += half * ((end[dash, 0] > end_of_side) & (side < 3))
     along = np.stack([first, last, last, first], axis=1) - start_of_side[:, None]
     quads = corners[side, None] + along[..., None] * _AHEAD[side, None] + _ACROSS[side]
@@ -65,7 +65,7 @@ def dash_quads(region: GoalRegion) -> NDArray[np.float64]:
 
 
 def dash_count(region: GoalRegion) -> int:
-    """How many quads a model keeps for the region's border."""
+    """The number of quads that a model has for the region's border."""
     return max(DASHES, len(dash_quads(region)))
 
 
@@ -80,7 +80,7 @@ def regions_mjcf(regions: tuple[GoalRegion, ...]) -> str:
 
 
 def region_mjcf(index: int, region: GoalRegion) -> tuple[str, str, str]:
-    """A region without skins: the mesh of its border, and the geoms of fill and border."""
+    """A region made of geoms instead of skins, as MJCF: the mesh of its border, and the geoms of fill and border."""
     name, (x, y), z = f"region{index}_{region.colour}", region.centre, style.Z_REGION + index * style.REGION_STEP
     place = f'pos="{numbers(x, y, z)}" size="{numbers(region.width / 2, region.height / 2, 1)}"'
     fill = f'<geom name="{name}_fill" class="visual" type="plane" {place} rgba="{rgba(REGION_FILL[region.colour])}"/>'
@@ -92,7 +92,7 @@ def region_mjcf(index: int, region: GoalRegion) -> tuple[str, str, str]:
 
 
 def blank_regions_mjcf(dashes: tuple[int, ...]) -> str:
-    """The skins of regions with so many dashes, without their corners and colours, which `rewrite_region` writes."""
+    """The skins of regions with these numbers of dashes; `rewrite_region` writes their vertices and colours later."""
     parts = ((index, *part) for index, count in enumerate(dashes) for part in (("fill", 1), ("border", count)))
     return "".join(
         _skin(f"region{index}_{name}", style.WHITE, "0 " * 12 * count, count) for index, name, count in parts
@@ -106,7 +106,7 @@ def _skin(name: str, rgb: style.Rgb, corners: str, count: int) -> str:
 
 
 def rewrite_region(model: mujoco.MjModel, index: int, region: GoalRegion) -> None:
-    """Give a region of a compiled model another box and colour, as if compiled with them.
+    """Changes box and colour of a region in a compiled model, with the same result as compiling.
 
     Raises:
         ValueError: if the model was compiled for fewer dashes than the region needs.
@@ -119,7 +119,7 @@ def rewrite_region(model: mujoco.MjModel, index: int, region: GoalRegion) -> Non
 
 @lru_cache(16)
 def _corners(region: GoalRegion, index: int, count: int) -> NDArray[np.float32]:
-    """Corners of the fill (one quad) or of the border; quads that are not needed lie in one point.
+    """Corners of the fill (one quad) or of the border; unused quads are collapsed into one point.
 
     Shape (4 * count, 3).
     """
@@ -130,7 +130,9 @@ def _corners(region: GoalRegion, index: int, count: int) -> NDArray[np.float32]:
     else:
         flat = dash_quads(region).reshape(-1, 2)
         if len(flat) > 4 * count:
-            raise ValueError(f"{region} needs {len(flat) // 4} dashes; this model has {count}, so compile it afresh")
+            raise ValueError(
+                f"{region} needs {len(flat) // 4} dashes; this model has {count}, so it must be compiled again"
+            )
         z += style.BORDER_ABOVE_FILL
     corners = np.empty((4 * count, 3), np.float32)
     corners[: len(flat), :2], corners[len(flat) :, :2], corners[:, 2] = flat, flat[-1], z
@@ -140,7 +142,7 @@ def _corners(region: GoalRegion, index: int, count: int) -> NDArray[np.float32]:
 
 @cache
 def _connection(count: int) -> str:
-    """How a skin of so many quads hangs together, as MJCF."""
+    """The faces and the bone of a skin with `count` quads, as MJCF."""
     faces, ids = " ".join(map(str, _quad_faces(count).ravel())), " ".join(map(str, range(4 * count)))
     bone = f'<bone body="{BONE}" bindpos="0 0 0" bindquat="1 0 0 0" vertid="{ids}" vertweight="{"1 " * 4 * count}"/>'
     return f'face="{faces}">{bone}'

@@ -1,14 +1,15 @@
 """The robot: a disc that drives and turns, and two hinged fingers.
 
-What stands for what of the original's 2-D engine:
+How the parts of the original's 2-D engine are modelled:
 
-- its velocity servo, a force of any direction with one cap that also brakes and stops side-slip: driven wheels under
-  the robot's centre, which grip the floor with a constant normal force, for Coulomb friction is a disc;
-- its turning servo with a torque cap: dry friction between the ground and heavy rotors that spin against the robot;
+- its velocity servo, a force in any direction with one cap that also brakes and prevents side-slip: driven wheels under
+  the robot's centre that press on the floor with a constant force, since Coulomb friction has the same cap in all
+  directions;
+- its turning servo with a torque cap: dry friction between the robot and heavy rotors that spin;
 - its finger motors: dry friction between a finger and a heavy rotor that turns at the finger's speed. The original
-  eases in over the last 0.1 rad, ours stops at the limit;
-- its latency of one substep: each command passes through a filter of one substep, and the wheels hang on a light
-  castor that keeps the heading of the substep before.
+  slows down over the last 0.1 rad, ours stops at the limit;
+- its latency of one substep: each command passes through a filter of one substep, and the wheels are mounted on a light
+  castor that has the robot's heading of the substep before.
 
 Wheels and rotors come in pairs because a load slows the original's servos; see `PhysicsSettings.loaded_share`.
 """
@@ -43,18 +44,18 @@ from magical_mj.scene import Dynamics, Robot
 
 Side = Literal["left", "right"]
 SIGN: Final[dict[Side, int]] = {"left": -1, "right": 1}
-"""On which side of the body's x axis a finger is."""
+"""The sign of the x coordinate of a finger in the robot's frame."""
 FINGER_INERTIA: Final[dict[Side, float]] = {"left": 0.00500649436186835, "right": 0.004983019517209476}
-"""About the root, where the mass sits; the original's two fingers differ a little."""
+"""Moments of inertia about the pivot, where the centre of mass is; the original's two fingers differ slightly."""
 WHEELS: Final = ("wheel", "loaded_wheel")
 ROTORS: Final = ("rotor", "loaded_rotor")
 MOTORS: Final[dict[Side, str]] = {"left": "left_motor", "right": "right_motor"}
 _PLANAR: Final = ("robot_x", "robot_y", "robot_angle")
 JOINTS: Final = (*_PLANAR, "castor", *WHEELS, *ROTORS, *MOTORS.values(), "left_finger", "right_finger")
-"""In the order of the model's coordinates."""
+"""The robot's joints in the order of the model's coordinates."""
 
 ROTOR_INERTIA: Final = 40.0  # of wheels, rotors and motors: so heavy that friction cannot slow them
-CASTOR_INERTIA: Final = 1e-5  # so light that nobody feels it
+CASTOR_INERTIA: Final = 1e-5  # so light that it has no effect on anything else
 LIGHT: Final = '<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-7 1e-7 1e-7"/>'
 
 
@@ -82,7 +83,7 @@ def robot_mjcf(robot: Robot, settings: PhysicsSettings = SETTINGS) -> str:
 
 
 def _shares(loaded: float) -> tuple[float, float]:
-    """How a cap is divided between the two wheels, or the two rotors."""
+    """The shares of a cap of the two wheels, or of the two rotors."""
     return 1 - loaded, loaded
 
 
@@ -93,7 +94,7 @@ def _spinner(name: str, axis: str, geom: str = "") -> str:
 
 
 def _face() -> str:
-    """Body and eyes, listed after the fingers: MuJoCo draws in this order, and the disc hides the fingers' roots."""
+    """The visual geoms of body and eyes. They are listed, and so drawn, after the fingers, whose roots the disc covers."""
     return (
         style.visual_geom("robot_outline", "robot_outline", style.DARK_GREY)
         + style.visual_geom("robot_fill", "robot_fill", style.GREY)
@@ -104,7 +105,7 @@ def _face() -> str:
 
 
 def _finger(side: Side, angle: float, settings: PhysicsSettings) -> str:
-    """The body `<side>_finger`: a box for each segment, and spheres at the three corners that stick out."""
+    """The body `<side>_finger`: a box for each segment, and spheres at the three convex corners."""
     sign, name, inertia = SIGN[side], f"{side}_finger", FINGER_INERTIA[side]
     half, bend = c.FINGER_THICKNESS / 2, SIGN[side] * c.FINGER_BEND
 
@@ -152,9 +153,9 @@ def robot_pairs(dynamics: Dynamics, settings: PhysicsSettings = SETTINGS) -> str
 
 
 def tendons_mjcf(dynamics: Dynamics, settings: PhysicsSettings = SETTINGS) -> str:
-    """Dry friction of the turning servo and of the finger motors, and drags on fingers that sway and on the castor.
+    """Dry friction of the turning servo and of the finger motors, and damping of swaying fingers and of the castor.
 
-    The latter turns the castor back by what the robot turned in a substep.
+    The damping of the castor makes it lag behind the robot by one substep.
     """
     soft = softness("friction", 1, settings.dry_impedance)
     turns = "".join(
@@ -182,7 +183,7 @@ def tendons_mjcf(dynamics: Dynamics, settings: PhysicsSettings = SETTINGS) -> st
 def actuators_mjcf() -> str:
     """Six speeds, reached in one substep: two wheels (units/s), two rotors and two finger motors (rad/s)."""
     gain = ROTOR_INERTIA / TIMESTEP
-    rolling = FOOT_RADIUS - FOOT_DEPTH / 2  # MuJoCo puts a contact midway between the wheel's rim and the floor
+    rolling = FOOT_RADIUS - FOOT_DEPTH / 2  # MuJoCo places a contact midway between the wheel's rim and the floor
     scales = {WHEELS: 1 / rolling, ROTORS: -1.0, tuple(MOTORS.values()): 1.0}
     return comment("Speeds of wheels (units/s), rotors and finger motors (rad/s), one step late") + "".join(
         f'<general name="{joint}" joint="{joint}" dyntype="filterexact" dynprm="1e-9" '
@@ -193,7 +194,7 @@ def actuators_mjcf() -> str:
 
 
 def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics) -> None:
-    """Give the robot of a compiled model another pose and other force caps, as if compiled with them."""
+    """Changes pose and force caps of the robot in a compiled model, with the same result as compiling."""
     move_body(model, "robot", robot.pose)
     for wheel, share in zip(WHEELS, _shares(SETTINGS.loaded_share), strict=True):
         model.pair_friction[model.pair(wheel).id, :2] = share * dynamics.drive_force / PRESS
@@ -205,7 +206,7 @@ def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics) -> No
 
 
 def controls(settings: PhysicsSettings = SETTINGS) -> NDArray[np.float64]:
-    """What each action writes into `ctrl`: speeds of wheels, rotors and finger motors. Shape (18, 6)."""
+    """The values of `ctrl` for each action: speeds of wheels, rotors and finger motors. Shape (18, 6)."""
     rows = []
     for action in ACTIONS:
         speed = (0.0, c.SPEED_FORWARD, -c.SPEED_BACKWARD)[action.drive]
@@ -224,5 +225,5 @@ _CONTROLS.setflags(write=False)
 
 
 def control_signal(action: int) -> NDArray[np.float64]:
-    """What an action (0..17) writes into MuJoCo's `ctrl`. Shape (6,)."""
+    """The values of MuJoCo's `ctrl` for an action (0..17). Shape (6,)."""
     return _CONTROLS[action]

@@ -1,6 +1,6 @@
-"""What stands under the flat polygons and makes things solid, for all cameras but the task's.
+"""Visual geoms with a height, below the flat polygons: for all cameras except ego and allo.
 
-Boxes and cylinders where they will do, for they cost less than meshes and are easier to read in an exported file.
+They are boxes and cylinders where possible, which cost less than meshes and are easier to read in an exported file.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ WALL_THICKNESS: Final = 0.06  # world units
 
 
 def solid(name: str, shape: str, rgb: Rgb) -> str:
-    """A geom that does nothing but be seen; shape: as MJCF attributes, such as those of `box`."""
+    """A visual geom; `shape` holds MJCF attributes, such as those of `box`."""
     return f'<geom name="{name}" class="solid" {shape} rgba="{rgba(rgb)}"/>'
 
 
 def box(x: float, y: float, half_x: float, half_y: float, height: float, angle: float = 0.0) -> str:
-    """A box that stands on the floor around (x, y), turned by an angle (rad), and ends just below `height`."""
+    """Attributes of a box on the floor at (x, y), rotated by `angle` (rad), whose top is just below `height`."""
     height -= LIFT
     turned = f'quat="{numbers(*quaternion(angle))}"' if angle else ""
     return f'type="box" size="{numbers(half_x, half_y, height / 2)}" pos="{numbers(x, y, height / 2)}" {turned}'
 
 
 def cylinder(radius: float, height: float) -> str:
-    """A cylinder that stands on the floor around the origin, and ends just below `height`."""
+    """Attributes of a cylinder on the floor at the origin, whose top is just below `height`."""
     height -= LIFT
     return f'type="cylinder" size="{numbers(radius, height / 2)}" pos="0 0 {numbers(height / 2)}"'
 

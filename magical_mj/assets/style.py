@@ -1,6 +1,6 @@
 """The look: colours, heights of the drawing layers, widths of lines.
 
-The task cameras look from straight above and light nothing, so that each thing is a flat polygon of one colour. RGB
+The cameras ego and allo look straight down without shading, so that each thing is a flat polygon of one colour. RGB
 values are those of the original's pictures.
 """
 
@@ -26,30 +26,30 @@ GREY: Final = (162, 163, 175)  # robot, outline of the fingers
 DARK_GREY: Final = (144, 145, 159)  # outline of the robot
 LIGHT_GREY: Final = (231, 231, 234)  # outside the workspace, fingers
 BLACK: Final = (26, 26, 26)  # pupils
-ARENA_BORDER: Final = (192, 193, 201)  # the original's grey, thinned out to a wider line
+ARENA_BORDER: Final = (192, 193, 201)  # lighter than the original's, since the line is wider
 BLOCK_FILL: Final = _palette((245, 129, 165), (195, 208, 130), (135, 185, 211), (254, 213, 123))
 BLOCK_OUTLINE: Final = _palette((243, 94, 141), (183, 198, 105), (110, 170, 202), (254, 201, 86))
 REGION_FILL: Final = _palette((250, 190, 209), (224, 231, 191), (194, 219, 233), (254, 234, 188))
 REGION_BORDER: Final = BLOCK_FILL
 
-# Heights (world units). What is drawn later is higher, so that from straight above all programs show the same.
-Z_GROUND: Final = -0.01  # of the plane that goes on for ever, and on which feet stand
+# Heights (world units). What is drawn later is higher, so that every program shows the same picture from above.
+Z_GROUND: Final = -0.01  # the infinite plane on which the feet stand
 Z_REGION, REGION_STEP, BORDER_ABOVE_FILL = 0.001, 0.001, 0.0005
 WALL_HEIGHT, BLOCK_HEIGHT, FINGER_HEIGHT, ROBOT_HEIGHT = 0.05, 0.08, 0.09, 0.13
-LIFT: Final = 0.001  # of a plate above what it lies on: in one plane, which of them is seen would be left to chance
+LIFT: Final = 0.001  # distance between stacked polygons; in the same plane, which one is visible would be undefined
 
 # Line widths (world units)
-ARENA_BORDER_WIDTH: Final = 0.0085  # 1.6 times the original's: at 96 px that would fall between two pixels
+ARENA_BORDER_WIDTH: Final = 0.0085  # 1.6 times the original's, which would be thinner than a pixel at 96 px
 BLOCK_OUTLINE_WIDTH: Final = 0.015
 ROBOT_OUTLINE_WIDTH: Final = 0.01
 REGION_BORDER_WIDTH: Final = 0.01328125
-DASH_LENGTH: Final = 0.0425  # of a dash, and of the gap after it
+DASH_LENGTH: Final = 0.0425  # of a dash, and of the gap between dashes
 
 # Geom groups: MuJoCo's viewers show 0 to 2 and hide the others.
-SOLID_GROUP: Final = 1  # what the task cameras do without: sides, ground, and the floor, for they paint on white
+SOLID_GROUP: Final = 1  # hidden from the cameras ego and allo: sides, ground and floor; their background is white
 DRAWN_GROUP: Final = 2
 COLLISION_GROUP: Final = 3
-TASK_GROUP: Final = 4  # what only the task cameras see
+TASK_GROUP: Final = 4  # seen by the cameras ego and allo only
 
 
 @cache
@@ -60,10 +60,10 @@ def rgba(rgb: Rgb) -> str:
 
 @cache
 def levels(rgb: Rgb) -> tuple[float, ...]:
-    """The same colour as a compiled model holds it: red, green, blue and alpha in [0, 1]."""
+    """The same colour as in a compiled model: red, green, blue and alpha in [0, 1]."""
     return tuple(map(float, rgba(rgb).split()))
 
 
 def visual_geom(name: str, mesh: str, rgb: Rgb, more: str = "") -> str:
-    """A flat polygon that does nothing but be seen; more: attributes."""
+    """A visual geom that shows a flat mesh; `more` holds further attributes."""
     return f'<geom name="{name}" class="visual" mesh="{mesh}" rgba="{rgba(rgb)}" {more}/>'

@@ -1,8 +1,8 @@
-"""The world of a scene: the whole MJCF model, what MuJoCo compiles, and the composer entity that holds both.
+"""The world of a scene: its MJCF model, its compiled model, and the composer entity of both.
 
-Parsing the text of a world takes longer than compiling what was parsed. Worlds with as many blocks and regions differ
-in little but numbers, which `World.rewrite` writes into the compiled model, and the shapes of their blocks. So specs
-are put together from parts that were parsed once.
+Parsing the MJCF text of a world takes longer than compiling it. Worlds with the same numbers of blocks and regions
+differ only in the shapes of their blocks and in numbers, which `World.rewrite` writes into the compiled model. So specs
+are assembled from parts that are parsed once.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from magical_mj.constants import Shape
 from magical_mj.scene import Block, Robot, Scene
 
 MEMORY: Final = '<size memory="33M"/>'
-"""Of which 50 kB are used, and only what is used takes memory. glibc keeps blocks of up to 32 MiB among the small ones,
-where one after the other, as models come and go, would leave gaps: 1 MB in 300 models."""
+"""Only about 50 kB of it are used, and unused memory costs nothing. Blocks above 32 MiB are returned to the system by
+glibc; with smaller ones, memory would become fragmented as models come and go: 1 MB per 300 models."""
 
 
 def world_mjcf(scene: Scene, settings: PhysicsSettings = SETTINGS, regions: str | None = None) -> str:
-    """The whole model as MJCF text: the scene is its reference pose. Blocks come before the robot, which hides them.
+    """The model as MJCF text: the scene is its reference pose. Blocks come before the robot, which is drawn over them.
 
     Args:
-        scene: what is where.
-        settings: of the simulation.
-        regions: the skins of the regions, as MJCF, instead of the scene's.
+        scene: the scene.
+        settings: parameters of the simulation.
+        regions: the skins of the regions, as MJCF; None: those of the scene.
     """
     if regions is None:
         regions = regions_mjcf(scene.regions)
@@ -63,12 +63,12 @@ def world_mjcf(scene: Scene, settings: PhysicsSettings = SETTINGS, regions: str 
 
 
 class Structure(NamedTuple):
-    """What worlds have in common that differ in numbers only."""
+    """What two worlds must have in common so that their models differ in numbers only."""
 
     shapes: tuple[Shape, ...]
-    """Of the blocks."""
+    """The shape of each block."""
     dashes: tuple[int, ...]
-    """How many quads the model keeps for the border of each region."""
+    """The number of quads for the border of each region."""
 
 
 _GEOM: Final = ("name", "type", "size", "pos", "fromto", "meshname")
@@ -76,7 +76,7 @@ _GEOM: Final = ("name", "type", "size", "pos", "fromto", "meshname")
 
 
 def world_spec(structure: Structure) -> mujoco.MjSpec:
-    """A spec of the worlds of this structure, whose numbers are still to be written."""
+    """A spec of the worlds with this structure; `World.rewrite` writes the numbers into the compiled model."""
     spec = _unshaped(len(structure.shapes), structure.dashes).copy()
     find_class = cache(spec.find_default)
     for index, shape in enumerate(structure.shapes):
@@ -97,18 +97,18 @@ def world_spec(structure: Structure) -> mujoco.MjSpec:
 
 @lru_cache(16)
 def world_model(structure: Structure) -> mujoco.MjModel:
-    """The compiled model of the worlds of this structure (0.2 MB), shared: copy it before `World.rewrite`."""
+    """The compiled model of the worlds with this structure (0.2 MB). It is shared: copy it before `World.rewrite`."""
     return world_spec(structure).compile()
 
 
 @lru_cache(16)
 def _unshaped(blocks: int, dashes: tuple[int, ...]) -> mujoco.MjSpec:
-    """A spec with so many blocks, which touch nothing, and with regions of so many dashes."""
+    """A spec with this many blocks, without sides and collision geoms, and with regions of these numbers of dashes."""
     apart = tuple(Block("circle", "red", index, 0, 0) for index in range(blocks))
     spec = mujoco.MjSpec.from_string(world_mjcf(Scene(Robot(0, 0, 0), apart), regions=blank_regions_mjcf(dashes)))
     for index in range(blocks):
         block = spec.body(f"block{index}")
-        for geom in (block.geoms[SIDES], *block.first_body().geoms):  # and what collides
+        for geom in (block.geoms[SIDES], *block.first_body().geoms):  # sides and collision geoms
             spec.delete(geom)
     return spec
 
@@ -131,8 +131,8 @@ class World(composer.Entity):
     """The composer entity of one scene: arena, robot, blocks and goal regions in one MJCF model.
 
     The model is written as text, which is forty times faster than building composer's tree of elements, and is compiled
-    from a spec that parts of the text were parsed into. The tree is there for those who want it: it is parsed when
-    `mjcf_model` is first asked for, and from then on it is what is compiled, with whatever was added to it.
+    from a spec that was parsed from parts of this text. The tree is made only when `mjcf_model` is first read; from
+    then on the tree is compiled, with everything that users have added to it.
     """
 
     def _build(self, scene: Scene) -> None:
@@ -158,9 +158,9 @@ class World(composer.Entity):
         return world_mjcf(self.scene)
 
     def rewrite(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Turn the compiled model of a world of equal structure into that of this one.
+        """Turns the compiled model of a world with the same structure into the model of this world.
 
-        Compiling takes more than ten times as long. What the compiler derives from the numbers is derived anew.
+        Compiling takes more than ten times as long. Constants that the compiler derives are computed again.
         """
         rewrite_robot(model, self.scene.robot, self.scene.dynamics)
         for index, block in enumerate(self.scene.blocks):
@@ -190,7 +190,7 @@ class World(composer.Entity):
 
 
 class _NoObservables(composer.Observables):
-    """None, and composer need not build the tree to learn by what name it should call them."""
+    """An empty set of observables, for which composer need not build the tree of elements to find names."""
 
     def as_dict(self, fully_qualified: bool = True) -> OrderedDict[str, Any]:
         del fully_qualified

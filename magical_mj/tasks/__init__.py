@@ -1,7 +1,7 @@
-"""What the tasks are: a module each, readable without knowing the simulator.
+"""The tasks: one module for each, readable without knowing the simulator.
 
-A new task is a module with a page docstring, a demo scene, its rules, a score, a plan and a `TaskSpec`, and a line
-here; its variants, environments and ids follow. See docs/adding-a-task.md.
+A new task is a module with a docstring that explains it, a demo scene, its rules, a score, a plan and a `TaskSpec`, and
+one line here. Its variants, environments and ids follow from it. See docs/adding-a-task.md.
 """
 
 from __future__ import annotations

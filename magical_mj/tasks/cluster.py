@@ -5,8 +5,8 @@ Score
     blocks. A block is right if its squared distance to its own centroid is less than a third of that to
     the nearest other one. The score is 0 up to half the blocks right, then rises linearly to 1 when all are.
 
-    Under this rule doing nothing can score: the ClusterShape demo starts with 5 of 8 blocks right, a score
-    of 0.25 before anyone moves (ClusterColour: 4 of 8, a score of 0).
+    Under this rule doing nothing can score: in the ClusterShape demo, 5 of 8 blocks are right at the start,
+    which is a score of 0.25 (ClusterColour: 4 of 8, a score of 0).
 
 The released code's rule (rules="released")
     A block is right if d < D - 2 d^2, with d and D the plain distances to the own and to the nearest other
@@ -76,7 +76,7 @@ def _centroids(scene: Scene, attribute: Attribute) -> dict[str, tuple[float, flo
 
 
 def blocks_right(scene: Scene, attribute: Attribute, rules: Rules = "paper") -> int:
-    """The number of blocks that lie with their own kind: see the module's docstring."""
+    """The number of blocks that are near blocks with the same value of the attribute: see the module's docstring."""
     centroids = _centroids(scene, attribute)
     right = 0
     for block in scene.blocks:
@@ -91,13 +91,13 @@ def blocks_right(scene: Scene, attribute: Attribute, rules: Rules = "paper") -> 
 
 
 def score(final: Scene, attribute: Attribute, rules: Rules = "paper") -> float:
-    """The share of blocks that are right beyond the share that counts for nothing, scaled to [0, 1]."""
+    """The share of blocks that are right, above the share that scores 0, scaled to [0, 1]."""
     share = blocks_right(final, attribute, rules) / len(final.blocks)
     nothing = 0.75 if rules == "released" else 0.5
     return max(0.0, (share - nothing) / (1 - nothing))
 
 
 def plan(now: Scene, attribute: Attribute, noise: Noise) -> list[Subgoal]:
-    """Blocks go to their own kind, as few and as near as will do."""
+    """Blocks move to others with the same value of the attribute; the plan moves few blocks over short distances."""
     kinds = [getattr(block, attribute) for block in now.blocks]
     return each_to(cluster_targets([(block.x, block.y) for block in now.blocks], kinds, noise), tolerance=0.09)

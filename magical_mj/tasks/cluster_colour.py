@@ -1,11 +1,11 @@
 """ClusterColour: push the blocks into clusters, one for each colour.
 
 Goal
-    Every block lies with the blocks of its colour, apart from the others. Where is free; shapes do not matter.
+    Every block lies with the blocks of its colour, away from the others, anywhere. Shapes do not matter.
 
 What varies
-    Colour and Shape draw every block's anew, with at least one block of each colour (of each shape), in both
-    cluster tasks. CountPlus has 7 to 10 blocks (the demo has 8), with both guarantees.
+    Colour and Shape draw every block's colour or shape, with at least one block of each, in both cluster tasks.
+    CountPlus has 7 to 10 blocks (the demo has 8), also with at least one of each.
 
 Score
     By the share of blocks much nearer to their own colour's centroid than to any other: see

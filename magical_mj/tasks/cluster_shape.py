@@ -1,15 +1,15 @@
 """ClusterShape: push the blocks into clusters, one for each shape.
 
 Goal
-    Every block lies with the blocks of its shape, apart from the others. Where is free; colours do not matter.
+    Every block lies with the blocks of its shape, away from the others, anywhere. Colours do not matter.
 
 What varies
-    Colour and Shape draw every block's anew, with at least one block of each colour (of each shape), in both
-    cluster tasks. CountPlus has 7 to 10 blocks (the demo has 8), with both guarantees.
+    Colour and Shape draw every block's colour or shape, with at least one block of each, in both cluster tasks.
+    CountPlus has 7 to 10 blocks (the demo has 8), also with at least one of each.
 
 Score
     By the share of blocks much nearer to their own shape's centroid than to any other: see
-    `magical_mj.tasks.cluster`. Beware: by the paper's rule the demo scores 0.25 before anyone moves.
+    `magical_mj.tasks.cluster`. Note that by the paper's rule the demo scene itself scores 0.25.
 
 Differences from the original
     The released code has its own rule, ramp and horizon (rules="released"), described there too.

@@ -5,9 +5,9 @@ Goal
     it there, the query stays, and no other block comes in.
 
 What varies
-    Colour and Shape draw the query's anew, the guaranteed duplicate takes them, and the distractor slots
-    draw theirs independently: one that happens to match both is a further duplicate. The region takes the
-    query's colour when colours are drawn. CountPlus has 1 to 5 distractor slots (the demo has 5), so 3 to 7
+    Colour and Shape draw the query's colour or shape, which the guaranteed duplicate copies. Those of the
+    distractors are drawn independently: one that happens to match both is another duplicate. When colours
+    are drawn, the region gets the query's colour. CountPlus has 1 to 5 distractors (the demo has 5), so 3 to 7
     blocks. All blocks but the query start outside the region; the query starts with its centre inside.
 
 Score

@@ -2,7 +2,7 @@
 
 Goal
     Each goal region starts with one block in it, and exactly one block, the mismatched one, differs in
-    colour from its region. In the end it lies in no region, and every other block is where it belongs.
+    colour from its region. The goal is reached when it lies in no region and every other block is in its own.
 
 What varies
     Colour draws every region's colour independently, repeats allowed; the blocks copy it, except for one,
@@ -86,7 +86,8 @@ def check(scene: Scene) -> None:
 def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     """1.0 if the mismatched block has left its region and each other region has just its own block, else 0.0.
 
-    Which block is whose, and which is mismatched, is read from the initial scene. The same under both rules.
+    The initial scene determines which block belongs to which region, and which one is mismatched. The same under
+    both rules.
     """
     homes = _homes(initial)
     (odd,) = _mismatched(initial, homes)

@@ -4,7 +4,7 @@ Goal
     All blocks lie along one straight line without large gaps. Colours and shapes do not matter.
 
 What varies
-    Colour and Shape draw every block's anew. CountPlus has 3 or 4 blocks (the demo has 4).
+    Colour and Shape draw every block's colour or shape. CountPlus has 3 or 4 blocks (the demo has 4).
 
 Score
     For every pair of blocks take the straight line through both. Its inliers are the blocks within 0.18 of

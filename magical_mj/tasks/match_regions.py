@@ -91,7 +91,7 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
-    """Targets go into the region, distractors in it go out, each to a place that is still free then."""
+    """Targets move into the region, distractors out of it, each to a place that is free at that time."""
     (region,) = now.regions
     todo: list[Subgoal] = []
     scene = now

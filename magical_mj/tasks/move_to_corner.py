@@ -53,7 +53,7 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
-    """The block goes to the nearest place that is surely near enough to the corner."""
+    """The block moves to the nearest place that is near enough to the corner, with some margin."""
     near = FULL_SCORE_DISTANCE - 2 * TOLERANCE
     places = [place for place in places_anywhere() if math.dist(place, CORNER) < near]
     return [bring(now, 0, places, noise)]

@@ -18,8 +18,8 @@ _T = TypeVar("_T")
 def whole(rng: np.random.Generator, low: int, high: int) -> int:
     """A uniform integer from `low` to `high`, both included.
 
-    It is made from `Generator.random`, the plainest of numpy's draws: the scenes of a seed must stay the
-    same for years, and numpy promises less for the rest.
+    It uses `Generator.random` only: the scenes of a seed must stay the same for years, and numpy may change
+    the algorithms of its other draws.
     """
     return low + int((high - low + 1) * rng.random())
 
@@ -73,7 +73,7 @@ def require(condition: bool, task: str, need: str) -> None:
     Args:
         condition: what must be true of a scene of the task.
         task: the task's name.
-        need: what the task needs and what was found instead, to go after "...: it needs".
+        need: what the task needs and what was found instead; the message continues "... it needs" with it.
     """
     if not condition:
         raise InvalidSceneError(f"this is not a scene of {task}: it needs {need}")

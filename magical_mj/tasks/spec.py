@@ -1,4 +1,4 @@
-"""What a task is, as data: the type that every task module fills in and that variants read."""
+"""The definition of a task as data: `TaskSpec`, which every task module makes and which variants read."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from magical_mj.planning import Noise, Subgoal
 from magical_mj.scene import Scene
 
 Rules = Literal["paper", "released"]
-"""Whose scores: those of the paper's appendix, or those of the original's released code where it differs."""
+"""Which scores and horizons: those of the paper's appendix, or of the original's released code where it differs."""
 RULES: Final[tuple[Rules, ...]] = get_args(Rules)
 
 Plan = Callable[[Scene, Scene, Noise], Iterable[Subgoal]]
-"""Initial scene, present scene, noise -> what is still to be done, if the task is not solved. An expert asks again
-whenever a block is not where it was expected. The noise says which of several good plans it is."""
+"""(initial scene, present scene, noise) -> the remaining subgoals; called only if the task is not solved. An expert
+calls it again whenever a block is not where it was expected. The noise selects one of several good plans."""
 
 ScoreFunction = Callable[[Scene, Scene, Rules], float]
-"""Initial scene, final scene, rules -> score in [0, 1]. Both must be scenes of the task with the same things in."""
+"""(initial scene, final scene, rules) -> score in [0, 1]. Both scenes have the same blocks and regions."""
 
 AxisRule = Callable[[np.random.Generator, Scene], Scene]
-"""Draws one attribute of a scene anew: its colours, its shapes or its counts.
+"""Draws one attribute of a scene: its colours, its shapes or its counts.
 
-A rule keeps the task's rules (`TaskSpec.check`) and leaves poses alone; blocks that a count rule adds may lie
-anywhere, for they are placed afterwards. Only a block that belongs in a goal region must be in it.
+The result must be a scene of the task (`TaskSpec.check`) with unchanged poses. Blocks that a count rule adds may have
+any pose, since they are placed afterwards; but a block that belongs in a goal region must be in it.
 """
 
 
@@ -37,7 +37,7 @@ anywhere, for they are placed afterwards. Only a block that belongs in a goal re
 class TaskSpec:
     """One task: its demo scene, its score, and what its variants may change.
 
-    A task supports the variation axes colour, shape and count exactly if it gives the rule for it.
+    A task supports each of the axes colour, shape and count if it has a rule for it.
     """
 
     name: str
@@ -56,9 +56,9 @@ class TaskSpec:
     """Raises `InvalidSceneError` unless the scene is one in which this task can start."""
 
     plan: Plan | None = None
-    """How an expert goes about it. Without one everything but the expert works."""
+    """The plan of the scripted expert. Without one, everything except the expert works."""
     demonstrations: Path | None = None
-    """The folder of the demonstrations that come with a task of another package; learners learn from them."""
+    """The folder of the demonstrations that another package ships for its task; learners are trained on them."""
 
     colour: AxisRule | None = None
     shape: AxisRule | None = None
@@ -68,11 +68,11 @@ class TaskSpec:
     region_size: tuple[float, float] = (0.0, 0.0)
     """Least and greatest height and width of the goal regions, in world units."""
     inner_margin: float = 0.0
-    """How far, in world units, a layout keeps the centre of a block that belongs in a region from the sides
-    of the largest square around the region's centre."""
+    """For a block that belongs in a region: the least distance (world units) that a layout keeps between its
+    centre and the sides of the largest square around the region's centre."""
 
     def __post_init__(self) -> None:
-        """Raises `TaskError` for what is no task of any kind."""
+        """Checks the types and ranges of all fields; raises `TaskError`."""
         if not (isinstance(self.name, str) and self.name.isascii() and self.name.isalnum()):
             raise TaskError(f"the name of a task must be made of letters and digits, not {shown(self.name)}")
         if not isinstance(self.demo, Scene):
@@ -97,7 +97,7 @@ class TaskSpec:
         return self.steps
 
     def subgoals(self, initial: Scene, now: Scene, noise: Noise) -> tuple[Subgoal, ...]:
-        """What is still to be done; nothing if the task is solved.
+        """The remaining subgoals; none if the task is solved.
 
         Raises:
             TaskError: if the task has no plan.

@@ -1,4 +1,4 @@
-"""Variants: a scene in, a scene out. Which axes each one draws anew, and how."""
+"""Variants: functions from the demo scene to a varied scene. Which axes each variant draws, and how."""
 
 from magical_mj.variants.axes import AXES, VARIANTS, Axis, supported_axes, variants_of, varied_axes
 from magical_mj.variants.vary import check_seed, vary

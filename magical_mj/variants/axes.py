@@ -1,4 +1,4 @@
-"""The variants as rows of axes, and which of them a task has."""
+"""The variants as sets of axes, and which variants a task has."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from magical_mj.tasks.spec import TaskSpec
 
 Axis = Literal["jitter", "layout", "colour", "shape", "count", "dynamics"]
 AXES: Final[tuple[Axis, ...]] = get_args(Axis)
-"""The place in this row decides which random numbers an axis draws: append, never insert or reorder."""
+"""An axis's index in this tuple selects its random generator: append new ones, never insert or reorder."""
 
 VARIANTS: Final[Mapping[str, tuple[Axis, ...]]] = MappingProxyType(
     {
@@ -22,14 +22,14 @@ VARIANTS: Final[Mapping[str, tuple[Axis, ...]]] = MappingProxyType(
         "Shape": ("shape",),
         "CountPlus": ("layout", "colour", "shape", "count"),
         "Dynamics": ("dynamics",),
-        "All": ("jitter", "layout", "colour", "shape", "count", "dynamics"),  # the paper's: stays when AXES grow
+        "All": ("jitter", "layout", "colour", "shape", "count", "dynamics"),  # fixed, even if AXES grows
     }
 )
-"""What each variant draws anew. Of All, a task leaves out what it does not support, and jitter if it has a layout."""
+"""The axes of each variant. In All, a task leaves out axes that it does not support, and jitter if it has layout."""
 
 
 def supported_axes(spec: TaskSpec) -> tuple[Axis, ...]:
-    """What can vary in a task: small shifts and dynamics always, the rest as its spec says."""
+    """The axes that a task supports: always jitter and dynamics, the others as its spec says."""
     offered: dict[Axis, bool] = {
         "jitter": True,
         "layout": spec.layout,
@@ -42,13 +42,13 @@ def supported_axes(spec: TaskSpec) -> tuple[Axis, ...]:
 
 
 def variants_of(spec: TaskSpec) -> tuple[str, ...]:
-    """The variants that a task has: All, and each whose axes the task supports."""
+    """The variants of a task: All, and those whose axes the task supports."""
     supported = set(supported_axes(spec))
     return tuple(name for name, axes in VARIANTS.items() if name == "All" or supported.issuperset(axes))
 
 
 def varied_axes(spec: TaskSpec, variant: str) -> tuple[Axis, ...]:
-    """What `variant` draws anew in this task.
+    """The axes that `variant` varies in this task.
 
     Raises:
         UnknownNameError: if there is no such variant, or this task does not have it.

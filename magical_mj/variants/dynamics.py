@@ -1,4 +1,4 @@
-"""The dynamics axis: other force caps for the robot's motors and the blocks' friction with the ground."""
+"""The dynamics axis: random force caps for the robot's motors and for the blocks' friction with the ground."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ RANGES: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
         "block_friction_torque": (0.07, 0.15),
     }
 )
-"""Force or torque cap -> the range of its independent uniform draw, as in the original's released code."""
+"""Force or torque cap -> the range from which it is drawn, independently and uniformly, as in the released code."""
 
 
 def draw_dynamics(rng: np.random.Generator) -> Dynamics:
-    """Five independent uniform draws; all blocks share the block values."""
+    """Five independent uniform draws; the values for blocks hold for all blocks."""
     return Dynamics(**{name: low + (high - low) * rng.random() for name, (low, high) in RANGES.items()})

@@ -2,9 +2,9 @@
 
 Things are placed one after the other: the goal regions, the robot with its open fingers, the blocks that
 start outside the regions, and last the blocks that belong in one. A draw is rejected if it touches a wall
-or anything placed before. For the robot and the outer blocks every region is an obstacle; a block that
-belongs in a region avoids the other regions, keeps its centre in its own, and may stick out of that.
-So poses are uniform, given what was placed before, as in the original.
+or anything placed before. For the robot and the outer blocks every region is an obstacle. A block that
+belongs in a region avoids the other regions, has its centre in its own, and may stick out of it.
+So each pose is uniform given those placed before, as in the original.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from magical_mj.scene import Block, GoalRegion, Pose, Robot, Scene
 from magical_mj.tasks.spec import TaskSpec
 
 MAX_TRIES: Final = 10_000
-"""Draws for one thing, before everything is placed anew."""
+"""The number of draws for one thing before placement starts over."""
 MAX_ROUNDS: Final = 11
-"""How often everything is placed anew, before giving up."""
+"""How often placement starts over before it gives up."""
 
 
 class Box(NamedTuple):
@@ -47,11 +47,11 @@ WORKSPACE: Final = Box(
 )
 
 Boxes = Callable[[Pose, GoalRegion | None], Box]
-"""Where a thing was, and the region it belongs in (already placed) or None -> where its pose is drawn from."""
+"""From a thing's old pose and the region it belongs in (already placed; or None) to the box its pose is drawn from."""
 
 
 def jitter(spec: TaskSpec, scene: Scene, rng: np.random.Generator) -> Scene:
-    """The scene with everything moved, turned and resized a little, each around what it was.
+    """The scene with small random changes of all poses and of the regions' sizes.
 
     Raises:
         PlacementError: if no legal placement was found.
@@ -67,7 +67,7 @@ def jitter(spec: TaskSpec, scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 def layout(spec: TaskSpec, scene: Scene, rng: np.random.Generator) -> Scene:
-    """The scene with everything placed anew in the whole workspace, and the regions' sizes drawn anew.
+    """The scene with new poses in the whole workspace and new sizes of the regions.
 
     Raises:
         PlacementError: if no legal placement was found.
@@ -87,7 +87,7 @@ def layout(spec: TaskSpec, scene: Scene, rng: np.random.Generator) -> Scene:
 
 
 def fits(scene: Scene) -> bool:
-    """Whether everything stands where placement would let it: inside the walls, touching nothing that it avoids."""
+    """Whether placement would accept all poses: inside the walls, and touching nothing that must be avoided."""
     areas = [region_solid(region) for region in scene.regions]
     bodies = [_solid(thing, thing.pose) for thing in (scene.robot, *scene.blocks)]
     homes = [None, *(_home(block, scene.regions) for block in scene.blocks)]
@@ -103,7 +103,7 @@ def _between(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def _around(pose: Pose, home: GoalRegion | None) -> Box:
-    """The poses a little off `pose`, with the centre in the home region if there is one."""
+    """The poses close to `pose`, with the centre in the home region if there is one."""
     (x, y, angle), step, turn = pose, c.JITTER_POSITION, c.JITTER_ANGLE
     xs, ys = (x - step, x + step), (y - step, y + step)
     if home is not None:
@@ -113,7 +113,7 @@ def _around(pose: Pose, home: GoalRegion | None) -> Box:
 
 
 class _NoRoomError(Exception):
-    """One thing found no place; the argument is its name."""
+    """No legal pose was found for one thing; the argument is its name."""
 
 
 def _place(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: np.random.Generator) -> Scene:
@@ -126,12 +126,12 @@ def _place(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: np.ra
             stuck = error
     raise PlacementError(
         f"found no room for {stuck} among {len(scene.blocks)} blocks and {len(regions)} goal regions, after placing "
-        f"everything anew {MAX_ROUNDS} times. Use fewer blocks, fewer or smaller regions, or another seed"
+        f"everything {MAX_ROUNDS} times. Use fewer blocks, fewer or smaller regions, or another seed"
     )
 
 
 def _place_once(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: np.random.Generator) -> Scene:
-    """One round of `_place`; raises `_NoRoomError` if something finds no place."""
+    """One round of `_place`; raises `_NoRoomError` if no legal pose is found for something."""
     areas: list[Solid] = []
     placed_regions: list[GoalRegion] = []
     for region in regions:
@@ -166,7 +166,7 @@ def _at(region: GoalRegion, pose: Pose) -> GoalRegion:
 
 
 def _solid(thing: Robot | Block | GoalRegion, pose: Pose) -> Solid:
-    """What the thing would cover at `pose`."""
+    """The area that the thing would cover at `pose`."""
     if isinstance(thing, Robot):
         return robot_solid(pose, thing.fingers)
     if isinstance(thing, Block):
@@ -177,15 +177,15 @@ def _solid(thing: Robot | Block | GoalRegion, pose: Pose) -> Solid:
 def _find(
     thing: Robot | Block | GoalRegion, box: Box, obstacles: Sequence[Solid], rng: np.random.Generator
 ) -> tuple[Pose, Solid]:
-    """The first draw from the box at which the thing touches nothing, and what it covers there.
+    """The first pose drawn from the box at which the thing touches nothing, and the area it covers there.
 
     Raises:
-        _NoRoomError: if there is none among many draws.
+        _NoRoomError: if there is none among `MAX_TRIES` draws.
     """
     for _ in range(MAX_TRIES):
         pose = box.draw(rng)
         if isinstance(thing, Robot) and max(abs(pose[0]), abs(pose[1])) + c.ROBOT_RADIUS > c.ARENA_HALF_WIDTH:
-            continue  # the disc alone shows it, without the outlines of the fingers
+            continue  # already the disc touches; the fingers' outlines need not be computed
         solid = _solid(thing, pose)
         if inside_walls(solid) and not any(touch(solid, other) for other in obstacles):
             return pose, solid

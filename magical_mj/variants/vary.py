@@ -22,8 +22,8 @@ MAX_SHAPE_DRAWS: Final = 1_000
 def vary(spec: TaskSpec, variant: str, seed: int) -> Scene:
     """The scene in which `variant` of the task starts, for a seed of any size.
 
-    Each axis draws from a random generator of its own, so that a draw added to one never moves another.
-    Counts come first, since the other axes draw for what there is, and poses last.
+    Each axis has its own random generator, so that adding a draw to one axis never changes another.
+    Counts are drawn first, since the other axes depend on them, and poses last.
 
     Raises:
         UnknownNameError: if the task has no such variant.
@@ -52,10 +52,10 @@ def vary(spec: TaskSpec, variant: str, seed: int) -> Scene:
 
 
 def _fitting_shapes(rule: AxisRule, rng: np.random.Generator, scene: Scene) -> Scene:
-    """The scene with shapes drawn by the rule, again and again until all fit where the blocks stand.
+    """The scene with shapes drawn by the rule, repeatedly until all fit at the blocks' poses.
 
-    Where poses stay as in the demo, some shapes would overlap a neighbour or a wall: in ClusterColour two
-    stars next to each other do. So the shapes are uniform over those that fit.
+    If poses stay as in the demo, some shapes would overlap a neighbour or a wall: in ClusterColour, two
+    stars side by side do. So the shapes are uniform over those that fit.
     """
     for _ in range(MAX_SHAPE_DRAWS):
         drawn = rule(rng, scene)
@@ -78,14 +78,14 @@ def check_seed(seed: Any) -> int:
     except TypeError:
         number = -1
     if number < 0:
-        raise InvalidSeedError(f"{seed!r} is not a seed: seeds are the integers from 0 up, of any size")
+        raise InvalidSeedError(f"{seed!r} is not a seed: seeds are integers from 0, of any size")
     return number
 
 
 def _generator(task: str, axis: Axis, seed: int) -> np.random.Generator:
-    """The generator of one axis of one task: scenes of other tasks with the same seed share nothing with it.
+    """The random generator of one axis of one task; it is independent of those of other axes and tasks.
 
-    The bit generator is named, for `default_rng` may choose another one in a later numpy.
+    The bit generator is named explicitly, since later versions of numpy may change that of `default_rng`.
     """
     child = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(task.encode()), AXES.index(axis)))
     return np.random.Generator(np.random.PCG64(child))
