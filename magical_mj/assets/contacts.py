@@ -30,7 +30,7 @@ FOOT_RADIUS, FOOT_DEPTH = 0.02, 0.01
 
 @dataclass(frozen=True)
 class PhysicsSettings:
-    """The parameters that the original does not determine: stiffness, rounding, softness. Fitted by `research/fit_physics.py`."""
+    """Parameters that the original does not determine: stiffness, rounding, softness; see `research/fit_physics.py`."""
 
     contact_impedance: float = 0.9973
     """Share of the relative velocity that a contact removes; below 1 it gives way a little."""

@@ -130,9 +130,7 @@ def _corners(region: GoalRegion, index: int, count: int) -> NDArray[np.float32]:
     else:
         flat = dash_quads(region).reshape(-1, 2)
         if len(flat) > 4 * count:
-            raise ValueError(
-                f"{region} needs {len(flat) // 4} dashes; this model has {count}, so it must be compiled again"
-            )
+            raise ValueError(f"{region} needs {len(flat) // 4} dashes; this model has {count}, so compile it again")
         z += style.BORDER_ABOVE_FILL
     corners = np.empty((4 * count, 3), np.float32)
     corners[: len(flat), :2], corners[len(flat) :, :2], corners[:, 2] = flat, flat[-1], z

@@ -94,7 +94,7 @@ def _spinner(name: str, axis: str, geom: str = "") -> str:
 
 
 def _face() -> str:
-    """The visual geoms of body and eyes. They are listed, and so drawn, after the fingers, whose roots the disc covers."""
+    """The visual geoms of body and eyes. They are drawn after the fingers, whose roots the disc covers."""
     return (
         style.visual_geom("robot_outline", "robot_outline", style.DARK_GREY)
         + style.visual_geom("robot_fill", "robot_fill", style.GREY)
