@@ -1,4 +1,4 @@
-"""The agents that need no training, in one table for everything that plays them."""
+"""The built-in agents, which need no training."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class RandomAgent:
 
 
 class ExpertAgent:
-    """The scripted demonstrator, which looks at the state of the simulation; the run's number is its seed."""
+    """The scripted expert, which uses the state of the simulation; its seed is the number of the run."""
 
     blind = True
 
@@ -62,4 +62,4 @@ class ExpertAgent:
 AGENTS: Final[Mapping[str, type[Policy]]] = MappingProxyType(
     {"expert": ExpertAgent, "random": RandomAgent, "noop": NoopAgent}
 )
-"""By the names that they are asked for with."""
+"""The agents by name."""

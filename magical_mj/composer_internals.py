@@ -1,6 +1,6 @@
-"""All that this package uses of dm_control's private names, with the reason for each; no other module touches any.
+"""All uses of dm_control's private names, with the reason for each; no other module of this package uses any.
 
-dm_control may change them without a word: `pyproject.toml` caps its version, and a test names the one that is gone.
+dm_control may change them without notice: `pyproject.toml` caps its version, and a test names those that are missing.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from dm_control.mujoco import engine, index, wrapper
 
 
 class UnindexedPhysics(mjcf.Physics):
-    """Composer's physics, whose arrays are indexed by name when somebody first asks for that."""
+    """Composer's physics, but its index of names is built only when it is first used."""
 
     def _reload_from_data(self, data: wrapper.MjData) -> None:
-        """As dm_control's, which indexes every array by name here: that takes as long as compiling the model."""
-        self._data = data  # behind the properties `data` and `model`
+        """As dm_control's, without indexing all arrays by name, which takes as long as compiling the model."""
+        self._data = data  # read by the properties `data` and `model`
         self.warning_counts = data.warning.number
-        self._warnings = self.warning_counts  # with the next two: what `check_invalid_state` compares
+        self._warnings = self.warning_counts  # this and the next two are compared by `check_invalid_state`
         self._warnings_before = np.empty_like(self._warnings)
         self._new_warnings = np.empty(len(self._warnings), bool)
-        self._bindings = {(): _EMPTY_BINDING}  # what `bind` has bound; that of nothing is there from the start
+        self._bindings = {(): _EMPTY_BINDING}  # the cache of `bind`; dm_control starts it with the empty binding
         self._named = None
-        if self._contexts:  # what `render` drew another model with
+        if self._contexts:  # with which `render` drew another model
             self._free_rendering_contexts()
         self.after_reset()
 
@@ -42,26 +42,26 @@ class UnindexedPhysics(mjcf.Physics):
 
 
 class OpenEnvironment(composer.Environment):
-    """Composer's environment, with names for the places where ours differs."""
+    """Composer's environment with public methods in the places where ours differs from it."""
 
     extra_hooks: frozenset[str] = frozenset()
-    """The names of the moments at which users have functions of their own called."""
+    """The names of the hooks to which users have added functions."""
 
     def simulate(self) -> mjcf.Physics:
-        """The simulation of the task's present world; the one before is not used any more."""
+        """The simulation of the task's present world; the previous one is not used any more."""
         raise NotImplementedError
 
     def make_updater(self) -> Any:
-        """What keeps the observations up to date: composer's own updater, or something with its methods."""
+        """The object that updates the observations: composer's own updater, or one with the same methods."""
         return super()._make_observation_updater()
 
     def add_extra_hook(self, hook_name: str, hook_callable: Callable[..., Any]) -> None:
-        """Has `hook_callable` called at the moment of this name, as composer does, which hides what it calls."""
+        """Adds a function to a hook, as composer does, and remembers the hook's name, which composer hides."""
         super().add_extra_hook(hook_name, hook_callable)
         self.extra_hooks |= {hook_name}
 
     def user_hooks(self) -> frozenset[str]:
-        """The same with the hooks of entities that users have attached."""
+        """`extra_hooks`, and the hooks that attached entities implement."""
         entities = self.task.root_entity.iter_entities()
         return self.extra_hooks | {
             name
@@ -71,12 +71,12 @@ class OpenEnvironment(composer.Environment):
         }
 
     def recompile(self) -> None:
-        """Has the simulation of another world made and observed: composer does this only in the midst of a reset."""
+        """Makes the simulation of the task's new world and observes it. Composer does this only during a reset."""
         self._recompile_physics_and_update_observables()
 
     @property
     def over(self) -> bool:
-        """Whether the next step starts an episode. Composer's own steps and resets read and write it too."""
+        """Whether the next step starts an episode. Composer's `step` and `reset` read and write it too."""
         return self._reset_next_step
 
     @over.setter
@@ -84,13 +84,13 @@ class OpenEnvironment(composer.Environment):
         self._reset_next_step = over
 
     def close(self) -> None:
-        """Frees nothing: who made the simulation frees it."""
+        """Frees nothing: the subclass owns the simulation and frees it."""
         self._physics = None
 
     def _recompile_physics(self) -> None:
-        """Composer's own builds and compiles the tree of elements, which takes a hundred times as long."""
+        """Calls `simulate`. Composer's own method builds and compiles the tree of elements, a hundred times slower."""
         self._physics = self.simulate()
 
     def _make_observation_updater(self) -> Any:
-        """Composer's own updater draws every picture twice in a reset, and plans every observable at every step."""
+        """Calls `make_updater`. Composer's updater draws pictures twice per reset and schedules every observable."""
         return self.make_updater()

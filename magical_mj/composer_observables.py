@@ -1,4 +1,4 @@
-"""How composer's environment observes: each observable as it is now, and only when somebody looks."""
+"""Observables for composer's environment that are computed from the present state, and only when they are needed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from magical_mj.simulation import Simulation
 
 
 class CurrentObservable(observable.Generic):
-    """An observable that knows its spec, so that asking for the spec draws nothing. Enabled from the start."""
+    """An observable with a known spec, so that reading the spec draws nothing. It is enabled by default."""
 
     def __init__(self, function: Callable[[Simulation], Any], spec: specs.Array) -> None:
         super().__init__(function)
@@ -29,7 +29,7 @@ class CurrentObservable(observable.Generic):
 
     @property
     def is_immediate(self) -> bool:
-        """Whether it is seen as it is now, once per control step."""
+        """Whether it is observed once per control step, without delay, buffer or aggregation."""
         timing = (self.update_interval, self.buffer_size, self.delay)
         return timing == (1, None, None) and self.aggregator is None
 
@@ -41,15 +41,15 @@ def picture(view: str, size: int) -> CurrentObservable:
 
 
 def state(function: Callable[[Simulation], Any]) -> CurrentObservable:
-    """The state vector, which `function` computes."""
+    """The state vector that `function` computes."""
     return CurrentObservable(function, specs.Array((len(STATE_NAMES),), np.float32, "state"))
 
 
 class CurrentUpdater:
-    """In place of composer's updater, for observables that are seen as they are now, once per control step.
+    """Replaces composer's updater if all observables are immediate: observed once per control step, without delay.
 
     Args:
-        observables: by name, all of them enabled.
+        observables: the enabled observables by name.
     """
 
     def __init__(self, observables: Mapping[str, CurrentObservable]) -> None:
@@ -57,16 +57,16 @@ class CurrentUpdater:
         self._see: list[tuple[str, Callable[[], Any]]] = []
 
     def reset(self, physics: Simulation, random_state: np.random.RandomState) -> None:
-        """From now on observes this simulation."""
+        """Observes this simulation from now on."""
         self._see = [
             (name, entry.observation_callable(physics, random_state)) for name, entry in self._observables.items()
         ]
 
     def prepare_for_next_control_step(self) -> None:
-        """Nothing: there is nothing to plan."""
+        """Does nothing: there is no schedule."""
 
     def update(self) -> None:
-        """Nothing: there is nothing to keep."""
+        """Does nothing: there are no buffers."""
 
     def get_observation(self) -> OrderedDict[str, Any]:
         """The present observation."""

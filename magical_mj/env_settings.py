@@ -1,4 +1,4 @@
-"""The settings of an environment: what `load` was given, checked, and what follows from it for its episodes."""
+"""The settings of an environment: the checked arguments of `load`, and what they determine for its episodes."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ REWARDS: Final[tuple[Reward, ...]] = get_args(Reward)
 
 @dataclass(frozen=True)
 class EnvironmentSettings:
-    """What an environment runs and shows; see `magical_mj.load` for what each setting means and which errors it raises.
+    """The checked arguments of `magical_mj.load`, which documents them and the errors that invalid ones raise.
 
     Attributes:
-        task: None to run `scene` without a task: no score and no horizon.
-        scene: of every episode; None to sample those of the task's variant.
+        task: None to run `scene` without a task, so without score and horizon.
+        scene: the scene of every episode; None to sample scenes of the task's variant.
     """
 
     task: str | None
@@ -47,7 +47,7 @@ class EnvironmentSettings:
             self.check(self.scene)
 
     def check(self, scene: Scene) -> None:
-        """Raise `InvalidSceneError` unless an episode can start in `scene`."""
+        """Raises `InvalidSceneError` unless an episode can start in `scene`."""
         check_scene_type(scene)
         check_scene(scene)
         if "state" in self.observations:

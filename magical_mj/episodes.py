@@ -1,4 +1,4 @@
-"""Episodes: what a policy is told about one, the loop that plays one, and how its actions are written down."""
+"""Episodes: the information that policies get, the loop that plays an episode, and the storage of its actions."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
 Action = TypeVar("Action")
 
 LETTERS: Final = "abcdefghijklmnopqr"
-"""One for each of the 18 actions: the actions of an episode are kept as a word."""
+"""One letter for each of the 18 actions: the actions of an episode are stored as a string."""
 
 
 @dataclass(frozen=True)
 class Episode:
-    """What a policy is told about the episode that begins.
+    """The information that a policy gets at the start of an episode.
 
     Attributes:
         task: the task's name.
         variant: the variant's name.
-        seed: of the scene: the episode starts in `sample_scene(task, variant, seed)`.
-        run: which of several runs of a method this policy is.
-        env: the simulation itself, for policies that say `blind = True`; None for all others.
+        seed: the scene's seed: the episode starts in `sample_scene(task, variant, seed)`.
+        run: the number of the policy among several runs of a method.
+        env: the environment itself, for policies with `blind = True`; None for all others.
     """
 
     task: str
@@ -38,32 +38,33 @@ class Episode:
     env: Environment | None = None
 
     def rng(self) -> np.random.Generator:
-        """A generator for the policy's own draws: the same wherever and whenever this episode is played."""
+        """A random generator for the policy; it depends only on the fields of this episode."""
         return np.random.default_rng([self.run, self.seed, zlib.crc32(f"{self.task}-{self.variant}".encode())])
 
 
 class Policy(Protocol):
-    """An agent. A plain function from observation to action will do as well.
+    """An agent. A plain function from observation to action is accepted too.
 
-    A class attribute `blind = True` says that the policy looks at no observations: none are made, which is much
-    faster, and `reset` gets the simulation instead. Attributes `preset`, `tasks` and `observation_space` say which
-    observations it was trained on and in which tasks it can act; others are then refused before anything is played.
+    A class attribute `blind = True` means that the policy does not use observations: none are made, which is much
+    faster, and `reset` gets the environment instead. Attributes `preset`, `tasks` and `observation_space` say which
+    observations it was trained on and in which tasks it can act; evaluations of anything else raise an error.
     """
 
     def reset(self, episode: Episode) -> None:
-        """Called before each episode. Nothing may be carried over from one to the next."""
+        """Called before each episode. No state may be carried over from one episode to the next."""
 
     def __call__(self, observation: Any) -> Any:
         """The action, an integer in 0..17, for an observation of the preset."""
 
 
 def play(env: Any, actions: Iterable[Action]) -> Iterator[tuple[Action, Any]]:
-    """Takes actions in an episode that has begun, until it ends or there are no more of them.
+    """Takes actions in an episode that has begun, until the episode or the actions end.
 
     Args:
-        env: what has the `step` of dm_env or of Gymnasium. In a vector environment, the episodes end together.
-        actions: to be taken. They may be thought of one by one, for each is asked for only when the last step and
-            what the caller does with it are done.
+        env: an environment with the `step` of dm_env or of Gymnasium. In a vector environment, all episodes must end
+            together.
+        actions: the actions. They may come from a generator, since each is requested only after the step before it
+            was yielded and handled.
 
     Yields:
         Each action, and what the environment's step returned.
@@ -76,7 +77,7 @@ def play(env: Any, actions: Iterable[Action]) -> Iterator[tuple[Action, Any]]:
 
 
 def forever(act: Callable[[], Action]) -> Iterator[Action]:
-    """One action after another, for `play`."""
+    """An endless iterator of the results of `act`, for `play`."""
     while True:
         yield act()
 
@@ -89,14 +90,14 @@ def _ended(result: Any) -> bool:
 
 
 def begin(policy: Callable[[Any], Any], episode: Episode) -> None:
-    """Tells the policy, if it wants to know, that an episode begins."""
+    """Calls the policy's `reset`, if it has one."""
     reset = getattr(policy, "reset", None)
     if reset is not None:
         reset(episode)
 
 
 def is_blind(policy: object) -> bool:
-    """Whether the policy looks at no observations."""
+    """Whether the policy uses no observations."""
     return bool(getattr(policy, "blind", False))
 
 
@@ -106,5 +107,5 @@ def word_of(actions: Iterable[int]) -> str:
 
 
 def actions_of(word: str) -> list[int]:
-    """The actions of an episode that was kept as a word."""
+    """The actions of a string that `word_of` made."""
     return [LETTERS.index(letter) for letter in word]

@@ -1,7 +1,7 @@
 """Scenes and running environments as MJCF files that plain MuJoCo loads, and that people can read.
 
-Such a file is all that a program needs to show, play and score an episode: besides the model it holds, under
-`<custom>`, the scene, the task, the horizon and what each of the 18 actions writes into `ctrl`.
+A program needs only such a file to show, play and score an episode: besides the model it holds, under `<custom>`, the
+scene, the task, the horizon and the values of `ctrl` for each of the 18 actions.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from magical_mj.scene import Scene
 HEADER: Final = """<!--
   {what}, as a MuJoCo model. Written by magical-mj {version}.
 
-  Look at it:  python -m mujoco.viewer -mjcf=FILE
+  View it:     python -m mujoco.viewer -mjcf=FILE
   Play it:     start in keyframe "now"; for each action, write its row of the numeric "controls" into ctrl, and call
                mj_step as often as the numeric "substeps" says.
 
@@ -41,20 +41,20 @@ ABOUT: Final = """For programs. "scene": at the start of the episode. "controls"
     9 * gripper (0 open, 1 close) + 3 * turn (0 none, 1 left, 2 right) + drive (0 none, 1 forwards, 2 backwards)"""
 NUMERIC: Final = ("protocol", "substeps", "horizon")
 THINGS: Final = re.compile(r'(?<=[\[,])(?=\{|"(?:robot|blocks|regions|dynamics)")')
-"""Where the JSON of a scene is broken into lines, one for each thing."""
+"""The places where the JSON of a scene is broken into lines, one for each thing."""
 BLOCK_PARTS: Final = ("outline", "fill", "sides")
 SENSORS: Final = "For plots: where everything is and how fast, in world coordinates"
 
 
 def export_mjcf(source: Scene | Environment, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
-    """Writes a self-contained MJCF model: solid things, their dynamics, all cameras, sensors and a keyframe.
+    """Writes a self-contained MJCF model: geometry, dynamics, all cameras, sensors and a keyframe.
 
-    The reference pose of the model is the scene (of an environment: the one its episode started in), and the
-    keyframe "now" its present state, velocities included. From the start of an episode on, the model moves as the
-    environment does, to the bit, if played as the file's header says; from later states it does but for last digits.
+    The reference pose of the model is the scene (for an environment: the one in which its episode started), and the
+    keyframe "now" is the present state with velocities. From the start of an episode, the model moves exactly as the
+    environment does if it is played as the file's header says; from later states, up to rounding.
 
     Args:
-        source: a scene, or an environment at any point of an episode. Of an environment, the file also holds task,
+        source: a scene, or an environment at any point of an episode. For an environment, the file also holds task,
             variant and horizon, and the seed if the scene was drawn from one.
         path: the file to write; its folder is made if missing.
         overwrite: whether an existing file may be replaced.
@@ -91,7 +91,7 @@ def _header(about: Mapping[str, Any]) -> str:
 
 
 def _model(scene: Scene, about: Mapping[str, Any], data: mujoco.MjData) -> Element:
-    """The model of a scene with all that only files have."""
+    """The model of a scene with everything that only files have: names, comments, sensors, custom data, keyframe."""
     root = _parsed(world_mjcf(scene))
     _name_blocks(root, scene)
     _unfold_regions(root, scene)
@@ -104,7 +104,7 @@ def _model(scene: Scene, about: Mapping[str, Any], data: mujoco.MjData) -> Eleme
 
 
 def _name_blocks(root: Element, scene: Scene) -> None:
-    """Geoms that are drawn say shape and colour."""
+    """Adds shape and colour to the names of the blocks' visual geoms."""
     for geom in root.iter("geom"):
         name, _, part = geom.get("name", "").partition("_")
         if name.startswith("block") and part in BLOCK_PARTS:
@@ -113,7 +113,7 @@ def _name_blocks(root: Element, scene: Scene) -> None:
 
 
 def _unfold_regions(root: Element, scene: Scene) -> None:
-    """Geoms instead of the skins that environments change from scene to scene."""
+    """Replaces the regions' skins, which environments modify from scene to scene, by geoms."""
     skins, assets, body = (_find(root, path) for path in ("deformable", "asset", f".//body[@name='{BONE}']"))
     root.remove(skins)
     for index, region in enumerate(scene.regions):
@@ -124,7 +124,7 @@ def _unfold_regions(root: Element, scene: Scene) -> None:
 
 
 def _parsed(mjcf: str) -> Element:
-    """Our own text as elements and comments."""
+    """MJCF text of this package as an element with comments."""
     return fromstring(mjcf, XMLParser(target=TreeBuilder(insert_comments=True)))  # noqa: S314
 
 
@@ -136,7 +136,7 @@ def _find(root: Element, path: str) -> Element:
 
 
 def _custom(scene: Scene, about: Mapping[str, Any]) -> Element:
-    """What programs need besides the model."""
+    """The `<custom>` element: the data that programs need besides the model."""
     custom = Element("custom")
     for name, value in about.items():
         if name in NUMERIC:
@@ -150,7 +150,7 @@ def _custom(scene: Scene, about: Mapping[str, Any]) -> Element:
 
 
 def _sensors(scene: Scene) -> Element:
-    """The place and the speed of each coordinate of the robot, its fingers and the blocks."""
+    """The `<sensor>` element: value and velocity of each coordinate of the robot, its fingers and the blocks."""
     bodies = ["robot", *(f"block{index}" for index in range(len(scene.blocks)))]
     joints = [f"{body}_{axis}" for body in bodies for axis in ("x", "y", "angle")]
     joints[3:3] = ["left_finger", "right_finger"]

@@ -14,14 +14,14 @@ from magical_mj.presets import Preset
 Images = NDArray[np.uint8]
 
 See = Callable[[str, Images], object]
-"""Writes the picture of a view into a place of shape (size, size, 3), which may be a part of something larger."""
+"""Writes the picture of a view into an array of shape (size, size, 3), which may be a view of a larger array."""
 
 
 class FrameStack:
     """The last frames of one or more views in one array, the frames of each view oldest first.
 
-    The latest stack is a window on a longer memory. For the next one the window moves on by one frame, so that every
-    frame comes to lie one place earlier and only the newest are drawn, each where it belongs: no pixel is moved.
+    The latest stack is a window into a longer buffer. For the next one the window moves by one frame. So every frame
+    is one place earlier in the new window, and only the newest frames are drawn, in place: no pixels are copied.
 
     Args:
         frames: the views and how many frames of each, in the order in which they are stacked.
@@ -30,7 +30,7 @@ class FrameStack:
     """
 
     MOVES: Final = 16
-    """Of the window, before it starts again at the beginning of the memory."""
+    """The number of times that the window moves before it returns to the beginning of the buffer."""
 
     def __init__(self, frames: tuple[tuple[str, int], ...], size: int, *, channels_first: bool = False) -> None:
         count = 3 * sum(number for _, number in frames)
@@ -46,11 +46,11 @@ class FrameStack:
 
     @property
     def latest(self) -> Images:
-        """The latest stack: a view of what changes with the next one."""
+        """The latest stack: a view into the buffer, which changes with the next `push`."""
         return self._memory[self._first : self._first + math.prod(self.shape)].reshape(self.shape)
 
     def start(self, see: See) -> Images:
-        """The stack of an episode's first pictures, which fill it. A fresh array."""
+        """The stack at the start of an episode: all its frames are the first picture. A fresh array."""
         self._draw_newest(see)
         pixels = self.latest.transpose(self._channels_last)
         for _, first, end in self._channels:
@@ -94,7 +94,7 @@ class Stacks:
         return {name: stack.shape for name, stack in self._stacks.items()}
 
     def start(self, see: See, frames: Mapping[str, Images] | None = None) -> dict[str, Images]:
-        """The stacks of an episode's first pictures, or those that `save` gave, where they fit."""
+        """The stacks at the start of an episode; those given in `frames` (from `save`) are restored if they fit."""
         for name, stack in self._stacks.items():
             saved = (frames or {}).get(name)
             fits = isinstance(saved, np.ndarray) and (saved.dtype, saved.shape) == (np.uint8, stack.shape)
@@ -109,15 +109,15 @@ class Stacks:
         return {name: stack.push(see) for name, stack in self._stacks.items()}
 
     def save(self) -> dict[str, Images]:
-        """Copies of the stacks, without those that hold present pictures alone."""
+        """Copies of the stacks, except those that hold only present pictures."""
         return {name: stack.latest.copy() for name, stack in self._stacks.items() if stack.remembers}
 
 
 def seen(pictures: Mapping[str, Images]) -> See:
-    """How to see pictures that are there already."""
+    """A `See` that copies pictures which exist already."""
 
     def write(view: str, place: Images) -> None:
-        for channel in range(3):  # three long loops instead of one for each pixel
+        for channel in range(3):  # three strided copies are faster than one of triples
             place[..., channel] = pictures[view][..., channel]
 
     return write

@@ -1,4 +1,4 @@
-"""The one composer task: it runs any scene, and with a score and a horizon it is a task of the benchmark."""
+"""The composer task of all environments: it runs any scene, with the score and horizon of a benchmark task if given."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from magical_mj.simulation import Simulation
 
 
 class SceneTask(composer.Task):
-    """Runs scenes: acts in them, shows them, and ends and scores them where there is a score.
+    """Runs scenes: executes actions, provides observations, and ends and scores episodes if there is a benchmark task.
 
     Args:
-        settings: of the environment.
+        settings: the settings of the environment.
         first: the scene of the first episode.
 
     Attributes:
-        next_scene: of the next episode; None to draw one.
-        seed: of the present scene, and `next_seed` of the next; None if it has none, or none that is known.
+        next_scene: the scene of the next episode; None to draw one.
+        seed: the seed of the present scene; `next_seed`: that of the next one. None if there is none or it is unknown.
     """
 
     def __init__(self, settings: EnvironmentSettings, first: Scene) -> None:
@@ -49,13 +49,13 @@ class SceneTask(composer.Task):
         return state(self._state) if name == "state" else picture(name, self.settings.image_size)
 
     def plan(self, seed: int) -> Scene:
-        """Has the next episode start in the scene of this seed, which is returned."""
+        """Makes the next episode start in the scene of this seed, and returns that scene."""
         self.next_scene = self.settings.sample(seed)
         self.next_seed = seed if self.settings.scene is None else None
         return self.next_scene
 
     def start(self, scene: Scene, seed: int | None = None) -> None:
-        """Makes the world of a scene, in which an episode starts."""
+        """Makes the world of the scene in which an episode starts."""
         self.next_scene, self.next_seed, self.seed = None, None, seed
         if scene != self.world.scene:
             self.world = World(scene)
@@ -93,12 +93,12 @@ class SceneTask(composer.Task):
         return SUBSTEPS
 
     def initialize_episode_mjcf(self, random_state: np.random.RandomState) -> None:
-        """Starts in the scene that was asked for, else in that of a seed that is drawn."""
+        """Starts in `next_scene` if there is one, else in the scene of a randomly drawn seed."""
         scene = self.next_scene or self.plan(int(random_state.randint(2**63 - 1, dtype=np.int64)))
         self.start(scene, self.next_seed)
 
     def initialize_episode(self, physics: Simulation, random_state: np.random.RandomState) -> None:
-        """Counts from 0 again. Everything is in its place: the scene is the model's reference pose."""
+        """Resets the step counter. The poses are already right: the scene is the model's reference pose."""
         del physics, random_state
         self.steps = 0
 

@@ -17,10 +17,10 @@ CONTINUOUS_SPACE = spaces.Box(-1.0, 1.0, (3,), np.float32)
 
 
 class ContinuousActions(gymnasium.ActionWrapper[Any, NDArray[np.float32], Any], gymnasium.utils.RecordConstructorArgs):
-    """Actions as vectors (drive, turn, grip) in [-1, 1], for learners that know no discrete ones.
+    """Actions as vectors (drive, turn, grip) in [-1, 1], for learners of continuous actions.
 
     Drive and turn command motion above 0.5 (forward, left) and below -0.5 (back, right); grip closes above 0 and opens
-    below. Each of the 18 actions is the vector `to_vector(number)`, so demonstrations can be had in either form.
+    below. Each of the 18 actions is the vector `to_vector(number)`, so demonstrations can be used in either form.
 
     Args:
         env: an environment with the 18 discrete actions, such as `gymnasium.make("magical_mj/...")`.
@@ -52,9 +52,9 @@ def _registered(spec: EnvSpec | None) -> EnvSpec | None:
 
 
 class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
-    """Has the last step of an episode tell the score, also where `max_episode_steps` ends it before the task's horizon.
+    """Reports the score at the last step, also if `max_episode_steps` ends episodes before the task's horizon.
 
-    `gymnasium.make` puts it around every environment. Where a wrapper of your own ends episodes, put this around it.
+    `gymnasium.make` applies it to every environment. If another wrapper of yours ends episodes, apply this outside it.
 
     Args:
         env: a `magical_mj` environment, with any wrappers.
@@ -71,12 +71,12 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         if asked > self._world.horizon and asked != registered:
             raise SettingsError(
                 f"max_episode_steps={asked} is more than the {self._world.horizon} steps after which every episode of "
-                f"{self._world.task.settings.task} ends; give fewer, or none for the task's own"
+                f"{self._world.task.settings.task} ends; give a smaller number, or none for the task's own"
             )
 
     @property
     def spec(self) -> EnvSpec | None:
-        """As what is wrapped, with the number of steps after which episodes end under the environment's rules."""
+        """The spec of the wrapped environment, with the number of steps of its episodes."""
         spec = super().spec
         if spec is not None:
             spec.max_episode_steps = min(spec.max_episode_steps or self._world.horizon, self._world.horizon)

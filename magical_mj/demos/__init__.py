@@ -1,4 +1,4 @@
-"""Demonstrations: the shipped ones, files of your own, and what learners and other tools want of them.
+"""Demonstrations: the shipped ones, your own files, and their conversion for learners and other tools.
 
 Example:
     >>> demos = magical_mj.demos.load("FindDupe")  # 25 by the expert, all with score 1

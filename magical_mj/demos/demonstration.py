@@ -1,4 +1,4 @@
-"""A demonstration: everything that happened in an episode, as numbers."""
+"""The type of a demonstration: a complete episode as numbers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DEMONSTRATORS: Final[tuple[Demonstrator, ...]] = get_args(Demonstrator)
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """An episode: the scene that it started in, the actions, and the state before the first and after each of them.
+    """An episode: its initial scene, the actions, and the states before the first action and after each action.
 
     Raises:
         DemonstrationError: if the parts do not fit each other.
@@ -35,7 +35,7 @@ class Demonstration:
     """`scene` is `sample_scene(task, variant, scene_seed)`."""
     demonstrator: Demonstrator
     seed: int
-    """The expert's: how it went about it."""
+    """The expert's seed."""
     scene: Scene
     actions: NDArray[np.uint8]
     """Shape (steps,)."""
@@ -44,7 +44,7 @@ class Demonstration:
     qvel: NDArray[np.float64]
     """MuJoCo's velocities, shape (steps + 1, nv)."""
     score: float
-    """Of the last state, by the paper's rules."""
+    """The score of the last state by the paper's rules."""
     package: str = __version__
     mujoco: str = version("mujoco")
 

@@ -1,4 +1,4 @@
-"""Demonstrations for other tools: plain numpy archives, and Minari data sets."""
+"""Export of demonstrations: numpy archives and Minari data sets."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ def to_npz(
     drop_noop: bool = True,
     overwrite: bool = False,
 ) -> None:
-    """Write transitions as one numpy archive, which needs no pickle.
+    """Writes transitions as one numpy archive without pickles.
 
-    With a row for each transition: `observations` (with a preset of several views, `observations_ego` and
+    Arrays with a row for each transition: `observations` (for presets with several views, `observations_ego` and
     `observations_allo`), `actions`, `episodes` (the number of the episode) and `steps` (the number of the step in it,
-    from 0). With a row for each episode: `tasks`, `variants`, `seeds` (of the scenes), `demonstrators`, `lengths` (in
-    steps) and `scores`.
+    from 0). Arrays with a row for each episode: `tasks`, `variants`, `seeds` (of the scenes), `demonstrators`,
+    `lengths` (in steps) and `scores`.
 
     Args:
-        demos: of any environments.
-        path: of the file.
-        preset: the Gymnasium preset that gives the observations.
-        drop_noop: leave out the transitions in which nothing was commanded.
-        overwrite: replace a file of that name.
+        demos: demonstrations of any environments.
+        path: the file.
+        preset: the Gymnasium preset of the observations.
+        drop_noop: leave out the transitions with the no-op action.
+        overwrite: replace an existing file.
 
     Raises:
         DemonstrationError: if there are no demonstrations.
@@ -88,26 +88,26 @@ def to_minari(
     *,
     overwrite: bool = False,
 ) -> str:
-    """Make a Minari data set of demonstrations of one environment, bit by bit.
+    """Makes a Minari data set of demonstrations of one environment.
 
     The observations are those of the preset; `infos` holds the exact positions and velocities. The reward is the
-    score, at the last step; so it is in the environment that `dataset.recover_environment()` makes, and there
-    `reset(seed=episode's seed)` gives the episode's scene.
+    score at the last step. The environment that `dataset.recover_environment()` makes has the same rewards, and its
+    `reset(seed=episode's seed)` starts in the episode's scene.
 
     Args:
         demos: demonstrations of one environment.
         name: the id; None: `minari_name`.
-        preset: the Gymnasium preset that gives the observations.
-        author: who made them.
-        overwrite: replace a data set of that id.
+        preset: the Gymnasium preset of the observations.
+        author: the author's name.
+        overwrite: replace an existing data set with this id.
 
     Returns:
         The id.
 
     Raises:
         MissingExtraError: if minari is not installed.
-        DemonstrationError: if the demonstrations are not of one environment, the id is not one that Minari takes, or
-            there is such a data set already.
+        DemonstrationError: if the demonstrations are not of one environment, the id is invalid, or the data set
+            exists already.
     """
     try:
         import minari
@@ -123,7 +123,7 @@ def to_minari(
     name = minari_name(first, preset) if name is None else name
     try:
         parse_dataset_id(name)
-    except (TypeError, ValueError) as error:  # the first if there is no version
+    except (TypeError, ValueError) as error:  # TypeError if the version is missing
         raise DemonstrationError(
             f"Minari does not take the id {name!r}, which must be like magical-mj/mine-v0: {error}"
         ) from None
@@ -131,7 +131,7 @@ def to_minari(
     _check_space(get_dataset_path(), sum(map(_size, episodes)))
     env = gymnasium.make(env_id(first.task, first.variant, preset), reward="score")
     with warnings.catch_warnings(), _new_folder(get_dataset_path(name), overwrite):
-        warnings.filterwarnings("ignore", module="minari")  # wants an e-mail address, a link, a score to compare with
+        warnings.filterwarnings("ignore", module="minari")  # it asks for optional metadata
         minari.create_dataset_from_buffers(
             dataset_id=name,
             buffer=[EpisodeBuffer(**episode) for episode in episodes],
@@ -148,12 +148,12 @@ def to_minari(
 
 
 def _size(data: Any) -> int:
-    """Bytes of the arrays in nested dicts."""
+    """The number of bytes of the arrays in nested dicts."""
     return sum(map(_size, data.values())) if isinstance(data, dict) else getattr(data, "nbytes", 0)
 
 
 def _check_space(folder: Path, size: int) -> None:
-    """Raises an `OSError` that names the folder if so many bytes do not fit: on a full disk, HDF5 ends the process."""
+    """Raises an `OSError` that names the folder if there is no space for `size` bytes: HDF5 would end the process."""
     if not hasattr(os, "posix_fallocate"):
         return
     with tempfile.TemporaryFile(dir=folder) as file:
@@ -165,7 +165,7 @@ def _check_space(folder: Path, size: int) -> None:
 
 @contextmanager
 def _new_folder(path: Path, overwrite: bool) -> Iterator[None]:
-    """A folder that the block makes. If it raises, what was there before is there again, and nothing else."""
+    """For a block that makes a folder. If the block raises, the previous content is restored."""
     if path.exists() and not overwrite:
         raise DemonstrationError(f"there is a data set {path} already; give it another id, or overwrite it (--force)")
     highest = next((folder for folder in reversed((path, *path.parents)) if not folder.exists()), path)

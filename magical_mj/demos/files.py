@@ -1,8 +1,8 @@
 """Demonstrations as files: one zip archive of numpy arrays each, which `numpy.load` opens without pickle.
 
-`header.npy` holds JSON as bytes: what is not an array, the file format's version, and a SHA-256 digest of everything
-else. `actions.npy`, `qpos.npy` and `qvel.npy` are those of `Demonstration`, bit by bit. Files are
-written as a whole or not at all, and never overwritten.
+`header.npy` holds JSON as bytes: all fields that are not arrays, the file format's version, and a SHA-256 digest of
+everything else. `actions.npy`, `qpos.npy` and `qvel.npy` are the arrays of `Demonstration`. Files are written
+completely or not at all, and never overwritten.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from magical_mj.scene import Scene
 FORMAT: Final = 1
 SUFFIX: Final = ".npz"
 ARRAYS: Final = ("actions", "qpos", "qvel")
-DAMAGE: Final = (  # what numpy and zipfile raise for damaged archives
+DAMAGE: Final = (  # the exceptions of numpy and zipfile for damaged archives
     *(KeyError, TypeError, ValueError, EOFError, AttributeError, OSError, RuntimeError, SyntaxError, MemoryError),
     *(OverflowError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error),
 )
@@ -56,15 +56,15 @@ def write(demo: Demonstration, path: Path) -> None:
 
 
 def files_in(folder: Path, beginning: str = "") -> list[Path]:
-    """The demonstrations in a folder whose names begin so, in order; without what somebody is still writing."""
+    """The demonstration files in a folder whose names start with `beginning`, sorted; without unfinished ones."""
     return sorted(path for path in folder.glob(f"{beginning}*{SUFFIX}") if not path.name.startswith("."))
 
 
 def keep(demo: Demonstration, folder: Path) -> Path:
-    """Write a demonstration into a folder under the next free name, such as ``FindDupe-All-human-003.npz``.
+    """Writes a demonstration into a folder under the next free name, such as ``FindDupe-All-human-003.npz``.
 
     Returns:
-        Its path; or, if the folder holds the same episode already, the path of that one, and nothing is written.
+        Its path. If the folder holds the same episode already, nothing is written and that file's path is returned.
     """
     beginning = f"{demo.name}-{demo.demonstrator}-"
     for path in files_in(folder, beginning):
@@ -74,13 +74,13 @@ def keep(demo: Demonstration, folder: Path) -> Path:
     names = (f"{beginning}{number:03}{SUFFIX}" for number in itertools.count())
     while True:
         path = next(folder / name for name in names if not (folder / name).exists())
-        with contextlib.suppress(FileExistsError):  # somebody else has taken the name meanwhile
+        with contextlib.suppress(FileExistsError):  # another process has taken the name meanwhile
             write(demo, path)
             return path
 
 
 def read(path: Path, task: str | None = None) -> Demonstration:
-    """Read a demonstration, and make sure that it is what was written.
+    """Reads a demonstration and checks that it is undamaged.
 
     Args:
         path: the file.
@@ -124,7 +124,7 @@ def _parts(path: Path) -> dict[str, Any]:
 
 
 def _digest(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
-    """A fingerprint of all that a file says."""
+    """A hash of the header and the arrays."""
     digest = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
     for name in ARRAYS:
         array = np.ascontiguousarray(arrays[name])

@@ -1,4 +1,4 @@
-"""Recordings of episodes that were played elsewhere, in a browser above all, become demonstrations.
+"""Import of recordings: episodes that were played elsewhere, mostly in a browser, become demonstrations.
 
 A recording is a small JSON object in UTF-8:
 
@@ -9,7 +9,7 @@ A recording is a small JSON object in UTF-8:
 | `task`, `variant` | names, as in `magical_mj.ENVIRONMENTS` |
 | `seed` | an integer: the episode started in `sample_scene(task, variant, seed)` |
 | `actions` | a list of integers in 0..17, one for each step of a whole episode |
-| `final` | what the player saw at the end, in world units and radians; may be left out |
+| `final` | the poses that the player saw at the end, in world units and radians; optional |
 
 `final` is `{"robot": [x, y, angle], "fingers": [left, right], "blocks": [[x, y, angle], ...]}`. Other keys are ignored.
 Only task, variant, seed and actions are trusted: the scene is drawn again, the actions are replayed here, and the
@@ -36,29 +36,29 @@ from magical_mj.scene import Scene
 
 FORMAT: Final = 1
 MAX_BYTES: Final = 100_000
-"""Of a recording: many times what the longest episode takes."""
+"""The largest size of a recording: many times that of the longest episode."""
 TOLERANCE: Final = 1e-3
-"""World units or radians by which the end of a replay may differ from what the player saw."""
+"""The difference (world units or radians) between the end of a replay and what the player saw that is accepted."""
 LONGEST_NAME: Final = 60  # characters
 LARGEST_SEED: Final = 2**63 - 1
 
 
 class Imported(NamedTuple):
-    """A demonstration, and how far its end is from what the player saw."""
+    """A demonstration, and the difference between its end and what the player saw."""
 
     demonstration: Demonstration
     deviation: float | None
-    """The largest difference of any coordinate or angle; None if the recording does not say what was seen."""
+    """The largest difference of any coordinate or angle; None if the recording has no `final`."""
 
     suspect: bool
-    """Whether that is more than `TOLERANCE`: the player saw something else than what is in the demonstration now."""
+    """Whether that is more than `TOLERANCE`: the player saw something different from the demonstration."""
 
 
 def from_recording(text: str | bytes) -> Imported:
-    """Replay a recording, whose keys are listed above, and make a demonstration of what happens.
+    """Replays a recording, whose keys are listed above, and makes a demonstration of the replay.
 
     Raises:
-        DemonstrationError: if it is too long, no JSON, of another format or protocol, or not of a whole episode.
+        DemonstrationError: if it is too long, not JSON, of another format or protocol, or not a whole episode.
         UnknownNameError: if there is no such environment.
     """
     data = _parsed(text)
@@ -66,7 +66,7 @@ def from_recording(text: str | bytes) -> Imported:
         if not _is_integer(data.get(key)) or data[key] != here:
             raise DemonstrationError(f"a recording must have {key} {here} to be replayed here, not {_value(data, key)}")
     task, variant, seed, actions = (data.get(key) for key in ("task", "variant", "seed", "actions"))
-    if not (_is_name(task) and _is_name(variant)):  # "module:SPEC" is none: a file must not say what code is loaded
+    if not (_is_name(task) and _is_name(variant)):  # "module:SPEC" is refused: a file must not choose code to load
         raise DemonstrationError(
             f"task and variant must be names, not {_value(data, 'task')} and {_value(data, 'variant')}"
         )
@@ -130,7 +130,7 @@ def _value(data: dict[str, Any], key: str) -> str:
 
 
 def _poses(seen: Any, blocks: int) -> NDArray[np.float64]:
-    """What the player saw at the end, in one row: the robot's pose, its fingers, and each block's pose."""
+    """The poses in `final` as one row: the robot's pose, its fingers' angles, and each block's pose."""
     try:
         parts = [seen["robot"], seen["fingers"], *seen["blocks"]]
         sizes = [len(part) for part in parts]

@@ -1,4 +1,4 @@
-"""Demonstrations as a learner wants them: what was seen, and what was done."""
+"""Demonstrations as training data: observations and actions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Observations = NDArray[Any] | dict[str, NDArray[np.uint8]]
 
 
 class Transitions(NamedTuple):
-    """What was seen before each action, and the action."""
+    """The observation before each action, and the action."""
 
     observations: Observations
     """Shape (n, ...): rows are the preset's observations, such as (96, 96, 12) uint8 for LoRes4E."""
@@ -31,7 +31,7 @@ class Transitions(NamedTuple):
 
 
 def transitions(demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop_noop: bool = True) -> Transitions:
-    """All transitions of all demonstrations in one; see `stream` for the arguments."""
+    """All transitions of all demonstrations in one pair of arrays; see `stream` for the arguments."""
     parts = list(stream(demos, preset, drop_noop=drop_noop))
     if not parts:
         raise DemonstrationError("there are no demonstrations to take transitions from")
@@ -44,16 +44,16 @@ def transitions(demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop
 
 
 def stream(demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop_noop: bool = True) -> Iterator[Transitions]:
-    """The transitions of one demonstration after the other: nothing is drawn before it is asked for.
+    """The transitions of one demonstration after the other. Pictures are drawn only when they are needed.
 
-    Observations are those that the Gymnasium environment of the preset gives. As there, the first picture of an
-    episode fills its first stack; the state after the last action is not among them, for nothing was done in it.
+    Observations are the same as those of the preset's Gymnasium environment: the first stack of an episode is filled
+    with its first picture. The state after the last action is left out, since no action follows it.
 
     Args:
         demos: any demonstrations.
         preset: the name of a Gymnasium preset, "" for the pair of current views.
-        drop_noop: leave out the transitions in which nothing was commanded, as the original does. Only rows go:
-            stacks still hold the frames of all steps.
+        drop_noop: leave out the transitions with the no-op action, as the original does. Stacks still hold the frames
+            of all steps.
     """
     for demo in demos:
         seen = observations(demo, preset)
@@ -65,7 +65,7 @@ def stream(demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop_noop
 
 
 def observations(demo: Demonstration, preset: str = "LoRes4E") -> Observations:
-    """What the Gymnasium environment of the preset shows at the start and after each action: steps + 1 rows."""
+    """The observations of the preset at the start and after each action: steps + 1 rows."""
     made = _preset(preset)
     if made.layout == "state":
         world, encode = World(demo.scene), StateEncoder(demo.scene)

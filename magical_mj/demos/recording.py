@@ -1,4 +1,4 @@
-"""Episodes become demonstrations: what is done in an environment is written down, step by step."""
+"""Recording: the steps of an environment become a demonstration."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ ATTEMPTS: Final = 10
 REST: Final = 80
 """Steps without an action after which an expert's demonstration ends, if the episode does not end before."""
 STRIDE: Final = 1_000_003
-"""What an expert's seed grows by from one attempt to the next, so that no two demonstrations share one."""
+"""The increment of the expert's seed between attempts, so that no two demonstrations use the same one."""
 
 
 class Recorder:
-    """Steps an environment and keeps what happens from its present state on, which is the start of an episode."""
+    """Steps an environment and records actions and states. It must be made at the start of an episode."""
 
     def __init__(self, env: Environment) -> None:
         self._env = env
@@ -41,7 +41,7 @@ class Recorder:
         return now
 
     def idle(self, steps: int) -> bool:
-        """Whether nothing was done in the last so many steps."""
+        """Whether the last `steps` actions were all no-ops."""
         return len(self._actions) >= steps and not any(action != NOOP for action in self._actions[-steps:])
 
     def states(self) -> tuple[Floats, Floats]:
@@ -52,7 +52,7 @@ class Recorder:
     def demonstration(
         self, task: str, variant: str, scene_seed: int, demonstrator: Demonstrator, seed: int
     ) -> Demonstration:
-        """What happened, with the present score."""
+        """The episode so far as a demonstration, with the present score."""
         positions, velocities = self.states()
         return Demonstration(
             task=task,
@@ -73,9 +73,9 @@ class Recorder:
 
 
 def demonstrate(task: str, variant: str, number: int, least_score: float = 1.0) -> Demonstration:
-    """The expert's demonstration of a number: in the scene of this seed, by an expert of this seed.
+    """A demonstration by the expert: `number` is the seed of the scene and of the expert.
 
-    If it does not reach the score that is wanted, experts of other seeds try.
+    If it does not reach `least_score`, experts with other seeds try.
 
     Raises:
         DemonstrationError: if none of them reaches it.

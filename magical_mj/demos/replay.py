@@ -1,4 +1,4 @@
-"""Demonstrations come back to life: acted again, or drawn from their states."""
+"""Replaying demonstrations: playing the actions again, or drawing the recorded states."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from magical_mj.registry import sample_scene
 
 Picture = NDArray[np.uint8]
 
-GLANCE: Final = 10  # steps from one picture that is compared to the next
+GLANCE: Final = 10  # steps between the pictures that are compared
 SIZE: Final = 96  # pixels
 
 
 class Verdict(NamedTuple):
-    """What became of a demonstration when it was checked."""
+    """The result of checking a demonstration."""
 
     scene: bool
     """The scene is still that of its seed."""
     score: bool
-    """The last state has the score that was written down."""
+    """The last state has the recorded score."""
     replay: bool
     """The same actions lead to the same score."""
     exact: bool
-    """The same actions lead through the same states, bit by bit; so on the machine and versions of the recording."""
+    """The same actions lead to exactly the same states: so with the machine and versions of the recording."""
     pictures: bool
-    """The replay looks like the pictures that are drawn from the states, pixel by pixel."""
+    """The pictures of the replay equal those of the recorded states, pixel by pixel."""
 
     @property
     def good(self) -> bool:
@@ -44,7 +44,7 @@ class Verdict(NamedTuple):
 
 
 def verify(demo: Demonstration) -> Verdict:
-    """Check a demonstration against this version of the world."""
+    """Checks a demonstration with this version of the package and of MuJoCo."""
     drawn = [pictures["allo"] for pictures in itertools.islice(see(demo), 0, None, GLANCE)]
     with _world(demo) as env:
         recorder, seen = Recorder(env), [env.render("allo", SIZE)]
@@ -60,10 +60,10 @@ def verify(demo: Demonstration) -> Verdict:
 
 
 def see(demo: Demonstration, views: Sequence[str] = ("allo",), size: int = SIZE) -> Iterator[dict[str, Picture]]:
-    """The pictures before the first action and after each, drawn from the states: as they were, in any size.
+    """The pictures before the first action and after each action, drawn from the recorded states.
 
     Args:
-        demo: what to look at.
+        demo: the demonstration.
         views: any of "ego" and "allo".
         size: side of the pictures in pixels.
 
@@ -77,7 +77,7 @@ def see(demo: Demonstration, views: Sequence[str] = ("allo",), size: int = SIZE)
 
 
 def place(env: Environment, positions: NDArray[np.float64]) -> None:
-    """Put everything where it was: what is drawn depends on positions alone."""
+    """Sets all positions; pictures depend on nothing else."""
     env.physics.data.qpos[:] = positions
     mujoco.mj_kinematics(env.physics.model.ptr, env.physics.data.ptr)
     mujoco.mj_camlight(env.physics.model.ptr, env.physics.data.ptr)

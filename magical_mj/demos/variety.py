@@ -1,4 +1,4 @@
-"""How different demonstrations are from each other: their strategies and their ways."""
+"""The diversity of demonstrations: strategies and paths."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration
 
-TOUCHED: Final = 0.05  # world units that a block has moved when it counts as moved
+TOUCHED: Final = 0.05  # world units; a block that moved less does not count as moved
 SIDES: Final = 8  # from which a block can be taken
-SAMPLES: Final = 50  # points of a way
+SAMPLES: Final = 50  # points of a path
 
 
 class Diversity(NamedTuple):
@@ -26,11 +26,11 @@ class Diversity(NamedTuple):
     strategies: int
     """Different orders, with the side from which each block was moved."""
     ways: float
-    """Mean distance (world units) of the robot's place in two demonstrations, each run through evenly."""
+    """Mean distance (world units) between two paths of the robot, at equal fractions of their lengths."""
 
 
 def diversity(demos: Sequence[Demonstration]) -> Diversity:
-    """Compare demonstrations of one environment."""
+    """Compares demonstrations of one environment."""
     plans = [strategy(demo) for demo in demos]
     orders = {tuple(block for block, _ in plan) for plan in plans}
     ways = [_way(demo) for demo in demos]
@@ -53,7 +53,7 @@ def strategy(demo: Demonstration) -> tuple[tuple[int, int], ...]:
 
 
 def _way(demo: Demonstration) -> NDArray[np.float64]:
-    """Points at even distances along the robot's way. Shape (SAMPLES, 2)."""
+    """Points at equal distances along the robot's path. Shape (SAMPLES, 2)."""
     places = np.array([World(demo.scene).poses(qpos)[0, :2] for qpos in demo.qpos])
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
     at = np.linspace(0, length[-1], SAMPLES)

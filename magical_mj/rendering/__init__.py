@@ -1,1 +1,1 @@
-"""Pictures of the world: the OpenGL backend, the canvas that all environments share, and drawing."""
+"""Rendering: the choice of an OpenGL backend, the OpenGL context that all environments share, and drawing."""

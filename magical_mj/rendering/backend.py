@@ -1,4 +1,4 @@
-"""The choice of an OpenGL backend, made before mujoco or dm_control is imported (both look at MUJOCO_GL only then)."""
+"""The choice of an OpenGL backend, made before mujoco and dm_control are imported: they read MUJOCO_GL only then."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ MOST_DEVICES = 16
 
 
 def choose_backend() -> None:
-    """Set MUJOCO_GL to what works here, EGL or else OSMesa, unless the user has set it.
+    """Sets MUJOCO_GL to a backend that works on this machine, EGL or else OSMesa, unless the user has set it.
 
-    Where neither works it stays unset: all but pictures can be used, and the first picture raises RenderingError.
+    If neither works it stays unset: everything except pictures works, and the first picture raises RenderingError.
     """
     os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's software OpenGL is faster without worker threads
-    os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")  # or pygame's windows have an OpenGL context, which X11
-    # does not let us use in turn with ours: it would end the process
+    os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")  # else pygame's windows have an OpenGL context;
+    # alternating between it and ours makes X11 end the process
     if sys.platform != "linux" or wanted_backend():
         return
     found = next((name for name, works in PROBES.items() if works()), None)
@@ -37,15 +37,15 @@ def choose_backend() -> None:
 
 
 def wanted_backend() -> str:
-    """What MUJOCO_GL asks for; empty if it is not set."""
+    """The value of MUJOCO_GL; empty if it is not set."""
     return os.environ.get("MUJOCO_GL", "").strip().lower()
 
 
 def check_backend() -> None:
-    """Raise, with the remedy, where importing mujoco or dm_control would fail and not say why.
+    """Raises a helpful error where importing mujoco or dm_control would fail without an explanation.
 
     Raises:
-        RenderingError: if MUJOCO_GL asks for what mujoco does not know, or for EGL or OSMesa and that does not start.
+        RenderingError: if MUJOCO_GL is unknown to mujoco, or is EGL or OSMesa and that does not start.
     """
     wanted = wanted_backend()
     if wanted and wanted not in KNOWN:
@@ -55,7 +55,7 @@ def check_backend() -> None:
 
 
 def new_gl_context() -> Any:
-    """An OpenGL context of mujoco's for this backend, even if mujoco was imported before the backend was chosen."""
+    """A new OpenGL context for the chosen backend, even if mujoco was imported before it was chosen."""
     import mujoco
 
     wanted = wanted_backend()
@@ -65,7 +65,7 @@ def new_gl_context() -> Any:
 
 @cache
 def egl_works() -> bool:
-    """Whether some EGL device can be initialised, as mujoco and dm_control will do."""
+    """Whether an EGL device can be initialised in the way mujoco and dm_control do."""
     try:
         egl = ctypes.CDLL("libEGL.so.1")
     except OSError:
@@ -97,4 +97,4 @@ def osmesa_works() -> bool:
 PROBES: Final = {"egl": egl_works, "osmesa": osmesa_works}
 """The backends that need no display, in the order in which they are tried."""
 KNOWN: Final = ("glfw", "on", "enable", "enabled", "true", "1", "off", "disable", "disabled", "false", "0", *PROBES)
-"""Values of MUJOCO_GL that mujoco and dm_control understand."""
+"""The values of MUJOCO_GL that mujoco and dm_control accept."""

@@ -1,7 +1,7 @@
-"""The canvas: one OpenGL context per process, shared by all models, environments and views.
+"""The canvas: one OpenGL context per thread, shared by all models, environments and views.
 
-Every model of ours has the same meshes, and its regions are skins, which travel with each frame. So MuJoCo's drawing
-context, the expensive part, is made once and serves them all.
+All models of this package have the same meshes, and their regions are skins, which are uploaded with each frame. So one
+MuJoCo drawing context (`MjrContext`), which is expensive to make, can draw them all.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ Picture = NDArray[np.uint8]
 """Shape (height, width, channels)."""
 
 DRAWN_GROUPS: Final = (0, DRAWN_GROUP, TASK_GROUP)
-"""Geom and skin groups that the task cameras see: MuJoCo's default, for what users add, and ours."""
+"""Geom and skin groups that the cameras ego and allo see: MuJoCo's default (for users' additions) and ours."""
 
 KEPT_SIZES: Final = 4  # pixel buffers
 KEPT_SCENES: Final = 4  # of each drawing context
-GEOMS: Final = 32  # scenes have room for a multiple of so many, so that few of them serve all models
-KEPT_CONTEXTS: Final = 4  # the library's, and those of models that users changed
+GEOMS: Final = 32  # the capacity of scenes is a multiple of this, so that few scenes are enough for all models
+KEPT_CONTEXTS: Final = 4  # the shared one, and those of models that users changed
 _LIBRARY: Final = Scene(Robot(0, 0, 0), regions=(GoalRegion("red", -0.4, -0.4, 0.4, 0.4),) * 3)
-"""A scene whose model has every asset that those of the benchmark have."""
+"""A scene whose model has all assets that models of the benchmark can have."""
 NO_OPENGL: Final = f"No picture can be drawn: OpenGL did not start (MUJOCO_GL={{backend}}: {{error}}). {REMEDY}"
 FORKED: Final = (
     "This process was forked after its parent had drawn a picture, and OpenGL does not survive a fork. "
@@ -52,15 +52,15 @@ _ASSETS: Final = ("mesh_vertnum", "mesh_vert", "mesh_face", "tex_data")
 
 
 def drawn(groups: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Which of these geom or skin groups the task cameras see."""
-    return _IS_DRAWN.take(groups, mode="clip")  # MuJoCo, too, clips groups
+    """Which of these geom or skin groups the cameras ego and allo see."""
+    return _IS_DRAWN.take(groups, mode="clip")  # MuJoCo clips groups likewise
 
 
 @dataclass(eq=False)
 class Context:
     """MuJoCo's drawing context, with the model whose meshes and skins it holds.
 
-    One with lights has a depth buffer and shadows, and serves its own model only.
+    A lit one has a depth buffer and shadows, and draws its own model only.
     """
 
     mjr: mujoco.MjrContext
@@ -70,11 +70,11 @@ class Context:
     scenes: dict[tuple[int, bytes], mujoco.MjvScene] = field(default_factory=dict)  # by geoms and skins
 
     def __post_init__(self) -> None:
-        """Keeps what models that are drawn here must begin with."""
+        """Copies the assets with which the lists of other models must begin to be drawn here."""
         self.assets = {name: getattr(self.model, name).copy() for name in _ASSETS}
 
     def draws(self, model: mujoco.MjModel) -> bool:
-        """Whether a scene of this model can be drawn here: it shows nothing but the library's meshes and skins."""
+        """Whether this model can be drawn here: it shows only meshes and skins that this context holds."""
         mine = self.model
         if self.lit:
             return model is mine
@@ -99,9 +99,9 @@ class Context:
         )
 
     def scene_for(self, model: mujoco.MjModel) -> mujoco.MjvScene:
-        """A scene with room for all that is drawn of this model; whoever draws next may fill it with another's.
+        """A scene (`MjvScene`) large enough for this model. It is shared: its content lasts until the next drawing.
 
-        One serves all models of the same skins: it takes 160 KB, and a quarter of a millisecond to make and to free.
+        Models with the same skins share one, since making and freeing it takes 160 kB and 0.25 ms.
         """
         count = (model.ngeom if self.lit else int(drawn(model.geom_group).sum())) + model.nskin + 1
         key = -(-count // GEOMS) * GEOMS, model.skin_vertnum.tobytes()
@@ -116,19 +116,19 @@ class Context:
 
 @dataclass
 class Canvas(threading.local):
-    """The OpenGL context of this thread, made at its first frame."""
+    """The OpenGL context of this thread, which is made at the first frame."""
 
     opengl: mujoco.GLContext | None = None
     process: int = 0
     contexts: list[Context] = field(default_factory=list)
     active: Context | None = None
     ours: gl.Handles | None = None  # with EGL
-    others: gl.Handles | None = None  # what of others was current before
+    others: gl.Handles | None = None  # the context of other code that was current before
     pixels: dict[tuple[int, int], tuple[Picture, c_void_p]] = field(default_factory=dict)
-    """A buffer for each of the last few sizes, and where it lies."""
+    """A pixel buffer and its address for each of the last few sizes."""
 
     def __enter__(self) -> None:
-        """Make the OpenGL context current for a block; it is started if need be."""
+        """Makes the OpenGL context current within a `with` block; the first time, it is created."""
         if self.opengl is not None and self.process != os.getpid():
             raise RenderingError(FORKED)
         if gl.is_current(self.ours):
@@ -144,7 +144,7 @@ class Canvas(threading.local):
             gl.make_current(self.ours)
 
     def __exit__(self, *error: object) -> None:
-        """Make current whatever of others was before; with other backends than EGL, ours stays."""
+        """Makes the context of other code current again that was before; with backends other than EGL, ours stays."""
         if self.others is not None:
             gl.make_current(self.others)
 
@@ -155,7 +155,7 @@ class Canvas(threading.local):
             made = new_gl_context()
             made.make_current()
             context = _drawing_context(library)
-        except Exception as error:  # each backend has its own kinds
+        except Exception as error:  # each backend has its own exceptions
             raise RenderingError(NO_OPENGL.format(backend=os.environ.get("MUJOCO_GL", "unset"), error=error)) from error
         self.opengl, self.process, self.contexts = made, os.getpid(), [Context(context, library)]
         _OPEN.add(made)
@@ -163,17 +163,17 @@ class Canvas(threading.local):
         atexit.register(_free_all)  # now, so that it runs before the display is closed
 
     def context_for(self, model: mujoco.MjModel, *, lit: bool = False) -> Context:
-        """The shared context where the model has the library's assets, as all of ours have; else one of its own."""
+        """The shared context if it can draw the model, as it can all models of this package; else a separate one."""
         for context in self.contexts:
             if context.lit == lit and context.draws(model):
                 return context
         if len(self.contexts) >= KEPT_CONTEXTS:
-            self.contexts.pop(1).mjr.free()  # whoever used it gets another
+            self.contexts.pop(1).mjr.free()  # renderers that used it will get a new one
         self.contexts.append(Context(_drawing_context(model, lit=lit), model, lit))
         return self.contexts[-1]
 
     def draw(self, context: Context, scene: mujoco.MjvScene, height: int, width: int) -> Picture:
-        """Red, green, blue and alpha, bottom row first; overwritten by the next. Shape (height, width, 4)."""
+        """The pixels: red, green, blue, alpha; bottom row first. The next call overwrites them. Shape (height, width, 4)."""
         if self.active is not context or context.size != (width, height):
             mujoco.mjr_resizeOffscreen(width, height, context.mjr)  # the whole buffer: clearing a part of it is slow
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context.mjr)
@@ -193,7 +193,10 @@ class Canvas(threading.local):
         return pixels
 
     def restart(self) -> None:
-        """Begin afresh, in a block: somebody freed in our context what they had in theirs, under the same numbers."""
+        """Makes a new context, within a `with` block. Needed if other code deleted our OpenGL objects by mistake.
+
+        That happens if it frees its own objects, which have the same numbers, while our context is current.
+        """
         others = self.others
         self.close()
         self._start()
@@ -215,18 +218,18 @@ _OPEN: weakref.WeakSet[mujoco.GLContext] = weakref.WeakSet()  # of all threads
 
 
 def _free_all() -> None:
-    """At exit: free the OpenGL contexts without a word, whatever else was taken down before."""
+    """At exit: frees the OpenGL contexts silently, in whatever order modules are torn down."""
     contexts = list(_OPEN)
     with contextlib.suppress(Exception):
         CANVAS.close()
     for context in contexts:
         with contextlib.suppress(Exception):
             context.free()
-        context._context = None  # or its finaliser would try again, and complain
+        context._context = None  # else its finaliser would try again and print an error
 
 
 def _forget() -> None:
-    """In the child of a fork: OpenGL's things are the parent's, and trying to free them would wait for ever."""
+    """In the child of a fork: OpenGL objects belong to the parent, and freeing them here would hang."""
     for context in list(_OPEN):
         context._context = None
     for context in CANVAS.contexts:
@@ -240,7 +243,7 @@ if hasattr(os, "register_at_fork"):  # not on Windows
 
 
 def _drawing_context(model: mujoco.MjModel, *, lit: bool = False) -> mujoco.MjrContext:
-    """A drawing context without multisampling, and unless lit without shadow map (30 ms and 100 MB less)."""
+    """A drawing context without multisampling and, unless lit, without a shadow map (saves 30 ms and 100 MB)."""
     quality = model.vis.quality
     kept = quality.shadowsize, quality.offsamples
     quality.offsamples = 0
@@ -253,7 +256,7 @@ def _drawing_context(model: mujoco.MjModel, *, lit: bool = False) -> mujoco.MjrC
 
 
 def opengl_name() -> str:
-    """Who draws: OpenGL's renderer and version."""
+    """OpenGL's renderer and version."""
     with CANVAS:
         from OpenGL import GL
 

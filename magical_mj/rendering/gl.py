@@ -1,11 +1,11 @@
-"""The few functions of OpenGL and EGL that we call ourselves.
+"""The few functions of OpenGL and EGL that are called directly.
 
-OpenGL's are PyOpenGL's raw ones, checked for errors like all: its module `OpenGL.GL` takes 85 ms and 6 MB to import,
-and its functions take twice as long.
+OpenGL functions come from PyOpenGL's raw modules, with the usual error checks: importing `OpenGL.GL` would take 85 ms
+and 6 MB, and its functions take twice as long.
 
-EGL's say whose context is current. Others draw in the same process, such as dm_control's `physics.render` and
-`mujoco.Renderer`, and rely on theirs staying current. So after our drawing theirs is again; where none was, ours
-stays, for switching takes 5 % of a step.
+EGL functions read and set the current context. Other code in the same process, such as dm_control's `physics.render`
+and `mujoco.Renderer`, relies on its own context staying current. So after our drawing it is made current again. If
+there was none, ours stays current, since switching takes 5 % of a step.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Handles = tuple[int | None, int | None, int | None, int | None]
 
 
 class Functions(NamedTuple):
-    """As OpenGL names them, without its prefix, and the error that they raise."""
+    """OpenGL functions by their names without the prefix "gl", and the exception that they raise."""
 
     read_pixels: Callable[[int, int, int, int, int, int, ctypes.c_void_p], None]
     framebuffer_renderbuffer: Callable[[int, int, int, int], None]
@@ -39,7 +39,7 @@ class Functions(NamedTuple):
 
 @cache
 def functions() -> Functions:
-    """Of the platform that PyOpenGL settles on when it is first imported: only once an OpenGL context exists."""
+    """The functions. An OpenGL context must exist before: PyOpenGL chooses its platform when it is imported."""
     from OpenGL.error import GLError
     from OpenGL.raw.GL.VERSION import GL_1_0, GL_3_0
 
@@ -47,13 +47,13 @@ def functions() -> Functions:
 
 
 def is_current(handles: Handles | None) -> bool:
-    """Whether this is current, at little cost."""
+    """Whether the context of `handles` is current (fast)."""
     egl = _egl()
     return egl is not None and handles is not None and egl.eglGetCurrentContext() == handles[-1]
 
 
 def current() -> Handles | None:
-    """What is current on this thread; None if nothing is, or if EGL is not what we draw with."""
+    """The current context of this thread; None if there is none, or if the backend is not EGL."""
     egl = _egl()
     if egl is None or not (context := egl.eglGetCurrentContext()):
         return None
@@ -62,14 +62,14 @@ def current() -> Handles | None:
 
 
 def make_current(handles: Handles) -> None:
-    """Make current what was current once."""
+    """Makes a context current that `current` returned earlier."""
     if (egl := _egl()) is not None:
         egl.eglMakeCurrent(*handles)
 
 
 @cache
 def _egl() -> ctypes.CDLL | None:
-    """EGL without PyOpenGL's checks, which take several times as long as the switch."""
+    """The EGL library; calls through PyOpenGL would take several times as long. None if the backend is not EGL."""
     if wanted_backend() != "egl":
         return None
     egl = ctypes.CDLL("libEGL.so.1")

@@ -1,11 +1,11 @@
-"""Drawing: what each environment keeps to draw its pictures.
+"""Renderers: each draws the pictures of one model.
 
-What makes a frame cheap on software OpenGL, where every drawn pixel costs:
+On software OpenGL every drawn pixel costs time. Frames are cheap because of this:
 
-- It is drawn at twice the size and averaged 2 x 2: cheaper, and nearer to the original, than multisampling.
-- Things are painted in the order in which the model lists them, still scenery first, so the canvas needs no depth
-  buffer. Their heights have the same order: any other MuJoCo viewer, which does use depth, shows the same picture.
-- The paper is white, as the arena's floor is: where nothing was drawn (alpha 0), white shows through.
+- They are drawn at twice the size and averaged 2 x 2: cheaper than multisampling, and closer to the original.
+- Geoms are drawn in the order in which the model lists them, static ones first, so no depth buffer is needed. Their
+  heights have the same order, so other MuJoCo viewers, which use a depth buffer, show the same picture.
+- The floor, which is white, is not drawn: pixels without a geom (alpha 0) become white afterwards.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from magical_mj.rendering import gl
 from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS, Context, Picture
 
 _FLAT: Final = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
-"""Ambient and diffuse light that give the palette's colours exactly."""
+"""Ambient and diffuse light with which pixels have exactly the colours of the palette."""
 _STILL, _MOVING = mujoco.mjtCatBit.mjCAT_STATIC.value, mujoco.mjtCatBit.mjCAT_DYNAMIC.value
 LARGEST: Final = 2048
 """Side of the largest picture, in pixels."""
@@ -30,7 +30,7 @@ OVERSAMPLING: Final = 2
 """Drawn pixels per side of a picture's pixel."""
 
 _LANES: Final = 0x0001_0001_0001_0001
-"""A pixel in a word of 64 bits: red, green, blue and alpha have 16 each, alpha the highest."""
+"""A pixel as a 64-bit word with 16 bits for each of red, green, blue and alpha, lowest first."""
 _ROUND, _LEVELS, _COLOURS = np.uint64(2 * _LANES), np.uint64(0xFF * _LANES), np.uint64(_LANES >> 16)
 _TWO_BITS, _THREE_LANES, _FULL = np.uint64(2), np.uint64(48), np.uint64(0xFF)
 
@@ -54,7 +54,7 @@ class Renderer:
     """Draws the states of one model. Cheap to make; OpenGL starts at the first frame.
 
     Args:
-        model: what to draw.
+        model: the model to draw.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -88,7 +88,7 @@ class Renderer:
         return on_white(pixels, out)
 
     def paint(self, data: mujoco.MjData, camera: str, size: int) -> Picture:
-        """What `on_white` makes the picture of; the canvas must be current, and the next painting overwrites it."""
+        """The pixels for `on_white`, which the next call overwrites. The canvas must be current."""
         context, scene, option = self._context, self._scene, self._option
         if context is None or scene is None or context not in CANVAS.contexts:
             context = self._context = CANVAS.context_for(self.model)
@@ -100,7 +100,7 @@ class Renderer:
         return CANVAS.draw(context, scene, OVERSAMPLING * size, OVERSAMPLING * size)
 
     def close(self) -> None:
-        """Let go of the canvas, which stays for others. May be called twice."""
+        """Releases the shared drawing context, which remains for other renderers. May be called twice."""
         self._scene = self._context = None
 
     def _get_camera(self, name: str) -> mujoco.MjvCamera:
@@ -113,7 +113,7 @@ class Renderer:
 
 
 class SolidRenderer(Renderer):
-    """Draws one model as viewers do: solid, with lights and shadows, by the free camera with which they start."""
+    """Draws one model as MuJoCo's viewers do: in 3-D, with lights and shadows, from the initial free camera."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         super().__init__(model)
@@ -122,14 +122,14 @@ class SolidRenderer(Renderer):
         mujoco.mjv_defaultFreeCamera(model, self._camera)
 
     def draw(self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None) -> Picture:
-        """As `Renderer.draw`, of twice as many pixels again, for slanting edges."""
+        """As `Renderer.draw`, but averaged from twice as many pixels per side, for smooth slanted edges."""
         drawn = super().draw(data, camera, 2 * size).reshape(size, 2, size, 2, 3)
         picture = np.empty((size, size, 3), np.uint8) if out is None else out
         picture[:] = (drawn.sum(axis=(1, 3), dtype=np.uint16) + 2) >> 2
         return picture
 
     def paint(self, data: mujoco.MjData, camera: str, size: int) -> Picture:
-        """As `Renderer.paint`; the camera is the free one, whatever its name."""
+        """As `Renderer.paint`, always from the free camera; `camera` is ignored."""
         del camera
         model, context = self.model, CANVAS.context_for(self.model, lit=True)
         scene = context.scene_for(model)
@@ -138,7 +138,7 @@ class SolidRenderer(Renderer):
 
 
 def on_white(pixels: Picture, out: Picture | None = None) -> Picture:
-    """The picture of a drawing: averaged 2 x 2, on white paper, top row first.
+    """The finished picture of drawn pixels: averaged 2 x 2, on a white background, top row first.
 
     Args:
         pixels: red, green, blue (all 0 where nothing was drawn) and alpha (0 there, else 255), bottom row first.
@@ -152,12 +152,12 @@ def on_white(pixels: Picture, out: Picture | None = None) -> Picture:
     mixed += _ROUND
     mixed >>= _TWO_BITS
     mixed &= _LEVELS  # exact averages, rounded
-    paper = mixed >> _THREE_LANES
-    paper ^= _FULL  # the white that shows through; colour + paper is at most 255
-    paper *= _COLOURS
-    mixed += paper
+    white = mixed >> _THREE_LANES
+    white ^= _FULL  # 255 - alpha: the share of the background; colour + white is at most 255
+    white *= _COLOURS
+    mixed += white
     levels = mixed.view(np.uint8).reshape(height, width, -1)
     picture = np.empty((height, width, 3), np.uint8) if out is None else out
-    for channel in range(3):  # three long loops instead of one for each pixel
+    for channel in range(3):  # three strided copies are faster than one of triples
         picture[..., channel] = levels[..., 2 * channel]
     return picture
