@@ -173,7 +173,7 @@ class Canvas(threading.local):
         return self.contexts[-1]
 
     def draw(self, context: Context, scene: mujoco.MjvScene, height: int, width: int) -> Picture:
-        """The pixels: red, green, blue, alpha; bottom row first. The next call overwrites them. Shape (height, width, 4)."""
+        """Red, green, blue, alpha; bottom row first. The next call overwrites them. Shape (height, width, 4)."""
         if self.active is not context or context.size != (width, height):
             mujoco.mjr_resizeOffscreen(width, height, context.mjr)  # the whole buffer: clearing a part of it is slow
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context.mjr)
