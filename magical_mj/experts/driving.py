@@ -1,7 +1,6 @@
-"""Driving as a person with a keyboard would: turn towards a point, drive there, and correct the heading on the way.
+"""Driving like a person with a keyboard: turn towards a point, drive there, and correct the heading on the way.
 
-What is done depends on where the point is in the robot's frame and on little else, so that a learner can find the
-rule again.
+The actions depend mostly on the point's position in the robot's frame, so that a learner can recover the rule.
 """
 
 from __future__ import annotations
@@ -15,14 +14,14 @@ from magical_mj.experts.lookahead import Lookahead
 
 Point = tuple[float, float]
 
-AIM: Final = 0.19  # rad; one action turns by 0.31, so that smaller errors would only be turned into their opposites
-FACE: Final = 0.6  # rad, so far off the robot does not drive on while it turns
-BEHIND: Final = 1.1  # rad, so far off a robot that carries a block turns while it drives back
+AIM: Final = 0.19  # rad; one action turns by 0.31, so that smaller errors cannot be corrected
+FACE: Final = 0.6  # rad; with a larger error the robot turns without driving
+BEHIND: Final = 1.1  # rad; with a larger error a robot that carries a block drives back while it turns
 BRAKING: Final = 2.4  # units/s^2
-VIA: Final = 0.12  # world units: so near the points on the way are passed
-EITHER: Final = 0.6  # rad: so near to right behind the robot turns to the right, whichever way is shorter
-NEAR: Final = 0.3  # world units: to points so near behind it the robot backs up rather than turns round
-STUCK, FREED = 3, 7  # actions without progress after which the robot backs up, and tries again
+VIA: Final = 0.12  # world units: intermediate points count as reached within this distance
+EITHER: Final = 0.6  # rad: to points this close to straight behind, the robot always turns right
+NEAR: Final = 0.3  # world units: to points this close behind it, the robot drives back instead of turning around
+STUCK, FREED = 3, 7  # actions without progress after which the robot drives back, and then tries again
 PATIENCE: Final = 12  # and gives up
 PROGRESS: Final = 0.01  # world units or radians
 
@@ -30,13 +29,13 @@ PROGRESS: Final = 0.01  # world units or radians
 def steer(
     world: Lookahead, point: Point, ahead: float, gripper: Gripper, *, reverse: bool
 ) -> tuple[Gripper, Turn, Drive]:
-    """The action that brings a point to its place ahead of the robot.
+    """The next action towards the pose in which a point is straight ahead of the robot at a given distance.
 
     Args:
-        world: where the robot is.
-        point: in world units.
-        ahead: how far ahead of the robot it shall be.
-        gripper: what the fingers do meanwhile.
+        world: the simulation.
+        point: x, y in world units.
+        ahead: the desired distance of the point ahead of the robot's centre.
+        gripper: the command for the fingers.
         reverse: turn while driving back if the point is far to the side.
     """
     right, forward = world.relative(point)
@@ -63,15 +62,15 @@ def drive(
     within: float,
     reverse: bool = False,
 ) -> bool:
-    """Drive past the points of a route until the last one is where it shall be; whether it is.
+    """Drives along a route until its last point is straight ahead at the given distance; returns whether it is.
 
     Args:
-        world: where to drive.
+        world: the simulation.
         route: points in world units.
-        gripper: what the fingers do meanwhile.
-        limit: the number of actions at which to give up.
-        ahead: how far ahead of the robot the points shall be.
-        within: how near that must be met in the end, once the robot is at rest.
+        gripper: the command for the fingers.
+        limit: the number of actions after which to give up.
+        ahead: the desired distance of the points ahead of the robot's centre.
+        within: the tolerance (world units) at the end, when the robot is at rest.
         reverse: see `steer`.
     """
     return all(
@@ -105,7 +104,7 @@ class Patience:
         self._least, self._waited = math.inf, 0
 
     def ends(self, left: float) -> bool:
-        """Whether to give up, with so much left to do."""
+        """Whether to give up; `left` is the remaining distance."""
         self._waited = 0 if left < self._least - PROGRESS else self._waited + 1
         self._least = min(self._least, left)
         return self._waited > PATIENCE

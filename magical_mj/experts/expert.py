@@ -1,4 +1,4 @@
-"""The expert: plans an episode, then acts, and plans again if the world is not as foreseen."""
+"""The expert: it plans an episode, acts, and plans again if the state is not the predicted one."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from magical_mj.experts.planner import Plan, Planner
 from magical_mj.registry import task_spec
 from magical_mj.variants import check_seed
 
-BUDGET: Final = 150  # simulated steps for each step of an episode, after which no new plan is begun
+BUDGET: Final = 150  # simulated steps per step of the episode; once they are used, no new plan is started
 
 
 class Expert:
     """A policy that drives one environment; each call gives the action for the environment's present state.
 
-    It plans when an episode starts, and again whenever the state is not the one that its plan foresaw.
+    It plans when an episode starts, and again whenever the state is not the one that its plan predicted.
 
     Args:
         env: an environment of the task, already reset.
         task: a task's name, or "package.module:SPEC".
-        seed: varies how the expert goes about it.
+        seed: the seed of the expert's random choices.
 
     Raises:
         UnknownNameError: if there is no such task.
@@ -43,7 +43,7 @@ class Expert:
 
     @property
     def expected_score(self) -> float:
-        """The score to which the present plan leads; 0 before there is one."""
+        """The score that the present plan reaches; 0 before there is a plan."""
         return self._plan.score
 
     def __call__(self) -> int:

@@ -1,4 +1,4 @@
-"""The hand that carries out what is planned. It makes small mistakes, which steering mends."""
+"""Imperfect execution of planned actions, like a person's: delays and pauses, which steering corrects."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ import numpy as np
 
 from magical_mj.actions import Action
 
-LATE: Final = 0.25  # the chance that a hand is late by one action
-HESITATION: Final = 4  # actions, fewer than which a pause takes
+LATE: Final = 0.25  # the probability of a delay by one action
+HESITATION: Final = 4  # actions: pauses are shorter than this
 
 
 class Hand:
-    """The hand of a person at the keys: it hesitates, and it is late to change what it does.
+    """A model of a person at the keyboard, who pauses, and changes the pressed keys late.
 
     Args:
-        rng: where the draws come from.
-        lateness: the chance that it goes on with what it did for one action more when something else is due.
+        rng: the random generator.
+        lateness: the probability that the last action is repeated once when another one is due.
     """
 
     def __init__(self, rng: np.random.Generator, lateness: float = LATE) -> None:
         self._rng, self._lateness = rng, lateness
 
     def __call__(self, last: Action | None, wanted: Action) -> Action:
-        """What is done instead of what is wanted, after the last action."""
+        """The executed action, given the last one and the wanted one."""
         if last is None or self._rng.random() >= self._lateness:
             return wanted
         return last
 
     def pause(self) -> int:
-        """For how many actions it waits before it begins something."""
+        """The number of actions to wait before starting something new."""
         return int(self._rng.integers(HESITATION))

@@ -1,4 +1,4 @@
-"""Lookahead on a copy of the simulation: actions lead there exactly where they would lead in the environment."""
+"""Lookahead on a copy of the simulation, in which actions have exactly the same results as in the environment."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from magical_mj.experts.hand import Hand
 from magical_mj.scene import Pose, Scene
 
 State = NDArray[np.float64]
-"""What `magical_mj.simulation.Simulation.save` gives."""
+"""A saved state: the array that `magical_mj.simulation.Simulation.save` returns."""
 Point = tuple[float, float]
 
 
 class Snapshot(NamedTuple):
-    """What happened since some moment, and where it led."""
+    """The actions and states since some moment, and the state in which they end."""
 
     state: State
     """The end."""
@@ -33,7 +33,7 @@ class Lookahead:
     """A copy of an environment's simulation, to try actions in.
 
     Args:
-        env: whose present state it starts from; the environment itself stays as it is.
+        env: the environment whose present state is copied; it is not changed.
     """
 
     def __init__(self, env: Environment) -> None:
@@ -45,21 +45,21 @@ class Lookahead:
         self.states: list[State] = []
         """The state after each of them."""
         self.hand: Hand | None = None
-        """Carries out the actions; None: as they are wanted."""
+        """Modifies the actions; None: they are executed as wanted."""
         self.count = 0
-        """How many steps were simulated in all."""
+        """The total number of simulated steps."""
 
     def save(self) -> Snapshot:
-        """What happened since the last `restore`, and the present."""
+        """The actions and states since the last `restore`, and the present state."""
         return Snapshot(self.state, tuple(self.trace), tuple(self.states))
 
     def restore(self, memory: Snapshot) -> None:
-        """Be where something ended, with an empty trace."""
+        """Goes to the final state of a snapshot, with an empty history."""
         self._simulation.restore(memory.state)
         self.trace, self.states = [], []
 
     def remember(self, memory: Snapshot) -> None:
-        """Be where something ended, with what led there."""
+        """Goes to the final state of a snapshot, with its history."""
         self.restore(memory)
         self.trace, self.states = list(memory.trace), list(memory.states)
 
@@ -86,7 +86,7 @@ class Lookahead:
 
     @property
     def speed(self) -> tuple[float, float]:
-        """How fast the robot drives (forwards, units/s) and turns (to the left, rad/s)."""
+        """The robot's speed forwards (units/s) and its turning speed to the left (rad/s)."""
         vx, vy, spin = self._world.poses(self._simulation.data.qvel)[0].tolist()
         angle = self.robot[2]
         return -vx * math.sin(angle) + vy * math.cos(angle), spin
@@ -97,14 +97,14 @@ class Lookahead:
         return x, y
 
     def relative(self, point: Point) -> Point:
-        """Where a point is in the robot's frame: to its right, ahead of it."""
+        """A point in the robot's frame: its distance to the right and ahead (world units)."""
         x, y, angle = self.robot
         dx, dy = point[0] - x, point[1] - y
         cosine, sine = math.cos(angle), math.sin(angle)
         return cosine * dx + sine * dy, cosine * dy - sine * dx
 
     def seen(self, index: int) -> Point:
-        """Where a block is in the robot's frame: to its right, ahead of it."""
+        """A block's centre in the robot's frame: its distance to the right and ahead (world units)."""
         return self.relative(self.block(index))
 
     def scene(self) -> Scene:

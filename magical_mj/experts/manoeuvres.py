@@ -1,4 +1,4 @@
-"""Manoeuvres, carried out by lookahead: go to a block, take it, carry it, let go and back off."""
+"""Manoeuvres, executed in the lookahead: drive to a block, grip it, carry it, release it and drive back."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from magical_mj.scene import Pose, Scene
 
 BLOCK_RADIUS: Final = {"square": 0.125, "pentagon": 0.13, "star": 0.14, "circle": 0.12}
 
-# Choosing how to begin
-BEFORE: Final = (0.46, 0.68)  # how far ahead of the robot a block is before it is taken
+# Choosing a manoeuvre
+BEFORE: Final = (0.46, 0.68)  # world units ahead of the robot where a block may be before it is gripped
 ASIDE: Final = 0.1  # and at most how far to the side
-SIDES: Final = 16  # from which a block can be taken
-STOPS: Final = (GRIP, GRIP + 0.07, GRIP + 0.14)  # on the way to the block, where there must be room for the fingers
-TIGHT: Final = 1.5  # actions for each of toll on this way
-WALLED: Final = 12  # toll where a finger is in a wall, by calculation: now and then it still works
-DETOUR: Final = 3.0  # actions by which noise makes a way longer or shorter
+SIDES: Final = 16  # the number of directions from which a block can be gripped
+STOPS: Final = (GRIP, GRIP + 0.07, GRIP + 0.14)  # distances from the block at which there must be room for the fingers
+TIGHT: Final = 1.5  # actions for each unit of toll on this way
+WALLED: Final = 12  # the toll where a finger would be in a wall by calculation; sometimes it works anyway
+DETOUR: Final = 3.0  # actions: the largest change of a path's cost by noise
 CORNER_COST: Final = 4.0  # actions for each point of a route but the last
-SAMPLE: Final = 0.05  # world units between points where the ground is looked at
+SAMPLE: Final = 0.05  # world units between the points of a straight line that are checked
 
-# Doing it
-REACHED: Final = (0.36, 0.1)  # ahead, aside: it is between the fingers
-LOST: Final = (0.46, 0.14)  # it is not held any more
-REACH: Final = 80  # actions, the longest way with a block
-CORRECTIONS: Final = 2  # routes driven, the second if the first did not end where it should
-MISSED: Final = 60.0  # actions that a unit of distance from the target counts as, within the tolerance
+# Executing a manoeuvre
+REACHED: Final = (0.36, 0.1)  # ahead, to the side: within these the block is between the fingers
+LOST: Final = (0.46, 0.14)  # beyond these the block is not held any more
+REACH: Final = 80  # actions: the longest path with a block
+CORRECTIONS: Final = 2  # routes: the second is driven if the first missed the target
+MISSED: Final = 60.0  # the cost (actions) of each unit of distance from the target, within the tolerance
 MISSED_BY_FAR: Final = 1000.0  # and beyond it
-FREE: Final = 0.5  # ahead: so far off, the robot can turn
-FAR: Final = 0.75  # and so far it goes to try again
+FREE: Final = 0.5  # ahead: with the block this far away, the robot can turn
+FAR: Final = 0.75  # ahead: the distance from which it tries again
 BACKING: Final = 8  # actions
 
 
@@ -49,7 +49,7 @@ class Manoeuvre:
 
     subgoal: Subgoal
     route: list[Point]
-    """The points through which to drive before the block is taken, or to the end if there is none."""
+    """The points of the route to the block, or to the end if there is no block."""
     reverse: bool
     """Whether to drive back while turning, with a block between the fingers."""
     estimate: float
@@ -57,24 +57,26 @@ class Manoeuvre:
 
 
 def obstacles(scene: Scene, without: int | None = None) -> NDArray[np.float64]:
-    """x, y, radius of each block but one. Shape (n, 3)."""
+    """x, y, radius of each block except the block `without`. Shape (n, 3)."""
     found = [(b.x, b.y, BLOCK_RADIUS[b.shape]) for number, b in enumerate(scene.blocks) if number != without]
     return np.array(found).reshape(-1, 3)
 
 
 def manoeuvres(ways: Ways, tolls: Ints, scene: Scene, subgoal: Subgoal, noise: Noise) -> list[Manoeuvre]:
-    """The ways to go about a subgoal: for each side of the block one of the quickest.
+    """Candidate manoeuvres for a subgoal: for each side of the block one of the fastest.
 
     Args:
-        ways: where the robot can go.
-        tolls: what the ground costs the robot with empty fingers.
-        scene: what is where.
-        subgoal: what is to be reached.
+        ways: the poses that the robot can reach.
+        tolls: the additional cost of each cell for the robot without a block.
+        scene: the present scene.
+        subgoal: the subgoal.
         noise: varies the choice.
     """
     if subgoal.block is None:
         gaps = np.hypot(*(ways.poses[:, :2] - subgoal.target).T)
-        nodes = np.flatnonzero(gaps <= max(subgoal.tolerance, gaps.min()))  # the nearest, if none is near enough
+        nodes = np.flatnonzero(
+            gaps <= max(subgoal.tolerance, gaps.min())
+        )  # the nearest ones, if none is within the tolerance
         node = int(nodes[ways.steps[nodes].argmin()])
         route = simplified([*ways.to(node), (*subgoal.target, 0.0)], tolls)
         return [Manoeuvre(subgoal, route, False, float(ways.steps[node]))]
@@ -101,7 +103,7 @@ def manoeuvres(ways: Ways, tolls: Ints, scene: Scene, subgoal: Subgoal, noise: N
 
 
 def simplified(way: Sequence[Pose], tolls: Ints) -> list[Point]:
-    """The fewest points of a way between which the robot can drive straight on; without the first."""
+    """The fewest points of a path between which the robot can drive straight; without the first point."""
     route, at = [], 0
     while at < len(way) - 1:
         following = range(len(way) - 1, at + 1, -1)
@@ -111,7 +113,7 @@ def simplified(way: Sequence[Pose], tolls: Ints) -> list[Point]:
 
 
 def _clear(start: Pose, end: Pose, tolls: Ints) -> bool:
-    """Whether nothing is in the robot's way from one place straight to another."""
+    """Whether the straight line from one pose to another is free."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     count = max(2, math.ceil(math.hypot(dx, dy) / SAMPLE))
     line = np.linspace((start[0], start[1]), (end[0], end[1]), count)
@@ -120,12 +122,12 @@ def _clear(start: Pose, end: Pose, tolls: Ints) -> bool:
 
 
 def _behind(x: float, y: float, heading: float, ahead: float) -> Pose:
-    """Where the robot has the point (x, y) so far ahead."""
+    """The pose with this heading in which the point (x, y) is `ahead` of the robot."""
     return x + ahead * math.sin(heading), y - ahead * math.cos(heading), heading
 
 
 def _carrying(x: float, y: float, heading: float, subgoal: Subgoal) -> float:
-    """About how many actions it takes to bring a block from (x, y) to its target, taken with the given heading."""
+    """The approximate number of actions to carry a block from (x, y) to its target, if gripped with this heading."""
     robot = _behind(x, y, heading, GRIP)
     dx, dy = subgoal.target[0] - robot[0], subgoal.target[1] - robot[1]
     turn = abs((math.atan2(-dx, dy) - heading + math.pi) % (2 * math.pi) - math.pi)
@@ -134,7 +136,7 @@ def _carrying(x: float, y: float, heading: float, subgoal: Subgoal) -> float:
 
 
 def perform(world: Lookahead, manoeuvre: Manoeuvre, limit: int) -> bool:
-    """Carry it out; whether it went as planned."""
+    """Executes the manoeuvre; returns whether it succeeded."""
     subgoal, block = manoeuvre.subgoal, manoeuvre.subgoal.block
     if block is None:
         return drive(world, manoeuvre.route, Gripper.OPEN, limit, within=subgoal.tolerance)
@@ -146,7 +148,7 @@ def perform(world: Lookahead, manoeuvre: Manoeuvre, limit: int) -> bool:
 
 
 def _take(world: Lookahead, block: int, limit: int) -> bool:
-    """Drive so that the block comes between the fingers, and close them; whether it is held."""
+    """Drives until the block is between the fingers, and closes them; returns whether it is held."""
     patience = Patience()
     while len(world.trace) < limit and not _within(world, block, REACHED):
         right, ahead = world.seen(block)
@@ -159,13 +161,13 @@ def _take(world: Lookahead, block: int, limit: int) -> bool:
 
 
 def _within(world: Lookahead, block: int, box: Point) -> bool:
-    """Whether a block is at most so far ahead of the robot, and at most so far aside."""
+    """Whether a block is at most box[0] ahead of the robot and at most box[1] to the side."""
     right, ahead = world.seen(block)
     return 0 < ahead < box[0] and abs(right) < box[1]
 
 
 def _carry(world: Lookahead, block: int, manoeuvre: Manoeuvre, limit: int) -> bool:
-    """Drive until the block is at its target; whether it is."""
+    """Drives until the block is at its target; returns whether it is."""
     subgoal = manoeuvre.subgoal
     for _ in range(CORRECTIONS):
         left = limit - len(world.trace)
@@ -183,7 +185,7 @@ def _carry(world: Lookahead, block: int, manoeuvre: Manoeuvre, limit: int) -> bo
 
 
 def _route(world: Lookahead, goal: Goal, tolls: Ints, limit: int) -> list[Point]:
-    """Through which points to drive so that what is ahead of the robot comes to its goal."""
+    """The points of a route that brings the point ahead of the robot to its goal."""
     x, y, _ = world.robot
     dx, dy = goal.x - x, goal.y - y
     distance = math.hypot(dx, dy)
@@ -199,7 +201,7 @@ def _route(world: Lookahead, goal: Goal, tolls: Ints, limit: int) -> list[Point]
 
 
 def _let_go(world: Lookahead, block: int, limit: int, distance: float) -> None:
-    """Open the fingers and back off until the block is far enough ahead, with a moment of waiting for the fingers."""
+    """Opens the fingers, waits for them, and drives back until the block is at least `distance` ahead."""
     for number in range(min(BACKING, limit - len(world.trace))):
         if world.seen(block)[1] > distance:
             return

@@ -1,7 +1,7 @@
-"""Ways to drive: every pose that the robot can reach among still blocks, with the fewest actions.
+"""Path search: the poses that the robot can reach between blocks at rest, with the fewest actions.
 
-Poses spread from the robot in waves over a grid of places and headings; each cell keeps the first pose that came
-into it, exact, so that a way back through the parents is one that the robot could have driven.
+A breadth-first search runs over a grid of positions and headings. Each cell keeps the first exact pose that reached
+it, so that the path through its parents is one that the robot can drive.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Discs = tuple[tuple[float, float, float], ...]
 
-HEADINGS: Final = 20  # one action turns by about one of them
+HEADINGS: Final = 20  # the number of headings; one action turns by about one
 CELL: Final = 0.05  # world units
 SIDE: Final = round(2 * c.ARENA_HALF_WIDTH / CELL)
-FINE: Final = 0.02  # world units, of the map of clearances
-FINE_REACH: Final = 1.4  # it extends so far on each side
+FINE: Final = 0.02  # world units, cell size of the clearance map
+FINE_REACH: Final = 1.4  # world units from the centre to the border of the clearance map
 FINE_SIDE: Final = round(2 * FINE_REACH / FINE)
 
 GRIP: Final = 0.32  # from the robot's centre to that of a block between its fingers
 TURN_STEP: Final = c.SPEED_TURN / c.CONTROL_RATE
-AFTERWARDS: Final = 4  # actions that are explored after a goal was reached, for a better way to it
-SWITCH_COST: Final = 2  # actions lost when the robot brakes and drives the other way
+AFTERWARDS: Final = 4  # actions that are explored after the goal is first reached, to find a better path
+SWITCH_COST: Final = 2  # actions lost when the robot reverses its direction
 
 EMPTY: Final = ((0.0, 0.0, 0.2), (0.0, 0.18, 0.13), (0.0, 0.27, 0.1))
 """The robot with closed fingers as discs in its frame: x, y, radius."""
@@ -40,7 +40,7 @@ LOADED: Final = ((0.0, 0.0, 0.2), (0.1, 0.25, 0.1), (-0.1, 0.25, 0.1), (0.0, GRI
 """The robot with a block between its fingers."""
 WALL_MARGIN: Final = -0.01
 PUSH_COSTS: Final = ((0.01, 1), (-0.04, 2), (-0.1, 3))
-"""Clearance to blocks, and how many actions more it costs to go where there is less: they must be pushed aside."""
+"""(clearance to blocks, additional actions for cells with less clearance, where blocks must be pushed aside)."""
 PUSH_LIMIT: Final = -0.2
 
 MOTIONS: Final = tuple(
@@ -54,7 +54,7 @@ _GEAR: Final = np.array([0 if step > 0 else 1 if step < 0 else -1 for step in _S
 
 
 class Goal(NamedTuple):
-    """Something at a distance ahead of the robot is to be within some distance of a point."""
+    """The goal of a search: the point `ahead` of the robot is within a tolerance of a given point."""
 
     ahead: float
     x: float
@@ -68,16 +68,16 @@ class Goal(NamedTuple):
 
 @dataclass(frozen=True)
 class Ways:
-    """Where the robot can go from one pose: a tree of poses, each one action after its parent."""
+    """The poses that the robot can reach from one pose, as a tree: each is one action after its parent."""
 
     poses: Floats
     """Shape (n, 3); the first is the start."""
     parents: Ints
     steps: Ints
-    """How many actions it takes to get there."""
+    """The number of actions to each pose. Shape (n,)."""
 
     def to(self, node: int) -> list[Pose]:
-        """The poses on the way from the start to a node, both included."""
+        """The poses on the path from the start to a node, both included."""
         way = []
         while node >= 0:
             way.append(tuple(self.poses[node].tolist()))
@@ -86,16 +86,16 @@ class Ways:
 
 
 def places(poses: Floats, ahead: float) -> Floats:
-    """The points so far ahead of the robot's centre in each pose. Shape (n, 2)."""
+    """The point `ahead` of the robot's centre in each pose. Shape (n, 2)."""
     angles = poses[:, 2]
     return poses[:, :2] + ahead * np.stack([-np.sin(angles), np.cos(angles)], axis=1)
 
 
 def toll(obstacles: Floats, loaded: bool) -> Ints:
-    """How many actions more than one it takes to enter each cell; negative where the robot cannot be.
+    """The additional number of actions to enter each cell; negative where the robot cannot be.
 
     Args:
-        obstacles: x, y and radius of each block in the way, shape (n, 3).
+        obstacles: x, y and radius of each block, shape (n, 3).
         loaded: whether the robot carries a block.
     """
     axis = (np.arange(FINE_SIDE) + 0.5) * FINE - FINE_REACH
@@ -113,7 +113,7 @@ def toll(obstacles: Floats, loaded: bool) -> Ints:
 
 
 def _least(room: Floats, discs: Discs) -> Floats:
-    """The least clearance of any disc, for each cell, from the clearance of points. Shape (HEADINGS * SIDE**2,)."""
+    """The least clearance of all discs in each cell, from the clearance map. Shape (HEADINGS * SIDE**2,)."""
     return np.min([room.ravel()[_samples(dx, dy)] - radius for dx, dy, radius in discs], axis=0)
 
 
@@ -127,7 +127,7 @@ def _walled(discs: Discs) -> NDArray[np.bool_]:
 
 @lru_cache
 def _samples(dx: float, dy: float) -> Ints:
-    """Where in the map of clearances a point of the robot's frame is, for each cell."""
+    """For each cell, the index into the clearance map of a point in the robot's frame."""
     angles = (np.arange(HEADINGS) * 2 * math.pi / HEADINGS)[:, None, None]
     centres = (np.arange(SIDE) + 0.5) * CELL - c.ARENA_HALF_WIDTH
     x = centres[:, None] + dx * np.cos(angles) - dy * np.sin(angles)
@@ -137,7 +137,7 @@ def _samples(dx: float, dy: float) -> Ints:
 
 
 def cells(poses: Floats) -> Ints:
-    """The cell of each pose, -1 outside of the arena. Shape (n,)."""
+    """The cell of each pose, -1 outside the arena. Shape (n,)."""
     place = np.floor((poses[:, :2] + c.ARENA_HALF_WIDTH) / CELL).astype(np.int64)
     heading = np.round(poses[:, 2] * (HEADINGS / (2 * math.pi))).astype(np.int64) % HEADINGS
     numbers = (heading * SIDE + place[:, 0]) * SIDE + place[:, 1]
@@ -145,15 +145,15 @@ def cells(poses: Floats) -> Ints:
 
 
 def explore(start: Pose, tolls: Ints, limit: int, goal: Goal | None = None) -> Ways:
-    """All ways from `start` that take at most `limit` actions, the shortest to each cell.
+    """The shortest paths from `start` to all cells that can be reached with at most `limit` actions.
 
     Args:
         start: the robot's pose.
-        tolls: what `toll` gave.
-        limit: in actions, tolls included.
-        goal: once it is reached, only a few actions more are explored.
+        tolls: the result of `toll`.
+        limit: number of actions, tolls included.
+        goal: once it is reached, only a few more actions are explored.
     """
-    seen = np.zeros(2 * len(tolls), bool)  # a cell is twice there: reached forwards, reached backwards
+    seen = np.zeros(2 * len(tolls), bool)  # two slots per cell: reached forwards and reached backwards
     owner = np.empty(2 * len(tolls), np.int64)
     waiting: list[list[tuple[Floats, Ints, Ints]]] = [[] for _ in range(limit + 1)]
     waiting[0] = [(np.array([start]), np.array([-1]), np.array([0]))]
@@ -189,7 +189,7 @@ def explore(start: Pose, tolls: Ints, limit: int, goal: Goal | None = None) -> W
 
 
 def _moved(poses: Floats) -> tuple[Floats, Ints, Ints]:
-    """The poses after each of the motions; from which pose and by which motion each came."""
+    """The poses after each of the motions, and for each the index of its parent and of its motion."""
     origin = np.repeat(np.arange(len(poses)), len(MOTIONS))
     motion = np.tile(np.arange(len(MOTIONS)), len(poses))
     start, step, turn = poses[origin], _STEP[motion], _TURN[motion]

@@ -1,4 +1,4 @@
-"""From subgoals to actions: candidate manoeuvres are tried by lookahead, and the best is kept."""
+"""The planner turns subgoals into actions: it tries candidate manoeuvres in the lookahead and keeps the best."""
 
 from __future__ import annotations
 
@@ -18,27 +18,29 @@ from magical_mj.scene import Scene
 from magical_mj.tasks import TaskSpec
 
 TRIES: Final = 8  # manoeuvres tried in one situation
-SPREAD: Final = 4.0  # actions by which noise makes a manoeuvre more or less promising
-TASTE: Final = 5.0  # and better or worse, once tried
-BOLDER, CALMER = 1.5, 0.7  # times as strong are noise and lateness after each plan that failed
-LOSS: Final = 300.0  # actions that a score of 1 is worth
-FAILURE: Final = 60.0  # actions that a subgoal begun and not reached costs
-REACH: Final = 90  # actions, the longest way to anything
-ATTEMPTS: Final = 20  # plans for an episode
-SECOND_THOUGHTS: Final = 2  # plans more for one that is done before time is up
+SPREAD: Final = 4.0  # actions: the largest change by noise of a manoeuvre's estimated cost
+TASTE: Final = 5.0  # the same for its cost after it was tried
+BOLDER, CALMER = 1.5, 0.7  # factors of noise and of lateness after each failed plan
+LOSS: Final = 300.0  # the cost, in actions, of losing a score of 1
+FAILURE: Final = 60.0  # the cost, in actions, of a subgoal that was attempted and not reached
+REACH: Final = 90  # actions: the longest path
+ATTEMPTS: Final = 20  # the number of plans for an episode
+SECOND_THOUGHTS: Final = 2  # additional plans to find one that is done early
 PAUSE: Final = 4  # actions of waiting when there is nothing to do
-SETTLING: Final = 8  # of waiting with closed fingers, which even learners who leave out the no-ops can imitate
+SETTLING: Final = (
+    8  # actions of waiting with closed fingers: not no-ops, so that learners that leave out no-ops see them
+)
 
 
 class Plan(NamedTuple):
-    """Actions from one state on, and where they lead."""
+    """A sequence of actions from one state, and the states that follow."""
 
     score: float
     rest: int
-    """How many actions are left when everything is done."""
+    """The number of unused actions when all subgoals are reached."""
     actions: list[int]
     states: list[State]
-    """Before each action, and after the last."""
+    """The states before each action and after the last one."""
 
 
 class Planner:
@@ -57,14 +59,14 @@ class Planner:
         return self._spec.score(self._initial, scene, "paper")
 
     def plan(self, steps: int, budget: int, rng: np.random.Generator) -> Plan:
-        """The best of several plans for the next `steps` actions: the first that gives the full score, if any does.
+        """The best of several plans for the next `steps` actions: the first with the full score, if there is one.
 
-        One that is done early is preferred to one that has the full score but still drives when time is up.
+        A plan that is done early is preferred to one with the full score that still moves at the end.
 
         Args:
-            steps: how many actions are left.
-            budget: no new plan is begun after so many simulated steps.
-            rng: varies the plans; the more, and with a better hand, the more have failed.
+            steps: the number of remaining actions.
+            budget: the number of simulated steps after which no new plan is started.
+            rng: varies the plans. After each failure, noise increases and execution becomes more precise.
         """
         start, end = self._world.save(), self._world.count + budget
         best = self._attempt(start, steps, Noise(rng, 1.0), Hand(rng))
@@ -105,7 +107,7 @@ class Planner:
         return Plan(self._score(world.scene()), waited, actions, states)
 
     def _best(self, here: Snapshot, scene: Scene, todo: Subgoals, left: int, noise: Noise) -> Manoeuvre | None:
-        """The best of the most promising manoeuvres, tried from a snapshot; None if there is nothing to do."""
+        """The best of the most promising manoeuvres, tried from a snapshot; None if there is no subgoal left."""
         world = self._world
         tolls = toll(obstacles(scene), loaded=False)
         ways = explore(scene.robot.pose, tolls, min(left, REACH))
@@ -123,6 +125,6 @@ class Planner:
         return best
 
     def _rest(self, todo: Subgoals) -> float:
-        """About how many actions are left after the present state."""
+        """The approximate number of actions that the subgoals still need from the present state."""
         scene = self._world.scene()
         return sum(subgoal.cost(scene) for subgoal in todo) + LOSS * (1 - self._score(done(scene, todo)))

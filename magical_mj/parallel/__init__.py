@@ -1,4 +1,4 @@
-"""Work in several processes: of this machine, or of a dask or ray cluster."""
+"""Parallel work in several processes, on this machine or on a dask or ray cluster."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ __all__ = ["BACKENDS", "Backend", "check_backend", "cores", "spread"]
 
 
 def cores() -> int:
-    """The cores that this process may use."""
+    """The number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def check_backend(backend: str, jobs: int | None, address: str | None) -> None:
-    """Raises a `SettingsError` unless these arguments of `spread` go together."""
+    """Raises a `SettingsError` unless these arguments of `spread` are valid together."""
     if backend not in BACKENDS:
         raise unknown_name("backend", backend, BACKENDS)
     if jobs is not None and jobs < 1:
@@ -31,7 +31,7 @@ def check_backend(backend: str, jobs: int | None, address: str | None) -> None:
     if backend == "dask" and not address:
         raise SettingsError("the dask backend needs the scheduler's address, such as tcp://host:8786")
     if backend == "local" and address:
-        raise SettingsError("an address is of a cluster: choose the dask or the ray backend")
+        raise SettingsError("only clusters have an address: choose the dask or the ray backend")
 
 
 def spread(
@@ -41,20 +41,21 @@ def spread(
     backend: str = "local",
     address: str | None = None,
 ) -> Iterator[Result]:
-    """The function's result for each piece of work, done by worker processes, in the order in which they are ready.
+    """The function's result for each piece of work, computed by worker processes, in order of completion.
 
-    A worker that dies is replaced, and its piece is done again. What the function raises is raised here, and ends all.
+    A worker that dies is replaced, and its piece is done again. Exceptions of the function are raised here and end all
+    work.
 
     Args:
-        function: of one piece. It and the pieces are pickled (by cloudpickle).
-        pieces: the work, what takes longest first.
-        jobs: how many processes work; None: one for each core, or as many as the cluster has.
+        function: a function of one piece. It and the pieces are pickled (by cloudpickle).
+        pieces: the pieces of work, the longest first.
+        jobs: the number of processes; None: one per core, or all of the cluster.
         backend: "local", "dask" or "ray".
-        address: of the cluster.
+        address: the cluster's address.
 
     Raises:
-        WorkerError: if a piece has cost several workers their lives, or the cluster is not there.
-        MissingExtraError: if what the cluster needs is not installed.
+        WorkerError: if several workers died of the same piece, or the cluster does not respond.
+        MissingExtraError: if the packages for the cluster are not installed.
     """
     if backend == "local":
         from magical_mj.parallel.local import spread_here

@@ -14,7 +14,7 @@ Piece = TypeVar("Piece")
 Result = TypeVar("Result")
 
 ROUND: Final = 4
-"""Pieces for each worker between two looks at the results, where results cannot be had one by one (ray)."""
+"""Pieces per worker in a batch, for backends that cannot return results one by one (ray)."""
 
 
 def spread_there(

@@ -1,8 +1,8 @@
 """Worker processes of this machine.
 
-They are started afresh, for OpenGL does not survive a fork, and without the caller's `__main__`, so that scripts need
-no guard. A worker's standard input is a pipe from the caller's process, which closes when that process ends, in
-whatever way; then the worker ends at once.
+They are new processes, not forks, since OpenGL does not survive a fork. They do not import the caller's `__main__`, so
+that scripts need no guard. A worker's standard input is a pipe from the caller's process, which closes when that
+process ends for any reason; then the worker ends at once.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from magical_mj.errors import WorkerError
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
 Answer = tuple[bool, Any]
-"""Whether all went well, and the result or the error."""
+"""(success, the result or the error)."""
 
 LIVES: Final = 3
-"""Workers that may die of one piece of work."""
+"""The number of workers that may die of one piece of work."""
 GRACE: Final = 10.0
-"""Seconds that a worker gets to close what it has open."""
+"""Seconds that a worker has to close its files."""
 ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Sums depend on how they are split, and workers must not fight for cores."""
+"""One thread per worker: sums depend on how they are split, and workers share the cores."""
 
 
 def spread_here(function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int) -> Iterator[Result]:
@@ -59,7 +59,7 @@ def spread_here(function: Callable[[Piece], Result], pieces: Sequence[Piece], jo
 
 
 def _attend(worker: _Worker, todo: queue.SimpleQueue[Any], done: queue.SimpleQueue[Answer]) -> None:
-    """Hands one piece of work after another to a worker, until there are no more."""
+    """Gives pieces of work to a worker, one after another, until there are no more."""
     with suppress(queue.Empty):
         while True:
             work = todo.get_nowait()
@@ -70,7 +70,7 @@ def _attend(worker: _Worker, todo: queue.SimpleQueue[Any], done: queue.SimpleQue
 
 
 class _Worker:
-    """A process that works; if it dies, another takes its place."""
+    """A worker process, which is replaced if it dies."""
 
     def __init__(self) -> None:
         self._lock, self._killed = threading.Lock(), False
@@ -88,17 +88,17 @@ class _Worker:
                 self._start()
         cause = signal.Signals(-code).name if code < 0 else f"exit code {code}"
         return False, WorkerError(
-            f"{LIVES} worker processes died of the same piece of work ({cause}), perhaps for want of memory"
+            f"{LIVES} worker processes died of the same piece of work ({cause}), perhaps because memory ran out"
         )
 
     def end(self) -> None:
-        """Lets the process close what it has open, and waits for it."""
+        """Lets the process close its files, and waits for it to end."""
         with suppress(OSError, subprocess.TimeoutExpired):
             _send(self._process.stdin, None)
             self._process.wait(GRACE)
 
     def kill(self) -> None:
-        """Ends the process, whatever it does."""
+        """Kills the process."""
         with self._lock:
             self._killed = True
             self._process.kill()
@@ -126,8 +126,8 @@ class _Worker:
 
 
 def serve() -> None:
-    """What a worker process does. Whatever is printed goes to standard error."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the caller's process too, which decides
+    """The main function of a worker process. Printed output goes to standard error."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C also reaches the caller's process, which ends the workers
     source, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)

@@ -1,6 +1,6 @@
-"""What a task's plan is made of: subgoals, and the places for them. Pure geometry, without a simulator.
+"""Plans of tasks: subgoals and their target places. Pure geometry, without a simulator.
 
-A plan says which block should go where; experts find out how. It is part of a task (`TaskSpec.plan`).
+A plan says which block should go where; experts find the actions for it. It is part of a task (`TaskSpec.plan`).
 """
 
 from __future__ import annotations

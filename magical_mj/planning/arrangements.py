@@ -1,8 +1,8 @@
-"""Where blocks should go so that they make a line or clusters, with little carrying. No simulator here.
+"""Target places with which blocks form a line or clusters and that are cheap to reach. Pure geometry.
 
 A line goes through one of the blocks, which stays; all directions, spacings and orders are compared. Clusters are
-found by local search: of all blocks and all places, the one move that helps most, until none does. A block may also
-return to where it is now, which costs nothing, so only those blocks move that must.
+found by local search: of all moves of one block to one place, the best is made, until none is an improvement. A block
+may also return to its present place, at no cost, so that only the necessary blocks are moved.
 """
 
 from __future__ import annotations
@@ -25,37 +25,39 @@ SPACINGS: Final = (0.29, 0.34, 0.39)  # between neighbours; blocks are up to 0.3
 ANGLES: Final = 24
 STAYS: Final = 0.09  # a block this near to its place is left alone
 LINE_COSTS: Final = (14.0, 11.0)  # to move a block at all, and for each unit
-LINE_SPREAD: Final = 12.0  # by which noise makes a line better or worse
-CHECKED: Final = 500  # of the cheapest plans: blocks that stay near their places may leave too large a gap
-SPARE: Final = 1.05  # the rule holds for places that are farther apart by this factor
+LINE_SPREAD: Final = 12.0  # the largest change of a line's cost by noise
+CHECKED: Final = (
+    500  # the number of cheapest plans that are checked: blocks that stay near their places may leave too large a gap
+)
+SPARE: Final = 1.05  # safety factor: the rule must also hold if distances grow by it
 LINE_LIMIT: Final = 0.84  # lines end within this square
 
 # Clusters
 CLUSTER_COSTS: Final = (16.0, 13.0)  # to move a block at all, and for each unit
-WRONG_COST: Final = 60.0  # of a block among the wrong kind
-SAFE: Final = 0.6  # a block is safe if its squared distance to its kind is below this share of what is allowed
-DOUBTFUL, HOPELESS = 0.7, 2.2  # shares of that, between which a block counts as more and more wrong
+WRONG_COST: Final = 60.0  # of a block that is nearer to another kind
+SAFE: Final = 0.6  # a block is safe if its squared distance to its kind is below this share of the limit
+DOUBTFUL, HOPELESS = 0.7, 2.2  # shares of that between which the cost of a wrong block rises
 APART: Final = 0.28  # between the centres of blocks
-CROWDED_COST: Final = 1000.0  # for each unit by which two are nearer
+CROWDED_COST: Final = 1000.0  # for each unit by which two blocks are closer than `APART`
 PITCH: Final = 0.14  # of the grid of places
 CLUSTER_LIMIT: Final = 0.78  # places are within this square
 STARTS: Final = 3
-CLUSTER_SPREAD: Final = 30.0  # by which noise makes a layout better or worse
+CLUSTER_SPREAD: Final = 30.0  # the largest change of a layout's cost by noise
 ROUNDS: Final = 24
 
 
 def line_targets(
     points: Sequence[Point], is_line: Callable[[Sequence[Point]], bool], noise: Noise
 ) -> list[Point | None]:
-    """A target for each block, or None for those that stay where they are.
+    """A target for each block, or None for blocks that stay.
 
-    Lines go through one of the blocks, which stays. All their directions, spacings and places for that block are
-    tried with all orders of the others.
+    Lines go through one of the blocks, which stays. All directions, spacings and positions of that block in the line
+    are tried, with all orders of the other blocks.
 
     Args:
-        points: where the blocks are.
-        is_line: whether blocks at these points make a line.
-        noise: which of several good lines it is.
+        points: the blocks' positions.
+        is_line: whether blocks at these points form a line.
+        noise: selects one of several good lines.
     """
     here = np.array(points)
     count = len(here)
@@ -86,7 +88,7 @@ def line_targets(
 
 
 def cluster_targets(points: Sequence[Point], kinds: Sequence[str], noise: Noise) -> list[Point | None]:
-    """A target for each block, or None for those that stay where they are."""
+    """A target for each block, or None for blocks that stay. `kinds` holds the colour or shape by which to cluster."""
     here = np.array(points)
     values = sorted(set(kinds))
     members = np.array([[kind == value for kind in kinds] for value in values], float)
@@ -101,7 +103,7 @@ def cluster_targets(points: Sequence[Point], kinds: Sequence[str], noise: Noise)
 
 
 def _gathered(here: Floats, members: Floats, noise: Noise) -> Floats:
-    """A start in which every kind is in one place: near its blocks, or at one of the other kinds' places."""
+    """A starting point of the search, with every kind in one place: near its own or another kind's blocks."""
     middles = members @ here / members.sum(axis=1, keepdims=True)
     corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
     centres = 0.5 * middles + 0.5 * corners[noise.rng.permutation(4)][: len(middles)]
@@ -134,7 +136,7 @@ def _layouts(layout: Floats, block: int, places: Floats) -> Floats:
 
 
 def _costs(layouts: Floats, here: Floats, members: Floats) -> Floats:
-    """What it costs to make each layout, and what is wrong with it. Shape (layouts,)."""
+    """The cost of moving the blocks to each layout, plus penalties for wrong blocks. Shape (layouts,)."""
     ways = np.linalg.norm(layouts - here, axis=-1)
     moved = ways > 0
     cost = (moved * CLUSTER_COSTS[0] + CLUSTER_COSTS[1] * ways).sum(axis=-1)
@@ -143,7 +145,7 @@ def _costs(layouts: Floats, here: Floats, members: Floats) -> Floats:
     own = (squares * members.T).sum(axis=-1)
     nearest = np.where(members.T > 0, np.inf, squares).min(axis=-1)
     share = 3 * own / np.maximum(nearest, 1e-9)
-    doubt = np.clip(share / SAFE, DOUBTFUL, HOPELESS) - DOUBTFUL  # shows the way to layouts in which fewer are wrong
+    doubt = np.clip(share / SAFE, DOUBTFUL, HOPELESS) - DOUBTFUL  # a slope towards layouts with fewer wrong blocks
     cost += WRONG_COST * (doubt + (share > SAFE)).sum(axis=-1)
     gaps = np.linalg.norm(layouts[:, :, None] - layouts[:, None], axis=-1)
     crowded = np.clip(APART - gaps, 0, None) * (moved[:, :, None] | moved[:, None, :])

@@ -1,4 +1,4 @@
-"""Subgoals: which block should go where, and which places there are. Costs are in actions, roughly."""
+"""Subgoals: which block should go where, and the candidate places. Costs are approximate numbers of actions."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import numpy as np
 from magical_mj.planning.noise import Noise
 from magical_mj.scene import GoalRegion, Scene
 
-FETCHING: Final = 14  # actions to go to a block, take it and let go of it
+FETCHING: Final = 14  # actions to drive to a block, grip it and release it
 CARRYING: Final = 11  # actions to carry it one unit
-SPREAD: Final = 2.0  # actions by which noise makes a place better or worse
-WANDER: Final = 10.0  # likewise, where only the robot goes
-CHOICE: Final = 3.0  # likewise for one of several blocks
-TOLERANCE: Final = 0.12  # so near its target a block is there
+SPREAD: Final = 2.0  # actions: the largest change of a place's cost by noise
+WANDER: Final = 10.0  # the same where only the robot moves
+CHOICE: Final = 3.0  # the same for the choice between several blocks
+TOLERANCE: Final = 0.12  # a block this close to its target has reached it
 APART: Final = 0.27  # between the centres of blocks that do not touch
-CROWDED: Final = 1000.0  # actions for each unit by which they are nearer
+CROWDED: Final = 1000.0  # actions for each unit by which they are closer than `APART`
 INSIDE, OUTSIDE = 0.14, 0.16  # from the border of a goal region
 REACHABLE: Final = 0.84  # blocks are left within this square
 GRID: Final = 0.06
@@ -29,20 +29,20 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class Subgoal:
-    """Bring a block somewhere, or with `block` None only the robot."""
+    """Bring a block to a place, or, if `block` is None, the robot itself."""
 
     block: int | None
     target: Point
     tolerance: float = TOLERANCE
 
     def left(self, scene: Scene) -> float:
-        """How far there still is to go; 0 if it is done."""
+        """The remaining distance (world units); 0 if the subgoal is reached."""
         thing = scene.robot if self.block is None else scene.blocks[self.block]
         way = math.dist((thing.x, thing.y), self.target)
         return 0.0 if way <= self.tolerance else way
 
     def cost(self, scene: Scene) -> float:
-        """About how many actions it still takes."""
+        """The approximate number of remaining actions."""
         way = self.left(scene)
         return FETCHING + CARRYING * way if way else 0.0
 
@@ -51,7 +51,7 @@ Subgoals = tuple[Subgoal, ...]
 
 
 def done(scene: Scene, todo: Iterable[Subgoal]) -> Scene:
-    """The scene as it would be if all subgoals were done, and nothing else changed."""
+    """The scene after all subgoals are reached, if nothing else changes."""
     poses = [block.pose for block in scene.blocks]
     robot = scene.robot.pose
     for subgoal in todo:
@@ -97,7 +97,7 @@ def places_outside(regions: Sequence[GoalRegion]) -> list[Point]:
 
 
 def bring(scene: Scene, block: int, places: Iterable[Point], noise: Noise) -> Subgoal:
-    """The subgoal to bring a block to the nearest of the places that no other block takes."""
+    """The subgoal of bringing a block to the nearest place that no other block occupies."""
     here = scene.blocks[block]
 
     def cost(place: Point) -> float:
@@ -112,12 +112,12 @@ def bring(scene: Scene, block: int, places: Iterable[Point], noise: Noise) -> Su
 
 
 def drive(scene: Scene, places: Iterable[Point], noise: Noise, tolerance: float) -> Subgoal:
-    """The subgoal to drive to the nearest of the places."""
+    """The subgoal of driving the robot to the nearest of the places."""
     here = scene.robot
     place = min(places, key=lambda at: CARRYING * math.dist(at, (here.x, here.y)) + noise(WANDER))
     return Subgoal(None, place, tolerance)
 
 
 def each_to(targets: Sequence[Point | None], tolerance: float) -> list[Subgoal]:
-    """The subgoals of an arrangement that has a target for each block, or None for those that stay."""
+    """The subgoals of an arrangement with a target for each block, or None for blocks that stay."""
     return [Subgoal(number, target, tolerance) for number, target in enumerate(targets) if target is not None]
