@@ -59,7 +59,7 @@ site-picture: site | chromium  ## docs/site.png, anew
 	$(BIN)/python site/screenshots.py
 
 readme: $(VENV)/.installed-dev  ## run README.md in a new environment that has only what the page tells to install
-	$(BIN)/python tools/readme_run.py
+	$(BIN)/python tools/readme_run.py $(ARGS)
 
 demonstrations: $(VENV)/.installed-dev  ## after a change of the physics: the shipped demonstrations, docs/experts.md and the site's episodes, anew
 	rm -rf magical_mj/demos/data

@@ -49,7 +49,7 @@ TINY: Final = (
     *("network.entity=8", "demonstrations=2", "evaluations=2", "episodes=2", "checkpoints=16", "device=cpu"),
 )
 GAIL: Final = (
-    *("ppo.environments=4", "ppo.steps=4", "ppo.minibatch=8", "ppo.epochs=2", "ppo.total_steps=1024"),
+    *("ppo.environments=4", "ppo.steps=4", "ppo.minibatch=8", "ppo.epochs=2", "ppo.total_steps=512"),
     *("discriminator.steps=2", "discriminator.batch_size=8"),
 )
 
@@ -162,7 +162,7 @@ def kinds(scores: Path) -> dict[str, Kind]:
         "generate": Kind((*MAIN, *generate), demonstrations, demonstrations),
         "play": Kind((sys.executable, "-c", PLAYER, *play), demonstrations, None),
         "train-bc-state": train("bc", ("--preset", "State"), "bc.batches=800"),
-        "train-bc": train("bc", ("--quick",), "bc.batches=160", "bc.batch_size=8"),
+        "train-bc": train("bc", ("--quick",), "bc.batches=32", "bc.batch_size=8"),
         "train-gail": train("gail", ("--quick",), *GAIL),
     }
 
