@@ -12,6 +12,7 @@ from typing import Final
 
 from magical_mj import ENVIRONMENTS, TASKS
 from magical_mj import constants as c
+from magical_mj.agents import AGENTS
 from magical_mj.evaluation.statistics import rank_correlation
 from magical_mj.leaderboard.sections import label
 from magical_mj.leaderboard.standings import Standing, own_standings, published
@@ -83,21 +84,27 @@ def _number(value: float) -> str:
     return "" if value != value else f"{value:.2f}"
 
 
-def overview(entries: Mapping[str, Standing], paper: Iterable[Standing]) -> str:
-    """Of each method, ours and the paper's, the mean score over tasks in each variant."""
+def overview(learnt: Mapping[str, Standing], paper: Iterable[Standing]) -> str:
+    """Of each method, ours and the paper's, the mean score over tasks in each variant; (m/n): of m of the n tasks."""
     rows = []
-    for one in (*entries.values(), *paper):
+    for one in (*learnt.values(), *paper):
         looks_at = "pictures" if one.entry is None else one.entry.observations or "nothing"
         runs = "5" if one.entry is None else str(len(one.entry.runs))
-        rows.append((label(one), looks_at, runs, *(_number(_mean(one, (name,))) for name in VARIANTS)))
+        rows.append((label(one), looks_at, runs, *(_over_tasks(one, variant) for variant in VARIANTS)))
     return table(("Method", "Looks at", "Runs", *VARIANTS), rows)
 
 
-def agreement(entries: Mapping[str, Standing], paper: Iterable[Standing]) -> str:
+def _over_tasks(one: Standing, variant: str) -> str:
+    wanted = [pair for pair in ENVIRONMENTS if pair[1] == variant]
+    there = [pair for pair in wanted if pair in one.means]
+    part = f" ({len(there)}/{len(wanted)})" if len(there) < len(wanted) else ""
+    return f"{_mean(one, (variant,)):.2f}{part}" if there else ""
+
+
+def agreement(learnt: Mapping[str, Standing], paper: Iterable[Standing]) -> str:
     """Of each of our methods, its rank correlation with each of the paper's over the environments."""
     rows = [
-        (label(one), *(_number(rank_correlation(one.means, other.means)) for other in paper))
-        for one in entries.values()
+        (label(one), *(_number(rank_correlation(one.means, other.means)) for other in paper)) for one in learnt.values()
     ]
     return table(("", *COMPARED), rows)
 
@@ -124,20 +131,34 @@ def _but(missing: Sequence[str]) -> str:
 
 def readme() -> dict[str, str]:
     """The tables of README.md by name."""
-    return {"tasks": tasks(), "variants": variants(), "presets": presets(), "experts": experts()}
+    learnt, paper = _results()
+    return {
+        "tasks": tasks(),
+        "variants": variants(),
+        "presets": presets(),
+        "experts": experts(),
+        "results": overview(learnt, paper),
+    }
 
 
 def results() -> dict[str, str]:
     """The tables of docs/results.md by name; an entry's has the name of its file."""
-    found = own_standings(ROOT / "results")
-    entries = dict(sorted(found.items(), key=lambda item: -_mean(item[1], VARIANTS)))
-    paper = sorted((one for one in published() if one.name in COMPARED), key=lambda one: COMPARED.index(one.name))
-    learnt = {name: one for name, one in entries.items() if name not in ("noop", "random")}
+    learnt, paper = _results()
     return {
-        "overview": overview(entries, paper),
+        "overview": overview(learnt, paper),
         "agreement": agreement(learnt, paper),
         **{name: environments(one) for name, one in learnt.items()},
     }
+
+
+def _results() -> tuple[dict[str, Standing], list[Standing]]:
+    """Of our own learners by the names of their files, the best first; and of the paper's."""
+    learnt = {name: one for name, one in own_standings(ROOT / "results").items() if one.name not in AGENTS}
+    paper = [one for one in published() if one.name in COMPARED]
+    return (
+        dict(sorted(learnt.items(), key=lambda item: -_mean(item[1], VARIANTS))),
+        sorted(paper, key=lambda one: COMPARED.index(one.name)),
+    )
 
 
 PAGES: Final[Mapping[str, Callable[[], dict[str, str]]]] = {"README.md": readme, "docs/results.md": results}
