@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import pkgutil
 import re
 import shlex
 import subprocess
@@ -82,3 +83,17 @@ def test_links_and_make_targets_exist() -> None:
     makefile = (ROOT / "Makefile").read_text()
     for target in re.findall(r"(?<![\w-])make (\w+)", TEXT):
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
+
+
+def test_names_in_the_text_exist() -> None:
+    pages = [
+        *ROOT.glob("*.md"),
+        *ROOT.glob("docs/*.md"),
+        *ROOT.glob("site/pages/*.md"),
+        *ROOT.glob("magical_mj/**/*.py"),
+    ]
+    entry_points = {"magical_mj.commands", "magical_mj.policy_folders", "magical_mj.tasks"}
+    found = {name for page in pages for name in re.findall(r"`(magical_mj(?:\.\w+)+)", page.read_text())} - entry_points
+    assert len(found) > 30
+    for name in found:
+        assert pkgutil.resolve_name(name) is not None
