@@ -74,12 +74,13 @@ LEROBOT_PYTHON ?= $(shell for p in python3.12 python3.13; do $$p -c '' 2>/dev/nu
 lerobot: $(LEROBOT)/.installed  ## an environment of its own (Python 3.12, 5 GB) in which LeRobot's commands know this package
 
 lerobot-test: $(LEROBOT)/.installed  ## the tests of that plug-in
-	HF_HUB_OFFLINE=1 $(LEROBOT)/bin/python -m pytest tests/test_lerobot.py $(ARGS)
+	HF_HUB_OFFLINE=1 OMP_NUM_THREADS=1 $(LEROBOT)/bin/python -m pytest -n auto -rP tests/test_lerobot.py $(ARGS)
 
 $(LEROBOT)/.installed: pyproject.toml
-	@[ -n "$(LEROBOT_PYTHON)" ] || { echo "lerobot 0.6 needs Python 3.12; give LEROBOT_PYTHON=/path/to/python3.12" >&2; exit 1; }
+	@$(or $(LEROBOT_PYTHON),false) -c 'import sys; sys.exit(not (3, 12) <= sys.version_info < (3, 14))' || { \
+		echo "lerobot 0.6 needs Python 3.12 or 3.13; give LEROBOT_PYTHON=/path/to/python3.12" >&2; exit 1; }
 	$(LEROBOT_PYTHON) -m venv $(LEROBOT)
-	$(LEROBOT)/bin/python -m pip install --quiet --editable '.[cli,eval]' 'lerobot[dataset,training,evaluation,diffusion]==0.6.1' pytest
+	$(LEROBOT)/bin/python -m pip install --quiet --editable '.[cli,eval]' 'lerobot[dataset,training,evaluation,diffusion]==0.6.1' pytest pytest-xdist
 	@touch $@
 
 constraints:  ## write constraints.txt: the newest versions that a fresh environment gets today

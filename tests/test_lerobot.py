@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
 import sys
 from importlib import import_module
 from importlib.util import find_spec
@@ -19,6 +21,7 @@ from magical_mj.demos.lerobot import to_lerobot
 from magical_mj.episodes import Episode
 from magical_mj.errors import DemonstrationError, InvalidActionError, MagicalError, SettingsError, UnknownNameError
 
+ROOT = Path(__file__).parent.parent
 needs_lerobot = pytest.mark.skipif(find_spec("lerobot") is None, reason="lerobot is not installed: make lerobot-test")
 pytestmark = pytest.mark.filterwarnings("default")  # lerobot's own are not ours to mend
 
@@ -29,6 +32,16 @@ def test_without_lerobot_one_line_says_what_to_do(tmp_path: Path) -> None:
         import_module("magical_mj.integrations.lerobot")
     with pytest.raises(MagicalError, match="make lerobot"):
         to_lerobot(magical_mj.demos.load("FixColour")[:1], tmp_path / "set")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+@pytest.mark.parametrize("python", ["", "false", "python-that-is-not-there"])
+def test_make_says_which_python_lerobot_needs(python: str, tmp_path: Path) -> None:
+    command = ["make", "--file", str(ROOT / "Makefile"), "lerobot", f"LEROBOT={tmp_path / 'venv'}"]
+    made = subprocess.run([*command, f"LEROBOT_PYTHON={python}"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert made.returncode != 0
+    assert "lerobot 0.6 needs Python 3.12 or 3.13; give LEROBOT_PYTHON=" in made.stderr
     assert not list(tmp_path.iterdir())
 
 
@@ -50,15 +63,15 @@ def test_a_data_set_read_back_replays_to_the_full_score(task: str, plugin: Any, 
     number = 0
     for demo in demos:
         observation, _ = env.reset(seed=0, options={"scene": demo.scene, "lerobot_new_rollout": True})
-        reward = 0.0
         for _ in demo.actions:
             row = read[number]
             picture = (row["observation.image"].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8)
             np.testing.assert_array_equal(picture, observation["pixels"])
             assert row["task"] == env.task_description
-            observation, reward, _, _, info = env.step(row["action"].numpy())
+            observation, reward, _, truncated, info = env.step(row["action"].numpy())
             number += 1
-        assert reward == info["eval_score"] == 1.0
+        assert env.unwrapped.score() == 1.0
+        assert reward == info["eval_score"] == (1.0 if truncated else 0.0)  # some end when they have reached their goal
     env.close()
     size = sum(path.stat().st_size for path in (tmp_path / "set").rglob("*") if path.is_file())
     sys.stdout.write(f"{task}: {len(demos)} demonstrations, {number} frames alike, {size / 1e6:.1f} MB, scores 1.0\n")

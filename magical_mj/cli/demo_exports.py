@@ -1,4 +1,4 @@
-"""`magical-mj demos export`: demonstrations for other tools: numpy, Minari, LeRobot."""
+"""`magical-mj demos export`: demonstrations for other tools: numpy, Minari, LeRobot, robomimic."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from magical_mj.cli.demos import SUFFIX, Paths, read_chosen
 from magical_mj.errors import SettingsError
 
 VIEWS: Final = {"LoRes4E": "ego", "LoRes4A": "allo", "LoResStack": "both", "State": "state"}
-"""By preset: what LeRobot's policies see, which stack frames themselves if they want any."""
+"""By preset: what policies of LeRobot and robomimic see, which stack frames themselves if they want any."""
 
 Target = Annotated[
-    Literal["npz", "minari", "lerobot"], typer.Option(help="A numpy archive, or Minari or LeRobot data sets.")
+    Literal["npz", "minari", "lerobot", "robomimic"],
+    typer.Option(help="A numpy archive, Minari or LeRobot data sets, or robomimic's HDF5."),
 ]
 Name = Annotated[
     str | None,
@@ -42,6 +43,7 @@ def export(
 ) -> None:
     """Hand demonstrations to other tools."""
     from magical_mj.demos.lerobot import to_lerobot  # which loads the simulator
+    from magical_mj.demos.robomimic import to_robomimic
 
     demos = read_chosen(paths, tasks, variants)
     screen = console()
@@ -62,6 +64,12 @@ def export(
         if to == "minari":
             preset = "State" if preset is None else preset
             made = magical_mj.demos.to_minari(some, out, preset, overwrite=force)
+        elif to == "robomimic":
+            views = _views("LoRes4E" if preset is None else preset)
+            path = Path(out or f"{name}-{views}.hdf5")
+            check_suffix(path, ".hdf5")
+            to_robomimic(some, claim(path, force), views=views, overwrite=force)
+            made = str(path)
         else:
             views = _views("LoRes4E" if preset is None else preset)
             folder = Path(out or f"{name}-{views}{'-fingers' if fingers else ''}-lerobot")
@@ -73,5 +81,5 @@ def export(
 
 def _views(preset: str) -> str:
     if preset not in VIEWS:
-        raise SettingsError(f"LeRobot data sets are of the presets {', '.join(VIEWS)}, not {preset}")
+        raise SettingsError(f"data sets of LeRobot and robomimic are of the presets {', '.join(VIEWS)}, not {preset}")
     return VIEWS[preset]

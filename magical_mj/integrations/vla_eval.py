@@ -1,0 +1,139 @@
+"""The environments as a benchmark of vla-eval, the evaluation harness for vision-language-action models.
+
+Its configurations name this class: ``benchmark: "magical_mj.integrations.vla_eval:MagicalBenchmark"``, with `params`
+as below. Episode 0 of a task is the scene of seed 0, and so on: 100 episodes per task play the official scenes. The
+metrics are the mean score and the share of episodes with score 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import dm_env
+import numpy as np
+from gymnasium.error import ResetNeeded
+from numpy.typing import ArrayLike, NDArray
+
+from magical_mj.actions import to_discrete
+from magical_mj.demos.lerobot import IMAGE_SIZE
+from magical_mj.environment import Environment, load
+from magical_mj.errors import MissingExtraError, check_name
+from magical_mj.observations import VIEWS
+from magical_mj.registry import environments, task_spec
+
+try:
+    from vla_eval.benchmarks.base import StepBenchmark, StepResult  # pyright: ignore[reportMissingImports]
+    from vla_eval.recording import NullEpisodeRecorder  # pyright: ignore[reportMissingImports]
+    from vla_eval.specs import IMAGE_RGB, LANGUAGE, DimSpec  # pyright: ignore[reportMissingImports]
+except ImportError:
+    raise MissingExtraError("this needs vla-eval, 0.8 or newer: pip install vla-eval") from None
+
+Pictures = dict[str, NDArray[np.uint8]]
+
+
+class MagicalBenchmark(StepBenchmark):
+    """One vla-eval task for each environment, named as in ``FindDupe-Shape``; its suite is the task, ``FindDupe``.
+
+    Observations are ``images`` (view -> picture, height x width x channels, uint8) and ``task_description``. Actions
+    are vectors (drive, turn, grip) in [-1, 1]; see `magical_mj.actions.to_discrete`.
+
+    Args:
+        tasks: names of tasks, separated by commas, or "all".
+        variants: names of variants, separated by commas, or "all".
+        views: any of "ego" and "allo", separated by commas.
+        image_size: side of the pictures in pixels.
+
+    Raises:
+        UnknownNameError: if there is no such task, variant or view.
+    """
+
+    render_backends = frozenset({"gpu", "cpu"})
+
+    def __init__(
+        self, tasks: str = "all", variants: str = "Demo", views: str = "ego", image_size: int = IMAGE_SIZE
+    ) -> None:
+        super().__init__()
+        self._recorder = NullEpisodeRecorder()  # until an episode starts
+        self._pairs = environments(tasks, variants)
+        self._views = [view.strip() for view in views.split(",")]
+        for view in self._views:
+            check_name("view", view, VIEWS)
+        self._size = image_size
+        self._env: Environment | None = None
+        self._made_for: tuple[str, str] | None = None
+
+    @classmethod
+    def configure_render(cls, mode: str) -> dict[str, str]:
+        """Nothing to set: OpenGL is chosen at the first picture, software where there is no device."""
+        del mode
+        return {}
+
+    def get_tasks(self) -> list[dict[str, Any]]:
+        """One for each environment."""
+        return [
+            {"name": f"{task}-{variant}", "suite": task, "task": task, "variant": variant}
+            for task, variant in self._pairs
+        ]
+
+    def reset(self, task: Mapping[str, Any]) -> Pictures:
+        """Starts the episode in the scene of the seed ``task["episode_idx"]``."""
+        pair = task["task"], task["variant"]
+        if self._env is None or self._made_for != pair:
+            self.cleanup()
+            self._env, self._made_for = load(*pair, observations=self._views, image_size=self._size), pair
+        return self._seen(self._env.reset(seed=int(task.get("episode_idx", 0))))
+
+    def step(self, action: Mapping[str, ArrayLike]) -> StepResult:
+        """One action.
+
+        Raises:
+            InvalidActionError: if ``action["actions"]`` is not three finite numbers.
+        """
+        env = self._env
+        if env is None:
+            raise ResetNeeded("no episode has begun")
+        now = env.step(to_discrete(action["actions"]))
+        score = env.score() if now.last() else 0.0
+        self._recorder.record_step(reward=score, done=now.last(), success=score == 1.0)
+        return StepResult(obs=self._seen(now), reward=score, done=now.last(), info={})
+
+    def make_obs(self, raw_obs: Pictures, task: Mapping[str, Any]) -> dict[str, Any]:
+        """The pictures and the task's sentence."""
+        return {"images": raw_obs, "task_description": task_spec(task["task"]).summary}
+
+    def get_step_result(self, step_result: StepResult) -> dict[str, Any]:
+        """The score of the episode that has ended."""
+        return {"success": step_result.reward == 1.0, "score": step_result.reward}
+
+    def get_metric_keys(self) -> dict[str, str]:
+        """What is averaged over episodes."""
+        return {"score": "mean", "success": "mean"}
+
+    def get_metadata(self) -> dict[str, Any]:
+        """The longest episode; each ends by itself at its task's horizon."""
+        return {"max_steps": max(task_spec(task).horizon() for task, _ in self._pairs), "action_dim": 3}
+
+    def get_hold_action(self, last_action: Mapping[str, Any] | None) -> dict[str, Any]:
+        """In real time, nothing is done while the model thinks, and the fingers stay as they were commanded."""
+        grip = 0.0 if last_action is None else np.asarray(last_action["actions"])[..., 2]
+        return {"actions": np.array([0.0, 0.0, grip], np.float32)}
+
+    def get_action_spec(self) -> dict[str, DimSpec]:
+        """Drive, turn, grip."""
+        return {"action": DimSpec("action", 3, "drive_turn_grip", (-1.0, 1.0))}
+
+    def get_observation_spec(self) -> dict[str, DimSpec]:
+        """A picture for each view, and a sentence."""
+        return {"image": IMAGE_RGB, "language": LANGUAGE}
+
+    def cleanup(self) -> None:
+        """Frees the simulation."""
+        if self._env is not None:
+            self._env.close()
+        self._env = None
+
+    def _seen(self, now: dm_env.TimeStep) -> Pictures:
+        pictures = dict(now.observation)
+        self._recorder.record_video(pictures[self._views[0]])
+        return pictures
