@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import resource
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -118,6 +120,26 @@ def test_a_full_disk_leaves_what_was_there(demo: Demonstration, minari: Any, tmp
     assert minari.load_dataset(name).total_episodes == 1
     with np.load(tmp_path / "a.npz") as archive:
         assert archive["seeds"].tolist() == [0]
+
+
+@pytest.mark.parametrize("overwrite", [True, False])
+def test_a_process_that_died_while_it_replaced_a_set_costs_nothing(
+    demo: Demonstration, minari: Any, overwrite: bool
+) -> None:
+    name = demos.to_minari([demo])
+    program = (
+        "import os, sys, minari; from magical_mj import demos\n"
+        "minari.create_dataset_from_buffers = lambda **_: os.kill(os.getpid(), 9)\n"
+        "demos.to_minari(demos.load('FixColour')[:1], sys.argv[1], overwrite=True)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", program, name], check=False).returncode == -9
+    assert name not in minari.list_local_datasets()
+    if overwrite:
+        demos.to_minari([demo, demo], overwrite=True)
+    else:
+        with pytest.raises(DemonstrationError, match="already"):
+            demos.to_minari([demo])
+    assert minari.load_dataset(name).total_episodes == 1 + overwrite
 
 
 @contextmanager

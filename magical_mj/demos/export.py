@@ -165,11 +165,14 @@ def _check_space(folder: Path, size: int) -> None:
 
 @contextmanager
 def _new_folder(path: Path, overwrite: bool) -> Iterator[None]:
-    """For a block that makes a folder. If the block raises, the previous content is restored."""
+    """For a block that makes a folder. If the block raises, or its process dies, the previous content is restored."""
+    old = path.with_name(f".{path.name}.old")
+    if old.exists():  # a process died, and has left half of the new folder
+        shutil.rmtree(path, ignore_errors=True)
+        old.rename(path)
     if path.exists() and not overwrite:
         raise DemonstrationError(f"there is a data set {path} already; give it another id, or overwrite it (--force)")
     highest = next((folder for folder in reversed((path, *path.parents)) if not folder.exists()), path)
-    old = path.with_name(f".{path.name}.old")
     if path.exists():
         path.rename(old)
     try:

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Final
 
 KINDS: Final = ("calls", "scenes", "states", "files", "commands", "clients")
-SLICE: Final = 60.0  # seconds for each kind in turn, in a process of its own
+SLICE: Final = 180.0  # seconds for each kind in turn, in a process of its own
 PATIENCE: Final = 300.0  # seconds for one case
 
 
