@@ -16,7 +16,10 @@ from magical_mj.registry import sample_scene
 from magical_mj.web.catalogue import scene_data
 
 EXPERT: Final = Path(__file__).parent / "expert.json"
-"""Task-Variant -> an expert's actions in seeds 0, 1, ..., as letters. ``tools/experts.py`` writes it."""
+"""Task-Variant -> an expert's actions in seeds 0, 1, ..., as letters; of some, the last seeds are missing.
+
+``tools/experts.py`` writes it.
+"""
 SCENES: Final = 20
 """How many the page offers of each environment but Demo, which has one."""
 DEMONSTRATIONS: Final = 5
