@@ -1,8 +1,8 @@
 """The dm_control environment, and how it is loaded.
 
-A control step writes the controls once and lets MuJoCo do all its substeps in one call; composer's own Python
-loop over substeps costs more than the physics. Whoever has hooks of their own, or an observable with a buffer or a
-delay, still gets composer's loop.
+A control step writes the controls once and runs all substeps in one call of MuJoCo: composer's own Python loop over
+substeps takes longer than the physics. Environments with users' hooks, or with observables that have a buffer or a
+delay, still use composer's loop.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class Environment(OpenEnvironment):
         """Compiles the first scene.
 
         Args:
-            settings: what to run and to show.
+            settings: the settings of the environment.
             first: the scene of the first episode.
-            seed: of the generator that draws the seeds of later scenes.
+            seed: the seed of the generator that draws the seeds of later scenes.
         """
         self._compiled: tuple[Hashable, Simulation] | None = None
         super().__init__(
@@ -71,12 +71,12 @@ class Environment(OpenEnvironment):
         return self.task.score(self._open())
 
     def render(self, view: str = "allo", size: int = 384, *, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
-        """A picture of the world as it is now, fresh or in `out`. Shape (size, size, 3), RGB, top row first.
+        """A picture of the present state in a fresh array or in `out`. Shape (size, size, 3), uint8 RGB, top row first.
 
         Args:
-            view: "ego" or "allo", flat, or "scene": solid, from above a corner.
+            view: "ego" or "allo", the flat views of the benchmark, or "scene", a 3-D view from above a corner.
             size: pixels per side.
-            out: where to write it.
+            out: the array to write to.
         """
         check_name("view", view, CAMERAS)
         return self._open().draw(view, check_size(size), out)
@@ -84,16 +84,16 @@ class Environment(OpenEnvironment):
     def reset(
         self, *, seed: int | None = None, scene: Scene | None = None, state: State | None = None
     ) -> dm_env.TimeStep:
-        """Starts an episode in `scene`, or in the scene of `seed`, or else in the next one that is drawn.
+        """Starts an episode in `scene`, or in the scene of `seed`, or else in a scene drawn by the environment.
 
         Args:
-            seed: of this episode's scene; those of later episodes do not depend on it.
-            scene: to start in.
-            state: to go on from; as `set_state`, but with a first time step and its observation.
+            seed: the seed of this episode's scene; scenes of later episodes do not depend on it.
+            scene: the scene in which to start.
+            state: a state to continue from: as `set_state`, but returns a first time step with its observation.
 
         Raises:
-            InvalidSceneError, InvalidSeedError, StateError: if one of them cannot be had.
-            SettingsError: if more than one of them is given.
+            InvalidSceneError, InvalidSeedError, StateError: if the argument is invalid.
+            SettingsError: if more than one argument is given.
         """
         self._open()
         given = [name for name, value in (("seed", seed), ("scene", scene), ("state", state)) if value is not None]
@@ -109,24 +109,24 @@ class Environment(OpenEnvironment):
         return super().reset()
 
     def get_state(self) -> State:
-        """The present state of the episode, to the bit. Takes a fortieth of a step's time."""
+        """The present state of the episode, exactly. Takes about 1/40 of a step's time."""
         return State(self.initial_scene, self.task.steps, self._open().save())
 
     def set_state(self, state: State) -> None:
-        """Goes back to a state, of this environment or another with the same task: what follows is the same to the bit.
+        """Restores a state of this environment, or of another one with the same task: what follows is exactly the same.
 
-        Takes half a step's time; with another scene than the present one, as long as a reset. Observations need
-        not be the same. The generator that draws later scenes goes on as if nothing had happened.
+        Takes half a step's time, or as long as a reset if the state has another scene than the present one. The
+        environments may have different observations. The generator that draws later scenes is not changed.
 
         Raises:
-            StateError: if it is no state of a scene of this task.
+            StateError: if it is not a state of a scene of this task.
             InvalidSceneError: if its scene is not one of this task.
         """
         self._open()
         check_state(state)
         if self.task.next_scene is not None or state.scene != self.initial_scene:
             self.task.settings.check(state.scene)
-            self.over = True  # until the rest is well, too
+            self.over = True  # until everything below has succeeded
             self.task.start(state.scene)
             self.recompile()
         self._open().restore(state.simulation)
@@ -135,24 +135,24 @@ class Environment(OpenEnvironment):
         self.over = self.task.should_terminate_episode(self._open())
 
     def clone(self) -> Environment:
-        """Another environment like this one, in the same state; both go on alike, later episodes included.
+        """A copy of this environment in the same state. Both behave the same from now on, also in later episodes.
 
-        Takes as long as loading one. To try many things from one state, `set_state` on the same clone is faster.
+        Takes as long as loading one. To try many actions from one state, `set_state` on one clone is faster.
 
         Raises:
-            StateError: if this one has hooks, observables or an MJCF tree that somebody changed.
+            StateError: if users have changed the hooks, observables or the MJCF tree of this environment.
         """
         make, arguments = self.__reduce__()
         return make(*arguments)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """How to copy and pickle: the settings, the generator, and the state of an episode if one has begun."""
+        """For copying and pickling: the settings, the generator, and the state of the episode if one has begun."""
         self._open()
         own_observables = self._is_plain and len(self._enabled()) == len(self.task.observables)
         if self.user_hooks() or not own_observables or self.task.world.tree is not None:
             raise StateError(
                 "an environment with hooks, changed observables or a changed MJCF tree cannot be copied or pickled: "
-                "load another one, change it likewise, and give it this one's get_state()"
+                "load another one, make the same changes, and call its set_state() with this one's get_state()"
             )
         begun = None if self.task.next_scene is not None else self.get_state()
         return _copied, (self.task.settings, self.initial_scene, self.random_state.get_state(legacy=False), begun)
@@ -199,7 +199,7 @@ class Environment(OpenEnvironment):
         return {name: entry for name, entry in self.task.observables.items() if entry.enabled}
 
     def make_updater(self) -> Any:
-        """Ours, unless somebody wants more than the present."""
+        """`CurrentUpdater` if all observables are immediate, else composer's updater."""
         enabled = self._enabled()
         current = all(isinstance(entry, CurrentObservable) and entry.is_immediate for entry in enabled.values())
         self._is_plain = current and not self.user_hooks()
@@ -207,10 +207,10 @@ class Environment(OpenEnvironment):
         return self._updater
 
     def simulate(self) -> Simulation:
-        """A simulation that is, to the bit, as if compiled from the task's present world; the one before may be gone.
+        """The simulation of the task's present world, exactly as if newly compiled. It may replace the previous one.
 
         Compiling takes more than ten times as long as rewriting a model, and most episodes differ in numbers only.
-        Where somebody may have changed the model, by a hook or in composer's tree, it is compiled in any case.
+        If users may have changed the model, by a hook or in composer's tree, it is always compiled.
         """
         world = self.task.world
         if self._compiled is not None:
@@ -225,7 +225,7 @@ class Environment(OpenEnvironment):
 
 
 def _copied(settings: EnvironmentSettings, first: Scene, generator: Any, begun: State | None) -> Environment:
-    """The copy of an environment."""
+    """A copy of an environment, as `Environment.__reduce__` describes it."""
     env = Environment(settings, first, seed=0)
     env.random_state.set_state(generator)
     if begun is not None:

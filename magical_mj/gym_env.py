@@ -51,8 +51,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
 
     ## Episodes
     `reset(seed=7)` starts in `sample_scene(task, variant, 7)`; `reset()` in a scene drawn by `np_random`;
-    `reset(options={"scene": scene})` in that `Scene` or its JSON; `reset(options={"state": state})` goes on from
-    what `get_state()` gave. An episode is truncated at the task's horizon and never terminates. The reward is 0:
+    `reset(options={"scene": scene})` in that `Scene` or its JSON; `reset(options={"state": state})` continues from
+    a result of `get_state()`. An episode is truncated at the task's horizon and never terminates. The reward is 0:
     `info["eval_score"]` is the score in [0, 1] at the last step (0.0 before), `info["is_success"]` whether it is 1.
 
     Args:
@@ -64,10 +64,10 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         rules: "paper" or "released".
         action: "discrete" or "continuous".
         render_mode: "rgb_array"; Gymnasium makes "human" (a window) from it.
-        render_view: what `render` shows: "ego", "allo", "both" side by side, or "scene", solid from above a corner.
+        render_view: the view of `render`: "ego", "allo", "both" side by side, or "scene", in 3-D from above a corner.
         render_size: side of each view in pixels.
-        score_every_step: gives `info["score"]`, the score if the episode ended now, at every step and reset. This
-            takes up to a tenth of a step's time.
+        score_every_step: adds `info["score"]` at every step and reset: the score if the episode ended now. This takes
+            up to a tenth of a step's time.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": c.CONTROL_RATE}  # noqa: RUF012
@@ -101,7 +101,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._env = load(
             task,
             variant,
-            seed=0,  # of an episode that is never played: every reset gives a seed
+            seed=0,  # for an episode that is never played, since every reset gives a seed
             observations=["state"] if made.layout == "state" or made.fingers else [],  # pictures go to the stacks
             image_size=size,
             reward=reward,

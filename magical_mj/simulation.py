@@ -1,4 +1,4 @@
-"""Compiled worlds: composer's physics, which also acts, draws, and goes back to where it was."""
+"""The simulation of a world: composer's physics, with actions, pictures, and saved states."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Simulation(UnindexedPhysics):
 
     @classmethod
     def of(cls, world: World) -> Simulation:
-        """Compiles a world: its spec, or composer's tree where somebody asked for it."""
+        """Compiles a world from its spec, or from composer's tree if a user has read that."""
         if world.tree is not None:
             return cls.from_mjcf_model(world.tree)
         model = wrapper.MjModel(copy(world_model(world.structure)))
@@ -48,7 +48,7 @@ class Simulation(UnindexedPhysics):
 
     @property
     def is_ours(self) -> bool:
-        """Whether the model was compiled from our own spec; to composer's tree anything may have been added."""
+        """Whether the model was compiled from our own spec; users may have changed composer's tree."""
         return self.model.ptr is self._ours
 
     def step(self, nstep: int = 1) -> None:
@@ -59,7 +59,7 @@ class Simulation(UnindexedPhysics):
         """
         model, data, before = self.model.ptr, self.data.ptr, self.warning_counts.tobytes()
         if self.legacy_step and model.opt.integrator != _RK4:
-            mujoco.mj_step2(model, data)  # what comes before was done at the end of the last step
+            mujoco.mj_step2(model, data)  # mj_step1 was done at the end of the last step
             mujoco.mj_step(model, data, nstep - 1)
         else:
             mujoco.mj_step(model, data, nstep)
@@ -68,19 +68,19 @@ class Simulation(UnindexedPhysics):
         after = self.warning_counts.tobytes()
         if after != before:
             self.warning_counts[:] = np.frombuffer(before, self.warning_counts.dtype)
-            with self.check_invalid_state():  # complains, or only logs
+            with self.check_invalid_state():  # raises an error or logs it, as dm_control is configured
                 self.warning_counts[:] = np.frombuffer(after, self.warning_counts.dtype)
 
     def command(self, action: Any) -> None:
-        """Writes the controls of an action, one of the 18.
+        """Writes the controls of one of the 18 actions.
 
         Raises:
-            InvalidActionError: if it is none of them.
+            InvalidActionError: if it is not one of them.
         """
         self.data.ctrl[:] = control_signal(action_number(action))
 
     def act(self, action: Any) -> None:
-        """One action of 1/8 s, with everything that MuJoCo does for it and nothing else.
+        """Simulates one action of 1/8 s.
 
         Raises:
             InvalidActionError: if the action is not one of the 18.
@@ -90,9 +90,9 @@ class Simulation(UnindexedPhysics):
         self.step(SUBSTEPS)
 
     def save(self) -> NDArray[np.float64]:
-        """The present state, with all that decides what follows, in a fresh array.
+        """The complete present state in a fresh array. Shape (state size + number of trees,).
 
-        MuJoCo's own saved states lack what sleeps.
+        It is MuJoCo's integration state and, since that lacks it, which trees (bodies with their children) sleep.
         """
         model, data = self.model.ptr, self.data.ptr
         size = mujoco.mj_stateSize(model, _INTEGRATION)
@@ -102,10 +102,10 @@ class Simulation(UnindexedPhysics):
         return saved
 
     def restore(self, saved: NDArray[np.float64]) -> None:
-        """Goes back to a state that `save` gave for the same model: what follows is the same to the bit.
+        """Restores a state that `save` returned for the same model: what follows is exactly the same.
 
         Raises:
-            StateError: if it is no state of this model.
+            StateError: if it is not a state of this model.
         """
         model, data = self.model.ptr, self.data.ptr
         size = mujoco.mj_stateSize(model, _INTEGRATION)
@@ -119,10 +119,10 @@ class Simulation(UnindexedPhysics):
         sleeping = asleep >= 0
         together = np.array_equal(np.sort(asleep[sleeping]), np.flatnonzero(sleeping))
         if not together or asleep.min() < _LEAST or (asleep % 1).any():
-            raise StateError("the state is damaged: what sleeps must sleep together with something that sleeps")
+            raise StateError("the state is damaged: the entries about sleeping bodies are inconsistent")
         mujoco.mj_resetData(model, data)
         mujoco.mj_setState(model, data, saved[:size], _INTEGRATION)
-        mujoco.mj_fwdPosition(model, data)  # with everything awake: MuJoCo leaves what sleeps as it was
+        mujoco.mj_fwdPosition(model, data)  # with everything awake, since MuJoCo does not update sleeping bodies
         data.tree_asleep[:] = asleep
         _update_sleep(model, data)
         mujoco.mj_step1(model, data)
@@ -148,7 +148,7 @@ class Simulation(UnindexedPhysics):
 
 
 def _update_sleep(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """What MuJoCo derives from `tree_asleep`, with no function for others to call."""
+    """Updates what MuJoCo derives from `tree_asleep`; it has no public function for this."""
     data.tree_awake[:] = data.tree_asleep < 0
     in_tree = model.body_treeid >= 0
     data.body_awake[:] = np.where(in_tree, data.tree_awake[model.body_treeid], mujoco.mjtSleepState.mjS_STATIC.value)

@@ -14,7 +14,10 @@ import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # PyTorch's: several tests run at once, and its threads wait busily
 
-import magical_mj  # noqa: F401
+from commands import Shell
+from entries import EPISODES
+
+import magical_mj
 
 MAY_STAY = ("pytest-of-*", "torchinductor_*")
 """What pytest keeps of tests that fail, and a folder that PyTorch makes when its optimisers are first used."""
@@ -43,3 +46,24 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None, None, None]
     else:
         reason = f"; left behind, though it should be gone: {', '.join(sorted(left))}" if left else ""
         session.config.get_terminal_writer().line(f"\n\ntemporary files are in {folder}{reason}")
+
+
+@pytest.fixture
+def shell(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Shell:
+    """Runs `magical-mj` in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    return Shell(capsys)
+
+
+@pytest.fixture(scope="session")
+def evaluated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A few episodes of the expert, who is right everywhere, so that nobody else's actions would be."""
+    out = tmp_path_factory.mktemp("evaluated") / "expert"
+    magical_mj.evaluate("expert", tasks="MoveToRegion", variants="Layout", episodes=EPISODES, out=out)
+    return out
+
+
+@pytest.fixture
+def folder(evaluated: Path, tmp_path: Path) -> Path:
+    """A copy of that evaluation, to tamper with."""
+    return Path(shutil.copytree(evaluated, tmp_path / "expert"))

@@ -42,7 +42,7 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
     assert run([*TRAIN, "--out", out]) == 0
     assert f"magical-mj evaluate --policy {out} --tasks MoveToRegion" in capfd.readouterr().out
     assert run([*TRAIN, "--out", out]) == 1
-    assert "holds a training already; --resume goes on with it" in capfd.readouterr().err
+    assert "holds a training already; --resume continues it" in capfd.readouterr().err
     assert run([*TRAIN, "--out", out, "--resume"]) == 0
     scores = ["--episodes", "2", "--jobs", "1", "--out", str(tmp_path / "scores")]
     assert run(["evaluate", "--policy", out, "--tasks", "MoveToRegion", "--variants", "Demo", *scores]) == 0

@@ -97,7 +97,7 @@ def test_a_dead_worker_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 def test_a_policy_that_kills_every_worker_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "mark").write_text("always")
     monkeypatch.setenv("FATAL_MARK", str(tmp_path / "mark"))
-    with pytest.raises(EvaluationError, match=r"3 worker processes died .*SIGKILL.* --resume goes on"):
+    with pytest.raises(EvaluationError, match=r"3 worker processes died .*SIGKILL.* --resume continues"):
         magical_mj.evaluate("agents:Fatal", jobs=2, **SETTINGS)
 
 

@@ -63,7 +63,7 @@ def test_a_policy_that_always_fails_is_stopped(shell: Shell, tmp_path: Path) -> 
     policies = ("evaluate", "--policy", "noop,theirs:act", "--preset", "State", "--tasks", "MoveToRegion")
     code, _, error = shell(*policies, "--episodes", "30", "--jobs", "1", "--out", "o")
     assert code == 1
-    assert "the first 10 episodes of act failed, so nothing of it is kept" in error
+    assert "the first 10 episodes of act failed, so none of them is kept" in error
     assert "KeyError: 'position'" in error
     assert {score.policy for score in read(tmp_path / "o")} == {"noop"}
 

@@ -171,7 +171,7 @@ def test_figures_mark_what_is_published_and_what_is_incomplete(tmp_path: Path) -
         assert "BC_4 & more" in drawn
     drawn = [text.get_text() for text in bars(found).findobj(Text)]
     assert drawn.count("(1/8)") == 1
-    assert any("hatched: only some of the tasks" in text for text in drawn)
+    assert any("hatched: mean over only some of the tasks" in text for text in drawn)
 
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="pdflatex is not installed")

@@ -109,7 +109,7 @@ def train(
         with Progress(*columns, console=screen, speed_estimate_period=120) as progress:
             baselines.train(settings, out, resume=resume, watch=Watch(screen, progress, method))
     except KeyboardInterrupt:
-        screen.print("stopped; the same command with --resume goes on")
+        screen.print("stopped; the same command with --resume continues")
         raise
     again = (
         f"magical-mj evaluate --policy {out} --tasks {','.join(settings.tasks)} --preset {settings.preset} --out ..."

@@ -101,7 +101,7 @@ def _check(folder: Path, settings: TrainingSettings, resume: bool) -> None:
             raise TrainingError(f"{folder} holds something else than a training; give a new folder")
         return
     if not resume:
-        raise TrainingError(f"{folder} holds a training already; --resume goes on with it (resume=True)")
+        raise TrainingError(f"{folder} holds a training already; --resume continues it (resume=True)")
     check_unchanged(folder, recorded(from_toml(config)), recorded(settings))
 
 

@@ -68,7 +68,7 @@ def evaluate(policy: Policies, out: Out, **options: Any) -> None:
     try:
         show_progress(screen, evaluation)
     except KeyboardInterrupt:
-        screen.print("stopped; the same command with --resume goes on")
+        screen.print("stopped; the same command with --resume continues")
         raise
     for line in summary(evaluation.scores):
         screen.print(line, soft_wrap=True)

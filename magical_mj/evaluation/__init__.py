@@ -1,6 +1,6 @@
 """Evaluating agents: scores on the benchmark's scenes, their statistics, reports and comparisons.
 
-`evaluate` plays, and the modules `report` and `compare` make tables and figures of what it wrote.
+`evaluate` plays episodes; the modules `report` and `compare` make tables and figures from the files that it writes.
 """
 
 from __future__ import annotations

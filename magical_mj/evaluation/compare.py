@@ -20,11 +20,11 @@ ALL = "all of them"
 
 
 def choose(which: Path | str) -> tuple[str, list[Score]]:
-    """The name and the scores of a policy that is named as ``DIR``, or ``DIR:POLICY`` where there are several.
+    """The name and the scores of a policy given as ``DIR``, or as ``DIR:POLICY`` if the folder holds several.
 
     Raises:
-        SettingsError: if the folder holds several policies and none, or another, is named.
-        EvaluationError: if the folder is no evaluation.
+        SettingsError: if the folder holds several policies and none is named, or the named one is not there.
+        EvaluationError: if the folder is not an evaluation.
     """
     folder, colon, policy = str(which).rpartition(":")
     if not colon or Path(str(which)).is_dir():
@@ -40,8 +40,8 @@ def choose(which: Path | str) -> tuple[str, list[Score]]:
 def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
     """How much better the first policy is than the second, in each variant and in all, on the scenes that both played.
 
-    Scores of several runs in one scene are averaged first. The interval of the difference is of a bootstrap that draws
-    the scenes of each environment anew; all environments have equal weight.
+    Scores of several runs in one scene are averaged first. The interval of the difference comes from a bootstrap that
+    resamples the scenes within each environment; all environments have equal weight.
 
     Args:
         first: the folder of an evaluation, or ``DIR:POLICY`` if it holds several policies.
@@ -53,8 +53,8 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
         many `environments`, and how many other scenes only one of them has played (`unpaired`).
 
     Raises:
-        SettingsError: if it is not clear which policies are meant.
-        EvaluationError: if they were scored by different rules, or share no scene.
+        SettingsError: if the choice of policies is ambiguous.
+        EvaluationError: if they were scored by different rules, or have no scene in common.
     """
     check_extra("comparisons", "eval")
     import pandas as pd

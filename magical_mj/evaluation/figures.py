@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 PANELS_PER_ROW: Final = 3
 PANEL: Final = (4.6, 3.5)  # inches
 BARS_PER_ROW: Final = 7
-DARK: Final = 0.55  # scores from here on are written in white
+DARK: Final = 0.55  # scores above this are written in white
 DEMO_COLOUR: Final = "#1b2a41"
 NO_ENVIRONMENT: Final = "#e4e4e4"
 
@@ -80,10 +80,10 @@ def bars(results: Results) -> Figure:
 
 
 def _explain(figure: Figure, results: Results) -> None:
-    """Says below the bars what their marks mean, if there are any."""
+    """Adds a legend of the marks below the bars, if there are any marks."""
     marks = {
         f"{DAGGER} published, in the original simulator": results.variants["published"].any(),
-        "hatched: only some of the tasks that have the variant, as many as stand above": (
+        "hatched: mean over only some of the tasks with the variant; their number is above the bar": (
             results.variants["missing"].ne("").any()
         ),
     }

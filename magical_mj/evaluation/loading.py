@@ -1,4 +1,4 @@
-"""Where policies come from: names, ``module:object``, model files, runs' folders, or Python objects."""
+"""Loading policies: from names, ``module:object``, model files, folders of trainings, or Python objects."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from magical_mj.references import resolve
 
 LEGEND: Final = f"{', '.join(AGENTS)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
 FOLDERS: Final = "magical_mj.policy_folders"
-"""The group of entry points, of this package or another, that load the policy in a folder; see pyproject.toml."""
+"""The group of entry points that load the policy in a folder; see pyproject.toml. Other packages may add some."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class Source:
     """One policy to be evaluated; small and picklable if it was given by name.
 
     Attributes:
-        name: what tables call the method.
-        run: which run of the method it is.
+        name: the method's name in tables.
+        run: the number of the run of the method.
         origin: a built-in's name, ``module:object``, a file, a folder, or the policy itself.
         trust: whether files that hold code may be loaded.
     """
@@ -42,7 +42,7 @@ class Source:
         """The policy.
 
         Raises:
-            SettingsError: if there is no such policy, or it does not fit.
+            SettingsError: if there is no such policy, or it is invalid.
         """
         if not isinstance(self.origin, str):
             return self.origin
@@ -60,14 +60,14 @@ class Source:
         raise unknown_name("policy", self.origin, (*AGENTS, "module:object", *(f"FILE{s}" for s in LOADERS)))
 
     def describe(self) -> dict[str, Any]:
-        """What must not change between a run and its continuation."""
+        """The facts about the policy that must be the same when an evaluation is resumed."""
         origin = self.origin if isinstance(self.origin, str) else f"a Python object: {type(self.origin).__qualname__}"
         described = {"name": self.name, "run": self.run, "origin": origin}
         file = self._file()
         return described if file is None else {**described, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
 
     def _file(self) -> Path | None:
-        """The file that the policy is in, if it is in one."""
+        """The file that holds the policy, if there is one."""
         if not isinstance(self.origin, str) or self.origin in AGENTS:
             return None
         path = Path(self.origin)
@@ -77,7 +77,7 @@ class Source:
 
 
 def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
-    """The policies that were asked for; those with the same name are successive runs of one method.
+    """The policies in the argument of `evaluate`; those with the same name are successive runs of one method.
 
     Args:
         policies: a policy or a list of them; each a name, ``module:object``, a file, a folder, any of them as
@@ -123,7 +123,7 @@ def _short(origin: str) -> str:
 
 
 def _folder_loader(folder: str) -> EntryPoint:
-    """What loads the policy in a folder: the entry point whose name is that of a file in it."""
+    """The entry point that loads the policy in a folder: its name is the name of a file in the folder."""
     known = list(entry_points(group=FOLDERS))
     for loader in known:
         if (Path(folder) / loader.name).is_file():
@@ -132,7 +132,7 @@ def _folder_loader(folder: str) -> EntryPoint:
 
 
 def _imported(origin: str) -> Act:
-    """The object that ``module:object`` names; a class is called to make one."""
+    """The object that ``module:object`` refers to; a class is instantiated."""
     try:
         found = resolve(origin)
     except (Exception, SystemExit) as error:
@@ -145,7 +145,7 @@ def _imported(origin: str) -> Act:
 
 
 def _made(kind: type, name: str) -> Any:
-    """A policy of a class, which must need no arguments."""
+    """An instance of a policy class, made without arguments."""
     try:
         return kind()
     except (Exception, SystemExit) as error:

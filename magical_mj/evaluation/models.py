@@ -1,9 +1,9 @@
 """Trained models from files: stable-baselines3 archives and ONNX.
 
-A stable-baselines3 archive holds its settings as pickles, and reading a pickle runs whatever code it holds. So none
-is read unless the user says ``trust``: standard actor-critic networks (PPO, A2C and their like) are rebuilt from the
-archive's plain JSON, and their weights are loaded as bare tensors. ONNX files hold no Python at all. (TorchScript
-files are programs too, and PyTorch is giving them up.)
+A stable-baselines3 archive contains pickles, and reading a pickle runs whatever code it contains. So none is read
+unless the user sets ``trust``: standard actor-critic networks (PPO, A2C and similar) are rebuilt from the archive's
+plain JSON, and their weights are loaded as plain tensors. ONNX files contain no Python code. (TorchScript is not
+supported: its files are programs too, and PyTorch has deprecated it.)
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from magical_mj.errors import MissingExtraError, SettingsError
 from magical_mj.evaluation.policies import Shape
 from magical_mj.extras import missing_extra
 
-TRUST: Final = "--trust (trust=True) loads it, and thereby runs what code it holds: do that only with files of your own"
+TRUST: Final = "--trust (trust=True) loads it and runs the code that it contains: do that only with files of your own"
 
 
 class Model:
-    """A policy that maps a batch of observations to a batch of actions and remembers nothing.
+    """A policy without memory that maps a batch of observations to a batch of actions.
 
     Args:
-        act: the map.
-        shapes: that single observations may have; None if that is not known.
+        act: the mapping.
+        shapes: the accepted shapes of single observations; None if unknown.
     """
 
     def __init__(self, act: Callable[[Any], Any], shapes: Sequence[Shape] | None = None) -> None:
@@ -60,7 +60,7 @@ def load_sb3(path: Path, trust: bool = False) -> Model:
         import torch
     except ModuleNotFoundError:
         raise MissingExtraError(f"{path} needs stable-baselines3: pip install stable-baselines3") from None
-    torch.set_num_threads(1)  # sums depend on how they are split, and workers must not fight for cores
+    torch.set_num_threads(1)  # sums depend on how they are split, and workers share the cores
     try:
         with zipfile.ZipFile(path) as archive:
             data = json.loads(archive.read("data"))
@@ -68,7 +68,7 @@ def load_sb3(path: Path, trust: bool = False) -> Model:
     except (zipfile.BadZipFile, KeyError, ValueError) as error:
         raise SettingsError(f"{path} is not a stable-baselines3 archive: {error}") from error
     except (pickle.UnpicklingError, RuntimeError) as error:
-        raise SettingsError(f"{path} has something else than tensors for weights; it is not loaded") from error
+        raise SettingsError(f"{path} has weights that are not tensors; it is not loaded") from error
     policy = _trusted(path) if trust else _rebuilt(path, data, weights)
     if not isinstance(policy.action_space, spaces.Discrete) or policy.action_space.n != len(ACTIONS):
         raise SettingsError(f"{path} acts in {policy.action_space}, and the environments in Discrete({len(ACTIONS)})")
@@ -94,11 +94,11 @@ def _best_actions(policy: Any, observations: Any) -> Any:
 
 def _check_numbers(values: Any) -> None:
     if np.isnan(values).any():
-        raise ValueError("the network's answer is no number (NaN)")
+        raise ValueError("the network's output is not a number (NaN)")
 
 
 def _accepted(space: spaces.Space[Any]) -> list[Shape] | None:
-    """The shapes of observations that a stable-baselines3 policy takes; those of pictures it transposes itself."""
+    """The shapes of observations that a stable-baselines3 policy accepts; it transposes pictures itself."""
     shape = space.shape
     if shape is None:  # of a dict
         return None
@@ -106,7 +106,7 @@ def _accepted(space: spaces.Space[Any]) -> list[Shape] | None:
 
 
 def _rebuilt(path: Path, data: dict[str, Any], weights: dict[str, Any]) -> Any:
-    """A standard actor-critic network, from nothing but plain JSON."""
+    """A standard actor-critic network, rebuilt from the archive's plain JSON."""
     from stable_baselines3.common.policies import ActorCriticCnnPolicy, ActorCriticPolicy
 
     kwargs: Any = data.get("policy_kwargs")
@@ -127,7 +127,7 @@ def _plain(value: Any) -> Any:
 
 
 def _trusted(path: Path) -> Any:
-    """Any network, built by the archive's own pickles."""
+    """Any network, loaded with the archive's pickles."""
     from stable_baselines3.common.save_util import load_from_zip_file
 
     data, _, _ = load_from_zip_file(path, device="cpu")
@@ -137,8 +137,8 @@ def _trusted(path: Path) -> Any:
 
 
 def load_onnx(path: Path, trust: bool = False) -> Model:
-    """An ONNX network from a batch of observations to actions, or to a value for each action: it takes the best."""
-    del trust  # there is nothing to be trusted
+    """An ONNX network that outputs actions, or a value for each action, of which the best is taken."""
+    del trust  # ONNX files contain no code
     try:
         import onnxruntime
     except ModuleNotFoundError:

@@ -1,8 +1,8 @@
-"""Playing episodes with policies: one after another, or side by side; and what becomes of policies that fail.
+"""Playing episodes with policies, one after another or side by side, and handling policies that fail.
 
 All episodes of an environment have the same length. So a vector environment is reset with one scene for each of its
-environments and stepped until all have ended, together. Whether and when it would reset itself does not matter, for
-it is always reset to the next scenes first.
+environments and stepped until all have ended together. Its autoreset mode does not matter, since it is always reset
+explicitly before the next episodes.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class Outcome:
 
     Attributes:
         score: in [0, 1]; 0 if the policy failed.
-        actions: what was done, one of `LETTERS` for each step.
-        seconds: of the whole episode.
+        actions: the actions, as one of `LETTERS` for each step.
+        seconds: the duration of the episode, wall clock.
         failure: why the policy failed; None if it did not.
     """
 
@@ -57,30 +57,30 @@ class Outcome:
 def world_for(policy: Act, task: str, variant: str, preset: str, rules: Rules) -> World:
     """The environment that a policy plays in: Gymnasium's with the preset's observations, or the bare simulation.
 
-    Gymnasium's is without the wrappers of `gymnasium.make`, which check at each step what the tests have checked.
+    The Gymnasium environment has no wrappers of `gymnasium.make`, whose checks at each step would only take time.
     """
     if is_blind(policy):
-        from magical_mj.environment import load  # which loads the simulator
+        from magical_mj.environment import load  # imported late: it loads the simulator
 
         return load(task, variant, seed=0, observations=(), rules=rules)
     return gymnasium.make(env_id(task, variant, preset), rules=rules).unwrapped
 
 
 def simulation(world: World) -> Environment:
-    """The dm_env environment that a world is, or that it runs."""
+    """The dm_env environment of a world, which may be a Gymnasium environment."""
     return world.unwrapped.dm_env if isinstance(world, gymnasium.Env) else world  # type: ignore[attr-defined]
 
 
 def play(world: World, policy: Act, episode: Episode) -> Outcome:
-    """Plays one episode; whatever the policy does wrong is its failure, and costs it the score.
+    """Plays one episode. If the policy raises an error, the episode has failed with score 0.
 
     Args:
-        world: one of the package's environments, through any wrappers.
-        policy: what acts.
-        episode: what is played. Policies that look at no observations get the simulation in it.
+        world: one of the package's environments, with or without wrappers.
+        policy: the agent.
+        episode: the episode. Policies that use no observations get the environment in it.
 
     Raises:
-        RenderingError: if no pictures can be drawn here, which is not the policy's fault.
+        RenderingError: if no pictures can be drawn on this machine, which is not the policy's fault.
     """
     start = time.perf_counter()
     word: list[str] = []
@@ -105,7 +105,7 @@ def play(world: World, policy: Act, episode: Episode) -> Outcome:
 
 
 def _observation(result: Any) -> Any:
-    """Of what an environment's reset or step returned; None if it is the simulation's."""
+    """The observation in the result of `reset` or `step` of Gymnasium; None for dm_env."""
     return None if isinstance(result, dm_env.TimeStep) else result[0]
 
 
@@ -115,19 +115,19 @@ def reason(error: BaseException) -> str:
 
 
 class Copies:
-    """A policy for single observations in several episodes at once: one copy of it for each."""
+    """A batch policy made of copies of a policy for single observations, one for each episode."""
 
     def __init__(self, policy: Act, envs: Envs) -> None:
         self._copies = [copy.deepcopy(policy) for _ in range(envs.num_envs)]
         self._space = envs.observation_space
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
-        """Begins one of the episodes with each copy."""
+        """Resets each copy for one of the episodes."""
         for policy, episode in zip(self._copies, episodes, strict=True):
             begin(policy, episode)
 
     def act_batch(self, observations: Any) -> list[Any]:
-        """Each copy's action for its own observation."""
+        """The action of each copy for its observation."""
         single = iterate(self._space, observations)
         return [policy(observation) for policy, observation in zip(self._copies, single, strict=True)]
 
@@ -135,16 +135,16 @@ class Copies:
 def rollouts(
     env: gymnasium.Env[Any, Any] | Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode]
 ) -> Iterator[Outcome]:
-    """Plays the episodes in an environment, or side by side in a vector environment, and yields how they end, in order.
+    """Plays the episodes in an environment, or side by side in a vector environment; yields their outcomes in order.
 
     Args:
-        env: one of the package's environments (through any wrappers), or a vector of one of them.
-        policy: what acts; for plain environments it takes single observations. In a vector, a `BatchPolicy` acts for
-            all environments at once, and of any other policy each environment gets a copy.
-        episodes: with seeds for the scenes.
+        env: one of the package's environments (with or without wrappers), or a vector environment of one of them.
+        policy: the agent; for single environments it takes single observations. In a vector environment, a
+            `BatchPolicy` acts for all environments at once; of any other policy, each environment gets a copy.
+        episodes: the episodes, which hold the seeds of the scenes.
 
     Raises:
-        RenderingError: if no pictures can be drawn here.
+        RenderingError: if no pictures can be drawn on this machine.
     """
     if isinstance(env, gymnasium.vector.VectorEnv):
         acting = policy if isinstance(policy, BatchPolicy) else Copies(policy, env)
@@ -157,14 +157,14 @@ def rollouts(
 
 
 def play_side_by_side(envs: Envs, policy: BatchPolicy, episodes: Sequence[Episode]) -> list[Outcome]:
-    """Plays at most as many episodes as there are environments. What the policy does wrong costs them all."""
+    """Plays at most one episode per environment. If the policy raises an error, all of them have failed."""
     start = time.perf_counter()
     count = len(episodes)
     padded = [*episodes, *[episodes[-1]] * (envs.num_envs - count)]
     words: list[str] = [""] * count
     scores, failure = np.zeros(count), None
     try:
-        seeds: Any = [episode.seed for episode in padded]  # the base class knows only of one seed
+        seeds: Any = [episode.seed for episode in padded]  # the base class is annotated for one seed
         observations, _ = envs.reset(seed=seeds)
         policy.reset_batch(padded)
 

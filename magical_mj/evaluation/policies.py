@@ -1,4 +1,4 @@
-"""What a policy must offer to be evaluated, beyond being callable, and whether it fits what it is asked to do."""
+"""Batch policies, and checks whether a policy fits the environments in which it shall be evaluated."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from magical_mj.errors import SettingsError
 from magical_mj.presets import PRESETS
 
 Shape = tuple[int | None, ...]
-"""Of observations; None stands for any number."""
+"""The shape of an observation; None stands for any size."""
 
 
 @runtime_checkable
@@ -18,20 +18,20 @@ class BatchPolicy(Protocol):
     """An agent that acts in several episodes at once; used with vector environments."""
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
-        """Called before the episodes, which begin together."""
+        """Called before the episodes, which start together."""
 
     def act_batch(self, observations: Any) -> Sequence[Any]:
-        """An action for each environment, for the stacked observations that vector environments give."""
+        """An action for each environment, given the stacked observations of the vector environment."""
         ...
 
 
 def check_fit(policy: object, pairs: Sequence[tuple[str, str]], preset: str) -> None:
-    """Raises a `SettingsError` if the policy's attributes say that it was made for something else.
+    """Raises a `SettingsError` if the policy's attributes say that it was trained for something else.
 
     Args:
-        policy: its `preset`, `tasks` and `observation_shapes` are looked at, if it has them.
-        pairs: of tasks and variants.
-        preset: of the observations.
+        policy: the policy; its attributes `preset`, `tasks` and `observation_shapes` are checked if they exist.
+        pairs: pairs of task and variant.
+        preset: the preset of the observations.
     """
     made_for = getattr(policy, "preset", preset)
     if made_for != preset:
@@ -57,7 +57,7 @@ def _check_shape(wanted: Sequence[Shape], task: str, preset: str) -> None:
 
 def _shape(task: str, preset: str) -> tuple[int, ...] | None:
     """The shape of the preset's observations; None if they are dicts."""
-    from magical_mj.gym_env import MagicalEnv  # which loads the simulator
+    from magical_mj.gym_env import MagicalEnv  # imported late: it loads the simulator
 
     env = MagicalEnv(task, preset=preset)
     env.close()

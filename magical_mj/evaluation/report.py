@@ -1,4 +1,4 @@
-"""Reports: tables, figures and a page that shows them, from the files of evaluations alone."""
+"""Reports: tables, figures and a page that shows them, made from the files of evaluations only."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ def report(
     """Writes the tables (Markdown, CSV, LaTeX) and figures of some evaluations.
 
     Args:
-        folders: of the evaluations.
-        out: the folder for the report; files of an earlier one are replaced.
+        folders: the folders of the evaluations.
+        out: the folder for the report; files of an earlier report are replaced.
         with_published: show the paper's results as well.
-        mixed_presets: show policies side by side that were given different observations.
-        links: files in `out` that the page shall point to, by what they show.
+        mixed_presets: allow policies with different observations in one report.
+        links: description -> file in `out`, for links on the page.
 
     Returns:
         The path of the page, in Markdown.
 
     Raises:
-        EvaluationError: if a folder is no evaluation, two of them do not go together, or an extra is not installed.
+        EvaluationError: if a folder is not an evaluation, two of them cannot be combined, or an extra is missing.
     """
     check_extra("reports", "eval")
     found = results([Path(folder) for folder in folders], with_published, mixed_presets)
@@ -95,7 +95,7 @@ def _settings(found: Results) -> str:
 
 
 def extremes(scores: Sequence[Score]) -> list[tuple[str, Score]]:
-    """The episodes that videos show: of each policy and task the best and the worst, if they differ."""
+    """The episodes for videos: the best and the worst of each policy and task, if they differ."""
     chosen: list[tuple[str, Score]] = []
     for policy, task in dict.fromkeys((score.policy, score.task) for score in scores):
         mine = [score for score in scores if (score.policy, score.task) == (policy, task) and score.actions]

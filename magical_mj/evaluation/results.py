@@ -1,4 +1,4 @@
-"""The results of a report: scores from one or several folders, their statistics, and what must be said about them."""
+"""The data of a report: scores from one or several folders, their statistics, and notes about them."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ PUBLISHED_EPISODES: Final = 100
 
 @dataclass(frozen=True)
 class Results:
-    """What there is to report.
+    """The data of a report.
 
     Attributes:
         scores: a row for each episode.
-        environments: a row for each policy and environment; `published` tells where it is from, `rules` how it was
-            scored.
+        environments: a row for each policy and environment; `published` says whether it is a published result, `rules`
+            how it was scored.
         variants: a row for each policy and variant, over tasks; `missing` names the tasks that it lacks.
-        notes: what a reader must know, a sentence each.
+        notes: sentences that readers must know.
     """
 
     scores: pd.DataFrame
@@ -53,7 +53,7 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False) -> list[Score]:
     """The scores of all folders.
 
     Raises:
-        EvaluationError: if a folder is no evaluation, two hold the same episode, or rules or presets differ.
+        EvaluationError: if a folder is not an evaluation, two hold the same episode, or rules or presets differ.
     """
     found: dict[Key, tuple[Score, Path]] = {}
     for folder in folders:
@@ -67,17 +67,17 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False) -> list[Score]:
     scores = [score for score, _ in found.values()]
     check_same(found.values(), "rules", "their scores cannot be compared")
     if not mixed_presets:
-        check_same(found.values(), "preset", "--mixed-presets (mixed_presets=True) reports them together all the same")
+        check_same(found.values(), "preset", "--mixed-presets (mixed_presets=True) reports them together anyway")
     return scores
 
 
 def check_same(found: Iterable[tuple[Score, object]], what: str, consequence: str) -> None:
-    """Raises an `EvaluationError` unless this attribute of all scores is the same; None goes with anything.
+    """Raises an `EvaluationError` unless this attribute is the same in all scores; None matches anything.
 
     Args:
-        found: scores, and where they are from.
+        found: scores and their sources.
         what: the attribute's name.
-        consequence: what that means.
+        consequence: the end of the message: what a difference means.
     """
     where: dict[str, object] = {}
     for score, folder in found:
@@ -89,7 +89,7 @@ def check_same(found: Iterable[tuple[Score, object]], what: str, consequence: st
 
 
 def results(folders: Sequence[Path], with_published: bool = False, mixed_presets: bool = False) -> Results:
-    """Everything that a report is made of.
+    """The data of a report on these folders.
 
     Raises:
         EvaluationError: as `gather`.
@@ -115,7 +115,7 @@ def results(folders: Sequence[Path], with_published: bool = False, mixed_presets
 
 
 def counted_tasks(scores: pd.DataFrame) -> list[str]:
-    """The tasks over which means are taken: the benchmark's; where there are none, those of one's own."""
+    """The tasks over which means are taken: the benchmark's, or if there are none, users' own."""
     played = in_order(scores["task"])
     return list(TASKS) if set(played) & set(TASKS) else played
 
@@ -131,14 +131,14 @@ def _missing(scores: pd.DataFrame, row: Any) -> str:
     if row.published:
         return ""
     there = set(scores[(scores["policy"] == row.policy) & (scores["variant"] == row.variant)]["task"])
-    own = scores[["task", "variant"]].drop_duplicates().itertuples(index=False)  # somebody played them
+    own = scores[["task", "variant"]].drop_duplicates().itertuples(index=False)  # pairs that were played
     needed = ENVIRONMENTS if set(scores["task"]) & set(TASKS) else [(task, variant) for task, variant in own]
     return ", ".join(task for task, variant in needed if variant == row.variant and task not in there)
 
 
 def _notes(scores: pd.DataFrame, variants: pd.DataFrame, with_published: bool) -> Iterator[str]:
     if (variants["missing"] != "").any():
-        yield "(m/n) after a figure: it is made of m of the n tasks that have the variant."
+        yield "(m/n) after a number: the mean is over only m of the n tasks with the variant."
     own = [task for task in in_order(scores["task"]) if task not in counted_tasks(scores)]
     if own:
         yield f"Tasks that are not of the benchmark, and so not part of the means over tasks: {', '.join(own)}."
@@ -182,10 +182,10 @@ def _notes(scores: pd.DataFrame, variants: pd.DataFrame, with_published: bool) -
 
 
 def published_results() -> pd.DataFrame:
-    """The paper's own 660 results (Toyer et al. 2020, appendix): 11 methods in 60 environments.
+    """The results in the paper (Toyer et al. 2020, appendix): 11 methods in all environments.
 
     Returns:
-        Method, task, variant, and mean and standard deviation of the means of five runs.
+        A frame with method, task, variant, and the mean and standard deviation over the mean scores of five runs.
     """
     import pandas as pd
 

@@ -1,4 +1,4 @@
-"""Evaluations: what is asked for, what is already done, and doing the rest."""
+"""Evaluations: checking the settings, reading finished episodes, and playing the rest."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 STEPS_PER_WORKER: Final = 2000
-"""A process is not started for fewer: that would take longer than playing them, with most policies."""
+"""The least number of episodes per process: for fewer, starting it would take longer than playing them."""
 FIRST_EPISODES: Final = 10
-"""If so many episodes of a policy, its first, all fail for the same kind of reason, it is no use to go on."""
+"""If this many first episodes of a policy all fail with the same type of error, the evaluation stops."""
 
 
 def evaluate(policy: Any, *, watch: Callable[[Score], None] = lambda _: None, **settings: Any) -> pd.DataFrame:
@@ -37,16 +37,16 @@ def evaluate(policy: Any, *, watch: Callable[[Score], None] = lambda _: None, **
     Args:
         policy: "expert", "random", "noop", "module:object", the folder of a training, a model file (.zip of
             stable-baselines3, .onnx), a `Policy`, or a function from observation to action; or several, as a list or
-            as a mapping of names to them. Those of the same name are successive runs of one method.
-        watch: called with each episode that ends.
-        settings: those of `magical_mj.evaluation.EvaluationSettings`, such as ``tasks="FindDupe", episodes=10``.
+            as a mapping of names to them. Policies with the same name are successive runs of one method.
+        watch: called with the score of each finished episode.
+        settings: the fields of `magical_mj.evaluation.EvaluationSettings`, such as ``tasks="FindDupe", episodes=10``.
 
     Returns:
         A pandas frame with a row for each episode: see `magical_mj.evaluation.Score`.
 
     Raises:
-        SettingsError, UnknownNameError: if something that is asked for does not exist, or was different before.
-        EvaluationError: if the folder holds something else, a worker dies again and again, or the first episodes of a
+        SettingsError, UnknownNameError: if a setting is invalid, or differs from those of a resumed evaluation.
+        EvaluationError: if the folder holds something else, a worker dies repeatedly, or the first episodes of a
             policy all fail.
         MissingExtraError: if an extra is not installed.
     """
@@ -57,7 +57,7 @@ def evaluate(policy: Any, *, watch: Callable[[Score], None] = lambda _: None, **
 
 
 def _signature() -> inspect.Signature:
-    """What `evaluate` understands, for `help` and editors."""
+    """The signature of `evaluate` with all settings, for `help` and editors."""
     kind = inspect.Parameter.KEYWORD_ONLY
     known = [
         inspect.Parameter(name, kind, default=getattr(EvaluationSettings, name), annotation=type_)
@@ -71,28 +71,28 @@ evaluate.__signature__ = _signature()
 
 
 class Evaluation:
-    """What `evaluate` does, in two steps: it is checked and prepared when it is made, then played.
+    """The implementation of `evaluate` in two steps: the constructor checks and prepares, `play` plays.
 
     Attributes:
-        settings: of the evaluation.
-        scores: of the episodes that are done.
-        units: what was left to do when it was made.
+        settings: the settings of the evaluation.
+        scores: the scores of the finished episodes.
+        units: the work that remained when it was made.
     """
 
     def __init__(self, policy: Any, settings: EvaluationSettings) -> None:
-        """Checks everything and reads what is done; plays nothing yet. Raises what `evaluate` raises."""
+        """Checks everything and reads finished episodes; plays nothing yet. Raises the errors of `evaluate`."""
         check_extra("evaluations", "eval")
         self.settings = settings
         listed = sources(policy, settings.run, settings.trust)
         for source in listed:
-            check_fit(source.load(), settings.environments, settings.preset)  # so that what is wrong is said now
+            check_fit(source.load(), settings.environments, settings.preset)  # so that errors are raised now
         self._out = None if settings.out is None else Path(settings.out)
         recorded = {"policies": [source.describe() for source in listed], **settings.recorded()}
         self.scores = [] if self._out is None else prepare(self._out, recorded, settings.resume)
         self.units = plan(listed, settings, {score.key for score in self.scores})
 
     def play(self) -> Iterator[Score]:
-        """Plays what is left and yields each score once it is in the file."""
+        """Plays the remaining episodes and yields each score once it is in the file."""
         with ScoreFile(self._out) if self._out else nullcontext() as file:
             for found in _without_hopeless(self._play_units(), {(score.policy, score.run) for score in self.scores}):
                 _check_versions(found)
@@ -102,7 +102,7 @@ class Evaluation:
                 yield from found
 
     def _play_units(self) -> Iterator[list[Score]]:
-        """The scores of all units as they come in, in any order."""
+        """The scores of all units in order of completion."""
         jobs, backend = self.settings.jobs, self.settings.backend
         if backend == "local":
             enough = max(1, sum(unit.steps for unit in self.units) // STEPS_PER_WORKER)
@@ -114,7 +114,7 @@ class Evaluation:
         try:
             yield from spread(play_unit, self.units, jobs, backend, self.settings.address)
         except WorkerError as error:
-            raise EvaluationError(f"{error}; --resume goes on (resume=True)") from error
+            raise EvaluationError(f"{error}; --resume continues (resume=True)") from error
         except (pickle.PicklingError, TypeError) as error:
             raise SettingsError(
                 f"the policy cannot be sent to other processes ({error}); give it as module:object, or jobs=1"
@@ -122,14 +122,14 @@ class Evaluation:
 
 
 def _without_hopeless(played: Iterable[list[Score]], fine: set[tuple[str, int]]) -> Iterator[list[Score]]:
-    """The scores, each policy's once it is certain that it does not fail always and alike.
+    """The scores; those of a policy are held back until one of its episodes succeeds or fails differently.
 
     Args:
-        played: scores as they come in.
-        fine: names and runs of the policies that need not be waited for.
+        played: scores in order of completion.
+        fine: names and runs of the policies whose scores are not held back.
 
     Raises:
-        EvaluationError: if the first episodes of a policy, or all, fail alike. Their scores are not yielded.
+        EvaluationError: if all first episodes of a policy fail with the same type of error. They are not yielded.
     """
     held: dict[tuple[str, int], list[Score]] = defaultdict(list)
     for found in played:
@@ -155,7 +155,7 @@ def _hopeless(scores: list[Score]) -> EvaluationError:
     score, count = scores[0], len(scores)
     which = "the first episode" if count == 1 else f"the first {count} episodes"
     return EvaluationError(
-        f"{which} of {score.policy} failed, so nothing of it is kept; {score.task} {score.variant}, seed {score.seed}: "
+        f"{which} of {score.policy} failed, so none of them is kept; {score.task} {score.variant}, seed {score.seed}: "
         f"{score.failure}"
     )
 

@@ -1,6 +1,6 @@
-"""The folder of an evaluation: its settings in ``run.json``, and ``scores.jsonl``, a line for each finished episode.
+"""The folder of an evaluation: its settings in ``run.json``, and ``scores.jsonl`` with a line per finished episode.
 
-Lines are added and never rewritten. What was begun goes on only with the settings that it was begun with.
+Lines are only appended, never rewritten. An evaluation can be resumed only with the settings with which it was started.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ class Score:
 
     Attributes:
         policy: the method's name.
-        run: which run of the method.
+        run: the number of the run of the method.
         task: the task's name.
         variant: the variant's name.
-        seed: of the scene.
+        seed: the scene's seed.
         score: in [0, 1]; 0 if the policy failed.
-        steps: how many actions were taken.
-        seconds: the episode took.
-        rules: by which it was scored.
-        preset: of the observations; None if the policy looks at none.
-        version: of this package.
+        steps: the number of actions.
+        seconds: the duration of the episode, wall clock.
+        rules: the rules by which it was scored.
+        preset: the preset of the observations; None if the policy uses none.
+        version: the version of this package.
         mujoco: MuJoCo's version.
         gl: the OpenGL backend.
-        actions: a letter for each action, from which the episode can be played again.
+        actions: a letter for each action, from which the episode can be replayed.
         failure: why the policy failed; None if it did not.
         scene: the digest of the scene in which the episode started; None in files of older versions.
     """
@@ -84,7 +84,7 @@ _TYPES: Final[dict[str, tuple[type, ...]]] = {
 
 
 def parse(line: str) -> Score:
-    """The episode of a line; a ValueError that says what is wrong with it."""
+    """The episode in a line; raises a ValueError that says what is wrong with it."""
     try:
         entry = json.loads(line)
     except RecursionError:
@@ -105,7 +105,7 @@ def read(folder: Path) -> list[Score]:
     """The finished episodes in a folder. A last line that is still being written is left out.
 
     Raises:
-        EvaluationError: if there are none, a line is not one of ours, or an episode is there twice.
+        EvaluationError: if there is no such file, a line is invalid, or an episode occurs twice.
     """
     path = folder / SCORES
     if not path.is_file():
@@ -142,7 +142,7 @@ def _lines(path: Path) -> list[str]:
 
 
 class ScoreFile:
-    """The file, open for appending; locked, so that only one process writes."""
+    """The file ``scores.jsonl``, open for appending and locked, so that only one process writes."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / SCORES
@@ -164,7 +164,7 @@ class ScoreFile:
                 self._file.close()
 
     def add(self, scores: Iterable[Score]) -> None:
-        """Appends finished episodes, all in one write."""
+        """Appends finished episodes in a single write."""
         if self._file is None:
             raise RuntimeError("enter the file first")
         try:
@@ -192,7 +192,7 @@ def _repair(path: Path) -> None:
 def _lock(file: IO[Any], path: Path) -> None:
     try:
         import fcntl
-    except ImportError:  # Windows: nothing keeps two runs apart
+    except ImportError:  # Windows: there is no lock
         return
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -212,12 +212,12 @@ def prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[Score]
     """Makes the folder, or reads what is in it.
 
     Raises:
-        EvaluationError: if it cannot be written to, or holds something else, or something and `resume` is false.
+        EvaluationError: if it cannot be written to, holds something else, or holds an evaluation and `resume` is false.
         SettingsError: if it was started with other settings.
     """
     started = (folder / SETTINGS).exists() or (folder / SCORES).exists()
     if started and not resume:
-        raise EvaluationError(f"{folder} holds an evaluation already; --resume goes on with it (resume=True)")
+        raise EvaluationError(f"{folder} holds an evaluation already; --resume continues it (resume=True)")
     if not started:
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -226,7 +226,7 @@ def prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[Score]
             raise EvaluationError(f"cannot write into {folder}: {error.strerror}") from error
         return []
     check_unchanged(folder, _read_settings(folder), settings)
-    with ScoreFile(folder):  # which mends its end
+    with ScoreFile(folder):  # repairs the last line
         return read(folder) if (folder / SCORES).stat().st_size else []
 
 

@@ -25,16 +25,16 @@ Worlds = Literal["single", "batched"]
 WORLDS: Final[tuple[Worlds, ...]] = get_args(Worlds)
 
 SHOWN: Final = 300
-"""Characters of a setting that an error shows."""
+"""The number of characters of a setting that an error shows."""
 
 
 @dataclass(frozen=True)
 class About:
-    """What is to be said about a setting.
+    """The documentation of a setting.
 
     Attributes:
         text: its meaning.
-        least: the least number that it may be.
+        least: the smallest allowed number.
     """
 
     text: str
@@ -43,10 +43,10 @@ class About:
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationSettings:
-    """What `evaluate` is asked to do. `magical-mj evaluate` has an option for each setting, with the same default.
+    """The settings of `evaluate`. `magical-mj evaluate` has an option for each setting, with the same default.
 
     Raises:
-        SettingsError, UnknownNameError: if something does not exist, is out of bounds, or does not go together.
+        SettingsError, UnknownNameError: if a name is unknown, a value out of range, or settings are incompatible.
     """
 
     tasks: Annotated[Names, About("Tasks, separated by commas.")] = "all"
@@ -55,23 +55,23 @@ class EvaluationSettings:
         int, About("Episodes in each environment: those of seeds 0, 1, ... The paper plays 100.", 1)
     ] = 100
     preset: Annotated[str, About("The observations: a preset's name, or an empty one.")] = "LoRes4E"
-    rules: Annotated[Rules, About("Whose scores and horizons: the paper's, or those of its released code.")] = "paper"
+    rules: Annotated[Rules, About("Scores and horizons of the paper, or of its released code.")] = "paper"
     out: Annotated[Path | str | None, About("The folder for the scores.")] = None
     resume: Annotated[bool, About("Go on with what is in the folder.")] = False
     jobs: Annotated[
-        int | None, About("Worker processes; by default one per core, if there is work for several.", 1)
+        int | None, About("Number of worker processes; by default one per core, if there is enough work.", 1)
     ] = None
     backend: Annotated[Backend, About("Where the workers run: on this machine or on a cluster.")] = "local"
     address: Annotated[str | None, About("The cluster's address, such as tcp://host:8786.")] = None
     run: Annotated[int, About("The number of the (first) run of each method.", 0)] = 0
-    time_limit: Annotated[float, About("Seconds after which an episode has failed.", 0.1)] = 300.0
+    time_limit: Annotated[float, About("Seconds after which an episode counts as failed.", 0.1)] = 300.0
     envs: Annotated[
         int, About("Episodes that each worker plays side by side, for policies that act in batches.", 1)
     ] = 1
     vectorization: Annotated[
-        Vectorization, About("Side by side in the worker itself (sync), or in a process each (async).")
+        Vectorization, About("Vector environment: in the worker itself (sync), or one process each (async).")
     ] = "sync"
-    trust: Annotated[bool, About("Load model files that hold code, which then runs.")] = False
+    trust: Annotated[bool, About("Load model files that contain code, and run it.")] = False
 
     def __post_init__(self) -> None:
         for name, (kind, about) in described(type(self)).items():
@@ -86,7 +86,7 @@ class EvaluationSettings:
         return environments(self.tasks, self.variants)
 
     def recorded(self) -> dict[str, Any]:
-        """What scores depend on, beside the policies; a folder goes on only with the same."""
+        """The settings that determine scores; an evaluation can be resumed only if they are the same."""
         return {
             "environments": [f"{task}-{variant}" for task, variant in self.environments],
             **{name: getattr(self, name) for name in ("episodes", "preset", "rules", "time_limit")},
@@ -102,7 +102,7 @@ def _fitting(name: str, value: Any, kind: Any, about: About) -> Any:
     """The value of a setting as a plain one of its type.
 
     Raises:
-        SettingsError, UnknownNameError: if it is none.
+        SettingsError, UnknownNameError: if it is invalid.
     """
     if get_origin(kind) is Literal:
         check_name(name, value, get_args(kind))
@@ -119,7 +119,7 @@ def _fitting(name: str, value: Any, kind: Any, about: About) -> Any:
 
 
 def described(settings: type) -> dict[str, tuple[Any, About]]:
-    """The type of each setting, and what is to be said about it, by their names."""
+    """The type and the documentation of each setting, by name."""
     hints = get_type_hints(settings, include_extras=True)
     return {setting.name: get_args(hints[setting.name]) for setting in fields(settings)}
 

@@ -4,9 +4,9 @@ The unit of the paper's statistics is the mean score of one run (one trained pol
 are standard deviations of such run means (ddof = 0), within an environment over runs, and within a variant over tasks
 and runs. The interquartile mean leaves out the lowest and the highest quarter of the run means.
 
-Intervals are of a stratified bootstrap (Agarwal et al., NeurIPS 2021): the runs of each task are resampled. Where
-each task has but one run, its episodes are resampled instead; that interval covers the chance of the episodes but not
-that of the training.
+Intervals come from a stratified bootstrap (Agarwal et al., NeurIPS 2021): the runs of each task are resampled. If each
+task has only one run, its episodes are resampled instead; that interval covers the randomness of the episodes but not
+that of training.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Summary(NamedTuple):
 
 
 def interquartile_mean(values: Floats, axis: int = -1) -> Any:
-    """The mean of what is left without the lowest and the highest quarter (each rounded down to whole values)."""
+    """The mean without the lowest and the highest quarter of the values (each rounded down to whole values)."""
     from scipy.stats import trim_mean
 
     return trim_mean(values, 0.25, axis=axis)
@@ -52,7 +52,7 @@ def summarise(tasks: Sequence[Sequence[Floats]]) -> Summary:
     """The statistics over tasks, all of equal weight.
 
     Args:
-        tasks: of each task, of each run, the scores of its episodes.
+        tasks: for each task, for each run, the scores of its episodes.
     """
     means = [np.array([scores.mean() for scores in runs]) for runs in tasks]
     pooled = np.concatenate(means)
@@ -75,12 +75,12 @@ def summarise(tasks: Sequence[Sequence[Floats]]) -> Summary:
 
 
 def bootstrap(strata: Sequence[Floats], statistic: Any, resamples: int = RESAMPLES) -> tuple[float, float]:
-    """The percentile interval of a statistic, each stratum resampled by itself; NaN if one has a single value.
+    """The percentile interval of a statistic; each stratum is resampled separately. NaN if one has a single value.
 
     Args:
-        strata: the values.
-        statistic: of the strata, along an axis: ``statistic(*strata, axis=-1)``.
-        resamples: how often they are drawn.
+        strata: the values of each stratum.
+        statistic: a function of the strata along an axis: ``statistic(*strata, axis=-1)``.
+        resamples: the number of resamples.
     """
     from scipy.stats import bootstrap as scipy_bootstrap
 
@@ -123,8 +123,8 @@ def rank_correlation(first: Mapping[Any, Any], second: Mapping[Any, Any]) -> flo
     """Spearman's rank correlation of two methods' mean scores, over the environments that both have.
 
     Args:
-        first: by environment, a mean score or those of several runs.
-        second: likewise.
+        first: environment -> a mean score, or the mean scores of several runs.
+        second: the same for the other method.
 
     Returns:
         In [-1, 1]; NaN if one of the methods has the same score everywhere, or there are fewer than two environments.
@@ -154,7 +154,7 @@ def by_environment(scores: pd.DataFrame) -> pd.DataFrame:
 
 
 def by_variant(scores: pd.DataFrame) -> pd.DataFrame:
-    """The statistics of each policy in each variant, one row each: over the tasks that are there."""
+    """The statistics of each policy in each variant, one row each: over the tasks that were played."""
     import pandas as pd
 
     rows = []

@@ -24,14 +24,14 @@ Group = tuple[str, Rows]
 
 @dataclass(frozen=True)
 class Table:
-    """A table of texts.
+    """A table of strings.
 
     Attributes:
-        name: of its files.
+        name: the name of its files, without suffix.
         caption: what it shows.
         header: the columns' names.
-        groups: heading and rows; a heading of "" for a table without headings.
-        notes: below it.
+        groups: pairs of heading and rows; a heading of "" for a table without headings.
+        notes: sentences below the table.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Table:
 
 
 def markdown(table: Table) -> str:
-    """For a page; headings become rows in bold."""
+    """The table in Markdown; headings become rows in bold."""
     lines = [table.header, ("---", *["---:"] * (len(table.header) - 1))]
     for heading, rows in table.groups:
         if heading:
@@ -54,7 +54,7 @@ def markdown(table: Table) -> str:
 
 
 def latex(table: Table) -> str:
-    r"""For a paper: floats of a page at most, which need only ``\usepackage{booktabs}``."""
+    r"""The table in LaTeX: floats of at most a page each, which need only ``\usepackage{booktabs}``."""
     pages: list[list[Group]] = [[]]
     for group in table.groups:
         if pages[-1] and sum(len(rows) for _, rows in [*pages[-1], group]) > PAGE_ROWS:
@@ -91,7 +91,7 @@ def _float(table: Table, groups: Sequence[Group], number: int, last: bool) -> st
 
 
 def csv(frame: pd.DataFrame) -> str:
-    """With a header; figures with four decimals."""
+    """The frame as CSV with a header; numbers have four decimals."""
     return frame.to_csv(index=False, float_format="%.4f", lineterminator="\n")
 
 
@@ -147,7 +147,7 @@ def _rows(results: Results, frame: pd.DataFrame, text: Callable[[Any], str], tas
 
 
 def _iqm_rows(results: Results) -> Rows:
-    """Two for each method: the interquartile means, and below them their intervals."""
+    """Two rows for each method: the interquartile means, and below them their intervals."""
     mine = results.variants[~results.variants["published"]]
     means = _rows(results, mine, lambda row: f"{row.iqm:.2f} {share(row)}".rstrip())
     intervals = _rows(results, mine, lambda row: f"[{row.iqm_low:.2f}, {row.iqm_high:.2f}]".replace("[nan, nan]", NONE))
@@ -169,7 +169,7 @@ def _mean_and_std(row: Any) -> str:
 
 
 def share(row: Any) -> str:
-    """How many of the variant's tasks a mean is made of, such as "(1/8)"; nothing if it is all of them."""
+    """The number of the variant's tasks in a mean, such as "(1/8)"; empty if it covers all of them."""
     if not getattr(row, "missing", ""):
         return ""
     return f"({row.tasks}/{row.tasks + row.missing.count(',') + 1})"

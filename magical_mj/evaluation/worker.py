@@ -1,4 +1,4 @@
-"""What workers do: they play units of work, some episodes of one environment with one policy each, in limited time."""
+"""Workers: they play units of work, each of some episodes of one environment with one policy, with a time limit."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ from magical_mj.registry import sample_scene, task_spec
 T = TypeVar("T")
 
 SEEDS_PER_UNIT: Final = 10
-"""A few seconds of work: a killed run loses little, and handing out units costs little."""
+"""Episodes in a unit. A few seconds of work: a killed run loses little, and the overhead per unit is small."""
 GRACE: Final = 1.0
-"""Seconds that a call has to end after it was told to."""
+"""Seconds that a call has to end after it was stopped."""
 
 
 @dataclass(frozen=True)
 class Unit:
-    """Some episodes of one environment with one policy: independent of all others, and repeatable.
+    """Some episodes of one environment with one policy: independent of all other units, and repeatable.
 
     Attributes:
-        source: of the policy.
+        source: where the policy comes from.
         task: the task's name.
         variant: the variant's name.
-        seeds: of the scenes.
-        settings: of the evaluation.
+        seeds: the seeds of the scenes.
+        settings: the settings of the evaluation.
     """
 
     source: Source
@@ -57,7 +57,7 @@ class Unit:
 
 
 def plan(listed: Sequence[Source], settings: EvaluationSettings, done: Collection[Key]) -> list[Unit]:
-    """The units that are still to be done, the longest first, so that all workers end at about the same time."""
+    """The remaining units, the longest first, so that all workers end at about the same time."""
     units = []
     size = max(SEEDS_PER_UNIT, settings.envs)
     for task, variant in settings.environments:
@@ -80,7 +80,7 @@ _LOCAL = threading.local()
 
 
 def player() -> Player:
-    """This thread's player; a cluster's worker may work in several threads."""
+    """The player of this thread; a cluster's worker may have several threads."""
     if not hasattr(_LOCAL, "player"):
         _LOCAL.player = Player()
     return _LOCAL.player
@@ -117,7 +117,7 @@ class Player:
             else:
                 if not any(outcome.failure for outcome in wave):
                     return wave
-        return [self._single(unit, episode) for episode in episodes]  # which tells whose failure it was
+        return [self._single(unit, episode) for episode in episodes]  # to find out which episodes fail
 
     def _single(self, unit: Unit, episode: Episode) -> Outcome:
         policy, settings = self._policy_of(unit), unit.settings
@@ -140,7 +140,7 @@ class Player:
         return envs, self._keep("copies", (key, unit.source), lambda: Copies(policy, envs))
 
     def _keep(self, what: str, key: Any, make: Callable[[], T]) -> T:
-        """What was made for this key; what was kept for another key is closed and replaced."""
+        """The object made for this key; one that was kept for another key is closed and replaced."""
         kept, made = self._kept.get(what, (None, None))
         if made is None or kept != key:
             if made is not None and hasattr(made, "close"):
@@ -150,7 +150,7 @@ class Player:
         return made
 
     def _forget(self) -> None:
-        """Drops everything: an episode that never ended may still be using it."""
+        """Drops environment and policy: an episode that did not end may still be using them."""
         self._kept: dict[str, tuple[Any, Any]] = {}
         self._caller = TimeLimitedCaller()
 
@@ -195,15 +195,15 @@ class TimeLimitError(Exception):
 
 
 class _Stop(BaseException):
-    """Thrown into a call that took too long; not an Exception, so that the call's own handlers let it pass."""
+    """Raised inside a call that took too long; not an `Exception`, so that handlers in the call do not catch it."""
 
 
 class TimeLimitedCaller:
-    """A thread that makes calls one after another, so that its caller need not wait for ever.
+    """A thread that makes calls one after another, with a time limit.
 
-    An alarm signal would need no thread, but works only in the main thread, which clusters do not give us. A call in
-    Python code is stopped; one that is stuck outside of Python is left behind, asleep. After a `TimeLimitError` the
-    caller must not be used again.
+    An alarm signal would need no thread, but works only in the main thread, which cluster workers may not use. A call
+    that runs Python code is stopped; one that is stuck outside Python is abandoned. After a `TimeLimitError` this
+    object must not be used again.
     """
 
     def __init__(self) -> None:
@@ -213,10 +213,10 @@ class TimeLimitedCaller:
         self._thread.start()
 
     def call(self, function: Callable[[], T], seconds: float | None) -> T:
-        """What the function returns or raises.
+        """Returns or raises what the function returns or raises.
 
         Raises:
-            TimeLimitError: if it takes more than so many seconds; None is for ever.
+            TimeLimitError: if it takes longer than `seconds`; None means no limit.
         """
         self._calls.put(function)
         try:
