@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
-from magical_mj.baselines import TrainingSettings, load_settings
+from magical_mj.baselines import TrainingSettings, checkpoint, load_settings
+from magical_mj.baselines.policy import POLICY
 
 TINY = {
     "network.first_stride": 4,
@@ -42,3 +44,11 @@ PLAYING = {
 def playing(method: str = "gail", tasks: str = "MoveToRegion", **changes: Any) -> TrainingSettings:
     """Settings of a method that plays: four updates of 4 x 4 steps."""
     return tiny(method, tasks, **{**PLAYING, **changes})
+
+
+def is_done(folder: Path) -> bool:
+    """Whether the training in this folder has come to its end."""
+    if not (folder / POLICY).is_file():
+        return False
+    update, updates = checkpoint.read(folder / POLICY)["progress"]
+    return update == updates

@@ -49,7 +49,7 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
     assert "run: mean score" in capfd.readouterr().out
     (tmp_path / "run" / POLICY).unlink()
     assert run(["evaluate", "--policy", out, "--out", str(tmp_path / "none")]) == 2
-    assert "holds no policy: no policy.safetensors" in capfd.readouterr().err
+    assert "holds no policy: no goals.json or policy.safetensors" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from learners import tiny
+from learners import is_done, tiny
 
 import magical_mj
 from magical_mj.baselines import checkpoint, load_policy, train
 from magical_mj.baselines.config import from_toml, read_toml, recorded
 from magical_mj.baselines.metrics import read_metrics
-from magical_mj.baselines.policy import POLICY, is_done
+from magical_mj.baselines.policy import POLICY
 from magical_mj.baselines.run import CHECKPOINT, CONFIG
 from magical_mj.episodes import Episode
 from magical_mj.errors import MagicalError, SettingsError, TrainingError, UnknownNameError

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from learners import is_done
 
 from magical_mj.baselines import runs
-from magical_mj.baselines.policy import is_done
 
 TEXT = (Path(__file__).parent.parent / "docs" / "learners.md").read_text()
 

@@ -13,7 +13,7 @@ from magical_mj import ENVIRONMENTS, TASKS, Block
 from magical_mj.planning import Noise, Subgoal, done
 from magical_mj.planning.arrangements import cluster_targets, line_targets
 from magical_mj.registry import task_spec
-from magical_mj.tasks.cluster import blocks_right
+from magical_mj.tasks.cluster import NEARER, blocks_right
 from magical_mj.tasks.make_line import is_line, longest_line
 
 
@@ -71,7 +71,7 @@ def test_lines_are_lines_and_move_few_blocks(seed: int) -> None:
 def test_clusters_are_clusters_with_room_between_blocks(seed: int) -> None:
     scene = magical_mj.sample_scene("ClusterShape", "CountPlus", seed)
     points = [(block.x, block.y) for block in scene.blocks]
-    targets = cluster_targets(points, [block.shape for block in scene.blocks], noise(seed))
+    targets = cluster_targets(points, [block.shape for block in scene.blocks], NEARER, noise(seed))
     after = scene.moved(blocks=[(*(t or p), 0.0) for t, p in zip(targets, points, strict=True)])
     assert blocks_right(after, "shape") == len(points)
     moved = [target for target in targets if target]

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 MINUTE = 60.0
 """Seconds between two lines where no bar can be shown."""
 
-Method = Annotated[str, typer.Argument(help="bc, gail, wgail-gp or al.", show_default=False)]
+Method = Annotated[str, typer.Argument(help="bc, gail, wgail-gp, al or goals.", show_default=False)]
 Tasks = Annotated[str, typer.Option(help="A task; with --multi-task several, separated by commas, or all.")]
 Out = Annotated[Path, typer.Option(help="The run's folder.", show_default=False)]
 Seed = Annotated[int, typer.Option(min=0, help="Decides which demonstrations are learnt from, and all else.")]

@@ -21,6 +21,7 @@ PARTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "gail": ("network", "ppo", "discriminator"),
         "wgail-gp": ("network", "ppo", "discriminator"),
         "al": ("network", "ppo", "features"),
+        "goals": (),
     }
 )
 """The parts of the settings that mean something to a method; of one that is not here, all of them may."""

@@ -11,9 +11,9 @@ from typing import Any, Final
 
 from magical_mj.baselines.config import flattened, load_settings, read_toml
 from magical_mj.baselines.learner import keep_freed_memory
-from magical_mj.baselines.policy import is_done
-from magical_mj.baselines.run import METHODS, train
+from magical_mj.baselines.run import METHODS, Progress, train
 from magical_mj.baselines.settings import TrainingSettings
+from magical_mj.episodes import is_blind
 from magical_mj.errors import SettingsError, unknown_name
 from magical_mj.evaluation.report import report
 from magical_mj.evaluation.results import gather, published_results
@@ -92,8 +92,8 @@ class Run:
         """Trains and evaluates, or does what is left of it; returns a line about it."""
         trained = self.folder / "runs" / self.name
         keep_freed_memory()
-        before = is_done(trained)
-        train(self.settings, trained, resume=True)
+        updates: list[Progress] = []
+        policy = train(self.settings, trained, resume=True, watch=updates.append)
         frame = evaluate(
             {self.method: str(trained)},
             tasks=self.settings.tasks,
@@ -101,13 +101,13 @@ class Run:
             run=self.settings.seed,
             out=self.scores,
             resume=True,
-            envs=SIDE_BY_SIDE["states" if self.settings.states else "pictures"],
+            envs=1 if is_blind(policy) else SIDE_BY_SIDE["states" if self.settings.states else "pictures"],
             jobs=1,
             **self.evaluation,
         )
         means = frame.groupby("variant", sort=False)["score"].mean()
         shown = ", ".join(f"{variant} {mean:.2f}" for variant, mean in means.items())
-        return f"{self.name}: {'was trained before' if before else 'trained'}; {shown}"
+        return f"{self.name}: {'trained' if updates else 'was trained before'}; {shown}"
 
 
 def runs(file: Path, out: Path) -> list[Run]:

@@ -6,24 +6,26 @@ import ctypes
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import torch
 
 from magical_mj.baselines.network import Actor
+from magical_mj.baselines.policy import TrainedPolicy, save_policy
 from magical_mj.baselines.settings import TrainingSettings
+from magical_mj.episodes import Policy
 from magical_mj.errors import SettingsError
 
 
-class Learner(ABC):
-    """A method.
+class Method(ABC):
+    """A method: how a policy comes from demonstrations.
 
     `magical_mj.baselines.train` calls `update` as often as `updates` says, logs what it returns, evaluates the policy
-    now and then, and saves and restores `state`.
+    now and then, and saves it and the `state`.
 
     Attributes:
         settings: what it was made with.
-        device: where its networks are.
         updates: how many make a training.
     """
 
@@ -31,16 +33,18 @@ class Learner(ABC):
 
     def __init__(self, settings: TrainingSettings) -> None:
         self.settings = settings
-        self.device = device(settings.device)
-
-    @property
-    @abstractmethod
-    def actor(self) -> Actor:
-        """The policy as it is now."""
 
     @abstractmethod
     def update(self) -> Mapping[str, float]:
         """Improves the policy a little; returns figures to be logged, such as losses, always under the same names."""
+
+    @abstractmethod
+    def policy(self) -> Policy:
+        """What plays; it stays up to date."""
+
+    @abstractmethod
+    def save_policy(self, folder: Path, update: int) -> None:
+        """Writes the policy as it is after so many updates into a run's folder, where evaluations find it."""
 
     @abstractmethod
     def state(self) -> dict[str, Any]:
@@ -50,11 +54,45 @@ class Learner(ABC):
     def restore(self, state: dict[str, Any]) -> None:
         """Restores a `state`."""
 
+    def fault(self) -> str | None:
+        """Why what was learnt is useless, such as a weight that is not finite; None if it is not."""
+        return None
+
     def recalibrate(self) -> None:  # noqa: B027  (only BC on pictures has batch norm)
         """Called before the policy is evaluated: brings averages up to date that lag behind the weights."""
 
     def close(self) -> None:  # noqa: B027  (most hold nothing)
         """Frees what it holds, such as environments."""
+
+
+class Learner(Method):
+    """A method whose policy is a network.
+
+    Attributes:
+        device: where its networks are.
+    """
+
+    def __init__(self, settings: TrainingSettings) -> None:
+        super().__init__(settings)
+        self.device = device(settings.device)
+
+    @property
+    @abstractmethod
+    def actor(self) -> Actor:
+        """The policy as it is now."""
+
+    def policy(self) -> TrainedPolicy:
+        """Draws from what the network holds probable."""
+        return TrainedPolicy(self.actor, self.settings.tasks, self.settings.preset)
+
+    def save_policy(self, folder: Path, update: int) -> None:
+        """Writes the network."""
+        save_policy(folder, self.actor, self.settings, (update, self.updates))
+
+    def fault(self) -> str | None:
+        """Whether a weight is not finite."""
+        finite = all(weights.isfinite().all() for weights in self.actor.parameters())
+        return None if finite else "a weight is not finite any more"
 
 
 def device(name: str) -> torch.device:

@@ -124,11 +124,3 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
         return TrainedPolicy(actor, kept["tasks"], kept["preset"])
     except (KeyError, TypeError, RuntimeError) as error:
         raise TrainingError(f"{Path(folder) / POLICY} holds something else than a policy: {error}") from error
-
-
-def is_done(folder: Path) -> bool:
-    """Whether the training in this folder has come to its end."""
-    if not (folder / POLICY).is_file():
-        return False
-    update, updates = checkpoint.read(folder / POLICY)["progress"]
-    return update == updates

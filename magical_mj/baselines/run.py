@@ -25,17 +25,18 @@ from magical_mj.baselines.adversarial import GAIL, WGAILGP
 from magical_mj.baselines.apprenticeship import Apprenticeship
 from magical_mj.baselines.bc import BehaviouralCloning
 from magical_mj.baselines.config import MADE, from_toml, recorded, to_toml
-from magical_mj.baselines.learner import Learner
+from magical_mj.baselines.goals.method import GoalInference
+from magical_mj.baselines.learner import Method
 from magical_mj.baselines.metrics import Metrics
-from magical_mj.baselines.policy import TrainedPolicy, save_policy
 from magical_mj.baselines.settings import TrainingSettings
+from magical_mj.episodes import Policy
 from magical_mj.errors import TrainingError, unknown_name
 from magical_mj.evaluation.run import evaluate
 from magical_mj.evaluation.settings import check_unchanged
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 
-METHODS: Final[Mapping[str, Callable[[TrainingSettings], Learner]]] = MappingProxyType(
-    {"bc": BehaviouralCloning, "gail": GAIL, "wgail-gp": WGAILGP, "al": Apprenticeship}
+METHODS: Final[Mapping[str, Callable[[TrainingSettings], Method]]] = MappingProxyType(
+    {"bc": BehaviouralCloning, "gail": GAIL, "wgail-gp": WGAILGP, "al": Apprenticeship, "goals": GoalInference}
 )
 CONFIG: Final = "config.toml"
 CHECKPOINT: Final = "checkpoint.safetensors"
@@ -65,9 +66,9 @@ def train(
     out: Path | str,
     *,
     resume: bool = False,
-    learner: Callable[[TrainingSettings], Learner] | None = None,
+    learner: Callable[[TrainingSettings], Method] | None = None,
     watch: Callable[[Progress], None] = lambda _: None,
-) -> TrainedPolicy:
+) -> Policy:
     """Trains a policy and returns it; everything is in the folder, where `evaluate` finds it too.
 
     Args:
@@ -130,7 +131,7 @@ def _circumstances() -> str:
 
 
 class _Run:
-    def __init__(self, folder: Path, settings: TrainingSettings, learner: Learner) -> None:
+    def __init__(self, folder: Path, settings: TrainingSettings, learner: Method) -> None:
         self._folder, self._settings, self._learner = folder, settings, learner
         self._update, self._seconds = 0, 0.0
         if (folder / CHECKPOINT).exists():
@@ -139,9 +140,9 @@ class _Run:
             learner.restore(kept["learner"])
         self._saved = self._update
 
-    def play(self, watch: Callable[[Progress], None]) -> TrainedPolicy:
+    def play(self, watch: Callable[[Progress], None]) -> Policy:
         updates, settings = self._learner.updates, self._settings
-        policy = TrainedPolicy(self._learner.actor, settings.tasks, settings.preset)
+        policy = self._learner.policy()
         started = time.monotonic() - self._seconds
         with Metrics(self._folder, self._update) as metrics:
             while self._update < updates:
@@ -163,7 +164,7 @@ class _Run:
                 watch(Progress(self._update, updates, means, scores))
         return policy
 
-    def _scores(self, policy: TrainedPolicy) -> dict[str, float]:
+    def _scores(self, policy: Policy) -> dict[str, float]:
         """Mean scores in the demo variant by task."""
         episodes = self._settings.episodes
         frame = evaluate(
@@ -183,11 +184,12 @@ class _Run:
             self._give_up(f"{wrong[0]} is {figures[wrong[0]]}")
 
     def _save(self) -> None:
-        if not all(weights.isfinite().all() for weights in self._learner.actor.parameters()):
-            self._give_up("a weight is not finite any more")
+        fault = self._learner.fault()
+        if fault is not None:
+            self._give_up(fault)
         kept: dict[str, Any] = {"update": self._update, "seconds": self._seconds, "learner": self._learner.state()}
         checkpoint.write(self._folder / CHECKPOINT, kept)
-        save_policy(self._folder, self._learner.actor, self._settings, (self._update, self._learner.updates))
+        self._learner.save_policy(self._folder, self._update)
         self._saved = self._update
 
     def _give_up(self, reason: str) -> None:

@@ -103,7 +103,8 @@ class Player:
         for start in range(0, len(unit.seeds), envs):
             seeds = unit.seeds[start : start + envs]
             episodes = [Episode(unit.task, unit.variant, seed, unit.source.run) for seed in seeds]
-            preset = None if is_blind(self._policy_of(unit)) else unit.settings.preset
+            policy = self._policy_of(unit)
+            preset = getattr(policy, "preset", None) if is_blind(policy) else unit.settings.preset
             yield from map(functools.partial(_score, unit, preset), episodes, self._outcomes(unit, episodes))
 
     def _outcomes(self, unit: Unit, episodes: list[Episode]) -> list[Outcome]:

@@ -1,7 +1,9 @@
-"""The expert: it plans an episode, acts, and plans again if the state is not the predicted one."""
+"""Policies that follow plans: they plan an episode, act, and plan again if the state is not the predicted one."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -16,10 +18,51 @@ from magical_mj.variants import check_seed
 BUDGET: Final = 150  # simulated steps per step of the episode; once they are used, no new plan is started
 
 
-class Expert:
+class PlanFollower:
     """A policy that drives one environment; each call gives the action for the environment's present state.
 
     It plans when an episode starts, and again whenever the state is not the one that its plan predicted.
+
+    Args:
+        env: an environment, already reset. It may be reset again.
+        horizon: the number of steps of an episode.
+        planner: makes the planner of the present episode.
+        rng: makes the random generator of a plan.
+        budget: simulated steps per step of the episode; once they are used, no new plan is started.
+    """
+
+    def __init__(
+        self,
+        env: Environment,
+        horizon: int,
+        planner: Callable[[], Planner],
+        rng: Callable[[], np.random.Generator],
+        budget: int,
+    ) -> None:
+        self._env, self._horizon, self._planner, self._rng, self._budget = env, horizon, planner, rng, budget
+        self._plan = Plan(0.0, 0, [], [])
+        self._step = 0
+
+    @property
+    def expected_score(self) -> float:
+        """The score that the present plan reaches; 0 before there is a plan."""
+        return self._plan.score
+
+    def __call__(self) -> int:
+        """The action for the present state."""
+        left = self._horizon - self._env.task.steps
+        if left <= 0:
+            return NOOP
+        state = state_of(self._env)
+        if self._step >= len(self._plan.actions) or not np.array_equal(state, self._plan.states[self._step]):
+            self._plan = self._planner().plan(left, self._budget * self._horizon, self._rng())
+            self._step = 0
+        self._step += 1
+        return self._plan.actions[self._step - 1]
+
+
+class Expert(PlanFollower):
+    """The expert: it plans with the task's own score and subgoals.
 
     Args:
         env: an environment of the task, already reset.
@@ -34,31 +77,17 @@ class Expert:
     """
 
     def __init__(self, env: Environment, task: str, seed: int = 0) -> None:
-        self._spec = task_spec(task)
-        self._spec.check_plan()
-        self._spec.check(env.initial_scene)
-        self._env, self._seed = env, check_seed(seed)
-        self._plan = Plan(0.0, 0, [], [])
-        self._step = 0
+        spec = task_spec(task)
+        spec.check_plan()
+        spec.check(env.initial_scene)
+        seed = check_seed(seed)
 
-    @property
-    def expected_score(self) -> float:
-        """The score that the present plan reaches; 0 before there is a plan."""
-        return self._plan.score
+        def planner() -> Planner:
+            initial = env.initial_scene
+            return Planner(
+                lambda scene: spec.score(initial, scene, "paper"),
+                lambda scene, noise, _: spec.subgoals(initial, scene, noise),
+                Lookahead(env),
+            )
 
-    def __call__(self) -> int:
-        """The action for the present state."""
-        left = (self._env.horizon or self._spec.horizon()) - self._env.task.steps
-        if left <= 0:
-            return NOOP
-        state = state_of(self._env)
-        if self._step >= len(self._plan.actions) or not np.array_equal(state, self._plan.states[self._step]):
-            self._replan(left)
-        self._step += 1
-        return self._plan.actions[self._step - 1]
-
-    def _replan(self, left: int) -> None:
-        planner = Planner(self._spec, self._env.initial_scene, Lookahead(self._env))
-        rng = np.random.default_rng(self._seed)
-        self._plan = planner.plan(left, BUDGET * self._spec.horizon(), rng)
-        self._step = 0
+        super().__init__(env, env.horizon or spec.horizon(), planner, partial(np.random.default_rng, seed), BUDGET)

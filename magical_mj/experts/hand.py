@@ -18,10 +18,11 @@ class Hand:
     Args:
         rng: the random generator.
         lateness: the probability that the last action is repeated once when another one is due.
+        hesitation: pauses are shorter than this number of actions.
     """
 
-    def __init__(self, rng: np.random.Generator, lateness: float = LATE) -> None:
-        self._rng, self._lateness = rng, lateness
+    def __init__(self, rng: np.random.Generator, lateness: float = LATE, hesitation: int = HESITATION) -> None:
+        self._rng, self._lateness, self._hesitation = rng, lateness, hesitation
 
     def __call__(self, last: Action | None, wanted: Action) -> Action:
         """The executed action, given the last one and the wanted one."""
@@ -31,4 +32,4 @@ class Hand:
 
     def pause(self) -> int:
         """The number of actions to wait before starting something new."""
-        return int(self._rng.integers(HESITATION))
+        return int(self._rng.integers(self._hesitation))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -173,9 +174,9 @@ def _carry(world: Lookahead, block: int, manoeuvre: Manoeuvre, limit: int) -> bo
         left = limit - len(world.trace)
         if left <= 0 or not _within(world, block, LOST):
             return False
-        tolls, ahead = toll(obstacles(world.scene(), block), loaded=True), world.seen(block)[1]
+        ahead = world.seen(block)[1]
         goal = Goal(ahead, *subgoal.target, subgoal.tolerance / 2)
-        route = _route(world, goal, tolls, min(left, REACH))
+        route = _route(world.scene(), block, goal, min(left, REACH))
         drive(
             world, route, Gripper.CLOSE, limit, ahead=ahead, within=0.7 * subgoal.tolerance, reverse=manoeuvre.reverse
         )
@@ -184,16 +185,18 @@ def _carry(world: Lookahead, block: int, manoeuvre: Manoeuvre, limit: int) -> bo
     return False
 
 
-def _route(world: Lookahead, goal: Goal, tolls: Ints, limit: int) -> list[Point]:
-    """The points of a route that brings the point ahead of the robot to its goal."""
-    x, y, _ = world.robot
+@lru_cache(maxsize=16)  # manoeuvres that take a block in the same way carry it along the same route
+def _route(scene: Scene, block: int, goal: Goal, limit: int) -> list[Point]:
+    """The points of a route that brings the block that the robot holds to its goal."""
+    x, y, _ = scene.robot.pose
+    tolls = toll(obstacles(scene, block), loaded=True)
     dx, dy = goal.x - x, goal.y - y
     distance = math.hypot(dx, dy)
     share = 1 - goal.ahead / distance if distance else 0.0
     end = (x + share * dx, y + share * dy, 0.0)
     if share <= 0 or _clear((x, y, 0.0), end, tolls):
         return [(goal.x, goal.y)]
-    ways = explore(world.robot, tolls, limit, goal)
+    ways = explore(scene.robot.pose, tolls, limit, goal)
     gaps = np.hypot(*(places(ways.poses, goal.ahead) - (goal.x, goal.y)).T)
     costs = ways.steps + MISSED * gaps + MISSED_BY_FAR * np.clip(gaps - goal.within, 0, None)
     way = ways.to(int(costs.argmin()))

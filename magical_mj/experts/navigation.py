@@ -50,6 +50,7 @@ _ADVANCE: Final = {Drive.NONE: 0.0, Drive.FORWARD: c.SPEED_FORWARD, Drive.BACK: 
 _SPIN: Final = {Turn.NONE: 0.0, Turn.LEFT: TURN_STEP, Turn.RIGHT: -TURN_STEP}
 _STEP: Final = np.array([_ADVANCE[drive] / c.CONTROL_RATE for _, drive in MOTIONS])
 _TURN: Final = np.array([_SPIN[turn] for turn, _ in MOTIONS])
+_SPINS, _SPUN = np.unique(_TURN, return_inverse=True)  # the different turns, and which one each motion has
 _GEAR: Final = np.array([0 if step > 0 else 1 if step < 0 else -1 for step in _STEP])
 
 
@@ -138,10 +139,10 @@ def _samples(dx: float, dy: float) -> Ints:
 
 def cells(poses: Floats) -> Ints:
     """The cell of each pose, -1 outside the arena. Shape (n,)."""
-    place = np.floor((poses[:, :2] + c.ARENA_HALF_WIDTH) / CELL).astype(np.int64)
+    column, row = (np.floor((axis + c.ARENA_HALF_WIDTH) / CELL).astype(np.int64) for axis in poses.T[:2])
     heading = np.round(poses[:, 2] * (HEADINGS / (2 * math.pi))).astype(np.int64) % HEADINGS
-    numbers = (heading * SIDE + place[:, 0]) * SIDE + place[:, 1]
-    return np.where(((place >= 0) & (place < SIDE)).all(axis=1), numbers, -1)
+    inside = (column >= 0) & (column < SIDE) & (row >= 0) & (row < SIDE)
+    return np.where(inside, (heading * SIDE + column) * SIDE + row, -1)
 
 
 def explore(start: Pose, tolls: Ints, limit: int, goal: Goal | None = None) -> Ways:
@@ -156,43 +157,47 @@ def explore(start: Pose, tolls: Ints, limit: int, goal: Goal | None = None) -> W
     seen = np.zeros(2 * len(tolls), bool)  # two slots per cell: reached forwards and reached backwards
     owner = np.empty(2 * len(tolls), np.int64)
     waiting: list[list[tuple[Floats, Ints, Ints]]] = [[] for _ in range(limit + 1)]
-    waiting[0] = [(np.array([start]), np.array([-1]), np.array([0]))]
+    waiting[0] = [(np.array([start]), np.array([-1]), cells(np.array([start])))]
     poses, parents, steps, count = [], [], [], 0
     for level in range(limit + 1):
         if level > limit:
             break
         if not waiting[level]:
             continue
-        here, above, gear = (np.concatenate(part) for part in zip(*waiting[level], strict=True))
-        slots = gear * len(tolls) + cells(here)
+        here, above, slots = (np.concatenate(part) for part in zip(*waiting[level], strict=True))
         new = np.flatnonzero(~seen[slots])
         owner[slots[new]] = new
         new = new[owner[slots[new]] == new]  # one for each cell
-        here, above, gear = here[new], above[new], gear[new]
-        seen[slots[new]] = True
+        here, above, slots = here[new], above[new], slots[new]
+        seen[slots] = True
         if goal is not None and goal.reached(here).any():
             limit, goal = min(limit, level + AFTERWARDS), None
         poses.append(here)
         parents.append(above)
         steps.append(np.full(len(new), level))
-        after, origin, motion = _moved(here)
-        entered = cells(after)
-        gears = np.where(_GEAR[motion] < 0, gear[origin], _GEAR[motion])
-        arrival = level + 1 + tolls[entered] + SWITCH_COST * (gears != gear[origin])
-        allowed = (entered >= 0) & (tolls[entered] >= 0) & (arrival <= limit) & ~seen[gears * len(tolls) + entered]
-        numbers = count + origin
-        for time in np.unique(arrival[allowed]):
-            then = allowed & (arrival == time)
-            waiting[time].append((after[then], numbers[then], gears[then]))
+        after = _moved(here)
+        entered = cells(after.reshape(-1, 3))
+        inside = np.flatnonzero(entered >= 0)
+        inside = inside[tolls[entered[inside]] >= 0]
+        origin, motion = np.divmod(inside, len(MOTIONS))
+        before = slots[origin] >= len(tolls)
+        gears = np.where(_GEAR[motion] < 0, before, _GEAR[motion])
+        arrival = level + 1 + tolls[entered[inside]] + SWITCH_COST * (gears != before)
+        then = gears * len(tolls) + entered[inside]
+        allowed = (arrival <= limit) & ~seen[then]
+        for time in range(level + 1, min(limit, int(arrival.max(initial=0))) + 1):
+            at = np.flatnonzero(allowed & (arrival == time))
+            if len(at):
+                waiting[time].append((after.reshape(-1, 3)[inside[at]], count + origin[at], then[at]))
         count += len(new)
     return Ways(np.concatenate(poses), np.concatenate(parents), np.concatenate(steps))
 
 
-def _moved(poses: Floats) -> tuple[Floats, Ints, Ints]:
-    """The poses after each of the motions, and for each the index of its parent and of its motion."""
-    origin = np.repeat(np.arange(len(poses)), len(MOTIONS))
-    motion = np.tile(np.arange(len(MOTIONS)), len(poses))
-    start, step, turn = poses[origin], _STEP[motion], _TURN[motion]
-    middle = start[:, 2] + turn / 2
-    after = start + np.stack([-np.sin(middle) * step, np.cos(middle) * step, turn], axis=1)
-    return after, origin, motion
+def _moved(poses: Floats) -> Floats:
+    """The poses after each of the motions. Shape (n, motions, 3)."""
+    middles = poses[:, 2, None] + _SPINS / 2
+    after = np.empty((len(poses), len(MOTIONS), 3))
+    after[:, :, 0] = poses[:, 0, None] + (-np.sin(middles))[:, _SPUN] * _STEP
+    after[:, :, 1] = poses[:, 1, None] + np.cos(middles)[:, _SPUN] * _STEP
+    after[:, :, 2] = poses[:, 2, None] + _TURN
+    return after

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Callable, Collection
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -15,7 +17,6 @@ from magical_mj.experts.navigation import explore, toll
 from magical_mj.planning import Noise, done
 from magical_mj.planning.subgoals import Subgoals
 from magical_mj.scene import Scene
-from magical_mj.tasks import TaskSpec
 
 TRIES: Final = 8  # manoeuvres tried in one situation
 SPREAD: Final = 4.0  # actions: the largest change by noise of a manoeuvre's estimated cost
@@ -47,16 +48,26 @@ class Planner:
     """Plans the rest of an episode.
 
     Args:
-        spec: the task.
-        initial: the scene at the start of the episode.
+        score: of a final scene, in [0, 1].
+        subgoals: the remaining subgoals in a scene; the last argument is the blocks that should not be moved.
         world: the copy of the simulation in which manoeuvres are tried.
+        tries: the number of manoeuvres that are tried in one situation.
+        patience: the number of failures after which a block should not be moved any more in this plan.
+        steady: execute plans without the pauses and delays of a person.
     """
 
-    def __init__(self, spec: TaskSpec, initial: Scene, world: Lookahead) -> None:
-        self._spec, self._initial, self._world = spec, initial, world
-
-    def _score(self, scene: Scene) -> float:
-        return self._spec.score(self._initial, scene, "paper")
+    def __init__(
+        self,
+        score: Callable[[Scene], float],
+        subgoals: Callable[[Scene, Noise, Collection[int]], Subgoals],
+        world: Lookahead,
+        *,
+        tries: int = TRIES,
+        patience: float = math.inf,
+        steady: bool = False,
+    ) -> None:
+        self._score, self._subgoals, self._world = score, subgoals, world
+        self._tries, self._patience, self._steady = tries, patience, steady
 
     def plan(self, steps: int, budget: int, rng: np.random.Generator) -> Plan:
         """The best of several plans for the next `steps` actions: the first with the full score, if there is one.
@@ -69,26 +80,31 @@ class Planner:
             rng: varies the plans. After each failure, noise increases and execution becomes more precise.
         """
         start, end = self._world.save(), self._world.count + budget
-        best = self._attempt(start, steps, Noise(rng, 1.0), Hand(rng))
+        best = self._attempt(start, steps, Noise(rng, 1.0), self._hand(rng, LATE))
         for failed in range(1, ATTEMPTS):
             good = best.score == 1.0 and (best.rest or failed > SECOND_THOUGHTS)
             if good or self._world.count > end:
                 break
-            plan = self._attempt(start, steps, Noise(rng, BOLDER**failed), Hand(rng, LATE * CALMER**failed))
+            plan = self._attempt(start, steps, Noise(rng, BOLDER**failed), self._hand(rng, LATE * CALMER**failed))
             best = max(best, plan, key=lambda plan: (plan.score, plan.rest))
         return best
+
+    def _hand(self, rng: np.random.Generator, lateness: float) -> Hand:
+        return Hand(rng, 0.0, 1) if self._steady else Hand(rng, lateness)
 
     def _attempt(self, start: Snapshot, steps: int, noise: Noise, hand: Hand) -> Plan:
         world, todo = self._world, ()
         world.restore(start)
         actions: list[int] = []
         states = [world.state]
+        failures: Counter[int | None] = Counter()
+        stuck: set[int] = set()
         waited, settling = 0, SETTLING + hand.pause()
         while len(actions) < steps:
             scene, left, here = world.scene(), steps - len(actions), world.save()
             todo = tuple(subgoal for subgoal in todo if subgoal.left(scene))
             if not todo or self._score(done(scene, todo)) < 1.0:
-                todo = self._spec.subgoals(self._initial, scene, noise)
+                todo = self._subgoals(scene, noise, stuck)
             option = self._best(here, scene, todo, left, noise)
             world.restore(here)
             if option is None:
@@ -102,19 +118,26 @@ class Planner:
                 world.hand = hand
                 perform(world, option, left)
                 world.hand = None
+                block = option.subgoal.block
+                failures[block] += option.subgoal.left(world.scene()) > 0
+                if block is not None and block not in stuck and failures[block] >= self._patience:
+                    stuck.add(block)
+                    todo = ()
             actions += world.trace
             states += world.states
         return Plan(self._score(world.scene()), waited, actions, states)
 
     def _best(self, here: Snapshot, scene: Scene, todo: Subgoals, left: int, noise: Noise) -> Manoeuvre | None:
         """The best of the most promising manoeuvres, tried from a snapshot; None if there is no subgoal left."""
+        if not todo:
+            return None
         world = self._world
         tolls = toll(obstacles(scene), loaded=False)
         ways = explore(scene.robot.pose, tolls, min(left, REACH))
         options = [option for subgoal in todo for option in manoeuvres(ways, tolls, scene, subgoal, noise)]
         options.sort(key=lambda option: option.estimate - option.subgoal.cost(scene) + noise(SPREAD))
         best, best_cost = None, math.inf
-        for option in options[:TRIES]:
+        for option in options[: self._tries]:
             handicap = noise(TASTE)
             world.restore(here)
             perform(world, option, int(min(left, best_cost - handicap)))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Final
 
 import numpy as np
@@ -30,6 +30,7 @@ CHECKED: Final = (
     500  # the number of cheapest plans that are checked: blocks that stay near their places may leave too large a gap
 )
 SPARE: Final = 1.05  # safety factor: the rule must also hold if distances grow by it
+FIXED_COST: Final = 1000.0  # of moving a block that should stay
 LINE_LIMIT: Final = 0.84  # lines end within this square
 
 # Clusters
@@ -47,7 +48,7 @@ ROUNDS: Final = 24
 
 
 def line_targets(
-    points: Sequence[Point], is_line: Callable[[Sequence[Point]], bool], noise: Noise
+    points: Sequence[Point], is_line: Callable[[Sequence[Point]], bool], noise: Noise, fixed: Collection[int] = ()
 ) -> list[Point | None]:
     """A target for each block, or None for blocks that stay.
 
@@ -58,6 +59,7 @@ def line_targets(
         points: the blocks' positions.
         is_line: whether blocks at these points form a line.
         noise: selects one of several good lines.
+        fixed: the blocks that should stay, if possible.
     """
     here = np.array(points)
     count = len(here)
@@ -71,6 +73,7 @@ def line_targets(
     slots = slots[(np.abs(slots) <= LINE_LIMIT).all(axis=(1, 2))]
     ways = np.linalg.norm(slots[:, :, None] - here[None, None], axis=-1)  # (line, slot, block)
     costs = np.where(ways <= STAYS, 0.0, LINE_COSTS[0] + LINE_COSTS[1] * ways)
+    costs[:, :, list(fixed)] += FIXED_COST * (ways[:, :, list(fixed)] > STAYS)
     orders = np.array(list(itertools.permutations(range(count))))
     totals = costs[:, np.arange(count), orders[:, None]].reshape(len(slots), len(orders), count).sum(axis=-1)
     ends = here
@@ -87,15 +90,28 @@ def line_targets(
     ]
 
 
-def cluster_targets(points: Sequence[Point], kinds: Sequence[str], noise: Noise) -> list[Point | None]:
-    """A target for each block, or None for blocks that stay. `kinds` holds the colour or shape by which to cluster."""
+def cluster_targets(
+    points: Sequence[Point], kinds: Sequence[str], nearer: float, noise: Noise, fixed: Collection[int] = ()
+) -> list[Point | None]:
+    """A target for each block, or None for blocks that stay.
+
+    Args:
+        points: the blocks' positions.
+        kinds: the colour or shape by which to cluster.
+        nearer: the factor between a block's squared distances to the nearest other centroid and to its own.
+        noise: selects one of several good layouts.
+        fixed: the blocks that must stay.
+    """
+    if len(fixed) == len(points):
+        return [None] * len(points)
     here = np.array(points)
     values = sorted(set(kinds))
     members = np.array([[kind == value for kind in kinds] for value in values], float)
     best, best_cost = here, np.inf
     for number in range(STARTS):
-        start = here if number == 0 else _gathered(here, members, noise)
-        layout, cost = _improved(here, start, members, noise)
+        start = here.copy() if number == 0 else _gathered(here, members, noise)
+        start[list(fixed)] = here[list(fixed)]
+        layout, cost = _improved(here, start, members, nearer, noise, fixed)
         cost += noise(CLUSTER_SPREAD)
         if cost < best_cost:
             best, best_cost = layout, cost
@@ -110,17 +126,21 @@ def _gathered(here: Floats, members: Floats, noise: Noise) -> Floats:
     return members.T @ centres + noise.rng.normal(0, 0.1, here.shape)
 
 
-def _improved(here: Floats, start: Floats, members: Floats, noise: Noise) -> tuple[Floats, float]:
+def _improved(
+    here: Floats, start: Floats, members: Floats, nearer: float, noise: Noise, fixed: Collection[int]
+) -> tuple[Floats, float]:
     axis = np.arange(-CLUSTER_LIMIT, CLUSTER_LIMIT + 1e-9, PITCH)
     places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     places = np.clip(places + noise.rng.uniform(-PITCH / 2, PITCH / 2, places.shape), -CLUSTER_LIMIT, CLUSTER_LIMIT)
     layout, cost = start, np.inf
     for _ in range(ROUNDS):
         options = [
-            _layouts(layout, block, np.concatenate([places, here[block : block + 1]])) for block in range(len(here))
+            _layouts(layout, block, np.concatenate([places, here[block : block + 1]]))
+            for block in range(len(here))
+            if block not in fixed
         ]
         layouts = np.concatenate(options)
-        costs = _costs(layouts, here, members)
+        costs = _costs(layouts, here, members, nearer)
         best = int(costs.argmin())
         if costs[best] >= cost - 1e-9:
             break
@@ -135,19 +155,25 @@ def _layouts(layout: Floats, block: int, places: Floats) -> Floats:
     return layouts
 
 
-def _costs(layouts: Floats, here: Floats, members: Floats) -> Floats:
+def _costs(layouts: Floats, here: Floats, members: Floats, nearer: float) -> Floats:
     """The cost of moving the blocks to each layout, plus penalties for wrong blocks. Shape (layouts,)."""
-    ways = np.linalg.norm(layouts - here, axis=-1)
+    ways = np.sqrt(_squared(layouts, here))
     moved = ways > 0
     cost = (moved * CLUSTER_COSTS[0] + CLUSTER_COSTS[1] * ways).sum(axis=-1)
     centres = members @ layouts / members.sum(axis=1, keepdims=True)
-    squares = ((layouts[:, :, None] - centres[:, None]) ** 2).sum(axis=-1)  # (layout, block, kind)
+    squares = _squared(layouts[:, :, None], centres[:, None])  # (layout, block, kind)
     own = (squares * members.T).sum(axis=-1)
     nearest = np.where(members.T > 0, np.inf, squares).min(axis=-1)
-    share = 3 * own / np.maximum(nearest, 1e-9)
+    share = nearer * own / np.maximum(nearest, 1e-9)
     doubt = np.clip(share / SAFE, DOUBTFUL, HOPELESS) - DOUBTFUL  # a slope towards layouts with fewer wrong blocks
     cost += WRONG_COST * (doubt + (share > SAFE)).sum(axis=-1)
-    gaps = np.linalg.norm(layouts[:, :, None] - layouts[:, None], axis=-1)
+    gaps = np.sqrt(_squared(layouts[:, :, None], layouts[:, None]))
     crowded = np.clip(APART - gaps, 0, None) * (moved[:, :, None] | moved[:, None, :])
     first = np.triu(np.ones(gaps.shape[1:]), 1)
     return cost + CROWDED_COST * (crowded * first).sum(axis=(1, 2))
+
+
+def _squared(one: Floats, other: Floats) -> Floats:
+    """Squared distances between points: the last axis holds x and y."""
+    dx, dy = one[..., 0] - other[..., 0], one[..., 1] - other[..., 1]
+    return dx * dx + dy * dy

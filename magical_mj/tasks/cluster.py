@@ -35,6 +35,7 @@ STEPS: Final = 320
 RELEASED_STEPS: Final = 240
 MIN_BLOCKS: Final = 7
 MAX_BLOCKS: Final = 10
+NEARER: Final = 3  # times less must the squared distance to a block's own centroid be
 
 
 def _covering(rng: np.random.Generator, values: tuple[_T, ...], number: int) -> list[_T]:
@@ -86,7 +87,7 @@ def blocks_right(scene: Scene, attribute: Attribute, rules: Rules = "paper") -> 
         if rules == "released":
             right += math.sqrt(own) < math.sqrt(nearest) - 2 * own
         else:
-            right += own < nearest / 3
+            right += own < nearest / NEARER
     return right
 
 
@@ -100,4 +101,5 @@ def score(final: Scene, attribute: Attribute, rules: Rules = "paper") -> float:
 def plan(now: Scene, attribute: Attribute, noise: Noise) -> list[Subgoal]:
     """Blocks move to others with the same value of the attribute; the plan moves few blocks over short distances."""
     kinds = [getattr(block, attribute) for block in now.blocks]
-    return each_to(cluster_targets([(block.x, block.y) for block in now.blocks], kinds, noise), tolerance=0.09)
+    points = [(block.x, block.y) for block in now.blocks]
+    return each_to(cluster_targets(points, kinds, NEARER, noise), tolerance=0.09)

@@ -1,0 +1,67 @@
+"""Inferring goals, as a training: one update, in which the goal of each task is inferred."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from magical_mj import demos
+from magical_mj.baselines.data import drawn
+from magical_mj.baselines.goals.files import from_json, save_goals, to_json
+from magical_mj.baselines.goals.inference import Goal, infer
+from magical_mj.baselines.goals.policy import GoalPolicy
+from magical_mj.baselines.learner import Method
+from magical_mj.baselines.settings import STATE, TrainingSettings
+from magical_mj.demos import Demonstration
+from magical_mj.errors import SettingsError
+from magical_mj.scene import Scene
+
+
+class GoalInference(Method):
+    """Looks at how each demonstration begins and ends, and asks what the ends have in common: see `infer`."""
+
+    def __init__(self, settings: TrainingSettings) -> None:
+        super().__init__(settings)
+        if not settings.states:
+            raise SettingsError(f"goals are inferred from states, not from pictures: give --preset {STATE}")
+        self.updates = 1
+        self._found: dict[str, list[Goal]] = {}
+        self._policy = GoalPolicy({}, settings.tasks)
+
+    def update(self) -> Mapping[str, float]:
+        """Infers all goals. The least bits that one saves, and the least by which it is ahead of the next."""
+        for task in self.settings.tasks:
+            shipped = demos.load(task)
+            chosen = drawn(task, self.settings.seed, self.settings.demonstrations, len(shipped))
+            self._found[task] = infer([ends(shipped[number]) for number in chosen])
+        self._pursue()
+        saved = [[*(goal.saved for goal in goals), 0.0] for goals in self._found.values()]
+        return {"saved_bits": min(bits[0] for bits in saved), "ahead_bits": min(bits[0] - bits[1] for bits in saved)}
+
+    def policy(self) -> GoalPolicy:
+        """Pursues the likeliest goal of each task."""
+        return self._policy
+
+    def save_policy(self, folder: Path, update: int) -> None:
+        """Writes the goals, for people and for evaluations."""
+        del update
+        save_goals(folder, self._found)
+
+    def state(self) -> dict[str, Any]:
+        """The goals."""
+        return {"goals": to_json(self._found)}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Takes up what was inferred before."""
+        self._found = {task: [goal] for task, goal in from_json(state["goals"]).items()}
+        self._pursue()
+
+    def _pursue(self) -> None:
+        self._policy.goals.update({task: goals[0] for task, goals in self._found.items()})
+
+
+def ends(demonstration: Demonstration) -> tuple[Scene, Scene]:
+    """The first scene of a demonstration, and the last."""
+    scenes = demonstration.scenes()
+    return scenes[0], scenes[-1]

@@ -1,0 +1,67 @@
+"""Relations to landmarks of the workspace: its corners and its middle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from magical_mj.baselines.goals.layouts import Floats, Layouts
+from magical_mj.baselines.goals.relation import LIMIT_BITS, Relation, Situation, choice
+from magical_mj.planning import Subgoal, bring, done, drive, places_anywhere
+from magical_mj.planning.subgoals import TOLERANCE
+
+LANDMARKS: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
+    {
+        "top left corner": (-1.0, 1.0),
+        "top right corner": (1.0, 1.0),
+        "bottom left corner": (-1.0, -1.0),
+        "bottom right corner": (1.0, -1.0),
+        "middle": (0.0, 0.0),
+    }
+)
+
+
+@dataclass(frozen=True)
+class Near(Relation):
+    """All blocks, or the robot, are near a landmark. Off is each by its distance from it.
+
+    Attributes:
+        who: "every block" or "the robot".
+        landmark: one of `LANDMARKS`.
+    """
+
+    who: str
+    landmark: str
+
+    @property
+    def bits(self) -> float:
+        """Who, near which landmark, how near."""
+        return choice(2) + choice(len(LANDMARKS)) + LIMIT_BITS
+
+    def off(self, layouts: Layouts) -> Floats:
+        """Distances from the landmark."""
+        who = layouts.robot[:, None] if self.who == "the robot" else layouts.blocks
+        return np.linalg.norm(who - LANDMARKS[self.landmark], axis=2, keepdims=True)
+
+    def subgoals(self, at: Situation) -> list[Subgoal]:
+        """What is too far away goes to the nearest place that is surely near enough."""
+        landmark = LANDMARKS[self.landmark]
+        places = sorted(places_anywhere(), key=lambda place: math.dist(place, landmark))
+        places = [place for place in places if math.dist(place, landmark) <= at.limits[0] - TOLERANCE] or places[:1]
+        if self.who == "the robot":
+            return [drive(at.now, places, at.noise, TOLERANCE)]
+        todo: list[Subgoal] = []
+        for number, block in enumerate(at.now.blocks):
+            if math.dist((block.x, block.y), landmark) > at.limits[0]:
+                todo.append(bring(done(at.now, todo), number, places, at.noise))
+        return todo
+
+    @property
+    def text(self) -> str:
+        """As in "the robot is within 0.50 of the middle"."""
+        return f"{self.who} is within {{0:.2f}} of the {self.landmark}"
