@@ -35,7 +35,7 @@ STEPS: Final = 320
 RELEASED_STEPS: Final = 240
 MIN_BLOCKS: Final = 7
 MAX_BLOCKS: Final = 10
-NEARER: Final = 3  # times less must the squared distance to a block's own centroid be
+NEARER: Final = 3  # a right block is nearer to its own centroid by this factor of the squared distance
 
 
 def _covering(rng: np.random.Generator, values: tuple[_T, ...], number: int) -> list[_T]:
