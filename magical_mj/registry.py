@@ -118,11 +118,14 @@ def listed(names: Names, every: Iterable[str]) -> list[str]:
     """
     if isinstance(names, str):
         names = names.split(",")
-    found = [name.strip() if isinstance(name, str) else name for name in names] if isinstance(names, Iterable) else []
-    found = [name for name in found if name != ""]  # from a comma at the end
+    try:
+        found = [name.strip() if isinstance(name, str) else name for name in names]
+    except TypeError:  # also of arrays without a dimension, which look like sequences
+        found = []
+    found = [name for name in found if not isinstance(name, str) or name]  # "" is from a comma at the end
     if not found:
         raise SettingsError(f"give at least one of {', '.join(every)}, or all; not {shown(names)}")
-    return list(every) if found == ["all"] else found
+    return list(every) if isinstance(found[0], str) and found == ["all"] else found
 
 
 def check_rules(rules: str) -> Rules:

@@ -189,6 +189,8 @@ def test_a_policy_that_exits_has_failed(how: dict[str, int]) -> None:
         ("noop", {"episodes": 2.5}, "episodes must be an integer, not 2.5"),
         ("noop", {"run": "1"}, "run must be an integer, not '1'"),
         ("noop", {"time_limit": "long"}, "time_limit must be a number, not 'long'"),
+        ("noop", {"time_limit": 10**400}, "time_limit must be at most 1e+09, not 1000"),
+        ("noop", {"episodes": 10**10}, "episodes must be at most 1e+09"),
         ("noop", {"trust": "no"}, "trust must be bool, not 'no'"),
         ("noop", {"address": 8786}, "address must be str | None, not 8786"),
         ("noop", {"backend": "slurm"}, "local, dask, ray"),

@@ -90,7 +90,15 @@ def test_what_is_no_entry_is_named(folder: Path, tmp_path: Path, change: dict[st
         check_entry(path)
 
 
-DAMAGED = {"empty": b"", "text": b"no", "half": gzip.compress(b"[1"), "list": gzip.compress(b"[]"), "cut": b"\x1f\x8b"}
+DAMAGED = {
+    "empty": b"",
+    "text": b"no",
+    "half": gzip.compress(b"[1"),
+    "list": gzip.compress(b"[]"),
+    "cut": b"\x1f\x8b",
+    "bits": gzip.compress(b"{}")[:10] + b"\xff" * 20,
+    "deep": gzip.compress(b"[" * 10**5),
+}
 
 
 @pytest.mark.parametrize("data", DAMAGED.values(), ids=DAMAGED)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+import numpy as np
 import pytest
 
 from magical_mj.errors import SettingsError, TaskError, UnknownNameError
@@ -29,6 +30,8 @@ def test_lists_of_environments() -> None:
     [
         ("", "all", SettingsError, "give at least one of MoveToCorner"),
         ([], "all", SettingsError, "give at least one of MoveToCorner"),
+        (np.array("all"), "all", SettingsError, "give at least one of MoveToCorner"),
+        ([np.ones(3)], "all", UnknownNameError, "unknown task array"),
         ("FindDup", "all", UnknownNameError, "Did you mean 'FindDupe'"),
         ("all", "Shapes", UnknownNameError, "Did you mean 'Shape'"),
         ("MoveToCorner", "Layout", UnknownNameError, "MoveToCorner has no variant 'Layout'"),

@@ -24,6 +24,8 @@ Vectorization = Literal["sync", "async"]
 Worlds = Literal["single", "batched"]
 WORLDS: Final[tuple[Worlds, ...]] = get_args(Worlds)
 
+MOST: Final = 1e9
+"""The greatest number that a setting may be: more episodes, workers or seconds than anybody waits for."""
 SHOWN: Final = 300
 """The number of characters of a setting that an error shows."""
 
@@ -110,9 +112,11 @@ def _fitting(name: str, value: Any, kind: Any, about: About) -> Any:
         number, said = (Real, "a number") if kind is float else (Integral, "an integer")
         if not issubclass(type(value), number) or type(value) is bool:
             raise SettingsError(f"{name} must be {said}, not {shown(value)}")
-        value = float(value) if kind is float else int(value)
         if not value >= about.least:
             raise SettingsError(f"{name} must be at least {about.least}, not {shown(value)}")
+        if value > MOST:
+            raise SettingsError(f"{name} must be at most {MOST:g}, not {shown(value)}")
+        value = float(value) if kind is float else int(value)
     elif kind != Names and not isinstance(value, kind):
         raise SettingsError(f"{name} must be {getattr(kind, '__name__', kind)}, not {shown(value)}")
     return value

@@ -7,6 +7,7 @@ import hashlib
 import io
 import json
 import tomllib
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files as resources
@@ -222,7 +223,7 @@ def _content(data: bytes, name: object) -> dict[str, Any]:
         if len(text) > MOST_BYTES:
             raise ValueError("it is too large")
         return json.loads(text)
-    except (OSError, EOFError, ValueError, RecursionError) as error:
+    except (OSError, EOFError, ValueError, RecursionError, zlib.error) as error:
         raise EvaluationError(f"{name} cannot be read: {error}") from error
 
 
