@@ -79,9 +79,9 @@ def sequences(human: Path | None, count: int) -> Iterator[tuple[str, str, Scene,
             yield "expert", task, demo.scene, demo.actions.astype(np.int64)
     if human is not None and human.exists():
         with np.load(human) as data:
-            for key in data.files:
-                if key.endswith("/actions"):
-                    task = key.split("/")[0]
+            for task in magical_mj.TASKS:
+                found = [key for key in data.files if key.startswith(f"{task}/") and key.endswith("/actions")]
+                for key in found[:count]:
                     yield "people", task, magical_mj.sample_scene(task, "Demo", 0), data[key].astype(np.int64)
 
 
@@ -119,7 +119,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=10)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--human", type=Path, help="an archive of people's sequences, task/number/actions")
-    parser.add_argument("--count", type=int, default=25, help="demonstrations of each task")
+    parser.add_argument("--count", type=int, default=25, help="sequences of each task, of experts and of people")
     chosen = parser.parse_args()
     if chosen.what == "actions":
         compare(chosen.states, chosen.steps, chosen.device)

@@ -21,9 +21,9 @@ from magical_mj.batched.drawing import Pair, SceneDrawer
 from magical_mj.batched.observations import Frames, Observation, States
 from magical_mj.batched.physics import Physics, check_device
 from magical_mj.batched.scenes import Capacity, SceneArrays
-from magical_mj.batched.scores import Start, score
+from magical_mj.batched.scores import SCORES, Start, score
 from magical_mj.env_settings import REWARDS, Reward
-from magical_mj.errors import InvalidActionError, SettingsError, unknown_name
+from magical_mj.errors import InvalidActionError, SettingsError, check_name, unknown_name
 from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS
 from magical_mj.presets import preset as preset_named
 from magical_mj.registry import check_rules, sample_scene, task_spec
@@ -70,6 +70,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             raise SettingsError(f"autoreset_mode must be SAME_STEP or DISABLED, not {autoreset_mode}")
         if reward not in REWARDS:
             raise unknown_name("reward", reward, REWARDS)
+        for task, _ in pairs:
+            check_name("batched task", task, SCORES)
         self.num_envs = len(pairs)
         self.metadata = {"autoreset_mode": autoreset_mode, "render_fps": c.CONTROL_RATE}
         self._same_step = autoreset_mode == AutoresetMode.SAME_STEP

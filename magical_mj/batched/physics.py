@@ -187,6 +187,11 @@ class Physics:
         return ~(self._state["qpos"].isfinite().all(-1) & self._state["qvel"].isfinite().all(-1))
 
     @property
+    def solved(self) -> tuple[Tensor, Tensor]:
+        """Of the last substep: how many constraints there were, and the solver's iterations. Shape (worlds,) each."""
+        return wp.to_torch(self._data.nefc), wp.to_torch(self._data.solver_niter)
+
+    @property
     def overflowed(self) -> Tensor:
         """Worlds that had, since their reset, more contacts or constraints than there is room for: some were dropped.
 

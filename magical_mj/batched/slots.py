@@ -89,9 +89,9 @@ def slotted_model(blocks: int, shapes: Iterable[Shape] = SHAPES) -> mujoco.MjMod
     for shape in shapes:
         for one, count in Counter(_classes(shape)).items():
             needed[one] = max(needed[one], count)
-    for geom in spec.geoms:
-        if geom.classname.name == "visual":
-            spec.delete(geom)
+    unseen = [geom for geom in spec.geoms if geom.classname.name == "visual"]
+    for element in (*unseen, *spec.lights, *spec.cameras):  # each kind would cost a launch in every substep
+        spec.delete(element)
     for index in range(blocks):
         body = spec.body(f"block{index}").first_body()
         for geom in body.geoms:

@@ -9,7 +9,7 @@ import platform
 import pstats
 import resource
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -27,6 +27,7 @@ from magical_mj.registry import environments, listed
 from magical_mj.rendering.backend import check_backend
 
 if TYPE_CHECKING:
+    from magical_mj.speed.batched import BatchedMeasurement
     from magical_mj.speed.measure import Cause, Measurement
 
 PROFILED: Final = 30  # functions shown
@@ -72,7 +73,7 @@ def bench(
         preset(name)  # or its error
     chosen = [(*pair, name) for name in names for pair in environments(tasks, variants)]
     if batched:
-        _print_batched(chosen, _counts(worlds), device)
+        _print_batched(chosen, _counts(worlds), device, profile)
         return
     with cProfile.Profile() if profile else nullcontext() as profiler:
         measurements, yardstick = _measure(chosen, steps)
@@ -93,25 +94,36 @@ def _counts(text: str) -> list[int]:
         raise typer.BadParameter(f"--worlds takes numbers separated by commas, not {text!r}.") from None
 
 
-def _print_batched(chosen: Sequence[tuple[str, str, str]], counts: Sequence[int], device: str) -> None:
-    """A row for each environment and number of worlds, as soon as it is measured."""
+def _print_batched(chosen: Sequence[tuple[str, str, str]], counts: Sequence[int], device: str, profile: bool) -> None:
+    """Some lines for each environment and number of worlds, as soon as it is measured."""
     check_extra("batched worlds", "gpu")
     from magical_mj.speed.batched import measure_batched, single_rate
 
     screen = console()
-    screen.print("environment, preset: worlds, steps/s (times the single environments on all cores) | ms of a step's")
-    screen.print("physics, of its observations, of a reset | kernel launches a step | kB a world")
     for task, variant, name in chosen:
         single = single_rate(task, variant, name)
         for worlds in counts:
             made = measure_batched(task, variant, worlds, name, device)
-            times = (made.physics_seconds, made.observation_seconds, made.reset_seconds)
-            screen.print(
-                f"{task} {variant}, {name}: {worlds}, {made.rate:,.0f} ({made.rate / single:.2f}) | "
-                f"{' '.join(f'{1000 * seconds:.2f}' for seconds in times)} | {made.launches} | "
-                f"{made.world_bytes / 1000:.0f}",
-                soft_wrap=True,
-            )
+            for line in _batched_lines(made, single, profile):
+                screen.print(line, soft_wrap=True, highlight=False)
+
+
+def _batched_lines(made: BatchedMeasurement, single: float, profile: bool) -> Iterator[str]:
+    """What was measured; the launches by part, or with `profile` by kernel."""
+    from magical_mj.speed.launches import by_part
+
+    times = [1000 * seconds for seconds in (made.physics_seconds, made.observation_seconds, made.reset_seconds)]
+    yield f"{made.task} {made.variant}, {made.preset}, {made.worlds} worlds: {made.rate:,.0f} steps/s"
+    yield f"  {made.rate / single:.3g} times as many as single environments make here on all cores"
+    yield f"  {made.world_bytes / 1000:.0f} kB a world"
+    yield "  physics {:.2f} ms a step, observations {:.2f} ms, a reset of all worlds {:.2f} ms".format(*times)
+    yield (
+        f"  a step: {made.work.launches} kernel launches, {made.work.bytes / 1e6:.2f} MB, "
+        f"{made.work.operations / 1e6:.1f} million operations a world; an H200 might make {made.predicted:,.0f} steps/s"
+    )
+    for kernel in made.kernels if profile else by_part(made.kernels):
+        called = f"{kernel.part} {kernel.name}".strip()
+        yield f"  {called}: {kernel.launches} launches, {1000 * kernel.seconds:.2f} ms, {kernel.bytes / 1e6:.1f} MB"
 
 
 def _measure(chosen: Sequence[tuple[str, str, str]], steps: int) -> tuple[list[Measurement], float | None]:

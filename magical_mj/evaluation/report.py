@@ -9,7 +9,7 @@ from typing import Final
 
 from magical_mj import files
 from magical_mj.evaluation.figures import bars, heat_map
-from magical_mj.evaluation.results import Results, results
+from magical_mj.evaluation.results import APPROXIMATE, Results, results
 from magical_mj.evaluation.scores import Score
 from magical_mj.evaluation.tables import csv, latex, markdown, result_tables
 from magical_mj.extras import check_extra
@@ -64,6 +64,7 @@ def report(
                 figure.savefig(path, dpi=DPI, metadata=None if suffix == "png" else {"CreationDate": None})
     parts = [
         "# Evaluation",
+        *(f"**{note}**" for note in found.notes if note.startswith(APPROXIMATE)),
         _settings(found),
         "## Variants",
         *map(markdown, tables[:2]),

@@ -12,6 +12,7 @@ import numpy as np
 
 from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.scores import Key, Score, frame, read
+from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.evaluation.statistics import COLUMNS, by_environment, by_variant
 from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS, in_order
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 PUBLISHED_RULES: Final = "released"
 """The paper's results were scored by the authors' code, in its simulator: AL scores 0.00 on ClusterShape's demo, where
 by the paper's formula an agent that does nothing has 0.25."""
+APPROXIMATE: Final = "Approximate, no official results"
 PUBLISHED_RUNS: Final = 5
 PUBLISHED_EPISODES: Final = 100
 """Of each run in each environment."""
@@ -66,6 +68,7 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False) -> list[Score]:
             found[score.key] = score, folder
     scores = [score for score, _ in found.values()]
     check_same(found.values(), "rules", "their scores cannot be compared")
+    check_same(found.values(), "worlds", "scores of batched worlds are approximate, and reported by themselves")
     if not mixed_presets:
         check_same(found.values(), "preset", "--mixed-presets (mixed_presets=True) reports them together anyway")
     return scores
@@ -137,6 +140,8 @@ def _missing(scores: pd.DataFrame, row: Any) -> str:
 
 
 def _notes(scores: pd.DataFrame, variants: pd.DataFrame, with_published: bool) -> Iterator[str]:
+    if "batched" in set(scores["worlds"]):
+        yield f"{APPROXIMATE}: {UNOFFICIAL}."
     if (variants["missing"] != "").any():
         yield "(m/n) after a number: the mean is over only m of the n tasks with the variant."
     own = [task for task in in_order(scores["task"]) if task not in counted_tasks(scores)]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import mujoco
 
 from magical_mj._version import __version__
+from magical_mj.episodes import is_blind
 from magical_mj.errors import EvaluationError, SettingsError, WorkerError
 from magical_mj.evaluation.loading import sources
 from magical_mj.evaluation.policies import check_fit
@@ -84,8 +85,13 @@ class Evaluation:
         check_extra("evaluations", "eval")
         self.settings = settings
         listed = sources(policy, settings.run, settings.trust)
-        for source in listed:
-            check_fit(source.load(), settings.environments, settings.preset)  # so that errors are raised now
+        if settings.batched:
+            check_extra("batched worlds", "gpu")
+        for source in listed:  # so that errors are raised now
+            policy = source.load()
+            check_fit(policy, settings.environments, settings.preset)
+            if settings.batched and is_blind(policy):
+                raise SettingsError(f"{source.name} acts by the simulation's state, and can play in single worlds only")
         self._out = None if settings.out is None else Path(settings.out)
         recorded = {"policies": [source.describe() for source in listed], **settings.recorded()}
         self.scores = [] if self._out is None else prepare(self._out, recorded, settings.resume)
@@ -106,7 +112,7 @@ class Evaluation:
         jobs, backend = self.settings.jobs, self.settings.backend
         if backend == "local":
             enough = max(1, sum(unit.steps for unit in self.units) // STEPS_PER_WORKER)
-            jobs = jobs or min(cores(), enough)
+            jobs = jobs or (1 if self.settings.batched else min(cores(), enough))  # which share one accelerator
         if backend == "local" and jobs == 1:
             for unit in self.units:
                 yield from ([score] for score in player().play(unit))

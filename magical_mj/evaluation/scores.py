@@ -46,6 +46,7 @@ class Score:
         actions: a letter for each action, from which the episode can be replayed.
         failure: why the policy failed; None if it did not.
         scene: the digest of the scene in which the episode started; None in files of older versions.
+        worlds: "single" if it was played in MuJoCo itself; "batched" scores are approximate.
     """
 
     policy: str
@@ -64,6 +65,7 @@ class Score:
     actions: str
     failure: str | None = None
     scene: str | None = None
+    worlds: str = "single"
 
     @property
     def key(self) -> Key:
@@ -76,7 +78,7 @@ class Score:
 
 
 _TYPES: Final[dict[str, tuple[type, ...]]] = {
-    **dict.fromkeys(("policy", "task", "variant", "rules", "version", "mujoco", "gl", "actions"), (str,)),
+    **dict.fromkeys(("policy", "task", "variant", "rules", "version", "mujoco", "gl", "actions", "worlds"), (str,)),
     **dict.fromkeys(("run", "seed", "steps"), (int,)),
     **dict.fromkeys(("score", "seconds"), (int, float)),
     **dict.fromkeys(("preset", "failure", "scene"), (str, type(None))),
@@ -91,6 +93,7 @@ def parse(line: str) -> Score:
         raise ValueError("lists in lists without end") from None
     if isinstance(entry, dict):
         entry.setdefault("scene", None)
+        entry.setdefault("worlds", "single")
     if not isinstance(entry, dict) or entry.keys() != _TYPES.keys():
         raise ValueError(f"it must be an object with the keys {', '.join(_TYPES)}")
     for name, types in _TYPES.items():
@@ -232,6 +235,7 @@ def prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[Score]
 
 def _read_settings(folder: Path) -> dict[str, Any]:
     try:
-        return dict(json.loads((folder / SETTINGS).read_text(encoding="utf-8")))
+        known = dict(json.loads((folder / SETTINGS).read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError, RecursionError) as error:
         raise EvaluationError(f"{folder / SETTINGS} cannot be read ({error}); start again in another folder") from error
+    return {"worlds": "single", **known}  # older versions knew no others

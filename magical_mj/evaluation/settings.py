@@ -23,6 +23,10 @@ from magical_mj.tasks.spec import Rules
 Vectorization = Literal["sync", "async"]
 Worlds = Literal["single", "batched"]
 WORLDS: Final[tuple[Worlds, ...]] = get_args(Worlds)
+UNOFFICIAL: Final = (
+    "official scores come from MuJoCo in double precision, where an episode played again ends the same; batched worlds "
+    "calculate in single precision, and their scores are approximate"
+)
 
 MOST: Final = 1e9
 """The greatest number that a setting may be: more episodes, workers or seconds than anybody waits for."""
@@ -73,6 +77,11 @@ class EvaluationSettings:
     vectorization: Annotated[
         Vectorization, About("Vector environment: in the worker itself (sync), or one process each (async).")
     ] = "sync"
+    worlds: Annotated[
+        Worlds, About("Each in MuJoCo by itself (single), or ENVS of them in one batch on DEVICE (batched, extra gpu).")
+    ] = "single"
+    approximate: Annotated[bool, About("Play in batched worlds, although their scores are not official.")] = False
+    device: Annotated[str, About("Of batched worlds: cuda, cuda:1 or cpu.")] = "cuda"
     trust: Annotated[bool, About("Load model files that contain code, and run it.")] = False
 
     def __post_init__(self) -> None:
@@ -81,6 +90,15 @@ class EvaluationSettings:
         _ = self.environments
         check_preset(self.preset)
         check_backend(self.backend, self.jobs, self.address)
+        if self.batched and not self.approximate:
+            raise SettingsError(f"{UNOFFICIAL}: --approximate (approximate=True) plays in them, and marks the scores")
+        if self.approximate and not self.batched:
+            raise SettingsError("approximate scores are those of batched worlds: give --worlds batched as well")
+
+    @property
+    def batched(self) -> bool:
+        """Whether worlds are batched."""
+        return self.worlds == "batched"
 
     @property
     def environments(self) -> list[tuple[str, str]]:
@@ -91,7 +109,7 @@ class EvaluationSettings:
         """The settings that determine scores; an evaluation can be resumed only if they are the same."""
         return {
             "environments": [f"{task}-{variant}" for task, variant in self.environments],
-            **{name: getattr(self, name) for name in ("episodes", "preset", "rules", "time_limit")},
+            **{name: getattr(self, name) for name in ("episodes", "preset", "rules", "time_limit", "worlds")},
             "protocol": PROTOCOL,
             "demonstrations": DEMONSTRATIONS,
             "version": __version__,

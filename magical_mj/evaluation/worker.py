@@ -123,9 +123,15 @@ class Player:
     def _single(self, unit: Unit, episode: Episode) -> Outcome:
         policy, settings = self._policy_of(unit), unit.settings
         make = functools.partial(world_for, policy, unit.task, unit.variant, settings.preset, settings.rules)
-        world = self._keep("world", _world_key(unit, policy), make)
+        world = None if settings.batched else self._keep("world", _world_key(unit, policy), make)
+
+        def playing() -> Outcome:
+            if world is None:
+                return play_side_by_side(*self._vector(unit, policy), [episode])[0]
+            return play(world, policy, episode)
+
         try:
-            return self._caller.call(lambda: play(world, policy, episode), settings.time_limit)
+            return self._caller.call(playing, settings.time_limit)
         except TimeLimitError as error:
             self._forget()
             return Outcome(0.0, "", settings.time_limit, reason(error))
@@ -134,7 +140,8 @@ class Player:
         return self._keep("policy", unit.source, lambda: self._caller.call(unit.source.load, None))
 
     def _vector(self, unit: Unit, policy: Act) -> tuple[Envs, BatchPolicy]:
-        key = (*_world_key(unit, policy), unit.settings.envs, unit.settings.vectorization)
+        names = ("envs", "vectorization", "worlds", "device")
+        key = (*_world_key(unit, policy), *(getattr(unit.settings, name) for name in names))
         envs = self._keep("vector", key, lambda: _vector_env(unit))
         if isinstance(policy, BatchPolicy):
             return envs, policy
@@ -161,6 +168,8 @@ def _world_key(unit: Unit, policy: Act) -> tuple[Any, ...]:
 
 
 def _vector_env(unit: Unit) -> Envs:
+    if unit.settings.batched:
+        return _batch(unit)
     kwargs: dict[str, Any] = {"autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
     if unit.settings.vectorization == "async":
         kwargs["context"] = "spawn"  # OpenGL does not survive a fork
@@ -168,6 +177,21 @@ def _vector_env(unit: Unit) -> Envs:
     return gymnasium.make_vec(
         name, unit.settings.envs, unit.settings.vectorization, vector_kwargs=kwargs, rules=unit.settings.rules
     )
+
+
+def _batch(unit: Unit) -> Envs:
+    from magical_mj import batched  # these need PyTorch
+    from magical_mj.batched.arrays import Arrays
+
+    settings = unit.settings
+    made = batched.make(
+        *(unit.task, unit.variant, settings.envs),
+        preset=settings.preset,
+        device=settings.device,
+        rules=settings.rules,
+        autoreset_mode=gymnasium.vector.AutoresetMode.DISABLED,
+    )
+    return Arrays(made)
 
 
 def _score(unit: Unit, preset: str | None, episode: Episode, outcome: Outcome) -> Score:
@@ -188,6 +212,7 @@ def _score(unit: Unit, preset: str | None, episode: Episode, outcome: Outcome) -
         actions=outcome.actions,
         failure=outcome.failure,
         scene=sample_scene(unit.task, unit.variant, episode.seed).digest(),
+        worlds=unit.settings.worlds,
     )
 
 

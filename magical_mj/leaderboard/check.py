@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.scores import read
+from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.extras import check_extra
 from magical_mj.leaderboard.claims import SEEDS, Checked, Claim, check_claims, missing
 from magical_mj.leaderboard.entry import Entry, claim_of, recorded, unpacked
@@ -80,7 +81,10 @@ def verify(folder: Path | str, *, jobs: int | None = None, watch: Watch = lambda
     for what, here in (("protocol", PROTOCOL), ("demonstrations", DEMONSTRATIONS)):
         findings.unfit += _unfit(settings, what, here)
     kinds: dict[tuple[str, Rules], list[Claim]] = defaultdict(list)
-    for score in read(folder):
+    scores = read(folder)
+    if any(score.worlds != "single" for score in scores):
+        return Findings(unfit=[f"it was played in batched worlds: {UNOFFICIAL}"])
+    for score in scores:
         kinds[score.policy, check_rules(score.rules)].append(claim_of(score))
     for (policy, rules), episodes in kinds.items():
         findings.unfit += _unfit(settings, "rules", rules)

@@ -18,6 +18,7 @@ from magical_mj import files
 from magical_mj.errors import EvaluationError, SettingsError, unknown_name
 from magical_mj.evaluation.results import check_same
 from magical_mj.evaluation.scores import SETTINGS, Score, read
+from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.leaderboard.claims import Claim
 from magical_mj.protocol import PROTOCOL
 from magical_mj.registry import ENVIRONMENTS, check_rules
@@ -98,6 +99,9 @@ def submit(
     if policy is None and len(names) > 1:
         raise SettingsError(f"the folders hold {', '.join(names)}: say which is meant (--policy NAME)")
     found = [(score, folder) for score, folder in found if score.policy == (policy or names[0])]
+    batched = next((folder for score, folder in found if score.worlds != "single"), None)
+    if batched is not None:
+        raise EvaluationError(f"{batched} was played in batched worlds, and cannot be an entry: {UNOFFICIAL}")
     for what in ("rules", "preset"):
         check_same(found, what, "an entry is of one kind")
     entry = Entry(

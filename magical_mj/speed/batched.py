@@ -5,9 +5,8 @@ from __future__ import annotations
 import dataclasses
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any, Final
@@ -17,12 +16,18 @@ import warp as wp
 
 from magical_mj import batched
 from magical_mj.actions import ACTIONS
-from magical_mj.presets import preset
+from magical_mj.assets.contacts import SUBSTEPS
+from magical_mj.batched.environment import BatchedEnv
+from magical_mj.presets import Preset, preset
 from magical_mj.registry import task_spec
+from magical_mj.speed.launches import Kernel, recorded_launches
 from magical_mj.speed.measure import episode, plans
+from magical_mj.speed.roofline import Work, newton_operations, step_seconds
 
 WARM_UP: Final = 3
 """Steps before the clock starts: kernels are compiled, the graph is captured."""
+PIXEL_OPERATIONS: Final = 1200
+"""Of painting a pixel, by a rough count: four samples, each held against some thirty edges by ten operations."""
 SINGLE_EPISODES: Final = 3
 """Of the single environment, on each core."""
 
@@ -36,7 +41,8 @@ class BatchedMeasurement:
         physics_seconds: of one control step of all worlds.
         observation_seconds: of their observations.
         reset_seconds: of a reset of all worlds.
-        launches: kernel launches of one control step with its observations.
+        kernels: of one control step with its observations, launched one by one; see `launches`.
+        work: what they amount to.
         world_bytes: memory of one world's simulation.
     """
 
@@ -48,8 +54,14 @@ class BatchedMeasurement:
     physics_seconds: float
     observation_seconds: float
     reset_seconds: float
-    launches: int
+    kernels: list[Kernel]
+    work: Work
     world_bytes: int
+
+    @property
+    def predicted(self) -> float:
+        """Steps per second that the model of `roofline` expects of an H200, resets aside."""
+        return self.worlds / step_seconds(self.work, self.worlds)
 
 
 def measure_batched(task: str, variant: str, worlds: int, preset_name: str, device: str) -> BatchedMeasurement:
@@ -60,8 +72,7 @@ def measure_batched(task: str, variant: str, worlds: int, preset_name: str, devi
     env.reset(seed=0)
     for step in range(WARM_UP):
         env.step(actions[step])
-    with counted_launches() as count:
-        env.step(actions[0])
+    kernels, work = _work(env, preset(preset_name), device)
     env.reset()
     seconds = _seconds(device, lambda: [env.step(row) for row in actions])
     measured = BatchedMeasurement(
@@ -73,11 +84,25 @@ def measure_batched(task: str, variant: str, worlds: int, preset_name: str, devi
         physics_seconds=_seconds(device, lambda: env._physics.step(actions[0])),
         observation_seconds=_seconds(device, lambda: env._observer.look(env._physics)),
         reset_seconds=_seconds(device, lambda: env.reset(seed=0)),
-        launches=count[0],
+        kernels=kernels,
+        work=work,
         world_bytes=_bytes(env._physics._data, worlds),
     )
     env.close()
     return measured
+
+
+def _work(env: BatchedEnv, shown: Preset, device: str) -> tuple[list[Kernel], Work]:
+    """The launches of a control step with its observations, and what they amount to."""
+    physics = env._physics
+    with recorded_launches(device) as kernels:
+        physics._substeps()
+        env._observer.look(physics)
+    rows, iterations = (float(values.double().mean()) for values in physics.solved)
+    solver = SUBSTEPS * newton_operations(physics.model.nv, rows, iterations)
+    painting = PIXEL_OPERATIONS * len(shown.frames) * shown.image_size**2
+    total = sum(kernel.bytes for kernel in kernels) / env.num_envs
+    return kernels, Work(sum(kernel.launches for kernel in kernels), total, solver + painting)
 
 
 def _workers(worlds: int) -> int:
@@ -90,22 +115,6 @@ def _seconds(device: str, work: Callable[[], object]) -> float:
     work()
     wp.synchronize_device(device)
     return perf_counter() - start
-
-
-@contextmanager
-def counted_launches() -> Iterator[list[int]]:
-    """Counts the kernels that are launched within, graphs aside; the only element of the list is the count."""
-    count, launch = [0], wp.launch
-
-    def counting(*args: Any, **kwargs: Any) -> Any:
-        count[0] += 1
-        return launch(*args, **kwargs)
-
-    wp.launch = counting
-    try:
-        yield count
-    finally:
-        wp.launch = launch
 
 
 def _bytes(data: Any, worlds: int) -> int:
