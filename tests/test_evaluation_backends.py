@@ -31,9 +31,13 @@ def test_dask_cluster_that_loses_a_worker(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     magical_mj.evaluate("random,agents:Slow", out=tmp_path / "here", **SETTINGS)
     killed: list[int] = []
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, env={"PYTHONPATH": str(Path(__file__).parent)}
-    ) as cluster:
+    here = distributed.dask.config.set({"temporary-directory": str(tmp_path)})  # it leaves a folder wherever that is
+    with (
+        here,
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, env={"PYTHONPATH": str(Path(__file__).parent)}
+        ) as cluster,
+    ):
 
         def kill_one(_: Score) -> None:
             if not killed:
