@@ -1,4 +1,4 @@
-"""The application: its subcommands, and what becomes of errors."""
+"""The application: its subcommands, and how errors are shown."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ app.command("export")(environments.export)
 app.command("bench")(bench.bench)
 app.command("doctor")(doctor.doctor)
 app.command("demo")(demo.demo)
-for plugin in entry_points(group="magical_mj.commands"):  # of the learners, and of other packages
+for plugin in entry_points(group="magical_mj.commands"):  # commands of the learners, and of other packages
     app.command(plugin.name)(plugin.load())
 
 
@@ -58,10 +58,10 @@ def start(
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run the application; an expected error becomes one line on stderr and an exit code."""
-    warnings.filterwarnings("ignore", module="glfw")  # what it says without a display, our own error says better
+    warnings.filterwarnings("ignore", module="glfw")  # our own error explains a missing display better
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # terminals that cannot show a sign show a question mark
+            stream.reconfigure(errors="replace")  # characters that a terminal cannot show become question marks
     try:
         return app(args=arguments, prog_name="magical-mj", standalone_mode=False) or 0
     except typer.TyperException as error:
@@ -74,7 +74,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except MagicalError as error:
         complain(str(error))
         return 2 if isinstance(error, ValueError) else 1
-    except BrokenPipeError:  # whoever read our output has seen enough
+    except BrokenPipeError:  # the reader of our output has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except ModuleNotFoundError as error:

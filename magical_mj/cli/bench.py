@@ -1,4 +1,4 @@
-"""`magical-mj bench`: how fast the environments are here, beside what MuJoCo itself takes for the same."""
+"""`magical-mj bench`: the speed of the environments on this machine, compared with a bare MuJoCo loop."""
 
 from __future__ import annotations
 
@@ -45,7 +45,9 @@ CAUSES: Final[tuple[Cause, ...]] = ("rewritten", "compiled")
 CPU_INFO: Final = Path("/proc/cpuinfo")
 
 Presets = Annotated[str, typer.Option(help="Presets, separated by commas; or all.", autocompletion=some_of(PRESETS))]
-Steps = Annotated[int, typer.Option(min=1, help="At least so many in each environment, in whole episodes.")]
+Steps = Annotated[
+    int, typer.Option(min=1, help="Least number of steps in each environment; whole episodes are played.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, times in seconds.")]
 Markdown = Annotated[bool, typer.Option("--markdown", help="Print a Markdown table.")]
 Batched = Annotated[bool, typer.Option("--batched", help="Measure batched worlds instead (extra gpu).")]
@@ -66,11 +68,11 @@ def bench(
     worlds: Worlds = "256,1024,4096,16384",
     device: Device = "cuda",
 ) -> None:
-    """Measure steps per second with resets, the bare MuJoCo loop in turn with them, and resets alone."""
-    check_backend()  # before the simulator is loaded, which would not say why it fails
+    """Measure steps per second including resets, the bare MuJoCo loop for comparison, and the time of resets."""
+    check_backend()  # before the simulator is imported, whose error would not help
     names = listed(presets, PRESETS)
     for name in names:
-        preset(name)  # or its error
+        preset(name)  # raises if it is unknown
     chosen = [(*pair, name) for name in names for pair in environments(tasks, variants)]
     if batched:
         _print_batched(chosen, _counts(worlds), device, profile)
@@ -95,7 +97,7 @@ def _counts(text: str) -> list[int]:
 
 
 def _print_batched(chosen: Sequence[tuple[str, str, str]], counts: Sequence[int], device: str, profile: bool) -> None:
-    """Some lines for each environment and number of worlds, as soon as it is measured."""
+    """Prints some lines for each environment and number of worlds as soon as it is measured."""
     check_extra("batched worlds", "gpu")
     from magical_mj.speed.batched import measure_batched, single_rate
 
@@ -127,13 +129,13 @@ def _batched_lines(made: BatchedMeasurement, single: float, profile: bool) -> It
 
 
 def _measure(chosen: Sequence[tuple[str, str, str]], steps: int) -> tuple[list[Measurement], float | None]:
-    """One after another, and the yardstick in turn with them; progress on standard error."""
+    """Measures one environment after another, alternating with gym-pusht; shows progress on standard error."""
     from magical_mj.speed.measure import measure
     from magical_mj.speed.yardstick import Yardstick
 
     screen, yardstick, measurements = Console(stderr=True), Yardstick(), []
     if yardstick.problem is not None:
-        complain(f"gym-pusht is installed but does not work, so nothing is measured beside it: {yardstick.problem}")
+        complain(f"gym-pusht is installed but does not work, so it is not measured for comparison: {yardstick.problem}")
     for task, variant, name in track(
         chosen, "measuring", console=screen, transient=True, disable=not screen.is_terminal
     ):
@@ -154,7 +156,7 @@ def _print_table(measurements: Sequence[Measurement], yardstick: float | None) -
 
 
 def rows(measurements: Sequence[Measurement]) -> list[tuple[str, ...]]:
-    """Under `HEAD`, a row for each environment. Resets: median (95th percentile), in milliseconds."""
+    """The rows of the table with the header `HEAD`. Resets: median (95th percentile), in milliseconds."""
     return [
         (
             f"{made.task} {made.variant}",
@@ -174,14 +176,14 @@ def _milliseconds(made: Measurement, cause: Cause) -> str:
 
 
 def markdown_table(measurements: Sequence[Measurement], yardstick: float | None) -> str:
-    """The table, and under it the machine."""
+    """The table, and below it a description of the machine."""
     lines = [HEAD, [*["---"] * NAMES, *["---:"] * (len(HEAD) - NAMES)], *rows(measurements)]
     table = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
     return f"{table}\n\n{summary(yardstick)}"
 
 
 def summary(yardstick: float | None) -> str:
-    """The machine, the memory of this process, and the yardstick."""
+    """The machine, the memory of this process, and the speed of gym-pusht."""
     here = machine()
     text = f"{here['cpu']}, {here['cores']} cores; {here['opengl']}; at most {memory():.0f} MB"
     return text if yardstick is None else f"{text}; gym-pusht's pixels: {yardstick:,.0f} steps/s"
@@ -227,6 +229,6 @@ def machine() -> dict[str, str | int]:
 
 
 def memory() -> float:
-    """The most that this process has held, in MB."""
-    unit = 2**20 if sys.platform == "darwin" else 2**10  # of what the system reports
+    """The peak memory of this process, in MB."""
+    unit = 2**20 if sys.platform == "darwin" else 2**10  # bytes per unit that the system reports
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6

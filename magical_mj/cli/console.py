@@ -1,4 +1,4 @@
-"""Where the command line writes to, and the arguments that the subcommands share."""
+"""Output of the command line, and the arguments that subcommands share."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ PLAIN_WIDTH = 120  # columns where the output is a file or a pipe
 
 
 def one_of(names: Iterable[str]) -> Callable[[str], list[str]]:
-    """For the shell's completion: the names that begin like what is typed."""
+    """For shell completion: the names that begin with the typed text."""
     return lambda incomplete: [name for name in names if name.startswith(incomplete)]
 
 
 def some_of(names: Iterable[str]) -> Callable[[str], list[str]]:
-    """The same for lists with commas: their last name is completed."""
+    """The same for lists separated by commas: the last name is completed."""
 
     def complete(incomplete: str) -> list[str]:
         done, comma, last = incomplete.rpartition(",")
@@ -59,7 +59,7 @@ Force = Annotated[bool, typer.Option("--force", help="Replace what is there alre
 
 
 def add_options(command: Callable[..., None], settings: type) -> None:
-    """Gives a command that takes `**options` one option for each of the settings that it does not name itself."""
+    """Adds options to a command that takes `**options`: one for each setting that it does not name itself."""
     *named, _ = inspect.signature(command, eval_str=True).parameters.values()
     options = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=getattr(settings, name), annotation=option)
@@ -72,7 +72,7 @@ def add_options(command: Callable[..., None], settings: type) -> None:
 def _options(settings: type) -> Iterator[tuple[str, Any]]:
     for name, (kind, about) in described(settings).items():
         declared = [f"--{name.replace('_', '-')}"] if kind is bool else []
-        shown = str if kind == Names else kind  # a list is given with commas
+        shown = str if kind == Names else kind  # lists are separated by commas
         completion = COMPLETIONS.get(name)
         yield (
             name,
@@ -81,7 +81,7 @@ def _options(settings: type) -> Iterator[tuple[str, Any]]:
 
 
 def console() -> Console:
-    """Standard output: in colour on a terminal, plain and wide enough for the tables elsewhere."""
+    """Standard output: in colour on a terminal; elsewhere plain and wide enough for the tables."""
     out = Console(highlight=False)
     if not out.is_terminal:
         out.width = PLAIN_WIDTH
@@ -89,7 +89,7 @@ def console() -> Console:
 
 
 def with_bar(screen: Console, label: str, results: Iterable[Result], total: int) -> Iterator[Result]:
-    """The results as they come, with a bar that counts them."""
+    """The results as they arrive, with a progress bar that counts them."""
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(*columns, console=screen) as progress:
         bar = progress.add_task(label, total=total)
@@ -104,7 +104,7 @@ def complain(message: str) -> None:
 
 
 def file_name(task: str, variant: str, seed: int, suffix: str) -> str:
-    """What a file about one scene is called unless the user says otherwise."""
+    """The default name of a file about one scene."""
     return f"{task_spec(task).name}-{variant_name(variant)}-{seed}{suffix}"
 
 
@@ -115,7 +115,7 @@ def check_suffix(path: Path | None, suffix: str) -> None:
 
 
 def claim(path: Path, force: bool) -> Path:
-    """`path`, once it is sure that a file can be written there; called before the work is done.
+    """Returns `path` if a file can be written there; called before the work is done.
 
     Raises:
         OSError: if it exists and `force` is not given, or if its folder cannot be written to.
@@ -129,7 +129,7 @@ def claim(path: Path, force: bool) -> Path:
 
 
 def claim_folder(folder: Path) -> Path:
-    """`folder`, made if it is not there, once it is sure that files can be written in it."""
+    """Returns `folder`, which is made if missing, if files can be written in it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

@@ -1,4 +1,4 @@
-"""`magical-mj demo`: the benchmark at work: an evaluation of all environments, its report, and videos."""
+"""`magical-mj demo`: a short tour of the benchmark: an evaluation of all environments, its report, and videos."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from magical_mj.evaluation.settings import EvaluationSettings
 AGENTS: Final = ("expert", "random", "noop")
 SHEET: Final = "environments.png"
 
-Out = Annotated[Path, typer.Option(help="The folder for everything; what an earlier run left there goes.")]
+Out = Annotated[Path, typer.Option(help="The folder for all results; those of an earlier run are replaced.")]
 Episodes = Annotated[int, typer.Option(min=1, help="Of each agent in each environment.")]
 
 

@@ -24,7 +24,7 @@ Name = Annotated[
     typer.Option("--out", help="The file, the data set's id, or the folder.", show_default="by environment and preset"),
 ]
 Preset = Annotated[str | None, typer.Option(help="The observations.", show_default="LoRes4E; State for Minari")]
-DropNoop = Annotated[bool, typer.Option(help="For npz: leave out the steps in which nothing is done.")]
+DropNoop = Annotated[bool, typer.Option(help="For npz: leave out the steps with the no-op action.")]
 Video = Annotated[bool, typer.Option("--video", help="For LeRobot: videos, which are lossy, instead of pictures.")]
 Fingers = Annotated[bool, typer.Option("--fingers", help="For LeRobot: the fingers' angles, too.")]
 
@@ -41,7 +41,7 @@ def export(
     fingers: Fingers = False,
     force: Force = False,
 ) -> None:
-    """Hand demonstrations to other tools."""
+    """Export demonstrations for other tools."""
     from magical_mj.demos.lerobot import to_lerobot  # which loads the simulator
     from magical_mj.demos.robomimic import to_robomimic
 

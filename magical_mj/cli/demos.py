@@ -1,4 +1,4 @@
-"""`magical-mj demos`: make demonstrations, check them, look at them, and hand them to other tools."""
+"""`magical-mj demos`: make, import, check, show and export demonstrations."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from magical_mj.errors import DemonstrationError, MagicalError
 from magical_mj.parallel import spread
 from magical_mj.registry import environments, score, task_spec
 
-if TYPE_CHECKING:  # magical_mj.demos starts OpenGL, which help and wrong arguments do without
+if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
     from magical_mj.demos import Demonstration, Imported, Verdict
 
 SUFFIX = ".npz"
@@ -41,14 +41,14 @@ Paths = Annotated[
     typer.Argument(help="Files and folders.", show_default="those that come with the package"),
 ]
 Recordings = Annotated[list[Path], typer.Argument(help="The JSON files that the browser saved.", show_default=False)]
-Count = Annotated[int, typer.Option(min=1, help="How many in each environment: in the scenes of seeds 0, 1, ...")]
-Folder = Annotated[Path, typer.Option("--out", help="The folder; what is there already is kept.", show_default=False)]
-Least = Annotated[float, typer.Option(min=0, max=1, help="The score that a demonstration must have.")]
+Count = Annotated[int, typer.Option(min=1, help="Number in each environment, in the scenes of seeds 0, 1, ...")]
+Folder = Annotated[Path, typer.Option("--out", help="The folder; existing files are kept.", show_default=False)]
+Least = Annotated[float, typer.Option(min=0, max=1, help="The least score of a demonstration.")]
 Filmed = Annotated[int, typer.Option("--count", min=1, help="How many to film at most.")]
 Movie = Annotated[Path, typer.Option("--out", help="The MP4 file.", show_default=False)]
 Speed = Annotated[int, typer.Option(min=1, help="Times real time.")]
 
-app = typer.Typer(help="Demonstrations: make, import, check, see and export them.")
+app = typer.Typer(help="Make, import, check, show and export demonstrations.")
 
 
 @app.callback(invoke_without_command=True)
@@ -67,7 +67,7 @@ def generate(
     least_score: Least = 1.0,
     jobs: Jobs = None,
 ) -> None:
-    """Let the expert demonstrate tasks. Called again, it goes on where it was stopped; nothing is overwritten."""
+    """Make demonstrations by the expert. Called again, it continues; nothing is overwritten."""
     pairs = environments(tasks, variants)
     claim_folder(out)
     screen = console()
@@ -86,7 +86,7 @@ def generate(
 
 
 def make(work: tuple[str, str, int, float, Path]) -> str:
-    """What a worker does: one demonstration; why there is none, if there is none."""
+    """The work of one process: makes one demonstration; returns an error message, or an empty text."""
     task, variant, number, least_score, path = work
     try:
         magical_mj.demos.write(magical_mj.demos.demonstrate(task, variant, number, least_score), path)
@@ -97,8 +97,8 @@ def make(work: tuple[str, str, int, float, Path]) -> str:
 
 @app.command(name="import")
 def import_recordings(files: Recordings, out: Folder) -> None:
-    """Make demonstrations of episodes that were saved in the browser: replayed here, and scored anew."""
-    made = [(file, _replayed(file)) for file in files]  # all of them, before anything is written
+    """Import episodes that were saved in the browser: they are replayed and scored here."""
+    made = [(file, _replayed(file)) for file in files]  # replay all before anything is written
     claim_folder(out)
     screen = console()
     for file, (demo, deviation, suspect) in made:
@@ -122,12 +122,12 @@ def _replayed(file: Path) -> Imported:
 
 @app.command()
 def info(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "all") -> None:
-    """Say what is in demonstrations: scores, lengths, and how much they differ from each other."""
+    """Summarise demonstrations: scores, lengths, and how much they differ from each other."""
     describe(read_chosen(paths, tasks, variants))
 
 
 def describe(demos: Sequence[Demonstration]) -> None:
-    """A table with a row for each environment."""
+    """Prints a table with a row for each environment."""
     columns = ("environment", "by", "demos", "score", "steps", "actions", "orders", "strategies", "ways apart")
     table = Table(*columns, box=None, header_style="bold")
     groups: dict[tuple[str, str], list[Demonstration]] = {}
@@ -149,14 +149,15 @@ def describe(demos: Sequence[Demonstration]) -> None:
     screen = console()
     screen.print(table)
     screen.print(
-        "actions: steps in which something is done. orders, strategies: different orders in which blocks are moved, "
-        "and with the sides they are taken from. ways apart: mean distance of the robot's ways, in world units."
+        "actions: steps with another action than the no-op. orders: different orders in which blocks are moved; "
+        "strategies: the same with the side from which each is gripped. ways apart: mean distance between the "
+        "robot's paths, in world units."
     )
 
 
 @app.command(name="verify")
 def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "all", jobs: Jobs = None) -> None:
-    """Check digests, replay all actions, and draw all states again; exit code 1 if anything is wrong."""
+    """Check digests, replay all actions, and compare pictures; exit code 1 if anything is wrong."""
     screen = console()
     wanted = environments(tasks, variants) if (tasks, variants) != ("all", "all") else None
     files = _files(paths)
@@ -178,7 +179,7 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
 
 
 def check(wanted: Collection[tuple[str, str]] | None, path: Path) -> tuple[Path, Verdict | str | None]:
-    """What a worker does: one file, and what is wrong with it; None if it is of an environment that is not wanted."""
+    """The work of one process: checks one file; (path, None) if its environment was not asked for."""
     try:
         demo = magical_mj.demos.read(path)
     except DemonstrationError as error:
@@ -199,7 +200,7 @@ def video(
     speed: Speed = 1,
     force: Force = False,
 ) -> None:
-    """Film demonstrations, both views side by side."""
+    """Make a video of demonstrations, with both views side by side."""
     check_suffix(out, ".mp4")
     demos = read_chosen(paths, tasks, variants)[:count]
     claim(out, force)
@@ -219,7 +220,7 @@ def video(
 
 
 def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str) -> list[Demonstration]:
-    """The demonstrations in files and folders, or the shipped ones, that are of these tasks and variants."""
+    """The demonstrations of these tasks and variants in files and folders, by default the shipped ones."""
     demos = [magical_mj.demos.read(path) for path in _files(paths)]
     if (tasks, variants) == ("all", "all"):
         return demos

@@ -1,4 +1,4 @@
-"""`magical-mj doctor`: what is installed, and which way of drawing works here."""
+"""`magical-mj doctor`: installed versions, and which OpenGL backends work on this machine."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ FRAMES: Final = 20
 
 
 def doctor() -> None:
-    """Say what is installed, try every OpenGL backend, and say what to do if none works."""
+    """Show installed versions, try all OpenGL backends, and say what to do if none works."""
     out = console()
     _print_versions(out)
     found = {backend: _probe(backend) for backend in BACKENDS}
@@ -79,7 +79,7 @@ def _version(name: str) -> str | None:
 
 
 def _probe(backend: str) -> dict[str, str | float]:
-    """What the probe found with this backend: the renderer and times, or the error."""
+    """The result of the probe with this backend: the renderer and times, or the error."""
     command = [sys.executable, "-m", "magical_mj.cli.doctor"]
     variables = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
     variables["MUJOCO_GL"] = backend
@@ -106,7 +106,7 @@ def _print_backends(out: Console, found: dict[str, dict[str, str | float]]) -> N
 
 
 def probe() -> None:
-    """Draws a few frames and prints facts as JSON: the renderer, milliseconds of the first and of a typical frame."""
+    """Draws a few frames and prints JSON: the renderer, and the milliseconds of the first and of a typical frame."""
     env = magical_mj.load("FindDupe", observations=())
     env.reset()
     times = []

@@ -45,7 +45,7 @@ Folder = Annotated[Path, typer.Option("--out", help="The folder to write the mod
 
 
 def list_environments(ids: Ids = False) -> None:
-    """List the environments, with their horizon and what varies between their scenes; other packages' at the end."""
+    """List the environments, with their horizons and the axes that vary; those of other packages come last."""
     out = console()
     pairs = environments([*TASKS, *announced()])
     if ids:
@@ -69,7 +69,7 @@ def view(
     camera: Cameras = "allo,ego",
     force: Force = False,
 ) -> None:
-    """Draw the initial scene of an environment, from above and as the robot sees it, or those of all environments."""
+    """Draw the initial scene of an environment from above and from the robot's view, or those of all environments."""
     check_suffix(out, ".png")
     views = views_of(camera)
     if grid:
@@ -91,7 +91,7 @@ def view(
 
 
 def export(task: Task, out: Folder, variant: Variant = "Demo", seed: Seed = 0, force: Force = False) -> None:
-    """Write a scene as a self-contained MJCF model, for any program that reads MuJoCo's format."""
+    """Write a scene as a self-contained MJCF model."""
     env = magical_mj.load(task, variant, seed=seed, observations=())
     path = claim(out / file_name(task, variant, seed, ".xml"), force)
     env.reset()
@@ -100,7 +100,7 @@ def export(task: Task, out: Folder, variant: Variant = "Demo", seed: Seed = 0, f
 
 
 def contact_sheet(seed: int, size: int) -> Image.Image:
-    """The initial scene of every environment from above, tasks down, variants across, each `size` pixels wide."""
+    """The initial scenes of all environments from above, `size` pixels wide each: tasks down, variants across."""
     pitch = size + GAP
     sheet = Image.new("RGB", (MARGIN + len(VARIANTS) * pitch, MARGIN + len(TASKS) * pitch), PAPER)
     for row, task in enumerate(TASKS):
@@ -108,7 +108,7 @@ def contact_sheet(seed: int, size: int) -> Image.Image:
             cell = _scene(task, variant, seed, size)
             sheet.paste(cell, (MARGIN + column * pitch, MARGIN + row * pitch))
     _label(sheet, VARIANTS, pitch)
-    upright = sheet.rotate(-90, expand=True)  # the tasks are written upwards
+    upright = sheet.rotate(-90, expand=True)  # the tasks' names are rotated
     _label(upright, tuple(reversed(TASKS)), pitch, start=GAP)
     return upright.rotate(90, expand=True)
 

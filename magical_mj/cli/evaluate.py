@@ -1,4 +1,4 @@
-"""`magical-mj evaluate` and `rollout`: play policies, to keep every score, or to watch some episodes."""
+"""`magical-mj evaluate` and `rollout`: play policies, and store all scores, or make videos of some episodes."""
 
 from __future__ import annotations
 
@@ -54,13 +54,15 @@ Preset = Annotated[
     str,
     typer.Option(help="The observations: a preset's name, or an empty one.", autocompletion=COMPLETIONS["preset"]),
 ]
-Number = Annotated[int, typer.Option("--episodes", min=1, help="How many; in the scenes of SEED, SEED + 1, ...")]
-Video = Annotated[Path | None, typer.Option(help="Write an MP4 file of the episodes, both views.", show_default=False)]
-Trust = Annotated[bool, typer.Option("--trust", help="Load model files that hold code, which then runs.")]
+Number = Annotated[
+    int, typer.Option("--episodes", min=1, help="Number of episodes, in the scenes of SEED, SEED + 1, ...")
+]
+Video = Annotated[Path | None, typer.Option(help="Write an MP4 video of the episodes.", show_default=False)]
+Trust = Annotated[bool, typer.Option("--trust", help="Load model files that contain code, and run it.")]
 
 
 def evaluate(policy: Policies, out: Out, **options: Any) -> None:
-    """Play policies on the evaluation scenes; every episode's score is kept in OUT/scores.jsonl."""
+    """Evaluate policies on the evaluation scenes; all scores are stored in OUT/scores.jsonl."""
     evaluation = Evaluation(policy, EvaluationSettings(out=out, **options))
     screen = console()
     if evaluation.scores:
@@ -91,7 +93,7 @@ def rollout(
     trust: Trust = False,
     force: Force = False,
 ) -> None:
-    """Play some episodes with a policy, print the scores, and film them. `evaluate` plays whole benchmarks."""
+    """Play some episodes with a policy, print the scores, and make a video. For whole benchmarks, use `evaluate`."""
     check_suffix(video, ".mp4")
     views = views_of(camera)
     settings = EvaluationSettings(tasks=[task], variants=[variant], preset=preset, trust=trust)
@@ -124,7 +126,7 @@ def _line(score: Score) -> str:
 
 
 class Rate(bars.ProgressColumn):
-    """Episodes done, of how many, and how many per second."""
+    """Finished episodes of the total, and episodes per second."""
 
     def render(self, task: bars.Task) -> Text:
         """As text."""
@@ -134,7 +136,7 @@ class Rate(bars.ProgressColumn):
 
 
 def show_progress(screen: Console, evaluation: Evaluation) -> None:
-    """Plays what is left, with a bar that counts steps, since episodes differ in length."""
+    """Plays the remaining episodes, with a progress bar that counts steps, since episodes differ in length."""
     left = sum(len(unit.seeds) for unit in evaluation.units)
     known = len(evaluation.scores)
     elapsed, remaining = bars.TimeElapsedColumn(), bars.TimeRemainingColumn()
@@ -148,7 +150,7 @@ def show_progress(screen: Console, evaluation: Evaluation) -> None:
 
 
 def summary(scores: list[Score]) -> list[str]:
-    """A line for each policy: the mean over environments, and what failed."""
+    """A line for each policy: its mean score over environments, and its failed episodes."""
     by_policy: dict[str, dict[tuple[str, str], list[Score]]] = defaultdict(lambda: defaultdict(list))
     for score in scores:
         by_policy[score.policy][score.task, score.variant].append(score)

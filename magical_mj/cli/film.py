@@ -1,4 +1,4 @@
-"""Films of episodes: views side by side, and below them what is played, what is done, and the score so far."""
+"""Videos of episodes: views side by side, and below them the present action and the score so far."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ if TYPE_CHECKING:
 Picture = NDArray[np.uint8]
 
 SIDE_BY_SIDE: Final = ("allo", "ego")
-"""From above, and as the robot sees it."""
+"""The default views: from above, and from the robot."""
 PAPER: Final = (255, 255, 255)
 INK: Final = (60, 60, 60)
-TITLE_SHADE: Final = (255, 255, 255, 225)  # of the band behind a title
+TITLE_SHADE: Final = (255, 255, 255, 225)  # RGBA of the band behind a title
 SMALLEST_TEXT: Final = 8  # pixels
 SAME_SCORE: Final = 1e-9
-PAUSE: Final = 1  # seconds that the first and the last frame of an episode stand
+PAUSE: Final = 1  # seconds for which the first and the last frame of an episode are shown
 
 
 class Film:
     """Makes the frames of episodes and sends them to a video.
 
     Args:
-        send: takes a frame of `Film.shape`.
+        send: receives each frame, shape (height, width, 3).
         size: side of each view in pixels.
-        views: that are side by side.
-        pause: how many frames the first and the last frame of an episode stand.
+        views: the views, from left to right.
+        pause: the number of times that the first and the last frame of an episode are repeated.
     """
 
     def __init__(self, send: Callable[[Picture], object], size: int, views: Sequence[str], pause: int) -> None:
@@ -64,11 +64,11 @@ class Film:
 
     @property
     def height(self) -> int:
-        """In pixels; even, as the video's format wants it."""
+        """In pixels; even, as the video format requires."""
         return (self.size + 2 * self._line + self._line // 2 + 1) // 2 * 2
 
     def begin(self, title: str, views: Picture, score: float) -> None:
-        """The start of an episode: stands for a moment, under its title. Shape of the pictures: (size, width, 3)."""
+        """The start of an episode: its first frame is shown for a moment with a title. `views`: (size, width, 3)."""
         self._title = title
         self._last = self._frame(views, "", f"score {score:.2f}")
         frame = self._last.copy()
@@ -84,7 +84,7 @@ class Film:
         self._repeat(self._last, 1)
 
     def end(self) -> None:
-        """The end of an episode: its last frame stands for a moment."""
+        """The end of an episode: its last frame is shown for a moment."""
         self._repeat(self._last, self._pause)
 
     def _frame(self, views: Picture, doing: str, score: str) -> Image.Image:
@@ -104,13 +104,13 @@ class Film:
 
 @contextmanager
 def film(path: Path, size: int, speed: int = 1, views: Sequence[str] = SIDE_BY_SIDE) -> Iterator[Film]:
-    """A video of episodes; nothing is left of it if the block raises.
+    """A video of episodes; it is removed if the block raises.
 
     Args:
         path: the MP4 file, overwritten if it exists.
         size: side of each view in pixels.
         speed: 1 is real time.
-        views: that are side by side.
+        views: the views, from left to right.
 
     Raises:
         MissingExtraError: if imageio-ffmpeg is not installed.
@@ -120,7 +120,9 @@ def film(path: Path, size: int, speed: int = 1, views: Sequence[str] = SIDE_BY_S
         import imageio_ffmpeg
     except ModuleNotFoundError:
         raise missing_extra("writing a video", "video") from None
-    logging.getLogger("imageio_ffmpeg").setLevel(logging.ERROR)  # it warns of videos without frames, which none stay
+    logging.getLogger("imageio_ffmpeg").setLevel(
+        logging.ERROR
+    )  # it warns about videos without frames, which are removed
     rate = speed * CONTROL_RATE
 
     failed = OSError(errno.EIO, "the video cannot be written; is the disk full?", str(path))
@@ -128,7 +130,7 @@ def film(path: Path, size: int, speed: int = 1, views: Sequence[str] = SIDE_BY_S
     def send(picture: Picture) -> None:
         try:
             writer.send(np.ascontiguousarray(picture))
-        except OSError as error:  # a pipe that ffmpeg has closed, whatever happened to it
+        except OSError as error:  # ffmpeg has ended and closed the pipe
             raise failed from error
 
     with files.new_file(path, overwrite=True) as unfinished:
@@ -146,16 +148,16 @@ def film(path: Path, size: int, speed: int = 1, views: Sequence[str] = SIDE_BY_S
             yield made
         finally:
             writer.close()
-        if not _is_whole(unfinished):  # ffmpeg tells nobody
+        if not _is_whole(unfinished):  # ffmpeg does not report this
             raise failed
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether an MP4 file has its index, which is written last, and none of its boxes is cut short."""
+    """Whether an MP4 file has its index, which is written last, and all its boxes are complete."""
     data, kinds, place = path.read_bytes() if path.exists() else b"", [], 0
     while place + 8 <= len(data):
         size, kind = struct.unpack(">I4s", data[place : place + 8])
-        if size == 1:  # a longer one
+        if size == 1:  # the size is in the next 8 bytes
             (size,) = struct.unpack(">Q", data[place + 8 : place + 16].rjust(8, b"\0"))
         kinds.append(kind)
         place += max(size, 8)
@@ -163,10 +165,10 @@ def _is_whole(path: Path) -> bool:
 
 
 def replay(made: Film, score: Score) -> None:
-    """Plays the actions of an evaluated episode again, and films it.
+    """Replays the actions of an evaluated episode, and adds it to a video.
 
     Raises:
-        EvaluationError: if it ends with another score than it did, because something has changed since.
+        EvaluationError: if the replay ends with another score, because versions have changed.
     """
     rules = check_rules(score.rules)
     env = magical_mj.load(score.task, score.variant, seed=score.seed, observations=(), rules=rules)
@@ -200,12 +202,12 @@ def views_of(cameras: str) -> list[str]:
 
 
 def side_by_side(env: Environment, size: int, views: Sequence[str] = SIDE_BY_SIDE) -> Picture:
-    """Views of the world as it is now. Shape (size, views * size, 3)."""
+    """Views of the present state side by side. Shape (size, views * size, 3)."""
     return np.concatenate([env.render(view, size) for view in views], axis=1)
 
 
 def in_words(action: int) -> str:
-    """What an action commands, such as "forward, left, grip"; "nothing" if it commands nothing."""
+    """An action in words, such as "forward, left, grip"; "nothing" for the no-op."""
     gripper, turn, drive = ACTIONS[action]
     words = {
         "forward": drive == Drive.FORWARD,

@@ -1,4 +1,4 @@
-"""`magical-mj verify`, `submit` and `leaderboard`: results that are replayed, packed, and put into tables."""
+"""`magical-mj verify`, `submit` and `leaderboard`: check results by replay, pack them, and make tables of them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from magical_mj.leaderboard.page import write_pages
 from magical_mj.leaderboard.standings import standings
 
 SHOWN: Final = 20
-"""Problems that are printed; the rest is counted."""
+"""The largest number of problems that are printed; the others are counted."""
 
 Entries = Annotated[Path, typer.Argument(help="The folder with the entries (*.json.gz).", show_default=False)]
 Pages = Annotated[Path | None, typer.Option("--out", help="The folder for the pages.", show_default="FOLDER")]
@@ -29,12 +29,12 @@ All = Annotated[bool, typer.Option("--all", help="Replay all episodes of each en
 Folder = Annotated[Path, typer.Argument(help="The folder of an evaluation.", show_default=False)]
 Folders = Annotated[list[Path], typer.Argument(help="Folders of evaluations of one method.", show_default=False)]
 Out = Annotated[Path, typer.Option(help="The entry's file, which ends in .json.gz.", show_default=False)]
-Card = Annotated[Path | None, typer.Option(help="TOML that says what the method is; see docs/leaderboard.md.")]
-Name = Annotated[str | None, typer.Option("--policy", help="Which method, if the folders hold several.")]
+Card = Annotated[Path | None, typer.Option(help="A TOML file that describes the method; see docs/leaderboard.md.")]
+Name = Annotated[str | None, typer.Option("--policy", help="The method to submit, if the folders hold several.")]
 
 
 def verify_folder(folder: Folder, jobs: Jobs = None) -> None:
-    """Replay every episode of an evaluation, and compare scenes, scores and what the protocol asks for."""
+    """Replay all episodes of an evaluation, compare scenes and scores, and check that it is complete."""
     screen = console()
     with _bar(screen, f"replaying {folder}", len(read(folder))) as watch:
         found = verify(folder, jobs=jobs, watch=watch)
@@ -82,13 +82,13 @@ def make_leaderboard(folder: Entries, out: Pages = None, everything: All = False
 
 
 def describe(found: Findings) -> str:
-    """How much was replayed, and how fast."""
+    """A sentence about the number of replayed episodes and the speed."""
     rate = found.steps / found.seconds if found.seconds else 0.0
     return f"{found.episodes} episodes replayed, {found.steps} steps in {found.seconds:.0f} s ({rate:.0f} steps/s)"
 
 
 def _complained(name: str, found: Findings) -> bool:
-    """Whether there were problems, which are printed."""
+    """Prints the problems, and returns whether there are any."""
     for problems, what in (
         (found.unfit, "does not fit"),
         (found.differing, "differs"),

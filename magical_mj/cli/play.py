@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 KEYS: Final = "arrows drive, space grips, R again, N next scene, Esc quits"
 AFTER: Final = "R again, N next scene, Esc quits"
 
-Record = Annotated[Path | None, typer.Option(help="Write each finished episode into this folder.", show_default=False)]
+Record = Annotated[Path | None, typer.Option(help="Save each finished episode in this folder.", show_default=False)]
 Speed = Annotated[float, typer.Option(min=0.1, max=4.0, help="Times real time.")]
 Web = Annotated[bool, typer.Option("--web", help="Play in a browser instead of a window.")]
 
@@ -46,7 +46,7 @@ def play(
 ) -> None:
     """Drive the robot yourself: arrows, space to grip, R to start again, N for the next scene, Esc to quit.
 
-    With --record, finished episodes are kept as demonstrations; D discards the last one.
+    With --record, finished episodes are saved as demonstrations; D discards the last one.
 
     With --web, and any of the options below it, in a browser: on this machine, or on another one through ssh -L.
     """
@@ -67,9 +67,9 @@ def play(
 
 
 class Episodes:
-    """What becomes of the episodes that were played to their end: they are told and, given a folder, kept at once.
+    """Handles finished episodes: reports them and, if there is a folder, saves them immediately as demonstrations.
 
-    Nothing is lost if the window is closed or the process dies after an episode: what nobody wants is deleted again.
+    Since they are saved at once, nothing is lost if the window is closed; unwanted ones can be deleted afterwards.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -77,7 +77,7 @@ class Episodes:
         self._path: Path | None = None
 
     def finish(self, demo: Demonstration) -> str:
-        """Takes an episode that has ended; returns what to tell the player."""
+        """Saves an episode that has ended; returns a message for the player."""
         result = f"score {demo.score:.2f}, {'solved' if demo.score == 1.0 else 'not solved'}"
         self._screen.print(f"seed {demo.scene_seed}: {result}")
         if self._folder is None:
@@ -87,7 +87,7 @@ class Episodes:
         return f"{result}; kept, D discards it"
 
     def discard(self) -> str | None:
-        """Deletes the last episode if it was kept; returns what to tell the player."""
+        """Deletes the last episode if it was saved; returns a message for the player."""
         if self._path is None:
             return None
         self._path.unlink()
@@ -99,7 +99,7 @@ class Episodes:
 def play_in(
     window: Window, env: Environment, task: str, variant: str, seed: int, size: int, episodes: Episodes
 ) -> None:
-    """The loop: episodes until somebody wants to quit. The clock of each starts with the first key."""
+    """Plays episodes until the player quits. Each episode starts with the first key."""
     goal = task_spec(task).summary
     horizon = env.horizon or 0
     while True:

@@ -1,4 +1,4 @@
-"""`magical-mj report` and `compare`: what evaluations found, as tables, figures and videos."""
+"""`magical-mj report` and `compare`: results of evaluations as tables, figures and videos."""
 
 from __future__ import annotations
 
@@ -22,9 +22,15 @@ FILM_SPEED = 4  # times real time
 Folders = Annotated[list[Path], typer.Argument(help="The folders of evaluations.", show_default=False)]
 Out = Annotated[Path | None, typer.Option(help="The folder for the report.", show_default="DIR/report")]
 Published = Annotated[bool, typer.Option("--published", help="Show the paper's own results as well.")]
-Mixed = Annotated[bool, typer.Option("--mixed-presets", help="Allow policies that were given different observations.")]
-Side = Annotated[str, typer.Argument(help="DIR, or DIR:POLICY where it holds several.", show_default=False)]
-Videos = Annotated[bool, typer.Option("--videos", help="Film each policy's best and worst episode of each task.")]
+Mixed = Annotated[
+    bool, typer.Option("--mixed-presets", help="Allow policies with different observations in one report.")
+]
+Side = Annotated[
+    str, typer.Argument(help="DIR, or DIR:POLICY if the folder holds several policies.", show_default=False)
+]
+Videos = Annotated[
+    bool, typer.Option("--videos", help="Make videos of each policy's best and worst episode in each task.")
+]
 
 
 def make_report(
@@ -34,9 +40,9 @@ def make_report(
     mixed_presets: Mixed = False,
     videos: Videos = False,
 ) -> None:
-    """Write tables (Markdown, CSV, LaTeX), figures and videos of one or several evaluations."""
+    """Write a report of one or several evaluations: tables (Markdown, CSV, LaTeX), figures and videos."""
     screen = console()
-    scores = gather(folders, mixed_presets)  # before anything is made
+    scores = gather(folders, mixed_presets)  # raises errors before anything is written
     out = claim_folder(out or folders[0] / "report")
     links = film_episodes(extremes(scores), out) if videos else {}
     page = report(folders, out, with_published=published, mixed_presets=mixed_presets, links=links)
@@ -65,7 +71,7 @@ def make_comparison(a: Side, b: Side) -> None:
 
 
 def film_episodes(chosen: Sequence[tuple[str, Score]], out: Path) -> dict[str, str]:
-    """Films episodes, each with a word such as "best"; returns the files' names, by what they show."""
+    """Makes videos of episodes, each given with a word such as "best"; returns description -> file name."""
     links = {}
     for which, score in chosen:
         name = f"{which}-{score.policy}-{score.task}.mp4".replace("/", "-")

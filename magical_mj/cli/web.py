@@ -1,4 +1,4 @@
-"""`magical-mj play --web`: the page in a browser, with Python's simulation behind it."""
+"""`magical-mj play --web`: the page in a browser, with the simulation in Python."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A window to play in: shows pictures, and knows which keys are held. Needs pygame-ce."""
+"""A window to play in: shows pictures and reads the keyboard. Needs pygame-ce."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Wish = Literal["reset", "next", "discard", "quit"]
 LINES: Final = 2  # of text below the pictures
 LINE: Final = 26  # pixels
 BAR: Final = LINES * LINE + 16  # pixels below the pictures, for the text
-FALLBACKS: Final = ("offscreen", "dummy")  # what SDL takes, if it is not told, where no display answers
+FALLBACKS: Final = ("offscreen", "dummy")  # the video drivers that SDL chooses if there is no display
 PAPER: Final = (255, 255, 255)
 INK: Final = (60, 60, 60)
 TEXT_SIZE: Final = 22  # pixels
@@ -30,9 +30,9 @@ class Window:
     """A window as wide as two pictures, with two lines of text below them.
 
     Args:
-        title: what the frame says.
+        title: the window's title.
         size: side of a picture in pixels.
-        speed: 1 is real time; 0 is as fast as it goes.
+        speed: 1 is real time; 0 is as fast as possible.
 
     Raises:
         MagicalError: if pygame-ce is not installed, or there is no display.
@@ -67,7 +67,7 @@ class Window:
         self._tapped: set[int] = set()
 
     def show(self, pictures: np.ndarray, lines: Sequence[str]) -> None:
-        """Show two pictures of shape (size, 2 size, 3) and two lines, and wait until it is time for the next step."""
+        """Shows two pictures side by side, shape (size, 2 * size, 3), and two lines; waits for the next step."""
         pygame, surface = self._pygame, self._surface
         surface.fill(PAPER)
         surface.blit(pygame.surfarray.make_surface(pictures.swapaxes(0, 1)), (0, 0))
@@ -77,7 +77,7 @@ class Window:
         self._clock.tick(self._rate)
 
     def wishes(self) -> list[Wish]:
-        """What was asked for since the last call; keeps account of the keys."""
+        """The commands since the last call; also updates the state of the keys."""
         pygame = self._pygame
         meanings: dict[int, Wish] = {
             pygame.K_r: "reset",
@@ -103,7 +103,7 @@ class Window:
         return found
 
     def action(self) -> int:
-        """The action of the keys that are held, or were tapped since the step before: arrows, and space to grip."""
+        """The action of the keys that are held, or were pressed since the last step: arrows, and space to grip."""
         pygame = self._pygame
         down = self._held | self._tapped
         turn = (pygame.K_LEFT in down) - (pygame.K_RIGHT in down)

@@ -1,4 +1,4 @@
-"""Results that others can rely on: every episode is replayed, entries are hashed, and tables are made of both."""
+"""The leaderboard: results are verified by replaying episodes, packed into entries with a hash, and put into tables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pictures of a leaderboard's page: SVG that takes its colours from the page."""
+"""The charts of the leaderboard: SVG whose colours come from the page's style sheet."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from magical_mj.leaderboard.standings import OVERALL, THRESHOLDS, Standing
 
 WIDTH: Final = 860
 NAMES: Final = 260
-"""Pixels on the left for the methods' names."""
+"""The width in pixels of the column with the methods' names."""
 ROW: Final = 26
 HEIGHT: Final = 320
 """Of the profiles."""

@@ -1,4 +1,4 @@
-"""Checking results: folders of evaluations, and entries."""
+"""Checks of results: evaluations' folders and entries."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from magical_mj.registry import TASKS, check_rules
 from magical_mj.tasks.spec import Rules
 
 SHARE: Final = 0.1
-"""Of an entry's episodes that are played again, unless all are asked for."""
+"""The share of an entry's episodes that are replayed by default."""
 MOST: Final = 1000
-"""Episodes of an entry that are played again, unless all are asked for."""
+"""The least number of an entry's episodes that are replayed by default."""
 
 Watch = Callable[[Checked], None]
 
 
 @dataclass
 class Findings:
-    """What came of a check.
+    """The result of a check.
 
     Attributes:
-        episodes: how many were played again.
-        steps: how many actions these have.
-        seconds: that it took.
-        differing: a sentence for each episode that is not what is claimed.
+        episodes: the number of replayed episodes.
+        steps: the number of their actions.
+        seconds: the duration of the replay.
+        differing: a sentence for each episode that differs from the claim.
         missing: a sentence for each run and environment that lacks episodes.
-        unfit: what else does not fit this version's protocol.
+        unfit: sentences about everything else that does not match this version's protocol.
     """
 
     episodes: int = 0
@@ -50,11 +50,11 @@ class Findings:
 
     @property
     def good(self) -> bool:
-        """Whether all episodes are there, fit, and are what is claimed."""
+        """Whether no problems were found."""
         return not (self.differing or self.missing or self.unfit)
 
     def replay(self, episodes: Sequence[Claim], rules: Rules, jobs: int | None, watch: Watch) -> None:
-        """Plays episodes again and takes down what differs."""
+        """Replays episodes and records the differences."""
         start = time.perf_counter()
         for found in check_claims(episodes, rules, jobs):
             self.episodes += found.episodes
@@ -65,15 +65,15 @@ class Findings:
 
 
 def verify(folder: Path | str, *, jobs: int | None = None, watch: Watch = lambda _: None) -> Findings:
-    """Plays every episode of an evaluation again, and compares it with the protocol.
+    """Replays all episodes of an evaluation, and checks its settings and completeness against the protocol.
 
     Args:
-        folder: of the evaluation.
-        jobs: how many processes work; None: one for each core.
-        watch: called with each chunk of episodes that was played.
+        folder: the folder of the evaluation.
+        jobs: the number of processes; None: one per core.
+        watch: called with the result of each chunk of episodes.
 
     Raises:
-        EvaluationError: if the folder is no evaluation.
+        EvaluationError: if the folder is not an evaluation.
     """
     folder = Path(folder)
     settings = recorded(folder)
@@ -97,7 +97,7 @@ def verify(folder: Path | str, *, jobs: int | None = None, watch: Watch = lambda
 
 
 def _unfit(settings: Mapping[str, Any], what: str, here: Any) -> list[str]:
-    """A sentence if a setting that was recorded is not what it must be here."""
+    """A sentence if a recorded setting differs from the required value."""
     if settings.get(what) == here:
         return []
     said = f"{settings[what]!r} is recorded" if what in settings else "nothing is recorded"
@@ -107,18 +107,18 @@ def _unfit(settings: Mapping[str, Any], what: str, here: Any) -> list[str]:
 def check_entry(
     path: Path, *, everything: bool = False, jobs: int | None = None, watch: Watch = lambda _: None
 ) -> tuple[Entry, Findings]:
-    """Reads an entry, and plays a random part of its episodes again.
+    """Reads an entry, and replays a random part of its episodes.
 
-    Which episodes these are follows from the file's content, so that a check can be repeated.
+    The choice of episodes depends only on the file's content, so that a check can be repeated.
 
     Args:
-        path: of the file.
-        everything: play all of them.
-        jobs: how many processes work; None: one for each core.
-        watch: called with each chunk of episodes that was played.
+        path: the file.
+        everything: replay all episodes.
+        jobs: the number of processes; None: one per core.
+        watch: called with the result of each chunk of episodes.
 
     Raises:
-        EvaluationError: if the file is no entry; see `magical_mj.leaderboard.entry.unpacked`.
+        EvaluationError: if the file is not a valid entry; see `magical_mj.leaderboard.entry.unpacked`.
     """
     check_extra("leaderboards", "eval")
     data = path.read_bytes()
@@ -137,7 +137,7 @@ def _sample(episodes: Sequence[Claim], data: bytes) -> list[Claim]:
 
 
 def entries(folder: Path | str) -> Iterator[Path]:
-    """The files of a folder that are called as entries are, by their names.
+    """The files of entries (*.json.gz) in a folder, sorted by name.
 
     Raises:
         EvaluationError: if there are none.

@@ -1,4 +1,4 @@
-"""Episodes as they are claimed to have gone: they are played again from their actions, and what differs is named."""
+"""Claims: episodes as a method's results report them. They are checked by replaying their actions."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ if TYPE_CHECKING:
     from magical_mj.environment import Environment
 
 SEEDS: Final = 100
-"""Of each environment: what the protocol asks for."""
+"""The number of episodes in each environment that the protocol requires."""
 SAME: Final = 1e-9
-"""Two scores that differ by less are equal."""
+"""Scores that differ by less than this are equal."""
 CHUNK: Final = 50
-"""Episodes that a worker replays before it reports."""
+"""The number of episodes that a worker replays before it reports."""
 
 
 class Claim(NamedTuple):
-    """One episode, as it is claimed to have gone.
+    """One episode as it is reported.
 
     Attributes:
-        run: which run of the method played it.
+        run: the number of the method's run.
         task: the task's name.
         variant: the variant's name.
-        seed: of the scene.
-        scene: the scene's digest; None if it was not kept.
+        seed: the scene's seed.
+        scene: the scene's digest; None if it was not recorded.
         score: in [0, 1].
         actions: one of `magical_mj.episodes.LETTERS` for each step.
         failure: why the policy failed; None if it did not.
@@ -53,12 +53,12 @@ class Claim(NamedTuple):
 
 @dataclass(frozen=True)
 class Checked:
-    """What came of playing a chunk of episodes again.
+    """The result of replaying a chunk of episodes.
 
     Attributes:
-        episodes: how many.
-        steps: how many actions were taken.
-        problems: a sentence for each episode that is not what is claimed.
+        episodes: the number of episodes.
+        steps: the number of actions.
+        problems: a sentence for each episode that differs from its claim.
     """
 
     episodes: int
@@ -67,12 +67,12 @@ class Checked:
 
 
 def check_claims(episodes: Iterable[Claim], rules: Rules, jobs: int | None = None) -> Iterator[Checked]:
-    """Plays episodes again in the scenes of their seeds and compares scenes and scores, chunk after chunk.
+    """Replays episodes in the scenes of their seeds, and compares scenes and scores. Yields a result for each chunk.
 
     Args:
-        episodes: what is claimed.
-        rules: by which they were scored.
-        jobs: how many processes work; None: one for each core.
+        episodes: the claims.
+        rules: the rules by which they were scored.
+        jobs: the number of processes; None: one per core.
     """
     environments: dict[tuple[str, str], list[Claim]] = defaultdict(list)
     for episode in episodes:
@@ -83,7 +83,7 @@ def check_claims(episodes: Iterable[Claim], rules: Rules, jobs: int | None = Non
 
 
 def check_chunk(episodes: Sequence[Claim], rules: Rules) -> Checked:
-    """What a worker does: some episodes of one environment."""
+    """The work of one process: checks some episodes of one environment."""
     first = episodes[0]
     from magical_mj.environment import load  # which loads the simulator
 
@@ -96,10 +96,10 @@ def check_chunk(episodes: Sequence[Claim], rules: Rules) -> Checked:
 
 
 def check_claim(claim: Claim, env: Environment) -> str | None:
-    """What is wrong with an episode; None if playing it again leads to the same.
+    """A sentence about what is wrong with an episode; None if its replay confirms it.
 
     Args:
-        claim: what is claimed.
+        claim: the claim.
         env: an environment of its task, variant and rules.
     """
     digest = sample_scene(claim.task, claim.variant, claim.seed).digest()
@@ -120,11 +120,11 @@ def check_claim(claim: Claim, env: Environment) -> str | None:
 
 
 def missing(episodes: Iterable[Claim], tasks: Iterable[str] | None = None) -> list[str]:
-    """What the protocol asks for and is not there, a sentence for each run and environment.
+    """Which episodes that the protocol requires are missing: a sentence for each run and environment.
 
     Args:
-        episodes: what there is.
-        tasks: in all of whose environments each run must have played; None: those in which any run has.
+        episodes: the existing episodes.
+        tasks: the tasks in all of whose environments each run must have played; None: all tasks that any run played.
     """
     found: dict[tuple[int, str, str], set[int]] = defaultdict(set)
     for episode in episodes:

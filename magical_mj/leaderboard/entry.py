@@ -1,4 +1,4 @@
-"""Entries: the results of one method in one file, with a card that says what it is and a hash of it all."""
+"""Entries: the results of one method in one file, with a card that describes it and a hash of everything."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from magical_mj.tasks.spec import Rules
 FORMAT: Final = 1
 SUFFIX: Final = ".json.gz"
 MOST_BYTES: Final = 500_000_000
-"""Of an unpacked entry: a small file may hold an endless one."""
+"""The largest size of an unpacked entry in bytes: a small file may expand to a huge one."""
 CARD: Final[dict[str, Any]] = {
     "method": None,
     "description": None,
@@ -37,7 +37,7 @@ CARD: Final[dict[str, Any]] = {
     "training": {"hours": None, "device": None, "steps": None},
     "hardware": None,
 }
-"""What a card may say, each of which is null unless somebody says it."""
+"""The fields of a card; fields that are not given are null."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,12 @@ class Entry:
     """The results of one method.
 
     Attributes:
-        card: what the method is; see `CARD`.
-        observations: the preset that it looked at; None if it looked at no observations.
-        rules: by which it was scored.
+        card: the description of the method; see `CARD`.
+        observations: the preset of the observations; None if it used none.
+        rules: the rules by which it was scored.
         protocol: the protocol's number; None if it was not recorded.
-        versions: of the packages that played it.
-        episodes: all that were played.
+        versions: the versions of the packages with which it was played.
+        episodes: all episodes.
     """
 
     card: dict[str, Any]
@@ -74,18 +74,18 @@ class Entry:
 def submit(
     folders: Sequence[Path | str], out: Path | str, *, card: Path | str | None = None, policy: str | None = None
 ) -> Entry:
-    """Makes an entry of the evaluations in some folders, and writes it.
+    """Makes an entry from the evaluations in some folders, and writes it.
 
     Args:
-        folders: of evaluations of one method, such as one for each run.
-        out: the file, whose name must end in .json.gz; one that is there is not replaced.
-        card: a TOML file that says what `CARD` lists. What it does not say is null; the method is then called as in
-            the evaluations.
-        policy: which method, if the folders hold several.
+        folders: evaluations of one method, such as one for each run.
+        out: the file, whose name must end in .json.gz; an existing file is not replaced.
+        card: a TOML file with fields of `CARD`; missing fields are null, and the method then has its name in the
+            evaluations.
+        policy: the name of the method, if the folders hold several.
 
     Raises:
-        SettingsError, UnknownNameError: if the card says what no card says, or it is not clear which method is meant.
-        EvaluationError: if a folder is no evaluation, or they do not go together.
+        SettingsError, UnknownNameError: if the card has unknown fields, or the choice of a method is ambiguous.
+        EvaluationError: if a folder is not an evaluation, or they cannot be combined.
         OSError: if the file exists or cannot be written.
     """
     out = Path(out)
@@ -117,14 +117,14 @@ def submit(
 
 
 def claim_of(score: Score) -> Claim:
-    """An episode of an evaluation, as it is kept in entries."""
+    """The claim of an evaluated episode."""
     return Claim(
         *(score.run, score.task, score.variant, score.seed, score.scene, score.score, score.actions, score.failure)
     )
 
 
 def _protocol(folders: Sequence[Path | str]) -> int | None:
-    """The number that the evaluations recorded.
+    """The protocol's number that the evaluations recorded.
 
     Raises:
         EvaluationError: if they recorded different ones.
@@ -151,7 +151,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
 
 
 def _card(said: dict[str, Any], where: object, known: dict[str, Any] = CARD) -> dict[str, Any]:
-    """All that a card may say, with what this one says."""
+    """All fields of a card, with the values that are given."""
     for name in said:
         if name not in known:
             raise unknown_name(f"entry of {where}", name, known)
@@ -162,7 +162,7 @@ def _card(said: dict[str, Any], where: object, known: dict[str, Any] = CARD) -> 
 
 
 def packed(entry: Entry) -> bytes:
-    """The bytes of the entry's file: the same entry always has the same."""
+    """The bytes of the entry's file; equal entries have equal bytes."""
     content = {
         "format": FORMAT,
         "card": entry.card,
@@ -185,7 +185,7 @@ def _hash(content: dict[str, Any]) -> str:
 
 
 def _environments(episodes: Sequence[Claim]) -> dict[str, list[Any]]:
-    """Of each environment, a row for each episode: run, seed, scene, score, actions, failure."""
+    """Environment -> a row for each episode: run, seed, scene, score, actions, failure."""
     rows: dict[str, list[Any]] = {}
     for run, task, variant, seed, *rest in sorted(episodes, key=lambda episode: episode[:4]):
         rows.setdefault(f"{task}-{variant}", []).append([run, seed, *rest])
@@ -196,11 +196,11 @@ def unpacked(data: bytes, name: object = "the entry") -> Entry:
     """The entry in a file's bytes.
 
     Args:
-        data: of the file.
-        name: what errors call it.
+        data: the file's content.
+        name: the name of the entry in errors.
 
     Raises:
-        EvaluationError: if it is no entry, is damaged or was altered, or is of another format or protocol.
+        EvaluationError: if it is not an entry, is damaged or was altered, or has another format or protocol.
     """
     content = _content(data, name)
     _check_schema(content, name)

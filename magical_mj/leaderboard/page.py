@@ -1,4 +1,4 @@
-"""The leaderboard as a page: HTML that needs no server and nothing from elsewhere, and Markdown."""
+"""The leaderboard as a page: self-contained HTML without external resources, and Markdown."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MARKDOWN: Final = "leaderboard.md"
 
 
 def write_pages(found: Sequence[Standing], out: Path) -> list[Path]:
-    """Writes both pages into a folder, in place of older ones, and returns their paths."""
+    """Writes both pages into a folder, replacing older ones, and returns their paths."""
     made = tables(found)
     pages = {HTML: _html(found, made), MARKDOWN: _markdown(made)}
     for name, text in pages.items():
@@ -50,7 +50,7 @@ def _markdown(made: Sequence[Table]) -> str:
 
 
 def _escaped(table: Table) -> Table:
-    """Without what Markdown would take for HTML: names and devices are strangers' texts."""
+    """The table with HTML escaped for Markdown: names and devices are untrusted text."""
     groups = tuple(
         (heading, tuple(tuple(escape(cell, quote=False) for cell in row) for row in rows))
         for heading, rows in table.groups
@@ -95,7 +95,7 @@ def _table(table: Table) -> str:
 
 
 def _cell(text: str, shaded: bool) -> str:
-    """A figure's interval is small below it, and its background tells how large it is."""
+    """A table cell. A number's interval is shown below it, and the background shows how large it is."""
     figure = re.fullmatch(r"(-?\d\.\d\d)( \[.*\])?", text)
     if figure is None:
         return f"<td>{escape(text)}</td>"

@@ -32,12 +32,12 @@ SHOWN_THRESHOLDS = (0.1, 0.25, 0.5, 0.75, 0.9)
 
 
 def tables(found: Sequence[Standing]) -> list[Table]:
-    """All of them: scores, what breaks first, who beats whom, how the scores are spread, and what they cost."""
+    """The tables: scores, drops by variant, probabilities of improvement, performance profiles, and costs."""
     return [_scores(found), _drops(found), _improvements(found), _profiles(found), _costs(found)]
 
 
 def label(one: Standing) -> str:
-    """The method's name, and a mark for what it is."""
+    """The method's name, with a mark of its kind."""
     return one.name + {"official": f" {STAR}", "partial": "", "published": DAGGER}[one.kind]
 
 
@@ -77,7 +77,7 @@ def _drops(found: Sequence[Standing]) -> Table:
 
 
 def _weakest(one: Standing) -> str:
-    """The one axis that costs the most; All varies them together."""
+    """The variant (except All) with the largest drop of the score."""
     axes = [name for name in one.drops if name != "All"]
     return max(axes, key=lambda name: one.drops[name].value) if axes else NONE
 

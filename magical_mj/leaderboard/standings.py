@@ -24,7 +24,7 @@ Kind = Literal["official", "partial", "published"]
 Environment = tuple[str, str]
 
 LEAST_RUNS: Final = 5
-"""Of an official entry: the paper's number."""
+"""The least number of runs of an official entry: the paper's number."""
 THRESHOLDS: Final = np.linspace(0, 1, 51)
 """Of performance profiles."""
 OVERALL: Final = "all environments"
@@ -88,17 +88,17 @@ def standing(entry: Entry) -> Standing:
 
 
 def own_standings(folder: Path) -> dict[str, Standing]:
-    """The standings of the entries in a folder, by the names of their files; `check_entry` replays them.
+    """File name -> standing, for the entries in a folder. They are not replayed; `check_entry` does that.
 
     Raises:
-        EvaluationError: if a file is no entry.
+        EvaluationError: if a file is not an entry.
     """
     paths = sorted(folder.glob(f"*{SUFFIX}"))
     return {path.name.removesuffix(SUFFIX): standing(unpacked(path.read_bytes(), path)) for path in paths}
 
 
 def frame(entry: Entry) -> pd.DataFrame:
-    """A row for each episode that the protocol asks for."""
+    """A frame with a row for each episode that the protocol requires."""
     import pandas as pd
 
     counted = [episode for episode in entry.episodes if episode.seed < SEEDS]
@@ -120,7 +120,7 @@ def _gaps(entry: Entry) -> list[str]:
 
 
 def published() -> list[Standing]:
-    """The paper's own results, which hold the mean of each method in each environment and nothing finer."""
+    """The paper's own results: only the mean of each method in each environment is published."""
     found = []
     for policy, group in published_results().groupby("policy", sort=False):
         means = {(row.task, row.variant): np.array([row.mean]) for row in group.itertuples()}
@@ -152,7 +152,7 @@ def _drops(means: Mapping[Environment, Floats]) -> dict[str, Estimate]:
 def improvement(first: Standing, second: Standing) -> Estimate:
     """The probability that a run of the first method beats one of the second in an environment (Agarwal et al., 2021).
 
-    It is averaged over the environments that both have played; a draw counts a half.
+    It is averaged over the environments that both have played; equal scores count one half.
     """
     pairs = [pair for pair in first.means if pair in second.means]
     if not pairs:
@@ -167,7 +167,7 @@ def improvement(first: Standing, second: Standing) -> Estimate:
 
 
 def _better(first: Floats, second: Floats) -> Any:
-    """Shapes (..., n) and (..., m) -> (...): how often one of the first is above one of the second."""
+    """Shapes (..., n) and (..., m) -> (...): the share of pairs in which the first is larger than the second."""
     difference = first[..., :, None] - second[..., None, :]
     return ((difference > 0) + 0.5 * (difference == 0)).mean(axis=(-1, -2))
 

@@ -1,1 +1,1 @@
-"""How fast the environments are, beside what MuJoCo itself takes for the same simulation and the same pictures."""
+"""Speed of the environments, compared with MuJoCo alone doing the same simulation and drawing the same pictures."""

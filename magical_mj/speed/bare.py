@@ -1,4 +1,4 @@
-"""The bare loop: what MuJoCo and OpenGL take for an environment's steps, with as little Python as possible."""
+"""The bare loop: the steps of an environment with as little Python as possible around MuJoCo and OpenGL."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from magical_mj.simulation import Simulation
 
 
 class BareLoop:
-    """Steps the model of a scene, and draws the views of a preset by the same means as the environment.
+    """Steps the model of a scene, and draws the views of a preset with the same renderer as the environment.
 
-    No resets, hooks, checks, scores, stacked frames or wrappers. The averaging of the pixels belongs to the picture.
+    There are no resets, hooks, checks, scores, stacked frames or wrappers. The averaging of the pixels is included.
     """
 
     def __init__(self, scene: Scene, preset: Preset) -> None:
@@ -30,7 +30,7 @@ class BareLoop:
         self._renderer = Renderer(self.simulation.model.ptr)
         self._canvas = CANVAS if self._views else nullcontext()
         with self._canvas:
-            self._draw()  # the first picture takes preparations
+            self._draw()  # the first picture includes initialisation
 
     def run(self, actions: Iterable[int]) -> None:
         """Takes these actions."""

@@ -1,4 +1,4 @@
-"""Measures batched worlds: steps per second, the time of each part, memory, and single environments beside them."""
+"""Measures batched worlds: steps per second, the time of each part, memory, and single environments to compare with."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ WARM_UP: Final = 3
 PIXEL_OPERATIONS: Final = 1200
 """Of painting a pixel, by a rough count: four samples, each held against some thirty edges by ten operations."""
 SINGLE_EPISODES: Final = 3
-"""Of the single environment, on each core."""
+"""Episodes of the single environment on each core."""
 
 
 @dataclass(frozen=True)
 class BatchedMeasurement:
-    """What was measured of one environment at one number of worlds. Seconds, by the wall clock.
+    """The measurement of one environment with one number of worlds. Times are wall clock, in seconds.
 
     Attributes:
-        rate: environment steps per second of the whole, observations and resets included.
-        physics_seconds: of one control step of all worlds.
-        observation_seconds: of their observations.
-        reset_seconds: of a reset of all worlds.
+        rate: environment steps per second in total, with observations and resets.
+        physics_seconds: time of one control step of all worlds.
+        observation_seconds: time of their observations.
+        reset_seconds: time of a reset of all worlds.
         kernels: of one control step with its observations, launched one by one; see `launches`.
         work: what they amount to.
         world_bytes: memory of one world's simulation.
@@ -65,7 +65,7 @@ class BatchedMeasurement:
 
 
 def measure_batched(task: str, variant: str, worlds: int, preset_name: str, device: str) -> BatchedMeasurement:
-    """Plays one episode of random actions in all worlds, with the reset after it; then the parts alone."""
+    """Measures one episode of random actions in all worlds, with the reset after it, and then each part separately."""
     env = batched.make(task, variant, worlds, preset=preset_name, device=device, workers=_workers(worlds))
     generator = torch.Generator().manual_seed(0)
     actions = torch.randint(len(ACTIONS), (task_spec(task).horizon(), worlds), generator=generator).to(device)
@@ -118,7 +118,7 @@ def _seconds(device: str, work: Callable[[], object]) -> float:
 
 
 def _bytes(data: Any, worlds: int) -> int:
-    """Of all arrays of the simulation, shared out among the worlds."""
+    """Bytes of all arrays of the simulation, per world."""
     total = 0
     for entry in dataclasses.fields(data):
         value = getattr(data, entry.name)

@@ -1,4 +1,4 @@
-"""Measures one environment: steps with their resets, the bare loop in turn with them, and the resets alone."""
+"""Measures one environment: steps including resets, alternating with the bare loop, and then resets alone."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from magical_mj.presets import Preset, preset
 from magical_mj.speed.bare import BareLoop
 
 Cause = Literal["rewritten", "compiled"]
-"""What a reset does: write other numbers into a model of the same structure, or compile a new one."""
+"""What a reset does: rewrite the numbers of a model with the same structure, or get a model of another structure."""
 
 TURN: Final = 20
-"""Steps after which environment and bare loop take turns, so that both suffer alike from a busy machine."""
+"""The number of steps after which environment and bare loop alternate, so that other load affects both equally."""
 RESETS: Final = 40
 """Resets that are measured alone."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """What was measured of one environment. Seconds, by the wall clock.
+    """The measurement of one environment. Times are wall clock, in seconds.
 
     Attributes:
-        steps: that were taken, in whole episodes.
-        seconds: for them and for the resets between them.
-        bare_seconds: for as many steps of the bare loop.
-        resets: seconds of each of the resets that were measured alone.
+        steps: the number of steps, in whole episodes.
+        seconds: the time of these steps and of the resets between them.
+        bare_seconds: the time of the same number of steps of the bare loop.
+        resets: the times of the resets that were measured alone.
     """
 
     task: str
@@ -58,7 +58,7 @@ class Measurement:
         return self.rate / self.bare_rate
 
     def reset_quantile(self, cause: Cause, share: float) -> float | None:
-        """Seconds in which this share of the resets of one cause were done; None if there were none."""
+        """The quantile of the times of resets of one cause, in seconds; None if there were none."""
         return float(np.quantile(self.resets[cause], share)) if self.resets[cause] else None
 
 
@@ -82,7 +82,7 @@ def measure(task: str, variant: str, preset_name: str, steps: int) -> Measuremen
 def episode(env: MagicalEnv, seed: int, plan: list[int], shown: Preset) -> tuple[float, float]:
     """Seconds of an episode with its reset, and of its steps in the bare loop.
 
-    The bare loop is made after the first turn: in use, too, nothing comes between a reset and the steps after it.
+    The bare loop is made after the first turn, since in normal use nothing happens between a reset and its first steps.
     """
 
     def play(actions: list[int]) -> None:

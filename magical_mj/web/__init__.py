@@ -1,4 +1,4 @@
-"""Playing in a browser: the page, what it has to know of the benchmark, and a server that simulates for it."""
+"""Playing in a browser: the page, the data about the benchmark that it needs, and a server that simulates for it."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ from pathlib import Path
 from typing import Final
 
 PAGE: Final = Path(__file__).parent / "page"
-"""The page's files, which need `catalogue.json` and `scenes/` beside them."""
+"""The folder of the page's files; when served, they need `catalogue.json` and `scenes/` next to them."""

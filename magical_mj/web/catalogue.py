@@ -1,4 +1,4 @@
-"""What the page is told when it opens: tasks in words and pictures, environments, and how everything looks."""
+"""The data that the page loads first: descriptions of the tasks, the environments, and the look of everything."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ def sections(task: str) -> dict[str, str]:
 
 
 def catalogue(environments: Sequence[tuple[str, str]], simulation: Simulation) -> dict[str, Any]:
-    """What the page has to know before the first scene, as JSON data.
+    """The data that the page needs before the first scene, as JSON data.
 
     Args:
-        environments: the pairs (task, variant) to choose from.
-        simulation: who simulates; the browser knows the scenes of a few seeds only.
+        environments: the pairs (task, variant) that can be chosen.
+        simulation: where the simulation runs; the browser has the scenes of a few seeds only.
     """
     tasks = list(dict.fromkeys(task for task, _ in environments))
     return {

@@ -1,4 +1,4 @@
-"""Demonstrations by many people: what each sends is replayed, and kept in a folder of its own."""
+"""Collecting demonstrations from many people: each recording is replayed and saved in the participant's folder."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _PARTICIPANT: Final = re.compile("[0-9a-f]{16}")
 
 
 class Collection:
-    """A folder that holds a folder for each participant, by random names, with their demonstrations.
+    """A folder with a subfolder for each participant, named by a random id, with their demonstrations.
 
     Args:
-        folder: made if it is missing; what it holds already counts.
+        folder: the folder; it is made if missing, and existing demonstrations count.
         environments: the pairs (task, variant) of which demonstrations are wanted.
-        wanted: how many of each; None: as many as come.
+        wanted: the number wanted of each; None: unlimited.
 
     Raises:
         OSError: if the folder cannot be made.
@@ -41,10 +41,10 @@ class Collection:
         self._offered = Counter(self._kept)
 
     def token(self) -> str:
-        """The secret part of the page's address, which stays the same when the server is started again.
+        """The secret part of the page's address, which stays the same when the server is restarted.
 
         Raises:
-            OSError: if it cannot be kept.
+            OSError: if it cannot be saved.
         """
         path = self._folder / "token"
         if not path.exists():
@@ -53,13 +53,13 @@ class Collection:
         return path.read_text(encoding="utf-8")
 
     def participant(self, name: Any) -> str:
-        """The participant's own name if it is one of ours, as when somebody comes back, or a new one."""
+        """The id `name` if it is that of a known participant who returns, else a new id."""
         return name if isinstance(name, str) and _PARTICIPANT.fullmatch(name) else secrets.token_hex(8)
 
     def next(self) -> dict[str, Any] | None:
-        """What to play next: of the environments that are wanted the one offered least, and its next seed.
+        """The next episode to play: the wanted environment that was offered least often, and its next seed.
 
-        None if there are enough of all.
+        None if there are enough demonstrations of all.
         """
         with self._lock:
             open_ones = [pair for pair in self._environments if self._wanted is None or self._kept[pair] < self._wanted]
@@ -70,13 +70,13 @@ class Collection:
             return {"task": task, "variant": variant, "seed": self._offered[chosen] - 1}
 
     def keep(self, recording: str, participant: str) -> float:
-        """Replay a recording and write it as a demonstration; when this returns, it is on the disk.
+        """Replays a recording and saves it as a demonstration before it returns.
 
         Returns:
             Its score.
 
         Raises:
-            MagicalError: if it is no recording of these environments, or does not end as its player saw it.
+            MagicalError: if it is not a recording of these environments, or does not end as the player saw it.
         """
         demo, deviation, suspect = demos.from_recording(recording)
         pair = demo.task, demo.variant

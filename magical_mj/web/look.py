@@ -1,4 +1,4 @@
-"""What the page draws: outlines and colours of everything, read from a compiled model, in the renderer's order."""
+"""The shapes that the page draws: outlines and colours of everything, from a compiled model, in drawing order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The scenes of an environment as the page reads them, with an expert's actions, demonstrations and models."""
+"""The scenes of an environment as JSON data for the page, with an expert's actions, demonstrations and models."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ EXPERT: Final = Path(__file__).parent / "expert.json"
 ``tools/experts.py`` writes it.
 """
 SCENES: Final = 20
-"""How many the page offers of each environment but Demo, which has one."""
+"""The number of scenes that the page offers of each environment; of Demo there is only one."""
 DEMONSTRATIONS: Final = 5
-"""How many of a task's shipped demonstrations the page can show."""
+"""The number of a task's shipped demonstrations that the page can show."""
 _BETWEEN_ELEMENTS: Final = re.compile(r"(?<=>)(?=\s*<)")
 
 
@@ -33,7 +33,7 @@ def letters(actions: Sequence[int]) -> str:
 
 
 def environment_scenes(task: str, variant: str) -> dict[str, Any]:
-    """All that the page can show of an environment: its first scenes, or in Demo the only one, as JSON data."""
+    """The page's data of an environment: its first scenes (of Demo, the only one), as JSON data."""
     shipped = demos.load(task)[:DEMONSTRATIONS] if variant == "Demo" else []
     demonstrations = [letters(demo.actions.tolist()) for demo in shipped]
     expert: list[str] = demonstrations[:1] or json.loads(EXPERT.read_text())[f"{task}-{variant}"]
@@ -55,10 +55,10 @@ def exported(env: Environment) -> str:
 
 
 def with_models(data: dict[str, Any], models: Sequence[str]) -> dict[str, Any]:
-    """The same with a model of each scene, in a quarter of the space, or less.
+    """The same data with a model of each scene, compressed to a quarter of the size or less.
 
-    Models have most of their XML elements in common. So each is a list of numbers of elements, whose texts, one
-    after the other, are the model.
+    Models have most of their XML elements in common. So each model is stored as a list of indices into a list of
+    elements, whose texts make up the model.
     """
     numbers: dict[str, int] = {}
     scenes = [

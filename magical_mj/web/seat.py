@@ -1,4 +1,4 @@
-"""One seat at the server: who plays through one connection, and in which environment.
+"""One player at the server: answers the messages of one connection, with an environment of its own.
 
 Messages are JSON objects, each answered by one:
 
@@ -31,7 +31,7 @@ class Seat:
 
     Args:
         environments: the pairs (task, variant) that may be played.
-        collection: where recordings are kept; None: nowhere.
+        collection: where recordings are saved; None: nowhere.
     """
 
     def __init__(self, environments: Container[tuple[str, str]], collection: Collection | None = None) -> None:
@@ -42,7 +42,7 @@ class Seat:
         self._name: tuple[str, str] | None = None
 
     def answer(self, text: str | bytes) -> str:
-        """The answer to a message; a mistake is answered, never raised."""
+        """The answer to a message; errors are answered, never raised."""
         try:
             message = json.loads(text)
             if not isinstance(message, dict) or len(message) != 1:

@@ -1,7 +1,7 @@
-"""The server behind the page: `magical-mj play --web`. Python simulates; the browser draws from poses.
+"""The server of the page: `magical-mj play --web`. Python simulates; the browser draws from poses.
 
-Everything lies below a secret token, `http://127.0.0.1:8008/TOKEN/`; any other address is refused. The page talks to a
-`magical_mj.web.seat.Seat` through a WebSocket, which the browser may open only from a page of the server's own origin.
+All addresses start with a secret token, `http://127.0.0.1:8008/TOKEN/`; others are refused. The page communicates with
+a `magical_mj.web.seat.Seat` through a WebSocket, which browsers may open only from a page of the server's own origin.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ HEADERS: Final = {
 
 @dataclass
 class PlayServer:
-    """Serves the page and its seats.
+    """Serves the page and its WebSocket connections.
 
     Args:
         environments: the pairs (task, variant) that may be played.
-        host: the address to listen at.
-        port: 0 for any that is free.
-        token: what the address starts with; None: a random one.
-        origin: where people see the page if that is not `http://HOST:PORT`, as behind a reverse proxy.
-        collection: where recordings are kept; None: nowhere.
+        host: the address at which to listen.
+        port: 0 for any free port.
+        token: the first part of the path; None: a random one.
+        origin: the public origin of the page if it is not `http://HOST:PORT`, as behind a reverse proxy.
+        collection: where recordings are saved; None: nowhere.
     """
 
     environments: Sequence[tuple[str, str]]
@@ -80,7 +80,7 @@ class PlayServer:
 
     @property
     def address(self) -> str:
-        """Of the page, once the server has started."""
+        """The page's address, once the server has started."""
         return f"{self.origin or self._own_origins()[0]}/{self.token}/"
 
     def _own_origins(self) -> list[str]:
@@ -88,7 +88,7 @@ class PlayServer:
         return [f"http://{name}:{self.port}" for name in dict.fromkeys((host, "localhost"))]
 
     def _respond(self, _connection: ServerConnection, request: Request) -> Response | None:
-        """A file or a refusal; None where a WebSocket may be opened."""
+        """The response with a file or a refusal; None if a WebSocket may be opened."""
         path = request.path.partition("?")[0]
         start, _, name = path.removeprefix("/").partition("/")
         if not secrets.compare_digest(start.encode(), self.token.encode()) or path == f"/{self.token}":
@@ -110,12 +110,12 @@ class PlayServer:
         return self._files.get(name)
 
     async def _sit(self, connection: ServerConnection) -> None:
-        """One seat, until it is left. Others are answered while this one simulates."""
+        """Serves one connection until it closes. Other connections are served while this one simulates."""
         seat = Seat(self.environments, self.collection)
         try:
             async for message in connection:
                 await connection.send(await asyncio.to_thread(seat.answer, message))
-        except ConnectionClosed:  # without a farewell, or after a message that was too large
+        except ConnectionClosed:  # closed abnormally, or after a message that was too large
             pass
         finally:
             seat.close()
