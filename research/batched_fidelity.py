@@ -1,13 +1,13 @@
 """How near batched worlds stay to MuJoCo's own: from states in mid-episode, and over whole episodes played open loop.
 
 python research/batched_fidelity.py actions [--states 200] [--steps 10] [--device cpu]
-python research/batched_fidelity.py replays [--count 25] [--device cpu] [--human ARCHIVE]
+python research/batched_fidelity.py replays [--tasks FindDupe,...] [--count 25] [--device cpu] [--human ARCHIVE]
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -72,23 +72,25 @@ def compare(states: int, steps: int, device: str) -> None:
         print(f"  {name}: {errors[0]:.1e} after one action, {errors[-1]:.1e} after {steps}")
 
 
-def sequences(human: Path | None, count: int) -> Iterator[tuple[str, str, Scene, NDArray[np.int64]]]:
+def sequences(
+    tasks: Sequence[str], human: Path | None, count: int
+) -> Iterator[tuple[str, str, Scene, NDArray[np.int64]]]:
     """Who, task, scene and actions of what is replayed."""
-    for task in magical_mj.TASKS:
+    for task in tasks:
         for demo in magical_mj.demos.load(task)[:count]:
             yield "expert", task, demo.scene, demo.actions.astype(np.int64)
     if human is not None and human.exists():
         with np.load(human) as data:
-            for task in magical_mj.TASKS:
+            for task in tasks:
                 found = [key for key in data.files if key.startswith(f"{task}/") and key.endswith("/actions")]
                 for key in found[:count]:
                     yield "people", task, magical_mj.sample_scene(task, "Demo", 0), data[key].astype(np.int64)
 
 
-def replay(human: Path | None, count: int, device: str) -> None:
+def replay(tasks: Sequence[str], human: Path | None, count: int, device: str) -> None:
     """Prints mean scores of sequences replayed here and in batched worlds, by task."""
     groups: dict[tuple[str, str], list[tuple[Scene, NDArray[np.int64]]]] = {}
-    for who, task, scene, actions in sequences(human, count):
+    for who, task, scene, actions in sequences(tasks, human, count):
         groups.setdefault((who, task), []).append((scene, actions))
     for (who, task), cases in groups.items():
         ours = []
@@ -118,13 +120,14 @@ def main() -> None:
     parser.add_argument("--states", type=int, default=200)
     parser.add_argument("--steps", type=int, default=10)
     parser.add_argument("--device", default="cpu")
+    parser.add_argument("--tasks", default=",".join(magical_mj.TASKS), help="of the replays")
     parser.add_argument("--human", type=Path, help="an archive of people's sequences, task/number/actions")
     parser.add_argument("--count", type=int, default=25, help="sequences of each task, of experts and of people")
     chosen = parser.parse_args()
     if chosen.what == "actions":
         compare(chosen.states, chosen.steps, chosen.device)
     else:
-        replay(chosen.human, chosen.count, chosen.device)
+        replay(chosen.tasks.split(","), chosen.human, chosen.count, chosen.device)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,23 @@
 """Every figure about batched worlds that needs an accelerator, part by part, each under ten minutes.
 
+    python tools/batched_gpu.py --list                       # the names of all parts
     python tools/batched_gpu.py --out out/batched            # all parts that are not done yet
     python tools/batched_gpu.py --out out/batched --only speed-FixColour-Demo
+    python tools/batched_gpu.py --out out/rehearsal --rehearse --device cpu
 
-A part that is done has a file in the folder and is skipped: start the script again after an interruption.
+A part that is done has a file in the folder, with what it printed, and is skipped: start the script again after an
+interruption. Trainings are stopped after ten minutes and go on from their checkpoint when the part is started again.
+
+What the machine needs: Python 3.11 to 3.13, this repository, an NVIDIA driver that PyTorch's build for CUDA supports,
+and the extras `gpu` and `eval`. The largest wheels are PyTorch for CUDA (for Linux, that is the one on PyPI) with
+NVIDIA's libraries, some gigabytes, and warp-lang, 143 MiB. Demonstrations and official episodes are drawn with OpenGL:
+EGL of the driver, or OSMesa (`MUJOCO_GL=osmesa`). For a machine that cannot reach a package index, collect the wheels
+on one of the same platform and Python version that can, and install them there:
+
+    pip wheel --wheel-dir wheels --constraint constraints.txt ".[gpu,eval]"
+    pip install --no-index --find-links wheels "magical-mj[gpu,eval]"
+
+Warp compiles its kernels for the card at first use, a minute or two, and keeps them in `~/.cache/warp`.
 """
 
 from __future__ import annotations
@@ -13,60 +27,118 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import magical_mj
 
-LIMIT: Final = 600  # seconds for one part
+LIMIT: Final = 570  # seconds for one part
 ROOT: Final = Path(__file__).parent.parent
+COMMAND: Final = [sys.executable, "-m", "magical_mj"]
+FIDELITY: Final = [sys.executable, str(ROOT / "research" / "batched_fidelity.py")]
 
 
-def parts(device: str) -> Mapping[str, list[str]]:
+@dataclass(frozen=True)
+class Amounts:
+    """How much is done in each part."""
+
+    tasks: tuple[str, ...]
+    variants: tuple[str, ...]
+    presets: str
+    worlds: str
+    states: int
+    replays: int
+    trainings: Mapping[str, list[str]]
+    episodes: int
+
+
+FULL: Final = Amounts(
+    tasks=magical_mj.TASKS,
+    variants=("Demo", "All"),
+    presets="State,LoRes4E",
+    worlds="256,1024,4096,16384",
+    states=200,
+    replays=25,
+    trainings={
+        "gail-quick": ["--quick", "--set", "ppo.total_steps=1000000", "--set", "ppo.environments=256"],
+        "gail-paper": [],
+    },
+    episodes=100,
+)
+REHEARSAL: Final = Amounts(
+    tasks=("MoveToRegion",),
+    variants=("Demo",),
+    presets="LoRes4E",
+    worlds="2",
+    states=2,
+    replays=1,
+    trainings={
+        "gail-quick": [
+            *("--quick", "--set", "ppo.total_steps=8", "--set", "ppo.environments=2", "--set", "ppo.steps=2"),
+            *("--set", "ppo.minibatch=4", "--set", "demonstrations=1"),
+        ]
+    },
+    episodes=1,
+)
+
+
+def parts(device: str, out: Path, amounts: Amounts) -> Mapping[str, list[str]]:
     """By name, the command of each part."""
-    python = [sys.executable]
-    fidelity = [*python, str(ROOT / "research" / "batched_fidelity.py")]
-    bench = [*python, "-m", "magical_mj", "bench", "--batched", "--device", device, "--presets", "State,LoRes4E"]
+    on = ["--device", device]
+    tasks = ["--tasks", ",".join(amounts.tasks)]
     made = {
-        "fidelity-actions": [*fidelity, "actions", "--device", device],
-        "fidelity-replays": [*fidelity, "replays", "--device", device],
+        "fidelity-actions": [*FIDELITY, "actions", *on, "--states", str(amounts.states)],
+        "fidelity-replays": [*FIDELITY, "replays", *on, "--count", str(amounts.replays), *tasks],
     }
-    for task in magical_mj.TASKS:
-        for variant in ("Demo", "All"):
-            made[f"speed-{task}-{variant}"] = [*bench, "--tasks", task, "--variants", variant]
+    for task in amounts.tasks:
+        for variant in amounts.variants:
+            chosen = ["--tasks", task, "--variants", variant, "--presets", amounts.presets]
+            made[f"speed-{task}-{variant}"] = [*COMMAND, "bench", "--batched", "--worlds", amounts.worlds, *on, *chosen]
+    where = ["--tasks", "MoveToRegion", "--preset", "LoRes4E"]
+    for name, settings in amounts.trainings.items():
+        run, scores = str(out / name), str(out / f"{name}-scores")
+        given = [*where, "--worlds", "batched", *on, "--set", "evaluations=0", *settings, "--out", run]
+        made[name] = [*COMMAND, "train", "gail", *given, "--resume"]
+        played = ["--policy", run, *where, "--variants", "Demo", "--episodes", str(amounts.episodes)]
+        made[f"{name}-score"] = [*COMMAND, "evaluate", *played, "--out", scores, "--resume"]
     return made
+
+
+def run(command: list[str], done: Path) -> str:
+    """Runs the command of a part; in a word or two, how it ended. What it printed is in `done` if it succeeded."""
+    partial = done.with_suffix(".partial")
+    with partial.open("a") as file:
+        try:
+            code = subprocess.run(command, stdout=file, stderr=subprocess.STDOUT, timeout=LIMIT, check=False).returncode
+        except subprocess.TimeoutExpired:
+            return f"stopped, see {partial}; a training goes on when it is started again"
+    if code:
+        return f"failed, see {partial}"
+    partial.rename(done)
+    return "done"
 
 
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--out", type=Path, default=Path("out/batched"))
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--only", help="the name of one part")
+    parser.add_argument("--rehearse", action="store_true", help="do as little as possible in each part")
+    parser.add_argument("--list", action="store_true", help="print the names of all parts")
     chosen = parser.parse_args()
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    every = parts(chosen.device)
+    every = parts(chosen.device, chosen.out, REHEARSAL if chosen.rehearse else FULL)
+    if chosen.list:
+        print("\n".join(every))
+        return
     if chosen.only and chosen.only not in every:
         parser.error(f"there is no part {chosen.only}; there are {', '.join(every)}")
+    chosen.out.mkdir(parents=True, exist_ok=True)
     for name in [chosen.only] if chosen.only else every:
-        done = chosen.out / f"{name}.txt"
-        if done.exists():
-            print(f"{name}: done", flush=True)
-            continue
-        start, partial = time.perf_counter(), done.with_suffix(".partial")
-        with partial.open("w") as file:
-            try:
-                code = subprocess.run(
-                    every[name], stdout=file, stderr=subprocess.STDOUT, timeout=LIMIT, check=False
-                ).returncode
-            except subprocess.TimeoutExpired:
-                code = -1
-        if code == 0:
-            partial.rename(done)
-        print(
-            f"{name}: {'done' if code == 0 else f'failed, see {partial}'}, {time.perf_counter() - start:.0f} s",
-            flush=True,
-        )
+        done, start = chosen.out / f"{name}.txt", time.perf_counter()
+        ended = "done before" if done.exists() else run(every[name], done)
+        print(f"{name}: {ended}, {time.perf_counter() - start:.0f} s", flush=True)
 
 
 if __name__ == "__main__":

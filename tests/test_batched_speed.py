@@ -1,0 +1,72 @@
+"""What `bench --batched` counts and expects; how fast batched worlds are is printed by the benchmark itself."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+import warp as wp
+
+import magical_mj
+from magical_mj.batched.pictures import Painter
+from magical_mj.batched.scenes import Capacity, SceneArrays
+from magical_mj.cli.bench import _batched_lines
+from magical_mj.speed.batched import BatchedMeasurement
+from magical_mj.speed.launches import Kernel, by_part, recorded_launches
+from magical_mj.speed.roofline import Accelerator, Work, newton_operations, step_seconds
+
+pytestmark = [pytest.mark.xdist_group("warp"), pytest.mark.filterwarnings("default")]
+
+
+@wp.kernel
+def double(values: wp.array(dtype=float)):  # noqa: ANN201 (Warp reads the annotations)
+    """Doubles numbers."""
+    index = wp.tid()
+    values[index] = 2.0 * values[index]
+
+
+def test_launches_are_counted_with_their_memory() -> None:
+    before = wp.launch, wp.launch_tiled
+    values = wp.ones(8, dtype=float, device="cpu")
+    with recorded_launches("cpu") as kernels:
+        wp.launch(double, dim=8, inputs=[values], device="cpu")
+        wp.launch(double, 8, outputs=[values], device="cpu")
+        wp.launch(double, dim=0, inputs=[values], device="cpu")  # which Warp does not launch
+    assert (wp.launch, wp.launch_tiled) == before
+    assert values.numpy().tolist() == 8 * [4.0]
+    (one,) = kernels
+    assert (one.part, one.name, one.launches, one.bytes) == ("test_batched_speed", "double", 2, 2 * 32)
+    assert one.seconds > 0
+
+
+def test_memory_in_structs_counts() -> None:
+    scenes = [magical_mj.sample_scene("MoveToCorner", "Demo", 0)]
+    painter = Painter(SceneArrays.of(scenes, Capacity.of(scenes)))
+    out = torch.zeros((1, 96, 96, 3), dtype=torch.uint8)
+    with recorded_launches("cpu") as kernels:
+        painter.draw("allo", out)
+    (one,) = kernels
+    assert (one.part, one.name, one.launches) == ("kernels", "paint", 1)
+    assert one.bytes > out.nbytes + 1000  # outlines as well
+
+
+def test_parts_are_sums_of_kernels() -> None:
+    kernels = [Kernel("solver", "a", 2, 1.0, 10), Kernel("smooth", "b", 1, 2.5, 5), Kernel("solver", "c", 3, 2.0, 1)]
+    assert by_part(kernels) == [Kernel("solver", "", 5, 3.0, 11), Kernel("smooth", "", 1, 2.5, 5)]
+
+
+def test_the_model_by_hand() -> None:
+    card = Accelerator(launch=1e-6, bandwidth=1e9, arithmetic=1e10)
+    assert step_seconds(Work(100, 1e3, 1e5), 10, card) == pytest.approx(1e-4 + 10 * (1e-6 + 1e-5))
+    assert newton_operations(3, 4, 1) == 2 * (2 * 4 * 9 + 9)
+
+
+def test_the_command_prints_parts_or_kernels() -> None:
+    kernels = [Kernel("solver", "a", 2, 1.0, 10_000_000), Kernel("solver", "b", 1, 0.5, 0)]
+    made = BatchedMeasurement("FindDupe", "All", "State", 8, 50.0, 0.1, 0.2, 0.3, kernels, Work(3, 2e6, 4e6), 95_000)
+    parts, every = list(_batched_lines(made, 25.0, profile=False)), list(_batched_lines(made, 25.0, profile=True))
+    assert parts[0] == "FindDupe All, State, 8 worlds: 50 steps/s"
+    assert "2 times" in parts[1]
+    assert "physics 100.00 ms a step, observations 200.00 ms, a reset of all worlds 300.00 ms" in parts[3]
+    assert "3 kernel launches, 2.00 MB, 4.0 million operations a world" in parts[4]
+    assert parts[5:] == ["  solver: 3 launches, 1500.00 ms, 10.0 MB"]
+    assert every[5:] == ["  solver a: 2 launches, 1000.00 ms, 10.0 MB", "  solver b: 1 launches, 500.00 ms, 0.0 MB"]
