@@ -128,9 +128,8 @@ class Frames:
 
     def set_state(self, state: Mapping[str, Tensor], physics: Physics) -> Observation:
         """Goes back to a state; returns what is seen then."""
-        del physics
         self._stacks = {name: state[name].to(stack, copy=True) for name, stack in self._stacks.items()}
-        return self._seen()
+        return self._seen(physics)
 
     def _draw(self, physics: Physics) -> None:
         """The present pictures, each where the newest of its view belongs."""
