@@ -9,12 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 from entries import rewrite
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 import magical_mj
+from magical_mj import batched
+from magical_mj.batched.arrays import Arrays
 from magical_mj.cli.app import app
 from magical_mj.errors import EvaluationError, SettingsError, UnknownNameError
+from magical_mj.evaluation import Episode, rollouts
 from magical_mj.evaluation.report import report
 from magical_mj.evaluation.scores import SETTINGS, read
 from magical_mj.leaderboard import submit, verify
@@ -75,6 +79,21 @@ def test_scores_are_those_of_the_episodes_and_marked(tmp_path: Path) -> None:
     assert (played.score, played.steps, played.worlds, played.failure) == (1.0, 40, "batched", None)
     assert (failed.score, failed.steps, failed.worlds, failed.failure) == (0.0, 0, "batched", "ValueError: no")
     assert json.loads((out / SETTINGS).read_text())["worlds"] == "batched"
+
+
+def test_a_world_that_breaks_is_a_failure() -> None:
+    env = batched.make("MoveToRegion", "Demo", 2, device="cpu", preset="State", autoreset_mode=AutoresetMode.DISABLED)
+
+    def breaking(_: Any) -> int:
+        env._physics._state["qvel"][1] = float("nan")
+        return 0
+
+    outcomes = list(rollouts(Arrays(env), breaking, [Episode("MoveToRegion", "Demo", seed, 0) for seed in (0, 1)]))
+    assert [outcome.failure for outcome in outcomes] == 2 * [
+        "FloatingPointError: the state of a simulation is not finite any more"
+    ]
+    assert [outcome.score for outcome in outcomes] == [0.0, 0.0]
+    env.close()
 
 
 def test_official_tables_are_not_played_in_them() -> None:

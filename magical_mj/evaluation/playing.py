@@ -175,6 +175,8 @@ def play_side_by_side(envs: Envs, policy: BatchPolicy, episodes: Sequence[Episod
         for actions, result in play_actions(envs, answers()):
             words = [word + LETTERS[action] for word, action in zip(words, actions, strict=False)]
             observations, _, _, ended, info = result
+            if np.any(info.get("broken", False)):  # of batched worlds
+                raise FloatingPointError("the state of a simulation is not finite any more")
             if ended.any() and not ended.all():
                 raise EvaluationError("the vector holds environments whose episodes differ in length")
             scores = info.get("final_info", info).get("eval_score", scores)
