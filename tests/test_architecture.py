@@ -17,13 +17,13 @@ PACKAGE = ROOT / "magical_mj"
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-FLOORS = {room: int(floor) for floor, room in re.findall(r"^\| (\d) \| `(\w+)` \|", PAGE, re.MULTILINE)}
+LAYERS = {part: int(layer) for layer, part in re.findall(r"^\| (\d) \| `(\w+)` \|", PAGE, re.MULTILINE)}
 FACADE = "__init__"
 """``magical_mj/__init__.py`` gathers the public names, so only what is above it may use it."""
 
 PURE = {"numpy", "shapely", *sys.stdlib_module_names}
 STRANGERS = ("variants", "assets", "cli", "baselines", "integrations")
-"""Rooms that nobody on the same floor may import from."""
+"""Parts that nobody on the same layer may import from."""
 MAX_LINES = 300
 
 
@@ -38,16 +38,16 @@ class Import(NamedTuple):
         return self.path[0] == "magical_mj"
 
     @property
-    def room(self) -> str:
-        """The room of the package that is imported from."""
-        return self.path[1] if len(self.path) > 1 and self.path[1] in FLOORS else FACADE
+    def part(self) -> str:
+        """The part of the package that is imported from."""
+        return self.path[1] if len(self.path) > 1 and self.path[1] in LAYERS else FACADE
 
 
 def name(module: Path) -> str:
     return module.relative_to(PACKAGE).as_posix()
 
 
-def room_of(module: Path) -> str:
+def part_of(module: Path) -> str:
     return module.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
@@ -69,27 +69,27 @@ def circle(graph: dict[str, set[str]]) -> list[str]:
     return []
 
 
-def test_the_page_names_every_room_and_no_other() -> None:
-    assert set(FLOORS) == {room_of(module) for module in MODULES}
+def test_the_page_names_every_part_and_no_other() -> None:
+    assert set(LAYERS) == {part_of(module) for module in MODULES}
 
 
 @pytest.mark.parametrize("module", MODULES, ids=name)
-def test_modules_import_only_from_their_floor_and_below(module: Path) -> None:
-    room = room_of(module)
+def test_modules_import_only_from_their_layer_and_below(module: Path) -> None:
+    part = part_of(module)
     for found in imports(module):
-        if not found.inner or found.room == room:
+        if not found.inner or found.part == part:
             continue
         where = f"{name(module)}:{found.line} imports {'.'.join(found.path)}"
-        assert FLOORS[found.room] <= FLOORS[room], where
-        assert FLOORS[found.room] < FLOORS[room] or found.room not in STRANGERS or room == "__main__", where
+        assert LAYERS[found.part] <= LAYERS[part], where
+        assert LAYERS[found.part] < LAYERS[part] or found.part not in STRANGERS or part == "__main__", where
 
 
-def test_rooms_do_not_depend_on_each_other_in_a_circle() -> None:
-    rooms: dict[str, set[str]] = {}
+def test_parts_do_not_depend_on_each_other_in_a_circle() -> None:
+    parts: dict[str, set[str]] = {}
     for module in MODULES:
-        used = {found.room for found in imports(module) if found.inner}
-        rooms.setdefault(room_of(module), set()).update(used - {room_of(module)})
-    assert not circle(rooms)
+        used = {found.part for found in imports(module) if found.inner}
+        parts.setdefault(part_of(module), set()).update(used - {part_of(module)})
+    assert not circle(parts)
 
 
 def test_modules_do_not_depend_on_each_other_in_a_circle() -> None:
@@ -104,15 +104,15 @@ def test_modules_do_not_depend_on_each_other_in_a_circle() -> None:
 
 
 @pytest.mark.parametrize("module", MODULES, ids=name)
-def test_the_simulator_and_gymnasium_stay_on_their_floors(module: Path) -> None:
-    room = room_of(module)
+def test_the_simulator_and_gymnasium_stay_on_their_layers(module: Path) -> None:
+    part = part_of(module)
     for found in imports(module):
         where = f"{name(module)}:{found.line} imports {'.'.join(found.path)}"
         if found.inner:
             continue
-        if FLOORS[room] <= FLOORS["tasks"] or room == "variants":
+        if LAYERS[part] <= LAYERS["tasks"] or part == "variants":
             assert found.path[0] in PURE, where
-        elif FLOORS[room] < FLOORS["gym_env"]:
+        elif LAYERS[part] < LAYERS["gym_env"]:
             assert found.path[0] != "gymnasium", where
 
 
@@ -120,10 +120,10 @@ def test_the_simulator_and_gymnasium_stay_on_their_floors(module: Path) -> None:
 def test_variants_and_assets_know_no_task(module: Path) -> None:
     for found in imports(module):
         where = f"{name(module)}:{found.line} imports {'.'.join(found.path)}"
-        if room_of(module) == "variants" and found.inner and found.room == "tasks":
+        if part_of(module) == "variants" and found.inner and found.part == "tasks":
             assert found.path[2] == "spec", where
-        if room_of(module) == "assets" and found.inner:
-            assert found.room not in ("tasks", "variants"), where
+        if part_of(module) == "assets" and found.inner:
+            assert found.part not in ("tasks", "variants"), where
 
 
 @pytest.mark.parametrize("module", MODULES, ids=name)
