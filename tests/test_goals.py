@@ -176,7 +176,15 @@ def test_how_far_blocks_are_off(relation: Relation, good: list[Any], bad: list[A
 
 def test_goals_survive_their_file(goals: dict[str, Goal], tmp_path: Path) -> None:
     assert from_json(to_json({task: [goal] for task, goal in goals.items()})) == goals
-    for text in ("", "[]", '{"FixColour": 1}', to_json({"FixColour": [goals["FixColour"]]}).replace("Belong", "Long")):
+    whole = to_json({"FixColour": [goals["FixColour"]], "MakeLine": [goals["MakeLine"]]})
+    damaged = ["", "[]", '{"FixColour": 1}', "3", "[" * 50_000]
+    damaged += [
+        whole.replace("Belonging", "Longing"),
+        whole.replace("began in", "ended in"),
+        whole.replace("0.0", "NaN"),
+    ]
+    damaged += [whole.replace("InLine", "Together"), whole.replace('"limits"', '"limit"')]
+    for text in damaged:
         (tmp_path / GOALS).write_text(text)
         with pytest.raises(TrainingError, match=GOALS):
             load_goals(tmp_path)
@@ -191,6 +199,7 @@ def test_from_training_to_scores(tmp_path: Path) -> None:
     asked = {"tasks": "MoveToRegion,FixColour", "variants": "Layout", "episodes": 3, "preset": "State", "jobs": 1}
     first = magical_mj.evaluate(str(tmp_path / "run"), **asked)
     assert (first["score"] == 1.0).all()
+    assert set(first["preset"]) == {"State"}
     assert list(magical_mj.evaluate(load_goals(tmp_path / "run"), **asked)["actions"]) == list(first["actions"])
     with pytest.raises(SettingsError, match="give --preset State"):
         magical_mj.evaluate(str(tmp_path / "run"), tasks="FixColour", variants="Demo", episodes=1)

@@ -76,3 +76,17 @@ def test_clusters_are_clusters_with_room_between_blocks(seed: int) -> None:
     assert blocks_right(after, "shape") == len(points)
     moved = [target for target in targets if target]
     assert all(math.dist(one, other) > 0.26 for one, other in itertools.combinations(moved, 2))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_fixed_blocks_stay(seed: int) -> None:
+    scene = magical_mj.sample_scene("ClusterShape", "CountPlus", seed)
+    points = [(block.x, block.y) for block in scene.blocks]
+    kinds = [block.shape for block in scene.blocks]
+    targets = cluster_targets(points, kinds, NEARER, noise(seed))
+    moved = next(number for number, target in enumerate(targets) if target)
+    targets = cluster_targets(points, kinds, NEARER, noise(seed), fixed={moved})
+    assert targets[moved] is None
+    assert any(targets)
+    assert not any(cluster_targets(points, kinds, NEARER, noise(seed), fixed=range(len(points))))
+    assert line_targets(points[:4], is_line, noise(seed), fixed={seed})[seed] is None

@@ -10,6 +10,7 @@ import numpy as np
 
 from magical_mj.baselines.goals.layouts import Floats, Layouts, layouts_of
 from magical_mj.baselines.goals.relation import LIMIT_BITS, Relation, Situation, choice
+from magical_mj.errors import check_name
 from magical_mj.planning import Subgoal, bring, done, each_to, places_anywhere
 from magical_mj.planning.arrangements import Point, cluster_targets, line_targets
 from magical_mj.scene import Block, Scene
@@ -23,10 +24,12 @@ ATTRIBUTES: Final = ("colour", "shape", "colour and shape")
 class InLine(Relation):
     """All blocks are in one line: near the chord between the two that are farthest apart, without large gaps."""
 
+    measures = 2
+
     @property
     def bits(self) -> float:
         """How near, and which gaps."""
-        return 2 * LIMIT_BITS
+        return self.measures * LIMIT_BITS
 
     def off(self, layouts: Layouts) -> Floats:
         """Distances from the chord, and from the block before along the chord."""
@@ -71,6 +74,10 @@ class Grouped(Relation):
     """
 
     attribute: str
+
+    def __post_init__(self) -> None:
+        """Raises an `UnknownNameError` for an attribute that does not exist."""
+        check_name("attribute", self.attribute, ATTRIBUTES)
 
     @property
     def bits(self) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -16,7 +17,7 @@ from magical_mj.baselines.goals.places import Near
 from magical_mj.baselines.goals.policy import GoalPolicy
 from magical_mj.baselines.goals.regions import Belonging, RobotInside
 from magical_mj.baselines.goals.relation import Relation
-from magical_mj.errors import TrainingError
+from magical_mj.errors import MagicalError, TrainingError
 
 GOALS: Final = "goals.json"
 """In a run's folder."""
@@ -51,7 +52,7 @@ def from_json(text: str) -> dict[str, Goal]:
     """
     try:
         return {task: _goal(entry) for task, entry in json.loads(text).items()}
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, MagicalError) as error:
         raise TrainingError(f"these are no goals as a training writes them: {type(error).__name__}: {error}") from error
 
 
@@ -77,6 +78,8 @@ def _goal(entry: Mapping[str, Any]) -> Goal:
     fields = dict(entry["relation"])
     relation = RELATIONS[fields.pop("kind")](**{name: _frozen(value) for name, value in fields.items()})
     limits = tuple(float(limit) for limit in entry["limits"])
+    if len(limits) != relation.measures or not all(math.isfinite(limit) for limit in limits):
+        raise ValueError(f"the relation {relation} needs {relation.measures} finite limits, not {limits}")
     return Goal(relation, limits, float(entry["saved_bits"]))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from magical_mj.baselines.goals.layouts import Floats, Layouts
 from magical_mj.baselines.goals.relation import LIMIT_BITS, Relation, Situation, choice
+from magical_mj.errors import check_name
 from magical_mj.planning import Subgoal, bring, done, drive, places_anywhere
 from magical_mj.planning.subgoals import TOLERANCE
 
@@ -25,23 +26,30 @@ LANDMARKS: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
     }
 )
 
+WHO: Final = ("every block", "the robot")
+
 
 @dataclass(frozen=True)
 class Near(Relation):
     """All blocks, or the robot, are near a landmark. Off is each by its distance from it.
 
     Attributes:
-        who: "every block" or "the robot".
+        who: one of `WHO`.
         landmark: one of `LANDMARKS`.
     """
 
     who: str
     landmark: str
 
+    def __post_init__(self) -> None:
+        """Raises an `UnknownNameError` for what does not exist."""
+        check_name("subject", self.who, WHO)
+        check_name("landmark", self.landmark, LANDMARKS)
+
     @property
     def bits(self) -> float:
         """Who, near which landmark, how near."""
-        return choice(2) + choice(len(LANDMARKS)) + LIMIT_BITS
+        return choice(len(WHO)) + choice(len(LANDMARKS)) + LIMIT_BITS
 
     def off(self, layouts: Layouts) -> Floats:
         """Distances from the landmark."""

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from magical_mj.baselines.goals.layouts import Floats, Layouts
 from magical_mj.baselines.goals.relation import LIMIT_BITS, Relation, Situation, choice
 from magical_mj.constants import COLOURS, SHAPES, Colour, Shape
+from magical_mj.errors import check_name
 from magical_mj.planning import Subgoal, bring, done, drive, places_inside, places_outside
 from magical_mj.scene import Block, GoalRegion, Scene
 
@@ -72,6 +73,11 @@ class Belonging(Relation):
     """
 
     formula: tuple[Literal, ...]
+
+    def __post_init__(self) -> None:
+        """Raises an `UnknownNameError` for predicates that do not exist."""
+        for name, _ in self.formula:
+            check_name("predicate", name, PREDICATES)
 
     @property
     def bits(self) -> float:

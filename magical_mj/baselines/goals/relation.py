@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final
 
 from magical_mj.baselines.goals.layouts import Floats, Layouts
 from magical_mj.planning import Noise, Subgoal
@@ -40,7 +40,12 @@ class Relation(ABC):
     """A relation between the things of a scene. Its fields are what it is saved as.
 
     How far a thing is off is 0 where the relation is perfect. How far off still counts as true is learnt: see `infer`.
+
+    Attributes:
+        measures: by how many measures things can be off, each of which has a limit.
     """
+
+    measures: ClassVar[int] = 1
 
     @property
     @abstractmethod
