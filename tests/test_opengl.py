@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import _ctypes
 import os
+import re
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -140,3 +144,35 @@ class TestWithoutOpenGL:
 def test_a_users_choice_of_backend_is_kept(wanted: str) -> None:
     result = python("import magical_mj, os; print(os.environ['MUJOCO_GL'])", MUJOCO_GL=wanted)
     assert result.stdout == f"{wanted}\n"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks the loader of Linux in which order it loads")
+@pytest.mark.parametrize("backend", ["", "egl", "glfw"])
+def test_tritons_library_is_loaded_before_any_driver(backend: str, tmp_path: Path) -> None:
+    """Behind Mesa's LLVM, that of Triton ends the process; here another library has Triton's name."""
+    library = tmp_path / "triton" / "_C" / "libtriton.so"
+    library.parent.mkdir(parents=True)
+    (tmp_path / "triton" / "__init__.py").touch()
+    shutil.copy(_ctypes.__file__, library)
+    program = (
+        "import magical_mj\ntry: magical_mj.load('MoveToRegion', image_size=16).reset()\n"
+        "except magical_mj.errors.RenderingError: pass"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", program],
+        env=os.environ | {"PYTHONPATH": str(tmp_path), "MUJOCO_GL": backend, "LD_DEBUG": "files"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    loaded = re.findall(r"file=(?:\S*/)?(lib\w+)\S* \[0\];  generating link map", result.stderr)
+    assert "libtriton" in loaded
+    drivers = [place for place, name in enumerate(loaded) if name in ("libLLVM", "libgallium", "libEGL", "libGLX")]
+    assert all(place > loaded.index("libtriton") for place in drivers)
+    assert drivers or backend == "glfw"
+
+
+def test_drawing_goes_with_triton() -> None:
+    pytest.importorskip("triton")
+    program = "import magical_mj; magical_mj.load('MoveToRegion', image_size=16).reset(); import triton; print('well')"
+    assert subprocess.run([sys.executable, "-c", program], capture_output=True, check=False).stdout == b"well\n"

@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import importlib
+import importlib.util
 import os
 import sys
 from functools import cache
+from pathlib import Path
 from typing import Any, Final
 
 from magical_mj.errors import RenderingError
@@ -58,14 +60,31 @@ def new_gl_context() -> Any:
     """A new OpenGL context for the chosen backend, even if mujoco was imported before it was chosen."""
     import mujoco
 
+    load_triton()
     wanted = wanted_backend()
     module = importlib.import_module(f"mujoco.{wanted}") if wanted in PROBES else mujoco
     return module.GLContext(64, 64)
 
 
 @cache
+def load_triton() -> None:
+    """Loads the library of Triton if it is installed: PyTorch's CUDA builds bring it, and their optimisers import it.
+
+    It holds an LLVM. If that of Mesa's drivers were in the process before, its functions would be taken for Triton's,
+    and the process would die at that import. So this comes before all that may load a driver. It takes 0.05 s.
+    """
+    if sys.platform != "linux" or (package := importlib.util.find_spec("triton")) is None:
+        return
+    for folder in package.submodule_search_locations or ():
+        for library in Path(folder).glob("_C/libtriton*.so"):
+            with contextlib.suppress(OSError):
+                ctypes.CDLL(str(library), os.RTLD_NOW | os.RTLD_LOCAL)
+
+
+@cache
 def egl_works() -> bool:
     """Whether an EGL device can be initialised in the way mujoco and dm_control do."""
+    load_triton()
     try:
         egl = ctypes.CDLL("libEGL.so.1")
     except OSError:
@@ -87,6 +106,7 @@ def egl_works() -> bool:
 @cache
 def osmesa_works() -> bool:
     """Whether the OSMesa library can be loaded."""
+    load_triton()
     for name in OSMESA_LIBRARIES:
         with contextlib.suppress(OSError):
             ctypes.CDLL(name)
