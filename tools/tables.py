@@ -60,7 +60,7 @@ def variants() -> str:
         if variant == "All":
             words = "everything that can vary in the task, at once"
         rows.append((f"**{variant}**", _sentence(words or "nothing: the scene of the demonstrations"), _but(missing)))
-    return table(("Variant", "Drawn anew at each reset", "Tasks"), rows)
+    return table(("Variant", "Varies at each reset", "Tasks"), rows)
 
 
 def presets() -> str:
