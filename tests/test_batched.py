@@ -181,6 +181,8 @@ def test_without_autoreset_worlds_wait_for_a_mask() -> None:
         made.step([1, 1])
     after, _ = made.reset(seed=[9, 4], options={"reset_mask": truncated})
     torch.testing.assert_close(after[1], first[1])
+    same, _ = made.reset(options={"reset_mask": [False, False]})
+    assert torch.equal(same, after)
     assert not torch.equal(after[0], first[0])
     made.step([1, 1])
     made.close()

@@ -6,6 +6,8 @@ import multiprocessing
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import fields
+from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -40,11 +42,11 @@ class SceneDrawer:
         self._episodes = [0] * len(pairs)
         context = multiprocessing.get_context("spawn")
         self._pool = ProcessPoolExecutor(workers, mp_context=context) if workers else None
-        self._ahead: tuple[list[int], list[Future[SceneArrays]]] = ([], [])
+        self._ahead: dict[int, tuple[Future[SceneArrays], int]] = {}  # by world: its scene to come, and the row
 
     def seed(self, seed: int) -> None:
         """Starts the seeds of all episodes anew."""
-        self._seed, self._episodes, self._ahead = seed, [0] * len(self._pairs), ([], [])
+        self._seed, self._episodes, self._ahead = seed, [0] * len(self._pairs), {}
 
     def get_state(self) -> dict[str, Any]:
         """Of which episodes the next scenes are."""
@@ -65,25 +67,30 @@ class SceneDrawer:
         if seeds is not None or self._pool is None:
             made = draw([self._pairs[world] for world in worlds], seeds or self._seeds(worlds), self._capacity)
         else:
-            wanted, futures = self._ahead
-            made = joined(
-                [future.result() for future in (futures if wanted == worlds else self._submit(self._pool, worlds))]
-            )
+            self._prepare(self._pool, [world for world in worlds if world not in self._ahead])
+            made = self._prepared(worlds)
         if seeds is None:
             for world in worlds:
                 self._episodes[world] += 1
-            if self._pool:  # episodes of a task are of one length: the same worlds will most likely end together
-                self._ahead = list(worlds), self._submit(self._pool, worlds)
+            if self._pool:
+                self._prepare(self._pool, worlds)
         return made
 
     def _seeds(self, worlds: Sequence[int]) -> list[int]:
         keys = ((world, self._episodes[world]) for world in worlds)
         return [int(np.random.SeedSequence(self._seed, spawn_key=key).generate_state(1, np.uint64)[0]) for key in keys]
 
-    def _submit(self, pool: ProcessPoolExecutor, worlds: Sequence[int]) -> list[Future[SceneArrays]]:
-        pairs, seeds = [self._pairs[world] for world in worlds], self._seeds(worlds)
-        parts = (slice(first, first + CHUNK) for first in range(0, len(pairs), CHUNK))
-        return [pool.submit(draw, pairs[part], seeds[part], self._capacity) for part in parts]
+    def _prepare(self, pool: ProcessPoolExecutor, worlds: Sequence[int]) -> None:
+        """Has the next scenes of these worlds drawn."""
+        for first in range(0, len(worlds), CHUNK):
+            some = worlds[first : first + CHUNK]
+            future = pool.submit(draw, [self._pairs[world] for world in some], self._seeds(some), self._capacity)
+            self._ahead |= {world: (future, row) for row, world in enumerate(some)}
+
+    def _prepared(self, worlds: Sequence[int]) -> SceneArrays:
+        """The scenes that were prepared for these worlds."""
+        drawn = groupby((self._ahead.pop(world) for world in worlds), key=itemgetter(0))
+        return joined([future.result().rows(np.array([row for _, row in rows])) for future, rows in drawn])
 
     def close(self) -> None:
         """Ends the workers; may be called twice."""

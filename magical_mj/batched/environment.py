@@ -125,8 +125,9 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return observation, self._info(torch.zeros(self.num_envs, dtype=torch.float64, device=self.device))
 
     def _begin(self, worlds: list[int], seeds: list[int] | None = None) -> Observation:
-        where = torch.tensor(worlds, device=self.device)
-        self._put(self._drawer.scenes(worlds, seeds), where)
+        where = torch.tensor(worlds, dtype=torch.int64, device=self.device)
+        if worlds:
+            self._put(self._drawer.scenes(worlds, seeds), where)
         self._steps[where] = 0
         self._running[where] = True
         return self._observer.begin(self._physics, where)
