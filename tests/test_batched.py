@@ -101,6 +101,17 @@ def test_overflows_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     assert physics.overflowed.tolist() == [False]
 
 
+def test_episodes_with_overflows_are_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(physics_module, "ROWS", 8)
+    made = batched.make("MoveToCorner", "Demo", 1, device="cpu", preset="State")
+    made.reset()
+    made._steps[0] = 79  # nearly over
+    with pytest.warns(UserWarning, match="more contacts than there is room for"):
+        _, _, _, ended, info = made.step([1])
+    assert ended.tolist() == info["overflowed"].tolist() == [True]
+    made.close()
+
+
 @pytest.fixture(scope="module")
 def env() -> Iterator[Any]:
     made = batched.make("MoveToRegion,FixColour", "Demo", 3, device="cpu", reward="score", preset="LoResCHW4E")

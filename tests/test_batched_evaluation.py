@@ -110,7 +110,7 @@ def test_official_tables_are_not_played_in_them() -> None:
         ({"approximate": True}, "give --worlds batched as well"),
         ({**BATCHED, "worlds": "many"}, "many"),
         ({**BATCHED, "device": "cuda:7"}, "no device 'cuda:7'"),
-        (BATCHED, "noop acts by the simulation's state"),
+        (BATCHED, "noop uses no observations"),
     ],
 )
 def test_what_cannot_be_is_refused(settings: dict[str, Any], says: str) -> None:

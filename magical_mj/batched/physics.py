@@ -41,6 +41,7 @@ DROPPED: Final = int(
 """The overflows by which contacts or constraints are lost; others say that the solver used all its iterations."""
 
 STATE: Final = ("qpos", "qvel", "act", "ctrl", "qacc_warmstart")
+"""The arrays of the simulation that the next step depends on, by their names."""
 
 
 def check_device(name: str) -> str:

@@ -91,7 +91,7 @@ class Evaluation:
             policy = source.load()
             check_fit(policy, settings.environments, settings.preset)
             if settings.batched and is_blind(policy):
-                raise SettingsError(f"{source.name} acts by the simulation's state, and can play in single worlds only")
+                raise SettingsError(f"{source.name} uses no observations: it plays in single worlds only")
         self._out = None if settings.out is None else Path(settings.out)
         recorded = {"policies": [source.describe() for source in listed], **settings.recorded()}
         self.scores = [] if self._out is None else prepare(self._out, recorded, settings.resume)
