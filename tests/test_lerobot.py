@@ -268,6 +268,20 @@ def test_actions_that_are_none_are_refused(plugin: Any, action: list[float]) -> 
 
 
 @needs_lerobot
+@pytest.mark.parametrize("path", sorted(ROOT.glob("experiments/lerobot-*.json")), ids=lambda path: path.stem)
+def test_lerobot_understands_the_experiments(path: Path) -> None:
+    import draccus
+    from lerobot.configs.train import TrainPipelineConfig
+    from lerobot.policies.factory import get_policy_class
+
+    config = draccus.parse(TrainPipelineConfig, path, args=[])
+    assert config.policy is not None
+    assert get_policy_class(config.policy.type).config_class is type(config.policy)
+    assert config.policy.device == "cpu"
+    assert path.stem.endswith("-state") or config.policy.pretrained_backbone_weights is None
+
+
+@needs_lerobot
 def test_unknown_environments_are_named(plugin: Any) -> None:
     with pytest.raises(UnknownNameError, match="MoveToRegion"):
         plugin.MagicalConfig(task="MoveToRegoin").create_envs(1)
