@@ -99,7 +99,7 @@ def _wrapped(rng: random.Random, _folder: Path) -> None:
     for kind in rng.sample(WRAPPERS, k=rng.randrange(1, 5)):
         try:
             env = kind(env, *ARGUMENTS.get(kind, ()))
-        except (AssertionError, gymnasium.error.Error, MagicalError, TypeError):
+        except (AssertionError, gymnasium.error.Error, MagicalError, TypeError, ValueError):
             continue
     env.action_space.seed(0)
     for seed in (rng.randrange(100), None):
