@@ -168,7 +168,7 @@ def test_demonstrations_that_show_nothing_are_refused() -> None:
 def test_how_far_blocks_are_off(relation: Relation, good: list[Any], bad: list[Any]) -> None:
     scene = scene_of("red star", "red circle", "blue star")
     scenes = [scene.moved(blocks=[(x, y, 0.0) for x, y in places]) for places in (good, bad)]
-    off = relation.off(layouts_of(scene, scenes))
+    off = relation.deviations(layouts_of(scene, scenes))
     assert off.shape[:2] == (2, 3)
     assert off[0].max() < off[1].max()
     assert (off >= 0).all()

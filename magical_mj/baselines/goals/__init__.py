@@ -1,1 +1,1 @@
-"""A method of our own: it infers the goal from how demonstrations end, and plans in the simulator towards it."""
+"""A method of our own: it infers a goal from the ends of demonstrations, and plans in the simulation to reach it."""

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from magical_mj.baselines.goals.layouts import Floats, Layouts, layouts_of
-from magical_mj.baselines.goals.relation import LIMIT_BITS, Relation, Situation, choice
+from magical_mj.baselines.goals.relation import LIMIT_BITS, Relation, Situation, choice_bits
 from magical_mj.errors import check_name
 from magical_mj.planning import Subgoal, bring, done, each_to, places_anywhere
 from magical_mj.planning.arrangements import Point, cluster_targets, line_targets
@@ -28,11 +28,11 @@ class InLine(Relation):
 
     @property
     def bits(self) -> float:
-        """How near, and which gaps."""
+        """Of two limits."""
         return self.measures * LIMIT_BITS
 
-    def off(self, layouts: Layouts) -> Floats:
-        """Distances from the chord, and from the block before along the chord."""
+    def deviations(self, layouts: Layouts) -> Floats:
+        """Distances from the chord, and along it from the block before."""
         places = layouts.blocks
         count, blocks, _ = places.shape
         apart = np.linalg.norm(places[:, :, None] - places[:, None], axis=3).reshape(count, -1)
@@ -50,27 +50,27 @@ class InLine(Relation):
         return np.stack([aside, before], axis=2)
 
     def subgoals(self, at: Situation) -> list[Subgoal]:
-        """One of the blocks stays, and the others go to places in a line through it."""
+        """Moves the blocks to a line through one of them, which stays."""
 
         def in_line(points: Sequence[Point]) -> bool:
-            return bool((self.off(Layouts(at.initial, np.zeros((1, 2)), np.array([points]))) <= at.limits).all())
+            return bool((self.deviations(Layouts(at.initial, np.zeros((1, 2)), np.array([points]))) <= at.limits).all())
 
         return each_to(line_targets(_points(at.now), in_line, at.noise, at.stuck), LINE_TOLERANCE)
 
     @property
     def text(self) -> str:
-        """With both limits."""
+        """Always the same but for the limits."""
         return "all blocks are in a line, at most {0:.2f} aside and {1:.2f} apart"
 
 
 @dataclass(frozen=True)
 class Grouped(Relation):
-    """Every block is nearer to the middle of the blocks of its kind than to that of any other kind.
+    """Blocks are near others with the same attribute.
 
-    Off is a block by the ratio of the two distances.
+    The deviation is the distance to the own group's centroid, divided by that to the nearest other group's centroid.
 
     Attributes:
-        attribute: what makes blocks of one kind, one of `ATTRIBUTES`.
+        attribute: one of `ATTRIBUTES`.
     """
 
     attribute: str
@@ -81,11 +81,11 @@ class Grouped(Relation):
 
     @property
     def bits(self) -> float:
-        """By what, and how much nearer."""
-        return choice(len(ATTRIBUTES)) + LIMIT_BITS
+        """Of the attribute and the limit."""
+        return choice_bits(len(ATTRIBUTES)) + LIMIT_BITS
 
-    def off(self, layouts: Layouts) -> Floats:
-        """Distance to the middle of its own kind, as a share of that to the nearest other; 0 if all are of a kind."""
+    def deviations(self, layouts: Layouts) -> Floats:
+        """Ratios of distances to centroids; 0 if there is only one group."""
         kinds = self._kinds(layouts.initial.blocks)
         members = np.array([[kind == value for kind in kinds] for value in sorted(set(kinds))], float)
         middles = members @ layouts.blocks / members.sum(axis=1, keepdims=True)
@@ -95,14 +95,14 @@ class Grouped(Relation):
         return (own / np.maximum(others, 1e-9))[..., None]
 
     def subgoals(self, at: Situation) -> list[Subgoal]:
-        """As few blocks as will do go to the others of their kind."""
+        """Moves few blocks to others of their group."""
         kinds, nearer = self._kinds(at.now.blocks), max(at.limits[0], 1e-3) ** -2
         targets = cluster_targets(_points(at.now), kinds, nearer, at.noise, at.stuck)
         return each_to(targets, GROUP_TOLERANCE)
 
     @property
     def text(self) -> str:
-        """As in "blocks are grouped by shape, ..."."""
+        """Such as "blocks are grouped by shape, ..."."""
         return f"blocks are grouped by {self.attribute}, {{0:.2f}} times as far from their own group as from any other"
 
     def _kinds(self, blocks: Sequence[Block]) -> list[str]:
@@ -113,30 +113,30 @@ class Grouped(Relation):
 
 @dataclass(frozen=True)
 class Together(Relation):
-    """All blocks are in one place, wherever that is. Off is each by its distance from the middle of all."""
+    """All blocks are near each other. The deviation is the distance from the centroid of all."""
 
     @property
     def bits(self) -> float:
-        """How near."""
+        """Of the limit."""
         return LIMIT_BITS
 
-    def off(self, layouts: Layouts) -> Floats:
-        """Distances from the middle."""
+    def deviations(self, layouts: Layouts) -> Floats:
+        """Distances from the centroid."""
         return np.linalg.norm(layouts.blocks - layouts.blocks.mean(axis=1, keepdims=True), axis=2, keepdims=True)
 
     def subgoals(self, at: Situation) -> list[Subgoal]:
-        """Blocks that are too far off go to the nearest free place half as far from the middle as they may be."""
+        """Moves blocks that are too far away to the nearest free place within half the limit."""
         middle = np.mean(_points(at.now), axis=0)
         near = [place for place in places_anywhere() if np.linalg.norm(place - middle) <= at.limits[0] / 2]
         todo: list[Subgoal] = []
-        for number, off in enumerate(self.off(layouts_of(at.initial, [at.now]))[0, :, 0]):
+        for number, off in enumerate(self.deviations(layouts_of(at.initial, [at.now]))[0, :, 0]):
             if off > at.limits[0]:
                 todo.append(bring(done(at.now, todo), number, near or [(float(middle[0]), float(middle[1]))], at.noise))
         return todo
 
     @property
     def text(self) -> str:
-        """With the limit."""
+        """Always the same but for the limit."""
         return "all blocks are together, within {0:.2f} of their middle"
 
 

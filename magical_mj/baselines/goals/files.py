@@ -1,4 +1,4 @@
-"""Goals as a file that people can read: goals.json in a run's folder."""
+"""Goals as readable JSON: goals.json in a run's folder."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from magical_mj.errors import MagicalError, TrainingError
 GOALS: Final = "goals.json"
 """In a run's folder."""
 SHOWN: Final = 5
-"""Other goals that are written down for each task, for people to compare."""
+"""The number of alternatives that are listed for each task, for comparison only."""
 RELATIONS: Final[Mapping[str, type[Relation]]] = MappingProxyType(
     {kind.__name__: kind for kind in (Belonging, RobotInside, Near, InLine, Grouped, Together)}
 )
-"""By the names that they have in the file."""
+"""By name in the file."""
 
 
 def to_json(found: Mapping[str, Sequence[Goal]]) -> str:
-    """The goals of each task, the likeliest first, of which the others are only told."""
+    """The goals of each task, the best first. Only the best one is read again."""
     table = {
         task: {
             "goal": str(goals[0]),
@@ -48,7 +48,7 @@ def from_json(text: str) -> dict[str, Goal]:
     """The goal of each task.
 
     Raises:
-        TrainingError: if the text holds something else.
+        TrainingError: if the text is not valid.
     """
     try:
         return {task: _goal(entry) for task, entry in json.loads(text).items()}

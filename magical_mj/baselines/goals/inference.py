@@ -1,10 +1,9 @@
-"""From demonstrations to the goal that they have in common.
+"""Infers a goal from demonstrations, by minimum description length (Rissanen, 1978).
 
-Of all relations of the vocabulary, the goal is the one with which the demonstrations are told in the fewest bits: those
-of the relation, and for each demonstration those that say in which of the scenes that fulfil the relation it ended. The
-fewer scenes fulfil it, the fewer bits: the likeliest of the relations that all demonstrations fulfil is the strictest,
-for if nobody had wanted it, it would be a strange coincidence. This is minimum description length (Rissanen, 1978), or
-Bayesian concept learning with its size principle (Tenenbaum, 1999).
+The goal is the relation with which the ends of the demonstrations have the shortest description: the bits of the
+relation itself, plus the bits that select each end among all layouts in which the relation holds. The fewer layouts
+fulfil a relation, the fewer bits this takes, so that the strictest of the relations that hold at all ends is
+preferred. In Bayesian concept learning this is the size principle (Tenenbaum, 1999).
 """
 
 from __future__ import annotations
@@ -17,8 +16,8 @@ from typing import Final
 import numpy as np
 
 from magical_mj.baselines.goals.arrangements import ATTRIBUTES, Grouped, InLine, Together
-from magical_mj.baselines.goals.layouts import Floats, Layouts, by_chance, layouts_of
-from magical_mj.baselines.goals.places import LANDMARKS, Near
+from magical_mj.baselines.goals.layouts import Floats, Layouts, layouts_of, random_layouts
+from magical_mj.baselines.goals.places import LANDMARKS, WHO, Near
 from magical_mj.baselines.goals.regions import RobotInside, formulas
 from magical_mj.baselines.goals.relation import Relation, Situation
 from magical_mj.errors import TrainingError
@@ -26,22 +25,22 @@ from magical_mj.planning import Noise, Subgoal
 from magical_mj.scene import Scene
 
 FAILURE: Final = 0.05
-"""The share of demonstrations that are expected to miss the goal."""
+"""The expected share of demonstrations that miss the goal."""
 UNTRUE: Final = 0.25
-"""The share of the demonstrations that may miss it, at most."""
+"""The largest share of the demonstrations that may be left out when limits are fitted."""
 
 Example = tuple[Scene, Scene]
-"""How a demonstration began, and how it ended."""
+"""The first and the last scene of a demonstration."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """A relation, and how far off still counts as true.
+    """A relation with limits.
 
     Attributes:
-        relation: what is wanted.
-        limits: one for each of its measures.
-        saved: how many bits shorter the demonstrations are told with it than without any goal.
+        relation: what should hold at the end.
+        limits: the largest deviations at which it holds, one for each measure.
+        saved: by how many bits it shortens the description of the demonstrations.
     """
 
     relation: Relation
@@ -49,12 +48,12 @@ class Goal:
     saved: float
 
     def score(self, initial: Scene, now: Scene) -> float:
-        """The share of things that are not too far off: 1 if the goal is reached."""
-        off = self.relation.off(layouts_of(initial, [now]))
+        """The share of blocks (or of the robot) within the limits; 1 if the goal is reached."""
+        off = self.relation.deviations(layouts_of(initial, [now]))
         return float((off <= self.limits).all(axis=2).mean())
 
     def subgoals(self, initial: Scene, now: Scene, noise: Noise, stuck: Collection[int] = ()) -> tuple[Subgoal, ...]:
-        """What is still to be done; nothing if the goal is reached. Blocks that are stuck stay, if possible."""
+        """The remaining subgoals; none if the goal is reached. Stuck blocks stay, if possible."""
         if self.score(initial, now) == 1.0:
             return ()
         return tuple(self.relation.subgoals(Situation(initial, now, self.limits, noise, stuck)))
@@ -64,7 +63,7 @@ class Goal:
 
 
 def vocabulary(scenes: Sequence[Scene]) -> Iterator[Relation]:
-    """All relations that can be asked for in these initial scenes."""
+    """All relations that make sense in these initial scenes."""
     blocks = min(len(scene.blocks) for scene in scenes)
     if all(scene.regions for scene in scenes):
         yield RobotInside()
@@ -72,20 +71,20 @@ def vocabulary(scenes: Sequence[Scene]) -> Iterator[Relation]:
             yield from formulas(scenes)
     if blocks:
         yield from (InLine(), Together(), *(Grouped(attribute) for attribute in ATTRIBUTES))
-    for who in ("every block", "the robot") if blocks else ("the robot",):
+    for who in WHO if blocks else ("the robot",):
         yield from (Near(who, landmark) for landmark in LANDMARKS)
 
 
 def infer(examples: Sequence[Example]) -> list[Goal]:
-    """The goals that the demonstrations speak for, the likeliest first; equally likely ones in the vocabulary's order.
+    """The goals that shorten the description, the best first; equal ones in the order of the vocabulary.
 
     Raises:
-        TrainingError: if they have nothing in common that can be said.
+        TrainingError: if there is none.
     """
     rng = np.random.default_rng(0)
-    chance = {initial: by_chance(initial, rng) for initial, _ in examples}
-    goals = [goal for relation in vocabulary(list(chance)) for goal in _fitted(relation, examples, chance)]
-    goals = sorted((goal for goal in goals if goal.saved > 0), key=lambda goal: -goal.saved)
+    chance = {initial: random_layouts(initial, rng) for initial, _ in examples}
+    fitted = [_fitted(relation, examples, chance) for relation in vocabulary(list(chance))]
+    goals = sorted((goal for goal in fitted if goal.saved > 0), key=lambda goal: -goal.saved)
     if not goals:
         raise TrainingError(
             f"the {len(examples)} demonstrations show no goal: no relation of blocks, robot, regions and corners holds "
@@ -94,28 +93,28 @@ def infer(examples: Sequence[Example]) -> list[Goal]:
     return goals
 
 
-def _fitted(relation: Relation, examples: Sequence[Example], chance: dict[Scene, Layouts]) -> Iterator[Goal]:
-    """The relation with limits that all demonstrations fulfil, or all but a few."""
-    found = [relation.off(layouts_of(initial, [initial, final])) for initial, final in examples]
+def _fitted(relation: Relation, examples: Sequence[Example], chance: dict[Scene, Layouts]) -> Goal:
+    """The relation with the limits that save most: they hold at all ends, or at all but the worst few."""
+    found = [relation.deviations(layouts_of(initial, [initial, final])) for initial, final in examples]
     worst = np.array([off[1].max(axis=0) for off in found])  # (demonstrations, measures)
     order = (worst / np.maximum(worst.max(axis=0), 1e-9)).max(axis=1).argsort(kind="stable")
-    by_accident = {initial: relation.off(layouts).max(axis=1) for initial, layouts in chance.items()}
+    by_chance = {initial: relation.deviations(layouts).max(axis=1) for initial, layouts in chance.items()}
     options = []
     for missed in range(int(UNTRUE * len(examples)) + 1):
         limits = worst[order[: len(order) - missed]].max(axis=0)
-        share = {initial: _share(off, limits) for initial, off in by_accident.items()}
+        share = {initial: _share(off, limits) for initial, off in by_chance.items()}
         saved = sum(_saved(off, limits, share[initial]) for off, (initial, _) in zip(found, examples, strict=True))
         options.append(Goal(relation, tuple(limits.tolist()), saved - relation.bits))
-    yield max(options, key=lambda goal: goal.saved)
+    return max(options, key=lambda goal: goal.saved)
 
 
 def _share(off: Floats, limits: Floats) -> float:
-    """Of scenes in which the relation holds by chance, never quite 0 or 1."""
+    """The share of random layouts in which the relation holds, with Laplace smoothing."""
     return float(((off <= limits).all(axis=1).sum() + 1) / (len(off) + 2))
 
 
 def _saved(off: Floats, limits: Floats, share: float) -> float:
-    """The bits by which one demonstration is told shorter. One that began with the relation says nothing of it."""
+    """The bits saved for one demonstration: none if the relation already held at its beginning."""
     true = off <= limits
     if not true[1].all():
         return math.log2(FAILURE)

@@ -1,4 +1,4 @@
-"""Many places of the same things at once: where they are in demonstrations, and where chance would put them."""
+"""Arrays of robot and block positions: of demonstrations, and random ones."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ SAMPLES: Final = 20_000
 
 @dataclass(frozen=True)
 class Layouts:
-    """Where the robot and the blocks of one initial scene are in each of n situations.
+    """Positions of the robot and the blocks of a scene, n times.
 
     Attributes:
-        initial: what there is, and where it was when the episode began.
+        initial: the initial scene of the episode.
         robot: shape (n, 2).
         blocks: shape (n, blocks, 2).
     """
@@ -33,7 +33,7 @@ class Layouts:
 
 
 def layouts_of(initial: Scene, scenes: Sequence[Scene]) -> Layouts:
-    """The places in scenes of an episode."""
+    """The positions in several scenes of one episode."""
     blocks = [[(block.x, block.y) for block in scene.blocks] for scene in scenes]
     return Layouts(
         initial,
@@ -42,7 +42,7 @@ def layouts_of(initial: Scene, scenes: Sequence[Scene]) -> Layouts:
     )
 
 
-def by_chance(initial: Scene, rng: np.random.Generator) -> Layouts:
-    """The robot and all blocks anywhere, each by itself: what a scene looks like of which nobody wanted anything."""
+def random_layouts(initial: Scene, rng: np.random.Generator) -> Layouts:
+    """Independent uniform positions of the robot and of all blocks."""
     robot = rng.uniform(-REACHABLE, REACHABLE, (SAMPLES, 2))
     return Layouts(initial, robot, rng.uniform(-REACHABLE, REACHABLE, (SAMPLES, len(initial.blocks), 2)))

@@ -1,4 +1,4 @@
-"""Inferring goals, as a training: one update, in which the goal of each task is inferred."""
+"""Goal inference as a training with a single update."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from magical_mj.scene import Scene
 
 
 class GoalInference(Method):
-    """Looks at how each demonstration begins and ends, and asks what the ends have in common: see `infer`."""
+    """Infers the goal of each task from the first and last states of its demonstrations: see `infer`."""
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
@@ -30,7 +30,7 @@ class GoalInference(Method):
         self._policy = GoalPolicy({}, settings.tasks)
 
     def update(self) -> Mapping[str, float]:
-        """Infers all goals. The least bits that one saves, and the least by which it is ahead of the next."""
+        """Infers all goals. Returns the fewest bits saved by any, and the smallest lead over an alternative."""
         for task in self.settings.tasks:
             shipped = demos.load(task)
             chosen = drawn(task, self.settings.seed, self.settings.demonstrations, len(shipped))
@@ -40,11 +40,11 @@ class GoalInference(Method):
         return {"saved_bits": min(bits[0] for bits in saved), "ahead_bits": min(bits[0] - bits[1] for bits in saved)}
 
     def policy(self) -> GoalPolicy:
-        """Pursues the likeliest goal of each task."""
+        """Plans to reach the best goal of each task."""
         return self._policy
 
     def save_policy(self, folder: Path, update: int) -> None:
-        """Writes the goals, for people and for evaluations."""
+        """Writes goals.json."""
         del update
         save_goals(folder, self._found)
 
@@ -53,7 +53,7 @@ class GoalInference(Method):
         return {"goals": to_json(self._found)}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Takes up what was inferred before."""
+        """Restores inferred goals."""
         self._found = {task: [goal] for task, goal in from_json(state["goals"]).items()}
         self._pursue()
 

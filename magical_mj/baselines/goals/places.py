@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from magical_mj.baselines.goals.layouts import Floats, Layouts
-from magical_mj.baselines.goals.relation import LIMIT_BITS, Relation, Situation, choice
+from magical_mj.baselines.goals.relation import LIMIT_BITS, Relation, Situation, choice_bits
 from magical_mj.errors import check_name
 from magical_mj.planning import Subgoal, bring, done, drive, places_anywhere
 from magical_mj.planning.subgoals import TOLERANCE
@@ -31,7 +31,7 @@ WHO: Final = ("every block", "the robot")
 
 @dataclass(frozen=True)
 class Near(Relation):
-    """All blocks, or the robot, are near a landmark. Off is each by its distance from it.
+    """All blocks, or the robot, are near a landmark. The deviation is the distance.
 
     Attributes:
         who: one of `WHO`.
@@ -48,16 +48,16 @@ class Near(Relation):
 
     @property
     def bits(self) -> float:
-        """Who, near which landmark, how near."""
-        return choice(len(WHO)) + choice(len(LANDMARKS)) + LIMIT_BITS
+        """Of the subject, the landmark and the limit."""
+        return choice_bits(len(WHO)) + choice_bits(len(LANDMARKS)) + LIMIT_BITS
 
-    def off(self, layouts: Layouts) -> Floats:
+    def deviations(self, layouts: Layouts) -> Floats:
         """Distances from the landmark."""
         who = layouts.robot[:, None] if self.who == "the robot" else layouts.blocks
         return np.linalg.norm(who - LANDMARKS[self.landmark], axis=2, keepdims=True)
 
     def subgoals(self, at: Situation) -> list[Subgoal]:
-        """What is too far away goes to the nearest place that is surely near enough."""
+        """Moves what is too far away to the nearest place that is near enough, with a margin."""
         landmark = LANDMARKS[self.landmark]
         places = sorted(places_anywhere(), key=lambda place: math.dist(place, landmark))
         places = [place for place in places if math.dist(place, landmark) <= at.limits[0] - TOLERANCE] or places[:1]
@@ -71,5 +71,5 @@ class Near(Relation):
 
     @property
     def text(self) -> str:
-        """As in "the robot is within 0.50 of the middle"."""
+        """Such as "the robot is within 0.50 of the middle"."""
         return f"{self.who} is within {{0:.2f}} of the {self.landmark}"

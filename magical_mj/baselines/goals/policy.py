@@ -1,4 +1,4 @@
-"""The policy: it plans in a copy of the simulation towards the goal, and knows nothing else of the task."""
+"""The policy: it plans in a copy of the simulation to reach the goal, and knows nothing else about the task."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from magical_mj.experts.lookahead import Lookahead
 from magical_mj.experts.planner import Planner
 
 TRIES: Final = 4  # manoeuvres tried in one situation
-PATIENCE: Final = 2  # failures to move a block, after which it is left where it is
-BUDGET: Final = 16  # simulated steps for each step of an episode, after which no new plan is begun
+PATIENCE: Final = 2  # failures after which a block is not moved any more
+BUDGET: Final = 16  # simulated steps per step of the episode; once they are used, no new plan is started
 
 
 class GoalPolicy:
-    """Pursues the goal of each task's demonstrations.
+    """Plans to reach the goal of the task's demonstrations.
 
-    It is given the simulation, and uses of it: where everything is and was at the beginning, how many steps are left,
-    and a copy to plan in. Neither the task's score nor its plan, which experts follow.
+    It gets the simulation. It uses the initial and the present state, the number of remaining steps, and a copy of the
+    simulation to plan in, but neither the task's score nor its plan (which the experts use).
 
     Attributes:
         goals: by task.
-        tasks: for which there are goals.
-        preset: the state track's.
+        tasks: the tasks that it can act in.
+        preset: the name of the state track.
     """
 
     blind = True

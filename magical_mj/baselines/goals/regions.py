@@ -1,7 +1,7 @@
 """Relations to goal regions: which blocks belong in which, and whether the robot is in one.
 
-Which block belongs where is a formula: a conjunction of literals about a block and a region as the episode begins. A
-block is to be in a region in the end if the formula is true of the two, and otherwise it is not to be in it.
+A formula says which block belongs in which region. It is a conjunction of literals about a block and a region at the
+beginning of the episode. In the end the block should be in the region if the formula is true, and outside if it is not.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.baselines.goals.layouts import Floats, Layouts
-from magical_mj.baselines.goals.relation import LIMIT_BITS, Relation, Situation, choice
+from magical_mj.baselines.goals.relation import LIMIT_BITS, Relation, Situation, choice_bits
 from magical_mj.constants import COLOURS, SHAPES, Colour, Shape
 from magical_mj.errors import check_name
 from magical_mj.planning import Subgoal, bring, done, drive, places_inside, places_outside
 from magical_mj.scene import Block, GoalRegion, Scene
 
 Predicate = Callable[[Block, GoalRegion, Iterable[Block]], bool]
-"""Of a block, a region, and the blocks that were in the region when the episode began."""
+"""Its arguments: a block, a region, and the blocks that began in the region."""
 
 RELATIVE: Final[Mapping[str, Predicate]] = MappingProxyType(
     {
@@ -33,7 +33,7 @@ RELATIVE: Final[Mapping[str, Predicate]] = MappingProxyType(
         "has the colour of a block that began there": lambda block, _, there: block.colour in {b.colour for b in there},
     }
 )
-"""What a block and a region have in common, whatever their colours and shapes are."""
+"""Predicates that compare a block with a region."""
 
 
 def _is(colour: Colour) -> Predicate:
@@ -53,12 +53,12 @@ ABSOLUTE: Final[Mapping[str, Predicate]] = MappingProxyType(
     | {f"is a {shape}": _has(shape) for shape in SHAPES}
     | {f"is at a {colour} region": _at(colour) for colour in COLOURS}
 )
-"""What can be said only by naming one of four colours or shapes, which takes two bits more."""
+"""Predicates that name one of four colours or shapes, which takes two more bits."""
 
 PREDICATES: Final = {**RELATIVE, **ABSOLUTE}
 KINDS: Final = len(RELATIVE) + 3
 LITERALS: Final = 3
-"""In a formula, at most."""
+"""The largest number in a formula."""
 
 Literal = tuple[str, bool]
 """A predicate's name, and whether it is to be true."""
@@ -66,7 +66,7 @@ Literal = tuple[str, bool]
 
 @dataclass(frozen=True)
 class Belonging(Relation):
-    """A block is in a region if and only if the formula is true of the two. Off is a block by how often it is wrong.
+    """A block is in a region if and only if the formula is true of them.
 
     Attributes:
         formula: the literals that must all be true.
@@ -81,11 +81,13 @@ class Belonging(Relation):
 
     @property
     def bits(self) -> float:
-        """Of each literal: the kind of its predicate, whether it is negated, and which of four values, if any."""
-        return LIMIT_BITS + sum(choice(KINDS) + 1 + choice(4) * (name in ABSOLUTE) for name, _ in self.formula)
+        """For each literal: the predicate's kind, whether it is negated, and the colour or shape if it names one."""
+        return LIMIT_BITS + sum(
+            choice_bits(KINDS) + 1 + choice_bits(4) * (name in ABSOLUTE) for name, _ in self.formula
+        )
 
     def wanted(self, initial: Scene) -> NDArray[np.bool_]:
-        """Which block is to be in which region. Shape (blocks, regions)."""
+        """Which block should be in which region. Shape (blocks, regions)."""
         found = np.ones((len(initial.blocks), len(initial.regions)), dtype=bool)
         for column, region in enumerate(initial.regions):
             there = [block for block in initial.blocks if region.contains(block)]
@@ -93,13 +95,13 @@ class Belonging(Relation):
                 found[row, column] = all(PREDICATES[name](block, region, there) == true for name, true in self.formula)
         return found
 
-    def off(self, layouts: Layouts) -> Floats:
-        """The number of regions that each block is in and should not be, or is not in and should be."""
+    def deviations(self, layouts: Layouts) -> Floats:
+        """The number of regions that each block is wrongly inside or outside of."""
         wrong = _inside(layouts.blocks, layouts.initial) != self.wanted(layouts.initial)
         return wrong.sum(axis=2, keepdims=True).astype(float)
 
     def subgoals(self, at: Situation) -> list[Subgoal]:
-        """Blocks go to free places in their regions, or out of all regions."""
+        """Moves blocks to free places in their regions, or out of all regions."""
         todo: list[Subgoal] = []
         scene, regions = at.now, at.now.regions
         for number, wanted in enumerate(self.wanted(at.initial)):
@@ -114,7 +116,7 @@ class Belonging(Relation):
 
     @property
     def text(self) -> str:
-        """As in "a block is in a region if and only if it is red"."""
+        """Such as "a block is in a region if and only if it is red"."""
         told = " and ".join(f"it {'' if true else 'not '}{name}" for name, true in self.formula)
         return f"a block is in a region if and only if {told}"
 
@@ -129,31 +131,31 @@ def _inside(places: Floats, initial: Scene) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class RobotInside(Relation):
-    """The robot is in a goal region. It is off by 1 if it is in none."""
+    """The robot is in a goal region."""
 
     @property
     def bits(self) -> float:
-        """There is nothing to choose."""
+        """Of the limit alone."""
         return LIMIT_BITS
 
-    def off(self, layouts: Layouts) -> Floats:
+    def deviations(self, layouts: Layouts) -> Floats:
         """0 in a region, 1 elsewhere."""
         inside = _inside(layouts.robot[:, None], layouts.initial)
         return 1.0 - inside.any(axis=2, keepdims=True).astype(float)
 
     def subgoals(self, at: Situation) -> list[Subgoal]:
-        """The robot drives to the nearest place in a region."""
+        """Drives to the nearest place in a region."""
         places = [place for region in at.now.regions for place in places_inside(region)]
         return [drive(at.now, places, at.noise, tolerance=0.1)]
 
     @property
     def text(self) -> str:
-        """There is nothing to choose."""
+        """Always the same."""
         return "the robot is in a region"
 
 
 def formulas(scenes: Iterable[Scene]) -> Iterator[Belonging]:
-    """Of all formulas that mean the same in these initial scenes, the shortest; relative predicates come first."""
+    """The formulas that differ in these initial scenes; of equivalent ones the shortest, or the first listed."""
     scenes = list(scenes)
     literals = list(itertools.product(PREDICATES, (True, False)))
     known: dict[bytes, Belonging] = {}

@@ -1,4 +1,4 @@
-"""What a relation is: something that the blocks, or the robot, may be more or less true to."""
+"""The interface of relations, the possible goals."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from magical_mj.planning import Noise, Subgoal
 from magical_mj.scene import Scene
 
 LIMIT_BITS: Final = 4.0
-"""That it takes to say how far off still counts as true: to about one part in sixteen."""
+"""The description length of a learnt limit: one of sixteen values."""
 
 
 @dataclass(frozen=True)
 class Situation:
-    """Where an episode is, on the way to a relation.
+    """What subgoals are computed from.
 
     Attributes:
-        initial: the first scene.
+        initial: the first scene of the episode.
         now: the present scene.
-        limits: how far off still counts as true, one for each of the relation's measures.
-        noise: which of several good ways it is.
-        stuck: blocks that cannot be moved.
+        limits: the largest deviations at which the relation holds, one for each measure.
+        noise: selects one of several good sets of subgoals.
+        stuck: blocks that should not be moved.
     """
 
     initial: Scene
@@ -37,12 +37,13 @@ class Situation:
 
 @dataclass(frozen=True)
 class Relation(ABC):
-    """A relation between the things of a scene. Its fields are what it is saved as.
+    """A relation that each block, or the robot, can fulfil. Its fields are saved in goals.json.
 
-    How far a thing is off is 0 where the relation is perfect. How far off still counts as true is learnt: see `infer`.
+    It is measured by deviations, which are 0 if it is fulfilled exactly. It holds if all deviations are within limits,
+    which are learnt: see `infer`.
 
     Attributes:
-        measures: by how many measures things can be off, each of which has a limit.
+        measures: the number of deviations of each block or of the robot.
     """
 
     measures: ClassVar[int] = 1
@@ -50,22 +51,22 @@ class Relation(ABC):
     @property
     @abstractmethod
     def bits(self) -> float:
-        """The length of its description, learnt limits included."""
+        """The description length, learnt limits included."""
 
     @abstractmethod
-    def off(self, layouts: Layouts) -> Floats:
-        """How far each block, or the robot, is off, by each measure. Shape (n, things, measures)."""
+    def deviations(self, layouts: Layouts) -> Floats:
+        """The deviations of each block or of the robot. Shape (n, blocks or 1, measures)."""
 
     @abstractmethod
     def subgoals(self, at: Situation) -> list[Subgoal]:
-        """What to move where so that nothing is too far off. What is stuck stays, if there is another way."""
+        """What to move where so that the relation holds. Stuck blocks stay, if there is another solution."""
 
     @property
     @abstractmethod
     def text(self) -> str:
-        """The relation in English, with {0}, {1} for the limits of its measures."""
+        """The relation in English, a format string for the limits."""
 
 
-def choice(options: int) -> float:
-    """The bits that it takes to name one of so many options."""
+def choice_bits(options: int) -> float:
+    """The description length of one of several options."""
     return math.log2(options)
