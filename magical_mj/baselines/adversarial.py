@@ -21,11 +21,11 @@ from magical_mj.baselines.settings import Network, TrainingSettings
 from magical_mj.baselines.states import StateTorso
 
 Judge = Callable[[Tensor, Tensor, Tensor], Tensor]
-"""From observations, actions (n,) and tasks (n,) to one number for each, (n,)."""
+"""A function of observations, actions (n,) and tasks (n,) with one output for each sample, (n,)."""
 
 
 class Discriminator(nn.Module):
-    """The paper's network with batch norm, or that for states; the actions joined, and one output for each task."""
+    """The paper's network with batch norm, or the one for states; it also gets the actions, and has a head per task."""
 
     def __init__(self, network: Network, tasks: int, *, states: bool = False) -> None:
         super().__init__()
@@ -41,7 +41,7 @@ class Adversarial(RewardLearner):
     """Trains the discriminator on the latest rollouts and the demonstrations, and PPO on its rewards."""
 
     def __init__(self, settings: TrainingSettings) -> None:
-        self._augment = augmentation(settings)  # an unknown one is refused before environments are made
+        self._augment = augmentation(settings)  # raises errors before environments are made
         super().__init__(settings)
         self._latest: list[Rollout] = []
         self._noise = torch.Generator(self.device).manual_seed(settings.seed)
@@ -54,7 +54,7 @@ class Adversarial(RewardLearner):
         return self.play()
 
     def study(self, rollout: Rollout) -> Mapping[str, float]:
-        """The discriminator's steps. Means of their figures."""
+        """The discriminator's steps; returns the means of their metrics."""
         steps = self.settings.discriminator.steps
         self._latest = [*self._latest, rollout][-self.settings.discriminator.rollouts :]
         played = joined(self._latest)
@@ -63,7 +63,7 @@ class Adversarial(RewardLearner):
 
     @abstractmethod
     def loss(self, samples: Samples) -> tuple[Tensor, Mapping[str, float]]:
-        """The discriminator's loss for samples of which the first half are the policy's, and figures about it."""
+        """The discriminator's loss and metrics, for samples of which the first half are the policy's."""
 
     def state(self) -> dict[str, Any]:
         """Of all that plays, of the discriminator and of the augmentations."""
@@ -98,7 +98,7 @@ class GAIL(Adversarial):
     """Minimises -E_policy log D - E_demonstrations log(1 - D); the policy's reward is -log D."""
 
     def loss(self, samples: Samples) -> tuple[Tensor, Mapping[str, float]]:
-        """The loss, and the share of samples that are told apart rightly."""
+        """The loss, and the share of correctly classified samples."""
         policy, expert = self._judge(*samples).chunk(2)
         right = torch.cat([policy > 0, expert < 0]).float().mean().item()
         return gail_loss(policy, expert), {"accuracy": right}
@@ -111,12 +111,12 @@ class GAIL(Adversarial):
 class WGAILGP(Adversarial):
     """Minimises E_demonstrations D - E_policy D and a penalty on gradients; the policy's reward is -D.
 
-    The penalty's samples are those of the batch, half the policy's and half the demonstrator's, as the paper's formula
-    says (WGAN-GP draws points between them). Nothing flows into the policy: its samples are pictures and actions.
+    The penalty's samples are those of the batch, half the policy's and half the demonstrator's, as in the paper's
+    formula (WGAN-GP interpolates between them). No gradient flows into the policy.
     """
 
     def loss(self, samples: Samples) -> tuple[Tensor, Mapping[str, float]]:
-        """The loss, how far apart the two sides are, and the penalty without its weight."""
+        """The loss, the difference between the two means of D, and the penalty without its weight."""
         policy, expert = self._judge(*samples).chunk(2)
         distance = policy.mean() - expert.mean()
         penalty = gradient_penalty(self._judge.eval(), *samples)
@@ -136,9 +136,9 @@ def gail_loss(policy: Tensor, expert: Tensor) -> Tensor:
 def gradient_penalty(judge: Judge, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
     """Mean of (||gradient of D with respect to the stack||_2 - 1)^2.
 
-    The gradient is that of each sample's D with respect to its own stack. So `judge` must treat each sample for
-    itself: where it has batch norm, with the running statistics (eval), which is also how it makes the rewards.
-    With a batch's statistics, all of its samples would be in each D, and there were no gradient of one sample.
+    The gradient is that of each sample's D with respect to its own stack. So `judge` must treat samples independently:
+    if it has batch norm, it must use the running statistics (eval mode), as it does for the rewards. With the
+    statistics of the batch, each D would depend on all samples.
     """
     observations = observations.detach().requires_grad_()
     (gradient,) = torch.autograd.grad(judge(observations, actions, tasks).sum(), observations, create_graph=True)

@@ -18,25 +18,25 @@ from magical_mj.baselines.states import HISTORY, StateTorso
 from magical_mj.observations import STATE_NAMES
 
 FIGURES: Final[tuple[str, ...]] = ("reconstruction", "distance", "reward", "score", "entropy", "kl", "value loss")
-"""What updates return, in this order."""
+"""The names of the metrics that updates return, in this order."""
 
 CHUNK: Final = 64
-"""Samples at a time: the paper's first layer gives 2.4 MB for each."""
+"""Samples at a time: the output of the paper's first layer takes 2.4 MB for each."""
 ACTION_WEIGHT: Final = 0.1
-"""Of the actions' log loss beside the observations' squared error, which is far smaller."""
+"""The weight of the actions' log loss relative to the observations' squared error, which is much smaller."""
 RESTART: Final = 100
-"""Batches of the autoencoder between two looks for features that are always 0."""
+"""Batches of the autoencoder between two searches for features that are always 0."""
 
 
 class Apprenticeship(RewardLearner):
-    """Finds features on which the policy differs most from the demonstrations, and pays for more of them.
+    """Finds features on which the policy differs most from the demonstrations, and rewards them.
 
     The first `features.batches` updates train the features as an autoencoder, on demonstrations without augmentation.
-    In all others, the best weight vector w of the unit ball for w . (E_demonstrations Phi - E_policy Phi) is known in
-    closed form, and the reward w . Phi(s, a) is PPO's. (The paper's ball has the radius 2; rewards are normalised, so
-    the radius is nothing to them.) For several tasks, which the paper did not try, each has its own w.
+    In all others, the weight vector w in the unit ball that maximises w . (E_demonstrations Phi - E_policy Phi) has a
+    closed form, and PPO's reward is w . Phi(s, a). (The paper's ball has radius 2, which has no effect, since rewards
+    are normalised.) With several tasks, which the paper did not try, each has its own w.
 
-    If a rollout has fewer than `features.samples` samples, the policy's are the latest of several rollouts.
+    If a rollout has fewer than `features.samples` samples, the latest samples of several rollouts are used.
     """
 
     def __init__(self, settings: TrainingSettings) -> None:
@@ -52,7 +52,7 @@ class Apprenticeship(RewardLearner):
         self._latest = torch.zeros(tasks, 0, size, device=self.device)
 
     def update(self) -> Mapping[str, float]:
-        """A batch for the autoencoder at first, then a rollout, the weights and PPO; the other's figures stay."""
+        """First batches of the autoencoder, later rollouts, weights and PPO; the other's metrics stay constant."""
         if self._batches < self.settings.features.batches:
             self._figures["reconstruction"] = self._reconstruct()
             self._batches += 1
@@ -61,7 +61,7 @@ class Apprenticeship(RewardLearner):
         return dict(self._figures)
 
     def study(self, rollout: Rollout) -> Mapping[str, float]:
-        """New weights, and how far apart the mean features are: w . (E_demonstrations Phi - E_policy Phi)."""
+        """Computes new weights; returns the difference of mean features, w . (E_demonstrations Phi - E_policy Phi)."""
         tasks = len(self._weights)
         each = self.settings.features.samples // tasks
         observations, actions, _ = self.on_device(self._expert.sample(each * tasks, self._draw))
@@ -76,7 +76,7 @@ class Apprenticeship(RewardLearner):
         return {"distance": (self._weights * difference).sum(1).mean().item()}
 
     def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
-        """The features that count now, w . Phi(s, a), shape (n,)."""
+        """The rewards w . Phi(s, a), shape (n,)."""
         return (self._coder.features(observations, actions) * self._weights[tasks]).sum(1)
 
     def state(self) -> dict[str, Any]:
@@ -118,16 +118,16 @@ def best_weights(difference: Tensor) -> Tensor:
 
 
 class Autoencoder(nn.Module):
-    """The discriminator's network without its last layer, and what brings observations and actions back.
+    """The discriminator's network without its last layer as encoder, with a decoder of observations and actions.
 
-    The paper removes the layer of logits and narrows the one before it; that one keeps its ReLU, as nothing is said of
-    removing it. Pictures come back by the mirror image, with transposed convolutions for convolutions and a sigmoid at
-    the end, as pixels are in [0, 1]; states by two linear layers. The paper reconstructs pictures only. Here the action
-    is reconstructed as well: features that need not tell actions apart cannot reward one more than another.
+    The paper removes the layer of logits and narrows the one before it; that one keeps its ReLU, since the paper does
+    not say otherwise. The decoder of pictures mirrors the encoder, with transposed convolutions and a final sigmoid, as
+    pixels are in [0, 1]; the decoder of states has two linear layers. The paper reconstructs pictures only. Here
+    actions are reconstructed too: otherwise features need not depend on actions, and could not reward them.
 
     Args:
         network: the layers' sizes.
-        size: of the features.
+        size: the number of features.
         states: reconstruct histories of states, not pictures.
     """
 
@@ -148,7 +148,7 @@ class Autoencoder(nn.Module):
         self.decoder = nn.Sequential(*inner)
 
     def forward(self, observations: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
-        """The observations as they come back, and logits of the actions (n, 18)."""
+        """The reconstructed observations, and logits of the actions (n, 18)."""
         features = self.encoder(observations, actions)
         return self.decoder(features), self.action(features)
 
@@ -166,9 +166,9 @@ class Autoencoder(nn.Module):
 
     @torch.no_grad()
     def restart(self, features: Tensor) -> int:
-        """Draws anew the weights of features that are 0 in all samples (n, size); returns how many there are.
+        """Re-initialises the weights of features that are 0 in all samples (n, size); returns their number.
 
-        A ReLU that is 0 everywhere has no gradient and stays so.
+        A ReLU that is 0 everywhere has no gradient and would stay 0.
         """
         weight, bias = self.encoder.linear[2].parameters()
         dead = (features <= 0).all(0)
@@ -180,7 +180,7 @@ class Autoencoder(nn.Module):
 def mirror(network: Network, flat: int) -> list[nn.Module]:
     """The layers from the first linear one of a `Torso`, which has `flat` inputs, back to the pictures."""
     side, _, channels = SHAPE
-    layers: list[nn.Module] = []  # from the pictures inwards
+    layers: list[nn.Module] = []  # in the encoder's order
     for outputs, kernel, stride in convolutions(network):
         inner = math.ceil(side / stride)
         extra = side - ((inner - 1) * stride - 2 * (kernel // 2) + kernel)

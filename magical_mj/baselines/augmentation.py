@@ -1,11 +1,11 @@
 """The paper's picture augmentations (its appendix, "Default augmentation set"), for batches of stacked frames.
 
-The pictures are moved first, then recoloured, and then get their noise, so that the interpolation does not smooth the
-noise away. The paper gives no order.
+The pictures are first moved, then recoloured, and noise is added last, so that the interpolation does not smooth the
+noise. The paper does not give an order.
 
-Kornia moves the pictures, but the change of colour is our own, for its speed on processors: with a batch of 32 stacks
-of four 96 x 96 frames, kornia's conversions to CIELab and back take 60 ms on two cores, longer than a step of the
-network, and ours takes 20 ms (on one core, 119 and 40).
+Kornia moves the pictures, but the change of colour is implemented here, since it is faster on CPUs: with a batch of 32
+stacks of four 96 x 96 frames, kornia's conversions to CIELab and back take 60 ms on two cores, longer than a step of
+the network, and ours takes 20 ms (on one core, 119 and 40).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ AUGMENTATIONS: Final[Mapping[str, tuple[Part, ...]]] = MappingProxyType(
         "none": (),
     }
 )
-"""What the paper's ablations augment with, by name."""
+"""The sets of augmentations in the paper's ablations, by name."""
 
 TRANSLATION: Final = 0.05  # the bounds of the uniform draws: of the picture's width and height
 ROTATION: Final = 5.0  # degrees
@@ -60,7 +60,7 @@ class Augmentation:
     """Augments batches of stacks of frames at random.
 
     Attributes:
-        parts: what it does to the pictures.
+        parts: the augmentations that are applied.
     """
 
     def __init__(self, preset: str = "all") -> None:
@@ -71,9 +71,9 @@ class Augmentation:
 
     @torch.no_grad()
     def __call__(self, stacks: Tensor, generator: torch.Generator) -> Tensor:
-        """Augments `stacks`, which stay as they are; no gradients flow back to them.
+        """Returns augmented `stacks`, which are not changed; no gradients flow back to them.
 
-        The frames of a stack are moved and recoloured alike, and each stack differently. The noise is independent.
+        All frames of a stack are moved and recoloured equally, different stacks differently. The noise is independent.
 
         Args:
             stacks: RGB frames in [0, 1], float32 or float64, of shape (n, 3 * frames, height, width). Whatever their
@@ -81,12 +81,12 @@ class Augmentation:
             generator: draws everything, on its own device.
 
         Returns:
-            Stacks in [0, 1] of the same shape, type, device and memory format; the very `stacks` if there is nothing
-            to do.
+            Stacks in [0, 1] of the same shape, type, device and memory format; `stacks` itself if there is nothing to
+            do.
         """
         if not self.parts:
             return stacks
-        # Unused draws are drawn as well: one seed colours alike with and without translation and rotation.
+        # Unused values are drawn too: one seed gives the same colours with and without translation and rotation.
         draws = torch.rand((5, len(stacks)), generator=generator, device=generator.device, dtype=torch.float32)
         right, down, turn, light, hue = draws.mul_(2).sub_(1).to(stacks)
         pictures = stacks
@@ -103,12 +103,12 @@ class Augmentation:
 
 
 def augmentation(settings: TrainingSettings) -> Augmentation | StateAugmentation:
-    """What a run augments its observations with."""
+    """The augmentation of a run's observations."""
     return StateAugmentation(settings.augment) if settings.states else Augmentation(settings.augment)
 
 
 def move(stacks: Tensor, shifts: Tensor, degrees: Tensor) -> Tensor:
-    """Rotates pictures clockwise about their centres, then shifts them; what comes in is mirrored at their edges.
+    """Rotates pictures clockwise about their centres, then shifts them, with reflection padding.
 
     Args:
         stacks: shape (n, channels, height, width).
@@ -124,10 +124,10 @@ def move(stacks: Tensor, shifts: Tensor, degrees: Tensor) -> Tensor:
 def recolour(stacks: Tensor, luminance: Tensor, hue: Tensor) -> Tensor:
     """Scales the luminance L of CIELab and rotates its plane of a and b.
 
-    On a CPU it is done for a few stacks at a time, which stay in its cache: twice as fast, and the same to the bit.
+    On a CPU, a few stacks are processed at a time, which fit into its cache: twice as fast, with equal results.
 
-    L + 16, a and b are linear in the cube roots of XYZ, so that a matrix for each stack, made from there to CIELab, the
-    change and back again, does it without ever making L, a and b of the pixels.
+    L + 16, a and b are linear in the cube roots of XYZ. So conversion to CIELab, the change, and conversion back are
+    one matrix per stack, and L, a and b of the pixels need not be computed.
 
     Args:
         stacks: RGB pictures in [0, 1], of shape (n, 3 * frames, height, width).
@@ -178,5 +178,5 @@ def _recoloured(stacks: Tensor, luminance: Tensor, hue: Tensor) -> Tensor:
 
 
 def _power_(values: Tensor, exponent: float) -> Tensor:
-    """Raises positive `values` in place, three times as fast as their pow_."""
+    """Raises positive `values` to the power in place, three times as fast as their pow_."""
     return values.log2_().mul_(exponent).exp2_()

@@ -1,4 +1,4 @@
-"""Behavioural cloning: the demonstrator's action is a class, to be predicted from what was seen (section 4.1)."""
+"""Behavioural cloning: classification of the demonstrator's action, given the observation (section 4.1)."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ CALIBRATION: Final = 20
 class BehaviouralCloning(Learner):
     """Minimises -E log pi(a | s) over the demonstrations without their no-ops.
 
-    No-ops are dropped because the policy would else get stuck where the demonstrator waited (appendix). For several
-    tasks the loss is the mean of the tasks' losses: batches hold as many samples of each.
+    No-ops are dropped because the policy would otherwise get stuck where the demonstrator waited (appendix). With
+    several tasks the loss is the mean of the tasks' losses: batches have the same number of samples of each.
     """
 
     def __init__(self, settings: TrainingSettings, demonstrations: Demonstrations | None = None) -> None:
@@ -52,7 +52,7 @@ class BehaviouralCloning(Learner):
         return self._actor
 
     def update(self) -> Mapping[str, float]:
-        """One batch. Its log loss, and the share of actions that were the most probable ones."""
+        """Trains on one batch; returns its log loss, and the share of actions that the policy ranked first."""
         observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._draw)
         actions, tasks = actions.to(self.device), tasks.to(self.device)
         seen = self._augment(as_input(observations, self.device), self._noise)
@@ -67,7 +67,7 @@ class BehaviouralCloning(Learner):
         return {"loss": loss.item(), "accuracy": (logits.argmax(1) == actions).float().mean().item()}
 
     def recalibrate(self) -> None:
-        """Batch norm's averages are taken anew, over batches drawn for this: training's own lag behind."""
+        """Recomputes batch norm's running averages over new batches, since those of training lag behind the weights."""
         norms = [layer for layer in self._actor.modules() if isinstance(layer, nn.BatchNorm2d)]
         draw = torch.Generator().manual_seed(self.settings.seed)
         noise = torch.Generator(self.device).manual_seed(self.settings.seed)
@@ -83,7 +83,7 @@ class BehaviouralCloning(Learner):
             norm.momentum = 0.1  # PyTorch's
 
     def state(self) -> dict[str, Any]:
-        """Weights, the optimizer's memory, where the learning rate is, and where the generators are."""
+        """Weights, and the states of the optimizer, the learning rate's schedule and the generators."""
         return {
             "actor": self._actor.state_dict(),
             "optimizer": self._optimizer.state_dict(),
@@ -102,11 +102,11 @@ class BehaviouralCloning(Learner):
 
 
 def clone(settings: TrainingSettings, demonstrations: Demonstrations | None = None) -> TrainedPolicy:
-    """Trains a policy by behavioural cloning without a folder: nothing is saved.
+    """Trains a policy by behavioural cloning in memory: nothing is saved.
 
     Args:
-        settings: of the training; their number of demonstrations of each task are drawn by the seed.
-        demonstrations: by task, to draw from instead of the shipped ones: for comparing sets of demonstrations.
+        settings: the settings; their number of demonstrations of each task is chosen at random by the seed.
+        demonstrations: task -> demonstrations to choose from, instead of the shipped ones.
     """
     learner = BehaviouralCloning(settings, demonstrations)
     for _ in range(learner.updates):

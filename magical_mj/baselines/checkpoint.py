@@ -1,4 +1,4 @@
-"""Files of tensors: safetensors, with everything that is no tensor as JSON beside them. No pickles."""
+"""Checkpoint files: safetensors, with everything except tensors as JSON in the header. No pickles."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from magical_mj import files
 from magical_mj.errors import TrainingError
 
 TENSOR: Final = "tensor:"
-"""Begins what stands for a tensor in the JSON, before the tensor's name."""
+"""The prefix of a string in the JSON that refers to a tensor by name."""
 ARRAY: Final = "array:"
-"""Likewise for what was a numpy array."""
+"""The same for a numpy array."""
 
 
 def write(path: Path, state: dict[str, Any]) -> None:
@@ -54,7 +54,9 @@ def _packed(value: Any, name: str, tensors: dict[str, torch.Tensor]) -> Any:
     if isinstance(value, list | tuple):
         return [_packed(item, f"{name}/{number}", tensors) for number, item in enumerate(value)]
     if isinstance(value, torch.Tensor):
-        tensors[name] = value.detach().cpu().clone(memory_format=torch.contiguous_format)  # none may share memory
+        tensors[name] = (
+            value.detach().cpu().clone(memory_format=torch.contiguous_format)
+        )  # tensors may not share memory
         return TENSOR + name
     if isinstance(value, np.ndarray):
         tensors[name] = torch.as_tensor(value).clone(memory_format=torch.contiguous_format)

@@ -1,4 +1,4 @@
-"""Batches of samples: of a run's demonstrations, and of what the policy has just done."""
+"""Batches of samples from a run's demonstrations, and from the policy's latest rollout."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from magical_mj.demos import Demonstration, Transitions
 from magical_mj.errors import DemonstrationError
 
 Demonstrations = Mapping[str, Sequence[Demonstration | Transitions]]
-"""By task. `Transitions` are those of one whole episode, no-ops included, in the preset that the learner looks at."""
+"""Task -> the transitions of each demonstration, no-ops included, with the observations of the run's preset."""
 
 
 class Batch(NamedTuple):
-    """Samples on the CPU: what was seen, what was done, and the task it was done for."""
+    """Samples on the CPU: observations, actions, and the numbers of their tasks."""
 
     observations: NDArray[Any]
     """Stacks of frames, shape (n, 96, 96, 12) uint8; or histories of states, shape (n, HISTORY, names) float32."""
@@ -34,7 +34,7 @@ class Batch(NamedTuple):
 
 
 def drawn(task: str, seed: int, count: int, of: int) -> list[int]:
-    """Which of a task's demonstrations a run learns from: the same for every method with this seed."""
+    """The numbers of the task's demonstrations that a run uses: the same for all methods with this seed."""
     if count > of:
         raise DemonstrationError(f"{count} demonstrations of {task} are asked for, and there are {of}")
     rng = np.random.default_rng([seed, zlib.crc32(task.encode())])
@@ -42,7 +42,7 @@ def drawn(task: str, seed: int, count: int, of: int) -> list[int]:
 
 
 def shares(size: int, tasks: int, generator: torch.Generator) -> list[int]:
-    """How many samples of each task make a batch: they differ by one at most, and those that get one more are drawn."""
+    """The number of samples of each task in a batch. They differ by at most one; which tasks get one more is random."""
     found = [size // tasks] * tasks
     for extra in torch.randperm(tasks, generator=generator)[: size % tasks].tolist():
         found[extra] += 1
@@ -60,12 +60,12 @@ def _episode(
 
 
 class Dataset:
-    """All transitions of a run's demonstrations, and batches in which every task counts equally.
+    """All transitions of a run's demonstrations, and batches in which all tasks have the same weight.
 
     Args:
-        settings: whose tasks, seed, preset and number of demonstrations are used.
-        drop_noop: leave out the transitions in which nothing was done.
-        demonstrations: by task, to draw from instead of the shipped ones.
+        settings: the settings; tasks, seed, preset and number of demonstrations are used.
+        drop_noop: leave out the transitions with the no-op action.
+        demonstrations: task -> demonstrations to choose from, instead of the shipped ones.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class Dataset:
         return self.rows([torch.randint(total, (share,), generator=generator) for total, share in draws])
 
     def rows(self, numbers: Sequence[Tensor]) -> Batch:
-        """Given rows of each task, one task after the other."""
+        """The rows with these numbers, given for each task; one task after the other."""
         return Batch(
             np.concatenate([seen[rows.numpy()] for seen, rows in zip(self._observations, numbers, strict=True)]),
             torch.cat([actions[rows] for actions, rows in zip(self._actions, numbers, strict=True)]),
@@ -100,7 +100,7 @@ class Dataset:
 
 
 class Rollout(NamedTuple):
-    """What the policy has just done, copy by copy."""
+    """The policy's latest steps in all environments."""
 
     observations: NDArray[Any]
     """Shape (steps, environments, ...)."""

@@ -1,4 +1,4 @@
-"""What a method is: something that improves a policy, one update after the other, and can be saved."""
+"""The base class of learning methods: they improve a policy by updates, and can be saved and restored."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Method(ABC):
 
     @abstractmethod
     def update(self) -> Mapping[str, float]:
-        """Improves the policy a little; returns figures to be logged, such as losses, always under the same names."""
+        """Improves the policy; returns metrics to be logged, such as losses, always under the same names."""
 
     @abstractmethod
     def policy(self) -> Policy:
@@ -48,7 +48,7 @@ class Method(ABC):
 
     @abstractmethod
     def state(self) -> dict[str, Any]:
-        """All that the updates to come depend on: nested dicts and lists of tensors, arrays and plain values."""
+        """Everything on which later updates depend: nested dicts and lists of tensors, arrays and plain values."""
 
     @abstractmethod
     def restore(self, state: dict[str, Any]) -> None:
@@ -59,10 +59,10 @@ class Method(ABC):
         return None
 
     def recalibrate(self) -> None:  # noqa: B027  (only BC on pictures has batch norm)
-        """Called before the policy is evaluated: brings averages up to date that lag behind the weights."""
+        """Called before the policy is evaluated: updates running averages that lag behind the weights."""
 
     def close(self) -> None:  # noqa: B027  (most hold nothing)
-        """Frees what it holds, such as environments."""
+        """Frees resources such as environments."""
 
 
 class Learner(Method):
@@ -112,10 +112,10 @@ def device(name: str) -> torch.device:
 
 
 def keep_freed_memory() -> None:
-    """Tells the C library (glibc's, elsewhere nothing happens) to keep memory that is freed.
+    """Makes glibc keep freed memory (with other C libraries it does nothing).
 
-    Training frees and takes blocks of many megabytes in every batch. By default these go back to the system, and every
-    page is cleared anew: a quick BC step takes 1.7 times as long.
+    Training frees and allocates blocks of many megabytes in every batch. By default these are returned to the system,
+    which must clear them again: a quick BC step would take 1.7 times as long.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt
@@ -127,16 +127,16 @@ def keep_freed_memory() -> None:
 
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
-    """Within it, weights are drawn by the seed; PyTorch's global generators are left as they were."""
+    """A context in which PyTorch's global generators have this seed; afterwards, their states are restored."""
     with torch.random.fork_rng(devices=range(torch.cuda.device_count())):
         torch.manual_seed(seed)
         yield
 
 
 def restore_optimizer(optimizer: torch.optim.Optimizer, state: dict[str, Any]) -> None:
-    """Restores an optimizer's state, laid out in memory as its weights are.
+    """Restores an optimizer's state, with the same memory layout as its weights.
 
-    Otherwise sums come out a little differently, and fused optimizers take one weight's memory for another's.
+    With another layout, sums are rounded differently, and fused optimizers mix up the weights.
     """
     optimizer.load_state_dict(state)
     for weights, memory in optimizer.state.items():

@@ -1,4 +1,4 @@
-"""The figures of a run over time: metrics.csv, and the same for TensorBoard."""
+"""The metrics of a run over time: metrics.csv, and the same for TensorBoard."""
 
 from __future__ import annotations
 

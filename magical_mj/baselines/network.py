@@ -19,22 +19,22 @@ ONE_HOT: Final = len(ACTIONS)
 
 
 def as_input(observations: NDArray[Any] | Tensor, device: torch.device) -> Tensor:
-    """Observations as environments give them, as networks want them.
+    """Converts observations of environments to the inputs of networks.
 
     Args:
         observations: stacks of frames, shape (n, side, side, 3k), 0 to 255; or histories, shape (n, HISTORY, names).
-        device: of the networks.
+        device: the device of the networks.
 
     Returns:
-        Stacks as (n, 3k, side, side), values in [0, 1], in memory with the channels last, which is what is fast.
-        Histories as they are.
+        Stacks of shape (n, 3k, side, side) with values in [0, 1], in memory format channels-last, which is faster.
+        Histories unchanged.
     """
     values = torch.as_tensor(observations).to(device).float()
     return scaled(values).permute(0, 3, 1, 2) if values.dim() == 4 else values
 
 
 def scaled(pixels: Tensor) -> Tensor:
-    """The same tensor with its values 0 to 255 brought to [0, 1]; a new one for each batch would cost more time."""
+    """Scales values from 0..255 to [0, 1] in place, and returns the tensor; allocating a new one would be slower."""
     return pixels.div_(255)
 
 
@@ -44,7 +44,7 @@ def convolutions(network: Network) -> list[tuple[int, int, int]]:
 
 
 class Torso(nn.Module):
-    """What all tasks share: from stacks of frames to features.
+    """The layers that all tasks share: from stacks of frames to features.
 
     Args:
         network: the layers' sizes.
@@ -89,11 +89,11 @@ class Heads(nn.Module):
     """The last layer: a linear map of its own for each task.
 
     Args:
-        tasks: how many.
-        inputs: of each map.
-        outputs: of each map.
-        normal: draw the first weights from N(0, 1), as the original's released learners do: the paper's SGD hardly gets
-            anywhere without. Otherwise they are drawn as nn.Linear draws its own.
+        tasks: the number of tasks.
+        inputs: the number of inputs of each map.
+        outputs: the number of outputs of each map.
+        normal: initialise the weights from N(0, 1), as the original's released learners do; the paper's SGD hardly
+            learns without this. Otherwise nn.Linear's default is used.
     """
 
     def __init__(self, tasks: int, inputs: int, outputs: int, *, normal: bool = False) -> None:
@@ -114,9 +114,9 @@ class Actor(nn.Module):
 
     Args:
         network: the layers' sizes.
-        tasks: how many heads it has.
-        states: it looks at histories of states, not at pictures.
-        batch_norm: it has batch norm, if it looks at pictures.
+        tasks: the number of heads.
+        states: whether its observations are histories of states instead of pictures.
+        batch_norm: whether it has batch norm, if its observations are pictures.
         normal: see `Heads`.
     """
 
@@ -137,17 +137,16 @@ class Actor(nn.Module):
 def standardise(torso: Torso, stacks: Tensor) -> None:
     """Scales the weights of a new torso so that each unit has mean 0 and deviation 1 over the stacks, before its ReLU.
 
-    Pictures are mostly background. As they are drawn, weights without batch norm answer to that and hardly to the rest:
-    policies then act alike wherever they are for tens of thousands of steps. Here each layer begins as if it had batch
-    norm (the data-dependent initialisation of Salimans and Kingma, 2016), and has none from then on. The paper does not
-    say how weights are drawn.
+    Pictures are mostly background. Without batch norm, randomly initialised units respond mainly to it, and policies
+    act almost equally in all states for tens of thousands of steps. Here each layer starts as if it had batch norm (the
+    data-dependent initialisation of Salimans and Kingma, 2016). The paper does not say how weights are initialised.
     """
     values = stacks
     for layer in (*torso.convolutions, nn.Flatten(), *torso.linear):
         if isinstance(layer, nn.Conv2d | nn.Linear):
             answers = layer(values)
             over = [axis for axis in range(answers.dim()) if axis != 1]
-            deviation = answers.std(over).clamp(min=1e-6)  # some unit may see nothing
+            deviation = answers.std(over).clamp(min=1e-6)  # a unit may be constant
             weight, bias = layer.parameters()
             weight.div_(deviation.reshape(-1, *[1] * (weight.dim() - 1)))
             bias.sub_(answers.mean(over)).div_(deviation)

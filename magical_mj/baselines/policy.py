@@ -25,12 +25,12 @@ POLICY: Final = "policy.safetensors"
 
 
 class TrainedPolicy:
-    """Draws actions from what the network holds probable, as in training; the draws are the episode's own.
+    """A trained policy: samples actions from the network's probabilities with the episode's generator.
 
     Args:
         actor: the network.
-        tasks: that it was trained on, in the order of its heads.
-        preset: of the observations that it was trained on.
+        tasks: the tasks on which it was trained, in the order of its heads.
+        preset: the preset of the observations on which it was trained.
     """
 
     def __init__(self, actor: Actor, tasks: Sequence[str], preset: str) -> None:
@@ -77,7 +77,7 @@ class TrainedPolicy:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Within it, PyTorch uses one thread: sums depend on how they are split, and workers must not fight for cores."""
+    """A context in which PyTorch uses one thread: sums depend on how they are split, and workers share the cores."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -87,13 +87,13 @@ def one_thread() -> Iterator[None]:
 
 
 def save_policy(folder: Path, actor: Actor, settings: TrainingSettings, progress: tuple[int, int]) -> None:
-    """Writes the policy into a run's folder, with all that is needed to use it.
+    """Writes the policy into a run's folder, with everything that is needed to use it.
 
     Args:
-        folder: of the run.
+        folder: the run's folder.
         actor: the network.
-        settings: of the run.
-        progress: how many updates it has had, and how many a training is.
+        settings: the settings of the run.
+        progress: the number of updates so far, and of a whole training.
     """
     kept = {
         "weights": actor.state_dict(),

@@ -29,7 +29,7 @@ from magical_mj.baselines.states import StateTorso
 
 
 class Features(BaseFeaturesExtractor):
-    """The torso's features with the one-hot task joined to them, which is how it reaches the heads."""
+    """The torso's features with the one-hot task appended, so that the heads get it."""
 
     def __init__(self, observation_space: spaces.Dict, torso: Torso | StateTorso) -> None:
         tasks = observation_space[TASK].shape
@@ -43,7 +43,7 @@ class Features(BaseFeaturesExtractor):
 
 
 class ForTasks(nn.Module):
-    """Heads for features with the task joined to them."""
+    """Heads for features with the one-hot task appended."""
 
     def __init__(self, heads: Heads) -> None:
         super().__init__()
@@ -59,12 +59,12 @@ class ActorCritic(ActorCriticPolicy):
     """Stable-baselines3's policy around an `Actor`: action and value share all but the last layer (appendix).
 
     Args:
-        observation_space: of the environments.
-        action_space: of the environments.
-        lr_schedule: learning rate by what is left of the training.
+        observation_space: the space of the environments.
+        action_space: the space of the environments.
+        lr_schedule: remaining share of the training -> learning rate.
         actor: the policy.
         critic: the heads that estimate values.
-        others: what else PPO gives; nothing that matters here.
+        others: further arguments of stable-baselines3, which are not used.
     """
 
     def __init__(
@@ -92,10 +92,10 @@ class ActorCritic(ActorCriticPolicy):
 
 
 class EvenBuffer(DictRolloutBuffer):
-    """A rollout whose minibatches are split evenly between the tasks, and drawn by a generator of our own.
+    """A rollout whose minibatches are split evenly between the tasks, and drawn by the run's own generator.
 
     Attributes:
-        tasks: numbers of the copies' tasks, ascending; every task has as many copies.
+        tasks: the numbers of the environments' tasks, ascending; all tasks have the same number of environments.
         generator: draws the minibatches.
     """
 
@@ -122,7 +122,7 @@ class EvenBuffer(DictRolloutBuffer):
 
 
 class _Scores(BaseCallback):
-    """Mean score of the episodes that ended in the last update in which any did; 0 before."""
+    """Mean score of the episodes that ended in the last update with finished episodes; 0 before."""
 
     latest = 0.0
 
@@ -140,20 +140,20 @@ class _Scores(BaseCallback):
 
 
 class Improver(PPO):
-    """PPO in three strokes: `collect` a rollout, think of rewards, `improve` the policy by them.
+    """PPO with external rewards: `collect` a rollout, compute rewards for it, and `improve` the policy with them.
 
-    Where the paper says nothing, this follows rlpyt, its library: advantages are not normalised, the clipping range
-    falls with the learning rate, Adam's eps is 1e-8, values are not clipped, and their loss is half the squared error.
-    Unlike there, the horizon is not taken for the end of the world: the value of the last state stands for what would
-    have come after it.
+    Where the paper does not say otherwise, this follows its library rlpyt: advantages are not normalised, the clipping
+    range falls with the learning rate, Adam's eps is 1e-8, values are not clipped, and their loss is half the squared
+    error. Unlike there, the horizon is treated as truncation, not termination: returns are bootstrapped with the value
+    of the last state.
 
     Args:
-        settings: of the run.
-        environments: to be played in.
-        actor: the policy that is improved.
+        settings: the settings of the run.
+        environments: the environments.
+        actor: the policy.
         critic: heads for the actor's torso that estimate values.
         generator: draws minibatches.
-        device: of the networks.
+        device: the device of the networks.
     """
 
     def __init__(
@@ -193,13 +193,13 @@ class Improver(PPO):
         self._setup_learn(self._updates * self._each, self._scores)
 
     def collect(self) -> Rollout:
-        """Plays on for the settings' number of steps in each environment."""
+        """Plays the settings' number of steps in each environment, and returns them."""
         self.collect_rollouts(self._environments, self._scores, self.rollout_buffer, self.n_steps)
         buffer = self.rollout_buffer
         return Rollout(buffer.observations[SEEN], buffer.actions[..., 0], self._environments.tasks)
 
     def improve(self, rewards: NDArray[np.float32]) -> dict[str, float]:
-        """One update of the policy, by rewards of shape (steps, environments) for what was collected."""
+        """One update of the policy, with rewards of shape (steps, environments) for the collected rollout."""
         buffer = self.rollout_buffer
         buffer.rewards += rewards  # in it are, as the environments give 0, the values of states that ended an episode
         with torch.no_grad():
@@ -216,7 +216,7 @@ class Improver(PPO):
         }
 
     def state(self) -> dict[str, Any]:
-        """Weights, the optimizer's memory, and where the environments and the training are."""
+        """Weights, and the states of the optimizer, the environments and the training."""
         return {
             "weights": self._parts.state_dict(),
             "optimizer": self.policy.optimizer.state_dict(),

@@ -1,4 +1,4 @@
-"""What GAIL, WGAIL-GP and AL share: PPO on rewards that the learner makes itself."""
+"""The common part of GAIL, WGAIL-GP and AL: PPO with rewards that the learner computes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Samples = tuple[Tensor, Tensor, Tensor]
 
 
 class RewardLearner(Learner):
-    """Plays, makes rewards for what was done, and improves the policy by PPO.
+    """Plays, computes rewards, and improves the policy by PPO.
 
     Policy and value look at pictures as they are, without augmentation (appendix). Demonstrations keep their no-ops.
     """
@@ -63,7 +63,7 @@ class RewardLearner(Learner):
 
     @abstractmethod
     def study(self, rollout: Rollout) -> Mapping[str, float]:
-        """Learns from what the policy has just done, and returns figures about it."""
+        """Learns from the policy's latest rollout, and returns metrics."""
 
     @abstractmethod
     def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
@@ -89,10 +89,10 @@ class RewardLearner(Learner):
 
 
 class RewardNormaliser:
-    """Brings each task's rewards to mean 0 and a given standard deviation, by those of all of its rewards so far.
+    """Normalises each task's rewards to mean 0 and a given standard deviation, using its rewards so far.
 
-    The paper normalises (appendix); for several tasks it does not say whether together. Together, a task whose samples
-    are easily told apart would decide how much the rewards of all others count.
+    The paper normalises rewards (appendix), but does not say whether jointly for several tasks. If it were joint, a
+    task whose samples are easy to discriminate would determine the scale of the other tasks' rewards.
 
     Args:
         deviation: the standard deviation.

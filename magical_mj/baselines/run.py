@@ -46,13 +46,13 @@ ROWS: Final = 200
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a training is.
+    """The progress of a training.
 
     Attributes:
-        update: updates done.
-        updates: of a whole training.
-        figures: the learner's, means over the updates since the last report; none between reports.
-        scores: mean score in the demo variant by task, where they have just been measured.
+        update: the number of updates so far.
+        updates: the number of updates of a whole training.
+        figures: the learner's metrics, means over the updates since the last report; empty between reports.
+        scores: task -> mean score in the demo variant, if it was just measured.
     """
 
     update: int
@@ -72,15 +72,15 @@ def train(
     """Trains a policy and returns it; everything is in the folder, where `evaluate` finds it too.
 
     Args:
-        settings: all of them; see `load_settings`.
+        settings: the settings; see `load_settings`.
         out: the run's folder.
-        resume: go on with what is in it, if there is something: exactly as if there had been no break.
-        learner: makes the method, for a method of the user's own; None: the one that the settings name.
+        resume: continue a training in the folder, if there is one, with the same result as without interruption.
+        learner: makes the learner, for a method of your own; None: the method that the settings name.
         watch: called after each update.
 
     Raises:
-        SettingsError, UnknownNameError: if the settings are invalid, or not those that the folder was started with.
-        TrainingError: if the folder cannot be used, or a loss is no number any more.
+        SettingsError, UnknownNameError: if the settings are invalid, or differ from those of a resumed training.
+        TrainingError: if the folder cannot be used, or a loss becomes NaN or infinite.
     """
     folder = Path(out)
     if learner is None and settings.method not in METHODS:
@@ -95,7 +95,7 @@ def train(
 
 
 def _check(folder: Path, settings: TrainingSettings, resume: bool) -> None:
-    """Raises an error unless the folder is new, or holds this very training and is to be resumed."""
+    """Raises an error unless the folder is new, or holds a training with these settings that shall be resumed."""
     config = folder / CONFIG
     if not config.exists():
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -116,7 +116,7 @@ def _start(folder: Path, settings: TrainingSettings) -> None:
 
 
 def _circumstances() -> str:
-    """When, by which command and with which versions a run is started, as TOML."""
+    """The time, command and versions with which a run is started, as TOML."""
     made = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": shlex.join(sys.argv),
@@ -198,5 +198,5 @@ class _Run:
 
 
 def _due(update: int, updates: int, times: int) -> bool:
-    """Whether something that is done so many times in a training, the last time at its end, is due now."""
+    """Whether something that is done `times` times in a training, the last time at its end, is due now."""
     return update * times // updates > (update - 1) * times // updates

@@ -1,4 +1,4 @@
-"""Every number of a training, with the paper's values (its tables of hyperparameters) as defaults."""
+"""The settings of a training, with the paper's hyperparameters as defaults."""
 
 from __future__ import annotations
 
