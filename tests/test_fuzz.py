@@ -17,6 +17,7 @@ FUZZ = Path(__file__).parent.parent / "tools" / "fuzz"
 CASES = {"calls": 300, "scenes": 60, "states": 60, "files": 10, "commands": 10, "clients": 15}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", CASES)
 def test_hostile_cases_are_refused_or_harmless(kind: str) -> None:
     command = [sys.executable, str(FUZZ), "--kinds", kind, "--cases", str(CASES[kind])]
