@@ -75,7 +75,7 @@ def test_a_legal_scene_can_be_drawn_observed_exported_and_written(number: int, t
         state = magical_mj.load_scene(scene, observations=("state",)).reset().observation["state"]
         assert np.isfinite(state).all()
     else:
-        with pytest.raises(InvalidSceneError, match="observe pictures instead"):
+        with pytest.raises(InvalidSceneError, match="use pictures as observations"):
             magical_mj.load_scene(scene, observations=("state",))
 
 
