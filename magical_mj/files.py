@@ -1,4 +1,4 @@
-"""Writing files atomically: a file appears under its name only when it is complete."""
+"""Writing files atomically, so that a file appears under its name only when it is complete; and reading TOML."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ import errno
 import os
 import platform
 import threading
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
+from typing import Any
+
+from magical_mj.errors import SettingsError
 
 
 def write(path: Path | str, data: str | bytes, *, overwrite: bool = False) -> None:
@@ -54,6 +58,18 @@ def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             unfinished.unlink()
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Raises:
+        SettingsError: if it cannot be read as TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text())
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise SettingsError(f"{path} cannot be read as TOML: {error}") from error
 
 
 def _clear_up(path: Path) -> None:

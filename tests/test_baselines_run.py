@@ -17,13 +17,14 @@ from learners import is_done, tiny
 
 import magical_mj
 from magical_mj.baselines import checkpoint, load_policy, train
-from magical_mj.baselines.config import from_toml, read_toml, recorded
+from magical_mj.baselines.config import from_toml, recorded
 from magical_mj.baselines.metrics import read_metrics
 from magical_mj.baselines.policy import POLICY
 from magical_mj.baselines.run import CHECKPOINT, CONFIG
 from magical_mj.episodes import Episode
 from magical_mj.errors import MagicalError, SettingsError, TrainingError, UnknownNameError
 from magical_mj.evaluation import evaluate
+from magical_mj.files import read_toml
 from magical_mj.protocol import PROTOCOL
 
 START = "import sys; sys.path.insert(0, 'tests'); from learners import tiny; from magical_mj.baselines import train; "

@@ -13,6 +13,7 @@ from typing import Any, Final, TypeVar, get_type_hints
 
 from magical_mj.baselines.settings import STATE, TrainingSettings
 from magical_mj.errors import SettingsError, shown, unknown_name
+from magical_mj.files import read_toml
 from magical_mj.registry import TASKS, listed, task_name
 
 PARTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
@@ -187,14 +188,6 @@ def from_toml(path: Path) -> TrainingSettings:
         raise SettingsError(f"{path} must give a method and tasks")
     method, tasks = table.pop("method"), tuple(listed(table.pop("tasks"), TASKS))
     return changed(TrainingSettings(method, tasks), flattened(table))
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """What is in a TOML file; a `SettingsError` if it is none."""
-    try:
-        return tomllib.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise SettingsError(f"{path} cannot be read as TOML: {error}") from error
 
 
 def flattened(table: dict[str, Any]) -> dict[str, Any]:

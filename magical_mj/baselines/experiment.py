@@ -9,7 +9,7 @@ from operator import methodcaller
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.baselines.config import flattened, load_settings, read_toml
+from magical_mj.baselines.config import flattened, load_settings
 from magical_mj.baselines.learner import keep_freed_memory
 from magical_mj.baselines.run import METHODS, Progress, train
 from magical_mj.baselines.settings import TrainingSettings
@@ -21,6 +21,7 @@ from magical_mj.evaluation.run import evaluate
 from magical_mj.evaluation.scores import frame
 from magical_mj.evaluation.settings import EvaluationSettings, settings_from
 from magical_mj.evaluation.statistics import by_environment, rank_correlation
+from magical_mj.files import read_toml
 from magical_mj.parallel import check_backend, spread
 from magical_mj.registry import TASKS, listed, task_name, task_spec
 

@@ -6,7 +6,6 @@ import gzip
 import hashlib
 import io
 import json
-import tomllib
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -91,7 +90,7 @@ def submit(
     out = Path(out)
     if not out.name.endswith(SUFFIX):
         raise SettingsError(f"{out} must end in {SUFFIX}")
-    said = _card({} if card is None else _read_toml(Path(card)), card)
+    said = _card({} if card is None else files.read_toml(Path(card)), card)
     found = [(score, folder) for folder in map(Path, folders) for score in read(folder)]
     names = list(dict.fromkeys(score.policy for score, _ in found))
     if policy is not None and policy not in names:
@@ -141,13 +140,6 @@ def recorded(folder: Path) -> dict[str, Any]:
         return dict(json.loads((folder / SETTINGS).read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError, RecursionError):
         return {}
-
-
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise SettingsError(f"{path} cannot be read as TOML: {error}") from error
 
 
 def _card(said: dict[str, Any], where: object, known: dict[str, Any] = CARD) -> dict[str, Any]:
