@@ -101,10 +101,12 @@ def _over_tasks(one: Standing, variant: str) -> str:
     return f"{_mean(one, (variant,)):.2f}{part}" if there else ""
 
 
-def agreement(learnt: Mapping[str, Standing], paper: Iterable[Standing]) -> str:
-    """Of each of our methods, its rank correlation with each of the paper's over the environments."""
+def agreement(learnt: Mapping[str, Standing], paper: Sequence[Standing]) -> str:
+    """Of each of the paper's methods that we trained, its rank correlation with the paper's over the environments."""
     rows = [
-        (label(one), *(_number(rank_correlation(one.means, other.means)) for other in paper)) for one in learnt.values()
+        (label(one), *(_number(rank_correlation(one.means, other.means)) for other in paper))
+        for one in learnt.values()
+        if one.name.split(" (")[0] in {other.name.split(" (")[0] for other in paper}
     ]
     return table(("", *COMPARED), rows)
 
