@@ -19,8 +19,8 @@ from entries import EPISODES
 
 import magical_mj
 
-MAY_STAY = ("pytest-of-*", "torchinductor_*")
-"""What pytest keeps of tests that fail, and a folder that PyTorch makes when its optimisers are first used."""
+MAY_STAY = ("pytest-of-*", "torchinductor_*", ".ses")
+"""What pytest keeps of tests that fail, PyTorch makes when an optimiser is first used, and ONNX Runtime when it loads."""
 FOLDER = pytest.StashKey[Path]()
 
 
