@@ -20,7 +20,7 @@ from entries import EPISODES
 import magical_mj
 
 MAY_STAY = ("pytest-of-*", "torchinductor_*", ".ses")
-"""What pytest keeps of tests that fail, PyTorch makes when an optimiser is first used, and ONNX Runtime when it loads."""
+"""What pytest keeps of failing tests, PyTorch makes at the first use of an optimiser, and ONNX Runtime at its import."""
 FOLDER = pytest.StashKey[Path]()
 
 

@@ -25,7 +25,8 @@ def test_what_stays_lets_the_tests_fail(test: str, code: int, processes: int, tm
     (tests / "test_it.py").write_text(f"{test}\n")
     result = subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *(["-n", "1"] if processes else []), str(tests)],
-        env={name: value for name, value in os.environ.items() if "PYTEST" not in name} | {"TMPDIR": str(system)},
+        env={name: value for name, value in os.environ.items() if "PYTEST" not in name}
+        | {"TMPDIR": str(system), "PYTHONPATH": str(Path(__file__).parent)},  # of what conftest.py imports
         capture_output=True,
         text=True,
         check=False,
