@@ -20,7 +20,7 @@ from entries import EPISODES
 import magical_mj
 
 MAY_STAY = ("pytest-of-*", "torchinductor_*", ".ses")
-"""What pytest keeps of failing tests, PyTorch makes at the first use of an optimiser, and ONNX Runtime at its import."""
+"""What pytest keeps of failing tests, PyTorch makes at the first use of an optimiser, and ONNX Runtime at import."""
 FOLDER = pytest.StashKey[Path]()
 
 
