@@ -51,12 +51,12 @@ class FrameStack:
 
     def start(self, see: See) -> Images:
         """The stack at the start of an episode: all its frames are the first picture. A fresh array."""
-        self._draw_newest(see)
-        pixels = self.latest.transpose(self._channels_last)
+        latest = self._draw_newest(see)
+        pixels = latest.transpose(self._channels_last)
         for _, first, end in self._channels:
             for channel in range(first, end - 3):
                 pixels[..., channel] = pixels[..., end - 3 + (channel - first) % 3]
-        return self.latest.copy()
+        return latest.copy()
 
     def push(self, see: See) -> Images:
         """The stack with the newest pictures added and the oldest gone. A fresh array."""
@@ -64,13 +64,15 @@ class FrameStack:
             latest, self._first = self.latest.copy(), 0
             self.latest[:] = latest
         self._first += self._shift
-        self._draw_newest(see)
-        return self.latest.copy()
+        return self._draw_newest(see).copy()
 
-    def _draw_newest(self, see: See) -> None:
-        pixels = self.latest.transpose(self._channels_last)
+    def _draw_newest(self, see: See) -> Images:
+        """Draws the newest frame of each view into the latest stack, which is returned."""
+        latest = self.latest
+        pixels = latest.transpose(self._channels_last)
         for view, _, end in self._channels:
             see(view, pixels[..., end - 3 : end])
+        return latest
 
 
 class Stacks:

@@ -204,9 +204,10 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         if not self._running:
             raise ResetNeeded("the episode has ended; call reset() before the next step")
         now = self._env.step(to_discrete(action) if self._continuous else action)
-        self._running, self._seeded = not now.last(), None
+        last = now.last()
+        self._running, self._seeded = not last, None
         observation = self._observation(now.observation, self._stacks.push(self._see))
-        return observation, float(now.reward or 0.0), False, now.last(), self._info(last=now.last())
+        return observation, float(now.reward or 0.0), False, last, self._info(last=last)
 
     def render(self) -> Images | None:
         """The view of `render_view` if `render_mode` is "rgb_array". Shape (size, size, 3); "both": twice as wide."""
