@@ -44,7 +44,7 @@ Device = Annotated[str, typer.Option(help="auto, cpu, cuda, ...")]
 Worlds = Annotated[
     str, typer.Option(help="What gail, wgail-gp and al play in: single, or batched on DEVICE (extra gpu).")
 ]
-Quick = Annotated[bool, typer.Option("--quick", help="A smaller network and a shorter training, for two cores.")]
+Quick = Annotated[bool, typer.Option("--quick", help="Use a smaller network and a shorter training, for two cores.")]
 Change = Annotated[
     list[str] | None, typer.Option("--set", help="Any setting, such as ppo.clip=0.02.", show_default=False)
 ]
@@ -53,13 +53,15 @@ File = Annotated[
     Path, typer.Argument(help="TOML: methods, tasks, seeds ...; see docs/learners.md.", show_default=False)
 ]
 Folder = Annotated[Path, typer.Option(help="The folder for runs, evaluations and the report.", show_default=False)]
-Jobs = Annotated[int | None, typer.Option(min=1, help="Runs at once, each on one core. One alone uses all cores.")]
-Where = Annotated[Backend, typer.Option(help="Where they run: on this machine or on a cluster.")]
+Jobs = Annotated[
+    int | None, typer.Option(min=1, help="Number of simultaneous runs, each on one core; a single run uses all cores.")
+]
+Where = Annotated[Backend, typer.Option(help="Where the runs execute: on this machine or on a cluster.")]
 Address = Annotated[str | None, typer.Option(help="Of the cluster, such as tcp://host:8786.", show_default=False)]
 
 
 def experiment(file: File, out: Folder, jobs: Jobs = 1, backend: Where = "local", address: Address = None) -> None:
-    """Train and evaluate methods x tasks x seeds. Called again, it goes on with what is left."""
+    """Train and evaluate methods x tasks x seeds. Called again, it continues."""
     planned = baselines.runs(file, out)
     screen = console()
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
@@ -84,7 +86,7 @@ def train(
     change: Change = None,
     resume: Resume = False,
 ) -> None:
-    """Train a policy; OUT then holds it, for `magical-mj evaluate --policy OUT`, with the settings and the figures."""
+    """Train a policy. OUT then holds the policy, for `magical-mj evaluate --policy OUT`, with settings and metrics."""
     if method not in baselines.METHODS:  # which also says what to install, if something is missing
         raise unknown_name("method", method, baselines.METHODS)
     given = {"seed": seed, "augment": augment, "preset": preset, "device": device, "ppo.worlds": worlds}
@@ -125,7 +127,7 @@ def _change(text: str) -> tuple[str, str]:
 
 
 class Rate(ProgressColumn):
-    """Updates done, of how many, how many per second, and the latest figures."""
+    """Finished updates of the total, updates per second, and the latest metrics."""
 
     def render(self, task: Task) -> Text:
         """As text."""
@@ -134,7 +136,7 @@ class Rate(ProgressColumn):
 
 
 class Watch:
-    """Shows a training: a bar with the latest figures, or else a line a minute; and a line for each evaluation."""
+    """Shows a training: a progress bar with the latest metrics, or a line per minute; and a line per evaluation."""
 
     def __init__(self, screen: Console, progress: Progress, method: str) -> None:
         self._screen, self._progress = screen, progress

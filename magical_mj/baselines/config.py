@@ -1,4 +1,4 @@
-"""Settings by name: the paper's, the quick ones and those of the state track, with changes; and as plain TOML."""
+"""Loading settings: the paper's, the quick ones and those for states, with changes; and reading and writing TOML."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PARTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "goals": (),
     }
 )
-"""The parts of the settings that mean something to a method; of one that is not here, all of them may."""
+"""Method -> the parts of the settings that it uses; methods that are not listed may use all parts."""
 
 _SHORT: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -59,7 +59,7 @@ QUICK: Final[Mapping[str, Any]] = MappingProxyType(
         "discriminator.batch_size": 32,
     }
 )
-"""What `quick` changes: a smaller network and shorter training, for two cores without an accelerator."""
+"""The changes made by `quick`: a smaller network and shorter training, for two cores without an accelerator."""
 
 STATE_TRACK: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -77,7 +77,7 @@ STATE_TRACK: Final[Mapping[str, Any]] = MappingProxyType(
         "discriminator.batch_size": 128,
     }
 )
-"""What the preset State changes: the paper has no such track."""
+"""The changes for the preset State, which the paper does not have."""
 
 T = TypeVar("T")
 
@@ -102,11 +102,11 @@ def load_settings(
 
 
 def changed(settings: TrainingSettings, changes: Mapping[str, Any]) -> TrainingSettings:
-    """The settings with other values; values given as text are read as what the field holds.
+    """The settings with other values; values given as text are converted to the field's type.
 
     Raises:
         UnknownNameError: if there is no such field.
-        SettingsError: if a value does not fit.
+        SettingsError: if a value is invalid.
     """
     known = names(settings)
     for name in changes:
@@ -127,7 +127,7 @@ def _changed(part: T, changes: Mapping[str, Any], prefix: str) -> T:
 
 
 def names(settings: Any, prefix: str = "") -> list[str]:
-    """The names of all fields, those of parts with dots."""
+    """The names of all fields; those of nested parts contain dots."""
     found = []
     for item in fields(settings):
         value = getattr(settings, item.name)
@@ -159,7 +159,7 @@ MADE: Final = "made"
 
 
 def to_toml(settings: TrainingSettings) -> str:
-    """The settings that mean something to their method; `from_toml` reads them back."""
+    """The settings that the method uses, as TOML; `from_toml` reads them."""
     plain, tables = [], []
     for item in fields(settings):
         value = getattr(settings, item.name)
@@ -172,7 +172,7 @@ def to_toml(settings: TrainingSettings) -> str:
 
 
 def recorded(settings: TrainingSettings) -> dict[str, Any]:
-    """By name, those of parts with dots: what `to_toml` writes."""
+    """Name -> value for everything that `to_toml` writes; names of nested parts contain dots."""
     return flattened(tomllib.loads(to_toml(settings)))
 
 
@@ -191,7 +191,7 @@ def from_toml(path: Path) -> TrainingSettings:
 
 
 def flattened(table: dict[str, Any]) -> dict[str, Any]:
-    """By name, those of sub-tables with dots."""
+    """Name -> value; names in sub-tables contain dots."""
     flat = {}
     for name, value in table.items():
         flat |= {f"{name}.{inner}": kept for inner, kept in value.items()} if isinstance(value, dict) else {name: value}

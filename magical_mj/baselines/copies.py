@@ -26,13 +26,13 @@ Seen = dict[str, NDArray[Any]]
 
 
 class Copy(gymnasium.Env[Any, Any]):
-    """One copy of a task's environment: episode k starts with a seed that follows from the run's, the copy and k.
+    """One copy of a task's environment. The seed of episode k is a function of the run's seed, the copy and k.
 
-    The first begins with a head start of random actions; see `head_start`.
+    The first episode starts with some random actions; see `head_start`.
 
     Args:
-        settings: of the run.
-        number: of the copy, from 0 to `ppo.environments` - 1; the copies of a task follow one another.
+        settings: the settings of the run.
+        number: the copy's number, from 0 to `ppo.environments` - 1; copies of the same task have successive numbers.
     """
 
     def __init__(self, settings: TrainingSettings, number: int) -> None:
@@ -48,7 +48,7 @@ class Copy(gymnasium.Env[Any, Any]):
         self._episode, self._actions = -1, list[int]()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Seen, dict[str, Any]]:  # noqa: ARG002
-        """The next episode begins. Copies have seeds of their own, and no options."""
+        """Starts the next episode. The arguments are not used: copies have their own seeds."""
         self._episode += 1
         first = self._rng().integers(len(ACTIONS), size=self._head_start) if self._episode == 0 else ()
         return self._replay(first), {}
@@ -60,11 +60,11 @@ class Copy(gymnasium.Env[Any, Any]):
         return self._seen(observation), reward, terminated, truncated, info
 
     def state(self) -> dict[str, Any]:
-        """The episode's number, and what has been done in it."""
+        """The episode's number and its actions so far."""
         return {"episode": self._episode, "actions": np.array(self._actions, np.int64)}
 
     def restore(self, state: dict[str, Any]) -> Seen:
-        """Restores a `state` by doing everything again; returns what is seen then."""
+        """Restores a `state` by replaying its actions; returns the observation."""
         self._episode = state["episode"]
         return self._replay(state["actions"])
 
@@ -90,7 +90,7 @@ class Copy(gymnasium.Env[Any, Any]):
 
 
 class Copies(DummyVecEnv):
-    """All copies of a run, in this process: a copy's step takes less time than sending its pictures does."""
+    """All copies of a run, in this process, since sending pictures takes longer than a step."""
 
     def __init__(self, settings: TrainingSettings) -> None:
         self._copies = [Copy(settings, number) for number in range(settings.ppo.environments)]
@@ -101,29 +101,29 @@ class Copies(DummyVecEnv):
         return [copy.state() for copy in self._copies]
 
     def restore(self, state: Sequence[dict[str, Any]]) -> Seen:
-        """Restores a `state`; returns what all copies see, as `reset` does."""
+        """Restores a `state`; returns the observations of all copies, as `reset` does."""
         seen = [copy.restore(one) for copy, one in zip(self._copies, state, strict=True)]
         return {key: np.stack([one[key] for one in seen]) for key in (SEEN, TASK)}
 
 
 def space(settings: TrainingSettings, given: spaces.Space[Any]) -> spaces.Dict:
-    """Of what PPO sees, where the environment gives observations of that space."""
+    """The space of PPO's observations, for environments with the observation space `given`."""
     if settings.states:
         given = spaces.Box(-np.inf, np.inf, (HISTORY, *(given.shape or ())), np.float32)
     return spaces.Dict({SEEN: given, TASK: spaces.Box(0, 1, (len(settings.tasks),), np.float32)})
 
 
 def head_start(settings: TrainingSettings, number: int) -> int:
-    """With how many random actions the first episode of an environment begins.
+    """The number of random actions with which the first episode of an environment starts.
 
-    Environments that all start at the same time would stay at the same time of their episodes for ever, and every batch
-    would hold one part of the task only. So those of a task are spread over its horizon, as rlpyt, the paper's PPO,
-    does it by default.
+    If all environments started together, they would always be at the same step of their episodes, and each batch would
+    contain only one phase of the task. So they are spread over the horizon, as rlpyt, the paper's library, does by
+    default.
     """
     siblings = settings.ppo.environments // len(settings.tasks)
     return number % siblings * task_spec(settings.tasks[task_number(settings, number)]).horizon() // siblings
 
 
 def task_number(settings: TrainingSettings, number: int) -> int:
-    """The task that is played in an environment."""
+    """The number of the task of an environment."""
     return number * len(settings.tasks) // settings.ppo.environments

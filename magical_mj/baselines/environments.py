@@ -13,13 +13,13 @@ from magical_mj.baselines.worlds import BatchedWorlds
 
 
 class Environments(VecTransposeImage):
-    """What a run plays in: copies of the environments, or batched worlds.
+    """The environments of a run: copies of single environments, or batched worlds.
 
-    Stable-baselines3 would put the channels of pictures first, which is slow; a wrapper that is told to skip this
-    keeps it from doing so.
+    Stable-baselines3 would move the channels of pictures first, which is slow; this wrapper, told to skip
+    that, prevents it.
 
     Attributes:
-        tasks: the number of the task that is played in each, ascending. Shape (environments,).
+        tasks: the number of the task of each environment, ascending. Shape (environments,).
     """
 
     def __init__(self, settings: TrainingSettings) -> None:
@@ -35,5 +35,5 @@ class Environments(VecTransposeImage):
         return self._played.state()
 
     def restore(self, state: Any) -> Seen:
-        """Restores a `state`; returns what is seen in all of them, as `reset` does."""
+        """Restores a `state`; returns all observations, as `reset` does."""
         return self._played.restore(state)

@@ -1,4 +1,4 @@
-"""Many runs: methods x tasks x seeds, each trained and evaluated, and all in one report beside the paper's."""
+"""Experiments: runs of methods x tasks x seeds, each trained and evaluated, and a report with the paper's results."""
 
 from __future__ import annotations
 
@@ -34,27 +34,27 @@ ENTRIES: Final = {
     "settings": "{}",
     "evaluation": "{}",
 }
-"""Of an experiment's file, with examples; the first three must be there."""
+"""The entries of an experiment's file, with examples; the first three are required."""
 EVALUATION: Final = {name: getattr(EvaluationSettings, name) for name in ("variants", "episodes", "rules")}
 SIDE_BY_SIDE: Final = {"pictures": 10, "states": 100}
 """Episodes that are played at once, for networks like batches; pictures fill the memory."""
 NAMED: Final = ("preset", "augment", "device", "evaluations", "episodes", "checkpoints")
-"""Settings that a method's name shows in its own way, or that change nothing in what is learnt."""
+"""Settings that are not listed in a method's name: it shows them otherwise, or they do not affect the result."""
 LEAST_PAIRS: Final = 5
-"""Environments that a rank correlation is worth printing for."""
+"""The least number of environments for which a rank correlation is printed."""
 ABLATIONS: Final = {"all": "", "none": ", no aug.", "no-trans-rot": ", no trans./rot. aug."}
 
 
 @dataclass(frozen=True)
 class Run:
-    """One of an experiment's runs.
+    """One run of an experiment.
 
     Attributes:
-        settings: of the training.
+        settings: the settings of the training.
         quick: whether they are the quick ones.
-        changes: to the settings, beside the seed.
-        evaluation: as in `EVALUATION`.
-        folder: of the experiment.
+        changes: the changed settings, except the seed.
+        evaluation: the settings of the evaluation, as in `EVALUATION`.
+        folder: the folder of the experiment.
     """
 
     settings: TrainingSettings
@@ -90,7 +90,7 @@ class Run:
         return self.folder / "evaluations" / self.name
 
     def play(self) -> str:
-        """Trains and evaluates, or does what is left of it; returns a line about it."""
+        """Trains and evaluates, as far as that is not done yet; returns a line about it."""
         trained = self.folder / "runs" / self.name
         keep_freed_memory()
         updates: list[Progress] = []
@@ -153,17 +153,17 @@ def runs(file: Path, out: Path) -> list[Run]:
 def conduct(
     planned: list[Run], out: Path, *, jobs: int | None = 1, backend: str = "local", address: str | None = None
 ) -> Iterator[str]:
-    """Trains and evaluates what is not done yet, a line for each run; then `agreement`, and the path of the report.
+    """Trains and evaluates what is not done yet. Yields a line for each run, then `agreement` and the report's path.
 
     Args:
         planned: the `runs`.
         out: the folder of the experiment.
-        jobs: how many runs go on at once, each on one thread; one alone uses all cores.
+        jobs: the number of simultaneous runs, each on one thread; a single run uses all cores.
         backend: "local", "dask" or "ray".
-        address: of the cluster.
+        address: the cluster's address.
 
     Raises:
-        MagicalError: what stopped a run. Called again, it goes on.
+        MagicalError: if a run fails. Called again, it continues.
     """
     check_backend(backend, jobs, address)
     if backend == "local" and jobs == 1:
@@ -175,7 +175,7 @@ def conduct(
 
 
 def agreement(planned: list[Run]) -> Iterator[str]:
-    """How alike the methods of runs that are done and the paper's rank the environments, a line for each method."""
+    """The rank correlation of each finished method's mean scores with the paper's over environments, a line each."""
     ours = by_environment(frame(gather([run.scores for run in planned])))
     paper = published_results()
     for method, counterpart in {run.method: run.counterpart for run in planned}.items():

@@ -137,6 +137,6 @@ def read_metrics(folder: Path) -> list[dict[str, str]]:
         return []
     except (csv.Error, KeyError, ValueError) as error:
         raise TrainingError(
-            f"{path} is damaged: {error}; delete it, and the training goes on without the rows so far"
+            f"{path} is damaged: {error}; delete it, and the training continues without the rows so far"
         ) from error
     return rows

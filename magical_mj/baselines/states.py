@@ -175,7 +175,7 @@ class StateAugmentation:
     """Changes histories at random.
 
     The counterparts of a moved and turned picture are a robot that stands and looks a little elsewhere than it does,
-    alike in the four states of a history; that of noisy pixels are noisy poses, in each state anew.
+    alike in the four states of a history; noise of pixels corresponds to noise of poses, drawn for each state.
 
     Attributes:
         parts: what it does.
