@@ -211,6 +211,15 @@ def test_mixed_rules_are_refused(tmp_path: Path) -> None:
         compare(f"{paper}:noop", f"{released}:noop")
 
 
+def test_scores_of_batched_worlds_are_not_compared_with_others(tmp_path: Path) -> None:
+    single, batched = (
+        write(tmp_path / worlds, [replace(score, worlds=worlds) for score in example()])
+        for worlds in ("single", "batched")
+    )
+    with pytest.raises(EvaluationError, match=r"different worlds: .* compared among themselves"):
+        compare(f"{single}:noop", f"{batched}:noop")
+
+
 def test_mixed_presets_are_refused_unless_wanted(tmp_path: Path) -> None:
     other = [replace(score, policy="allo", preset="LoRes4A") for score in example() if score.policy != "noop"]
     folders = [write(tmp_path / "a", example()), write(tmp_path / "b", other)]

@@ -54,13 +54,16 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
 
     Raises:
         SettingsError: if the choice of policies is ambiguous.
-        EvaluationError: if they were scored by different rules, or have no scene in common.
+        EvaluationError: if they were scored by different rules or in different kinds of worlds, or have no scene in
+            common.
     """
     check_extra("comparisons", "eval")
     import pandas as pd
 
     sides = [choose(which) for which in (first, second)]
-    check_same([(score, name) for name, scores in sides for score in scores], "rules", "they cannot be compared")
+    found = [(score, name) for name, scores in sides for score in scores]
+    check_same(found, "rules", "they cannot be compared")
+    check_same(found, "worlds", "scores of batched worlds are approximate, and compared among themselves")
     both = pd.concat([_by_scene(scores) for _, scores in sides], axis=1, keys=["first", "second"])
     paired = both.dropna()
     if paired.empty:
