@@ -28,6 +28,7 @@ def choose_backend() -> None:
 
     If neither works it stays unset: everything except pictures works, and the first picture raises RenderingError.
     """
+    load_triton()
     os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's software OpenGL is faster without worker threads
     os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")  # else pygame's windows have an OpenGL context;
     # alternating between it and ours makes X11 end the process
@@ -60,7 +61,6 @@ def new_gl_context() -> Any:
     """A new OpenGL context for the chosen backend, even if mujoco was imported before it was chosen."""
     import mujoco
 
-    load_triton()
     wanted = wanted_backend()
     module = importlib.import_module(f"mujoco.{wanted}") if wanted in PROBES else mujoco
     return module.GLContext(64, 64)
@@ -84,7 +84,6 @@ def load_triton() -> None:
 @cache
 def egl_works() -> bool:
     """Whether an EGL device can be initialised in the way mujoco and dm_control do."""
-    load_triton()
     try:
         egl = ctypes.CDLL("libEGL.so.1")
     except OSError:
@@ -106,7 +105,6 @@ def egl_works() -> bool:
 @cache
 def osmesa_works() -> bool:
     """Whether the OSMesa library can be loaded."""
-    load_triton()
     for name in OSMESA_LIBRARIES:
         with contextlib.suppress(OSError):
             ctypes.CDLL(name)
