@@ -10,6 +10,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from magical_mj import ENVIRONMENTS, TASKS
 from magical_mj import constants as c
 from magical_mj.agents import AGENTS
@@ -112,15 +115,15 @@ def agreement(learnt: Mapping[str, Standing], paper: Sequence[Standing]) -> str:
 
 
 def environments(one: Standing) -> str:
-    """A method's mean scores, and the standard deviations of its runs."""
-    rows = []
-    for task in TASKS:
-        cells = []
-        for variant in VARIANTS:
-            values = one.means.get((task, variant))
-            cells.append("" if values is None else f"{values.mean():.2f} ± {values.std():.2f}")
-        rows.append((task, *cells))
+    """A method's mean scores, and the standard deviations of its runs if there are several."""
+    rows = [(task, *(_cell(one.means.get((task, variant))) for variant in VARIANTS)) for task in TASKS]
     return table(("", *VARIANTS), rows)
+
+
+def _cell(means: NDArray[np.float64] | None) -> str:
+    if means is None:
+        return ""
+    return f"{means.mean():.2f}" + (f" ± {means.std():.2f}" if len(means) > 1 else "")
 
 
 def _sentence(words: str) -> str:
