@@ -116,7 +116,8 @@ def agreement(learnt: Mapping[str, Standing], paper: Sequence[Standing]) -> str:
 
 def environments(one: Standing) -> str:
     """A method's mean scores, and the standard deviations of its runs if there are several."""
-    rows = [(task, *(_cell(one.means.get((task, variant))) for variant in VARIANTS)) for task in TASKS]
+    played = [task for task in TASKS if any(pair[0] == task for pair in one.means)]
+    rows = [(task, *(_cell(one.means.get((task, variant))) for variant in VARIANTS)) for task in played]
     return table(("", *VARIANTS), rows)
 
 
