@@ -6,6 +6,7 @@ that leaves something behind lets the tests fail, and the system's folder stays 
 
 import os
 import shutil
+import signal
 import tempfile
 from collections.abc import Generator
 from pathlib import Path
@@ -25,6 +26,8 @@ FOLDER = pytest.StashKey[Path]()
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    # Shells let what they start in the background ignore Ctrl-C; the tests' own processes would inherit that.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     if hasattr(config, "workerinput"):  # one of several processes, which has the folder from the first
         return
     folder = Path(tempfile.mkdtemp(prefix="magical-mj-"))

@@ -115,7 +115,10 @@ def test_workers_end_with_their_caller(how: signal.Signals, tmp_path: Path) -> N
     with caller:
         assert caller.stdout is not None
         assert sorted(caller.stdout.readline() for _ in range(2)) == ["0\n", "1\n"]
-        wait_for(lambda: len(running(folder)) == 2)
-        caller.send_signal(how)
-        caller.wait(30)
-        wait_for(lambda: not running(folder), 10)
+        try:
+            wait_for(lambda: len(running(folder)) == 2)
+            caller.send_signal(how)
+            caller.wait(30)
+            wait_for(lambda: not running(folder), 10)
+        finally:
+            caller.kill()  # else `with` waits for it

@@ -21,8 +21,8 @@ from typing import Any, Final, TextIO
 
 from clients import clients, states
 from gymnasium.error import Error as GymnasiumError
-from hostile import FindError, json_value, spoilt_tree, value
-from stock import damaged_files, hostile_command
+from inputs import damaged_files, hostile_command
+from values import FindError, json_value, spoilt_tree, value
 
 import magical_mj
 from magical_mj.actions import ACTIONS

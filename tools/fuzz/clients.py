@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 from dm_control.rl.control import PhysicsError
 from gymnasium import wrappers
-from hostile import FindError, value
+from values import FindError, value
 
 import magical_mj
 from magical_mj.actions import ACTIONS

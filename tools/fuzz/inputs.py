@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from hostile import TEXTS, FindError, json_value, spoilt_bytes, spoilt_tree
+from values import TEXTS, FindError, json_value, spoilt_bytes, spoilt_tree
 
 import magical_mj
 from magical_mj.cli import main
