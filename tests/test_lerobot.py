@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+import tempfile
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -43,6 +44,14 @@ def test_make_says_which_python_lerobot_needs(python: str, tmp_path: Path) -> No
     assert made.returncode != 0
     assert "lerobot 0.6 needs Python 3.12 or 3.13; give LEROBOT_PYTHON=" in made.stderr
     assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(autouse=True)
+def temporary(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """LeRobot leaves a temporary file behind for each configuration that it reads."""
+    folder = str(tmp_path_factory.mktemp("temporary"))
+    monkeypatch.setattr(tempfile, "tempdir", folder)
+    monkeypatch.setenv("TMPDIR", folder)
 
 
 @pytest.fixture(scope="module")
