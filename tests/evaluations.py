@@ -1,16 +1,35 @@
-"""What the tests of evaluations share: small ones, and what of them must always be the same."""
+"""What the tests of evaluations share: small evaluations, hand-made scores, and what must always be the same."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+import numpy as np
 import pandas as pd
 
 import magical_mj
-from magical_mj.evaluation.scores import read
+from magical_mj.evaluation.scores import SCORES, Score, read
 
 SMALL: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo,Layout", "episodes": 3}
+TEMPLATE: Final = Score(
+    policy="BC_4 & more",
+    run=0,
+    task="FindDupe",
+    variant="Demo",
+    seed=0,
+    score=0.0,
+    steps=3,
+    seconds=0.1,
+    rules="paper",
+    preset="LoRes4E",
+    version="0.1.0",
+    mujoco="3.17.0",
+    gl="egl",
+    actions="aba",
+)
 
 
 def evaluate(policy: Any, **settings: Any) -> pd.DataFrame:
@@ -20,3 +39,26 @@ def evaluate(policy: Any, **settings: Any) -> pd.DataFrame:
 
 def rows(folder: Path) -> set[tuple[Any, ...]]:
     return {(score.key, score.score, score.actions, score.failure) for score in read(folder)}
+
+
+def example() -> list[Score]:
+    """Two runs of a method, which lacks an environment and fails once, and one of noop, all with four episodes."""
+    rng = np.random.default_rng(0)
+    scores = []
+    for run, task, variant in product((0, 1), ("MoveToCorner", "MoveToRegion"), ("Demo", "Jitter", "All")):
+        if (task, variant) != ("MoveToRegion", "All"):
+            chance = {"Demo": 0.9, "Jitter": 0.6, "All": 0.2}[variant]
+            for seed in range(4):
+                drawn = float(rng.random() < chance) / (1 + run)
+                scores.append(replace(TEMPLATE, run=run, task=task, variant=variant, seed=seed, score=drawn))
+    scores[3] = replace(scores[3], score=0.0, failure="ValueError: 50% of {it} is_missing")
+    for task, variant, seed in product(("MoveToCorner", "MoveToRegion"), ("Demo", "Jitter", "All"), range(4)):
+        noop = replace(TEMPLATE, policy="noop", preset=None, task=task, variant=variant, seed=seed)
+        scores.append(replace(noop, score=0.25 * (seed == 0)))
+    return scores
+
+
+def write(folder: Path, scores: list[Score]) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / SCORES).write_text("".join(score.line() for score in scores))
+    return folder

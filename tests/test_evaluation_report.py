@@ -1,6 +1,6 @@
-"""Reports and comparisons: golden tables, what is missing is said, and what does not go together is refused.
+"""Reports: golden tables, what is missing is said, and what does not go together is refused.
 
-To write the golden files anew: ``python -m tests.test_evaluation_report`` from the repository's root.
+To write the golden files anew: ``python tests/test_evaluation_report.py`` from the repository's root.
 """
 
 from __future__ import annotations
@@ -10,22 +10,20 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
 from typing import Final
 
-import numpy as np
 import pytest
+from evaluations import example, write
 from matplotlib.text import Text
 from PIL import Image
 
-from magical_mj.errors import EvaluationError, SettingsError
+from magical_mj.errors import EvaluationError
 from magical_mj.evaluation import figures, results, tables
-from magical_mj.evaluation.compare import compare
 from magical_mj.evaluation.figures import bars, heat_map
 from magical_mj.evaluation.report import extremes, report
 from magical_mj.evaluation.results import published_results
-from magical_mj.evaluation.scores import SCORES, Score
+from magical_mj.evaluation.scores import SCORES
 from magical_mj.registry import ENVIRONMENTS, TASKS
 
 GOLDEN: Final = Path(__file__).parent / "data" / "evaluation"
@@ -37,46 +35,6 @@ TABLES: Final = (
     "interquartile.tex",
     "environments.tex",
 )
-
-TEMPLATE: Final = Score(
-    policy="BC_4 & more",
-    run=0,
-    task="FindDupe",
-    variant="Demo",
-    seed=0,
-    score=0.0,
-    steps=3,
-    seconds=0.1,
-    rules="paper",
-    preset="LoRes4E",
-    version="0.1.0",
-    mujoco="3.17.0",
-    gl="egl",
-    actions="aba",
-)
-
-
-def example() -> list[Score]:
-    """Two runs of a method, which lacks an environment and fails once, and one of noop, all with four episodes."""
-    rng = np.random.default_rng(0)
-    scores = []
-    for run, task, variant in product((0, 1), ("MoveToCorner", "MoveToRegion"), ("Demo", "Jitter", "All")):
-        if (task, variant) != ("MoveToRegion", "All"):
-            chance = {"Demo": 0.9, "Jitter": 0.6, "All": 0.2}[variant]
-            for seed in range(4):
-                drawn = float(rng.random() < chance) / (1 + run)
-                scores.append(replace(TEMPLATE, run=run, task=task, variant=variant, seed=seed, score=drawn))
-    scores[3] = replace(scores[3], score=0.0, failure="ValueError: 50% of {it} is_missing")
-    for task, variant, seed in product(("MoveToCorner", "MoveToRegion"), ("Demo", "Jitter", "All"), range(4)):
-        noop = replace(TEMPLATE, policy="noop", preset=None, task=task, variant=variant, seed=seed)
-        scores.append(replace(noop, score=0.25 * (seed == 0)))
-    return scores
-
-
-def write(folder: Path, scores: list[Score]) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / SCORES).write_text("".join(score.line() for score in scores))
-    return folder
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -207,17 +165,6 @@ def test_mixed_rules_are_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(EvaluationError, match=r"different rules: paper in .*, released in "):
         report([paper, released], tmp_path / "out")
-    with pytest.raises(EvaluationError, match="different rules"):
-        compare(f"{paper}:noop", f"{released}:noop")
-
-
-def test_scores_of_batched_worlds_are_not_compared_with_others(tmp_path: Path) -> None:
-    single, batched = (
-        write(tmp_path / worlds, [replace(score, worlds=worlds) for score in example()])
-        for worlds in ("single", "batched")
-    )
-    with pytest.raises(EvaluationError, match=r"different worlds: .* compared among themselves"):
-        compare(f"{single}:noop", f"{batched}:noop")
 
 
 def test_mixed_presets_are_refused_unless_wanted(tmp_path: Path) -> None:
@@ -240,58 +187,6 @@ def test_different_versions_are_noted(tmp_path: Path) -> None:
     assert (
         "different settings of mujoco: 3.17.0, 3.18.0" in report([write(tmp_path, scores)], tmp_path / "o").read_text()
     )
-
-
-# comparisons
-
-
-def side(folder: Path, values: dict[tuple[str, str], list[float]], run: int = 0) -> list[Score]:
-    return [
-        replace(TEMPLATE, policy=folder.name, run=run, task=task, variant=variant, seed=seed, score=value)
-        for (task, variant), given in values.items()
-        for seed, value in enumerate(given)
-    ]
-
-
-def test_comparison_is_paired_by_scene(tmp_path: Path) -> None:
-    """By hand: FindDupe differs by 0.5, -0.5, 0.5 and MakeLine by 0, 0.3; the scene that one has alone is left out."""
-    a, b = tmp_path / "a", tmp_path / "b"
-    write(a, side(a, {("FindDupe", "Demo"): [1.0, 0.0, 0.5, 1.0], ("MakeLine", "Demo"): [0.5, 0.5]}))
-    write(b, side(b, {("FindDupe", "Demo"): [0.5, 0.5, 0.0], ("MakeLine", "Demo"): [0.5, 0.2]}))
-    demo, every = compare(a, b).to_dict("records")
-    assert {**demo, "variant": every["variant"]} == every
-    assert demo["variant"] == "Demo"
-    assert demo["first"] == pytest.approx((0.5 + 0.5) / 2)
-    assert demo["second"] == pytest.approx((1 / 3 + 0.35) / 2)
-    assert demo["difference"] == pytest.approx((0.5 / 3 + 0.15) / 2)
-    assert demo["low"] < demo["difference"] < demo["high"]
-    assert [demo[name] for name in ("better", "worse", "scenes", "environments", "unpaired")] == [3, 1, 5, 2, 1]
-
-
-def test_comparison_averages_runs_first(tmp_path: Path) -> None:
-    a, b = tmp_path / "a", tmp_path / "b"
-    runs = [side(a, {("FindDupe", "Demo"): values}, run) for run, values in enumerate(([1.0, 0.0], [0.0, 1.0]))]
-    write(a, [*runs[0], *runs[1]])
-    write(b, side(b, {("FindDupe", "Demo"): [0.5, 0.25]}))
-    row = compare(a, b).iloc[0]
-    assert (row["first"], row["second"], row["better"], row["worse"]) == (0.5, 0.375, 1, 0)
-
-
-def test_equal_policies_do_not_differ(tmp_path: Path) -> None:
-    folder = write(tmp_path, example())
-    found = compare(f"{folder}:noop", f"{folder}:noop")
-    assert (found[["difference", "low", "high"]] == 0).all(axis=None)
-
-
-def test_comparisons_need_names_and_common_scenes(tmp_path: Path) -> None:
-    folder = write(tmp_path / "many", example())
-    with pytest.raises(SettingsError, match="holds BC_4 & more, noop: name one of them, as in "):
-        compare(folder, folder)
-    with pytest.raises(SettingsError, match="name one of them"):
-        compare(f"{folder}:nobody", folder)
-    other = write(tmp_path / "other", [replace(TEMPLATE, seed=99)])
-    with pytest.raises(EvaluationError, match="no scene in common"):
-        compare(f"{folder}:noop", other)
 
 
 def test_extremes_are_the_best_and_the_worst_of_each_task() -> None:
