@@ -46,6 +46,19 @@ class Batch:
         return look(observation)
 
 
+class Stubborn:
+    """Always acts alike; once it is closed, it fails."""
+
+    def __init__(self, action: int = 0) -> None:
+        self.action = action
+
+    def close(self) -> None:
+        self.action = -1
+
+    def __call__(self, observation: Any) -> int:
+        return self.action
+
+
 class Trouble:
     """Behaves in the scenes of even seeds, and badly in the others; each badly in its own way."""
 

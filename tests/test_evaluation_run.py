@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -105,6 +108,20 @@ def test_rules_reach_the_scores() -> None:
         assert (frame["score"].item(), frame["steps"].item()) == expected
 
 
+@pytest.mark.parametrize("envs", [1, 2])
+def test_a_policy_may_learn_between_evaluations(envs: int) -> None:
+    policy = agents.Stubborn()
+    settings: dict[str, Any] = {"preset": "State", "variants": "Demo", "episodes": 2, "envs": envs}
+    assert set(evaluate(policy, **settings)["actions"]) == {"a" * 40}
+    policy.action = 5
+    assert set(evaluate(policy, **settings)["actions"]) == {"f" * 40}
+
+
+def test_policies_that_can_be_closed_are_left_open() -> None:
+    policies = {str(action): agents.Stubborn(action) for action in (3, 4)}  # which take turns
+    assert evaluate(policies, preset="State")["failure"].isna().all()
+
+
 def test_letters_are_the_actions() -> None:
     assert len(set(LETTERS)) == len(LETTERS) == len(magical_mj.actions.ACTIONS)
 
@@ -162,6 +179,22 @@ def test_a_failure_side_by_side_costs_nobody_else(kind: str) -> None:
 def test_a_policy_that_exits_has_failed(how: dict[str, int]) -> None:
     frame = evaluate("agents:Leaving", preset="State", variants="Demo", **how)
     assert frame["failure"].fillna("").tolist() == ["", "SystemExit: enough", ""]
+
+
+def test_after_an_interruption_nothing_is_mixed_up() -> None:
+    """The episode that is interrupted goes on for a moment, and its result must not be taken for the next one's."""
+    pressed: list[str] = []
+
+    def interrupting(observation: Any) -> int:
+        if not pressed:
+            pressed.append("Ctrl-C")
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+        time.sleep(0.05)
+        return 0
+
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(interrupting, preset="State", variants="Demo")
+    assert set(evaluate(agents.Stubborn(2), preset="State", variants="Demo")["actions"]) == {"c" * 40}
 
 
 # what is asked for

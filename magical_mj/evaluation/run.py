@@ -114,8 +114,11 @@ class Evaluation:
             enough = max(1, sum(unit.steps for unit in self.units) // STEPS_PER_WORKER)
             jobs = jobs or (1 if self.settings.batched else min(cores(), enough))  # which share one accelerator
         if backend == "local" and jobs == 1:
-            for unit in self.units:
-                yield from ([score] for score in player().play(unit))
+            try:
+                for unit in self.units:
+                    yield from ([score] for score in player().play(unit))
+            finally:
+                player().release()
             return
         try:
             yield from spread(play_unit, self.units, jobs, backend, self.settings.address)

@@ -6,6 +6,7 @@ import ctypes
 import functools
 import os
 import queue
+import secrets
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -30,6 +31,8 @@ SEEDS_PER_UNIT: Final = 10
 """Episodes in a unit. A few seconds of work: a killed run loses little, and the overhead per unit is small."""
 GRACE: Final = 1.0
 """Seconds that a call has to end after it was stopped."""
+ENVIRONMENTS: Final = ("world", "vector")
+"""What a player keeps and must close."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,7 @@ class Unit:
         variant: the variant's name.
         seeds: the seeds of the scenes.
         settings: the settings of the evaluation.
+        evaluation: identifies the evaluation. A policy that was loaded for another one may have changed since.
     """
 
     source: Source
@@ -49,6 +53,7 @@ class Unit:
     variant: str
     seeds: tuple[int, ...]
     settings: EvaluationSettings
+    evaluation: str = ""
 
     @property
     def steps(self) -> int:
@@ -59,13 +64,13 @@ class Unit:
 def plan(listed: Sequence[Source], settings: EvaluationSettings, done: Collection[Key]) -> list[Unit]:
     """The remaining units, the longest first, so that all workers end at about the same time."""
     units = []
-    size = max(SEEDS_PER_UNIT, settings.envs)
+    size, evaluation = max(SEEDS_PER_UNIT, settings.envs), secrets.token_hex(8)
     for task, variant in settings.environments:
         for source in listed:
             seeds = range(settings.episodes)
             left = [seed for seed in seeds if (source.name, source.run, task, variant, seed) not in done]
             units += [
-                Unit(source, task, variant, tuple(left[start : start + size]), settings)
+                Unit(source, task, variant, tuple(left[start : start + size]), settings, evaluation)
                 for start in range(0, len(left), size)
             ]
     return sorted(units, key=lambda unit: -unit.steps)
@@ -90,6 +95,7 @@ class Player:
     """Plays units on a thread that can be abandoned, and keeps the last environment and policy for the next unit."""
 
     def __init__(self) -> None:
+        self._evaluation = ""
         self._forget()
 
     def play(self, unit: Unit) -> Iterator[Score]:
@@ -99,6 +105,9 @@ class Player:
             SettingsError: if the policy cannot be loaded.
             RenderingError: if no pictures can be drawn here.
         """
+        if unit.evaluation != self._evaluation:
+            self.release()
+            self._evaluation = unit.evaluation
         envs = unit.settings.envs
         for start in range(0, len(unit.seeds), envs):
             seeds = unit.seeds[start : start + envs]
@@ -106,6 +115,14 @@ class Player:
             policy = self._policy_of(unit)
             preset = getattr(policy, "preset", None) if is_blind(policy) else unit.settings.preset
             yield from map(functools.partial(_score, unit, preset), episodes, self._outcomes(unit, episodes))
+
+    def release(self) -> None:
+        """Closes the environments and drops the policy; later units get new ones."""
+        if self._caller.abandoned:  # its thread may still use them
+            self._forget()
+            return
+        for what in list(self._kept):
+            self._drop(what)
 
     def _outcomes(self, unit: Unit, episodes: list[Episode]) -> list[Outcome]:
         policy = self._policy_of(unit)
@@ -148,14 +165,18 @@ class Player:
         return envs, self._keep("copies", (key, unit.source), lambda: Copies(policy, envs))
 
     def _keep(self, what: str, key: Any, make: Callable[[], T]) -> T:
-        """The object made for this key; one that was kept for another key is closed and replaced."""
-        kept, made = self._kept.get(what, (None, None))
-        if made is None or kept != key:
-            if made is not None and hasattr(made, "close"):
-                made.close()
-            made = make()
-            self._kept[what] = key, made
-        return made
+        """The object made for this key; one that was kept for another key is replaced."""
+        if what in self._kept and self._kept[what][0] != key:
+            self._drop(what)
+        if what not in self._kept:
+            self._kept[what] = key, make()
+        return self._kept[what][1]
+
+    def _drop(self, what: str) -> None:
+        """Closes an environment. Policies are not closed, since they may be users' objects."""
+        _, made = self._kept.pop(what)
+        if what in ENVIRONMENTS:
+            made.close()
 
     def _forget(self) -> None:
         """Drops environment and policy: an episode that did not end may still be using them."""
@@ -228,11 +249,15 @@ class TimeLimitedCaller:
     """A thread that makes calls one after another, with a time limit.
 
     An alarm signal would need no thread, but works only in the main thread, which cluster workers may not use. A call
-    that runs Python code is stopped; one that is stuck outside Python is abandoned. After a `TimeLimitError` this
-    object must not be used again.
+    that runs Python code is stopped; one that is stuck outside Python is abandoned.
+
+    Attributes:
+        abandoned: whether a call may still be running whose result nobody waits for: then this object must not be used
+            again.
     """
 
     def __init__(self) -> None:
+        self.abandoned = False
         self._calls: queue.SimpleQueue[Callable[[], Any]] = queue.SimpleQueue()
         self._results: queue.SimpleQueue[tuple[Any, BaseException | None]] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._work, daemon=True, name="magical_mj episodes")
@@ -250,6 +275,9 @@ class TimeLimitedCaller:
         except queue.Empty:
             self._stop()
             raise TimeLimitError(f"no end within {seconds:g} s") from None
+        except BaseException:  # Ctrl-C, or a signal's handler raised something
+            self._stop()
+            raise
         if error is not None:
             raise error
         return result
@@ -265,6 +293,7 @@ class TimeLimitedCaller:
             self._results.put(result)
 
     def _stop(self) -> None:
+        self.abandoned = True
         ident = self._thread.ident or 0
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(ident), ctypes.py_object(_Stop))
         self._thread.join(GRACE)
