@@ -44,10 +44,13 @@ def test_rollout_plays_what_evaluate_plays(shell: Shell, tmp_path: Path) -> None
 
 
 def test_a_policy_that_fails_is_told_and_filmed(shell: Shell, tmp_path: Path) -> None:
-    (tmp_path / "wrong.py").write_text("def act(observation):\n    return 99\n")
-    code, out, _ = shell("rollout", "MoveToRegion", "--policy", "wrong:act", "--video", "a.mp4", "--size", 32)
+    """In its own words, which rich's markup would change."""
+    (tmp_path / "wrong.py").write_text("def act(observation):\n    raise ValueError('[batch, 12] is not in [/data]')\n")
+    policy = "my [red] one=wrong:act"
+    code, out, _ = shell("rollout", "MoveToRegion", "--policy", policy, "--video", "a.mp4", "--size", 32)
     assert code == 0
-    assert "score 0.00 after 0 steps; the policy failed: InvalidActionError" in out
+    assert "score 0.00 after 0 steps; the policy failed: ValueError: [batch, 12] is not in [/data]\n" in out
+    assert "my [red] one: mean of 1 0.000" in out
 
 
 def test_films_say_what_is_shown() -> None:

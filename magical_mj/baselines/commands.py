@@ -15,7 +15,6 @@ from rich.progress import (
     Progress,
     ProgressColumn,
     Task,
-    TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
@@ -23,7 +22,7 @@ from rich.table import Column
 from rich.text import Text
 
 from magical_mj import baselines
-from magical_mj.cli.console import console
+from magical_mj.cli.console import LABEL, console
 from magical_mj.errors import SettingsError, unknown_name
 from magical_mj.parallel import Backend
 
@@ -64,7 +63,7 @@ def experiment(file: File, out: Folder, jobs: Jobs = 1, backend: Where = "local"
     """Train and evaluate methods x tasks x seeds. Called again, it continues."""
     planned = baselines.runs(file, out)
     screen = console()
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    columns = LABEL, BarColumn(), MofNCompleteColumn()
     with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=screen) as progress:
         bar = progress.add_task("runs, and the report", total=len(planned) + 1)
         for line in baselines.conduct(planned, out, jobs=jobs, backend=backend, address=address):
@@ -101,7 +100,7 @@ def train(
     keep_freed_memory()
     screen = console()
     columns = (
-        TextColumn("{task.description}"),
+        LABEL,
         BarColumn(),
         Rate(Column(no_wrap=True, overflow="ellipsis")),
         TimeElapsedColumn(),

@@ -20,6 +20,8 @@ from magical_mj.registry import Names, task_spec, variant_name
 Result = TypeVar("Result")
 
 PLAIN_WIDTH = 120  # columns where the output is a file or a pipe
+LABEL = TextColumn("{task.description}", markup=False)
+"""The first column of progress bars."""
 
 
 def one_of(names: Iterable[str]) -> Callable[[str], list[str]]:
@@ -81,8 +83,11 @@ def _options(settings: type) -> Iterator[tuple[str, Any]]:
 
 
 def console() -> Console:
-    """Standard output: in colour on a terminal; elsewhere plain and wide enough for the tables."""
-    out = Console(highlight=False)
+    """Standard output: in colour on a terminal; elsewhere plain and wide enough for the tables.
+
+    Text is printed as it is: rich's markup is off, since names, paths and error messages may hold square brackets.
+    """
+    out = Console(highlight=False, markup=False)
     if not out.is_terminal:
         out.width = PLAIN_WIDTH
     return out
@@ -90,7 +95,7 @@ def console() -> Console:
 
 def with_bar(screen: Console, label: str, results: Iterable[Result], total: int) -> Iterator[Result]:
     """The results as they arrive, with a progress bar that counts them."""
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    columns = LABEL, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(*columns, console=screen) as progress:
         bar = progress.add_task(label, total=total)
         for result in results:

@@ -14,6 +14,7 @@ from typing import Final
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 import magical_mj
 from magical_mj.cli.console import console
@@ -60,10 +61,10 @@ def _print_versions(out: Console) -> None:
     table = Table.grid(padding=(0, 2))
     table.add_row("python", f"{platform.python_version()}, {platform.platform()}")
     for name in CORE:
-        table.add_row(name, _version(name) or "[red]missing[/]")
+        table.add_row(name, _version(name) or Text("missing", style="red"))
     for extra, names in EXTRAS.items():
         for name in names:
-            table.add_row(name, _version(name) or rf'not installed: pip install "magical-mj\[{extra}]"')
+            table.add_row(name, _version(name) or f'not installed: pip install "magical-mj[{extra}]"')
     table.add_row("MUJOCO_GL", os.environ.get("MUJOCO_GL") or "not set")
     out.print(table)
     if _version("dm_control") is None:
@@ -97,10 +98,10 @@ def _print_backends(out: Console, found: dict[str, dict[str, str | float]]) -> N
     table = Table("OpenGL", "", "renderer", "first frame", "96 px frame", box=None, header_style="bold")
     for backend, facts in found.items():
         if "error" in facts:
-            table.add_row(backend, "[red]fails[/]", str(facts["error"]))
+            table.add_row(backend, Text("fails", style="red"), str(facts["error"]))
         else:
             times = [f"{facts[name]:.1f} ms" for name in ("first", "typical")]
-            table.add_row(backend, "[green]works[/]", str(facts["renderer"]), *times)
+            table.add_row(backend, Text("works", style="green"), str(facts["renderer"]), *times)
     out.print()
     out.print(table)
 

@@ -11,10 +11,12 @@ from typing import Annotated, Any
 import typer
 from rich import progress as bars
 from rich.console import Console
+from rich.markup import escape
 from rich.text import Text
 
 from magical_mj.cli.console import (
     COMPLETIONS,
+    LABEL,
     Cameras,
     Force,
     Seed,
@@ -109,7 +111,7 @@ def rollout(
             units = [Unit(source, *pair, (seed + k,), settings) for k in range(episodes)]
             scores = []
             for unit in bars.track(
-                units, f"playing {source.name}", console=screen, transient=True, disable=not screen.is_terminal
+                units, f"playing {escape(source.name)}", console=screen, transient=True, disable=not screen.is_terminal
             ):
                 scores += player().play(unit)
                 screen.print(_line(scores[-1]), soft_wrap=True)
@@ -140,7 +142,7 @@ def show_progress(screen: Console, evaluation: Evaluation) -> None:
     left = sum(len(unit.seeds) for unit in evaluation.units)
     known = len(evaluation.scores)
     elapsed, remaining = bars.TimeElapsedColumn(), bars.TimeRemainingColumn()
-    columns = bars.TextColumn("{task.description}"), bars.BarColumn(), Rate(), elapsed, remaining
+    columns = LABEL, bars.BarColumn(), Rate(), elapsed, remaining
     with bars.Progress(*columns, console=screen, speed_estimate_period=120) as progress:
         steps = sum(unit.steps for unit in evaluation.units)
         bar = progress.add_task("playing", total=steps, done=known, total_episodes=known + left, fresh=0)

@@ -11,7 +11,7 @@ import typer
 from rich import progress as bars
 from rich.console import Console
 
-from magical_mj.cli.console import Jobs, claim_folder, complain, console
+from magical_mj.cli.console import LABEL, Jobs, claim_folder, complain, console
 from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.scores import read
 from magical_mj.leaderboard import Findings, check_entry, submit, verify
@@ -103,7 +103,7 @@ def _complained(name: str, found: Findings) -> bool:
 
 @contextmanager
 def _bar(screen: Console, label: str, total: int | None) -> Iterator[Callable[[Checked], None]]:
-    columns = bars.TextColumn("{task.description}"), bars.BarColumn(), bars.MofNCompleteColumn()
+    columns = LABEL, bars.BarColumn(), bars.MofNCompleteColumn()
     with bars.Progress(*columns, bars.TimeRemainingColumn(), console=screen, transient=True) as progress:
         bar = progress.add_task(label, total=total)
         yield lambda checked: progress.advance(bar, checked.episodes)

@@ -63,7 +63,7 @@ def make_comparison(a: Side, b: Side) -> None:
         interval = f"[{row['low']:+.3f}, {row['high']:+.3f}]" if row["low"] == row["low"] else "-"
         means = (f"{row[side]:.3f}" for side in ("first", "second"))
         counts = (str(row[name]) for name in ("better", "worse", "scenes"))
-        table.add_row(row["variant"], *means, f"{row['difference']:+.3f}", interval.replace("[", r"\["), *counts)
+        table.add_row(row["variant"], *means, f"{row['difference']:+.3f}", interval, *counts)
     screen.print(table)
     unpaired = found["unpaired"].iloc[-1]
     if unpaired:
