@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from magical_mj.errors import UnknownNameError, WorkerError
+from magical_mj.errors import SettingsError, UnknownNameError, WorkerError
 from magical_mj.parallel import spread
 
 
@@ -61,6 +61,12 @@ def dies(once: Path) -> Callable[[int], int]:
         return number
 
     return work
+
+
+@pytest.mark.parametrize("jobs", [0, -1, 1.5, "2"])
+def test_a_wrong_number_of_workers_is_refused(jobs: Any) -> None:
+    with pytest.raises(SettingsError, match="jobs must be an integer of at least 1"):
+        spread(square, [1, 2], jobs)
 
 
 def test_a_dead_worker_is_replaced(tmp_path: Path) -> None:

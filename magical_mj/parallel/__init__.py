@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final, Literal, TypeVar, get_args
 
-from magical_mj.errors import SettingsError, unknown_name
+from magical_mj.errors import SettingsError, check_name, shown
 
 Backend = Literal["local", "dask", "ray"]
 BACKENDS: Final[tuple[str, ...]] = get_args(Backend)
@@ -23,11 +23,10 @@ def cores() -> int:
 
 
 def check_backend(backend: str, jobs: int | None, address: str | None) -> None:
-    """Raises a `SettingsError` unless these arguments of `spread` are valid together."""
-    if backend not in BACKENDS:
-        raise unknown_name("backend", backend, BACKENDS)
-    if jobs is not None and jobs < 1:
-        raise SettingsError(f"jobs must be at least 1, not {jobs}")
+    """Raises a `SettingsError` or an `UnknownNameError` unless these arguments of `spread` are valid together."""
+    check_name("backend", backend, BACKENDS)
+    if jobs is not None and (not isinstance(jobs, int) or jobs < 1):
+        raise SettingsError(f"jobs must be an integer of at least 1, not {shown(jobs)}")
     if backend == "dask" and not address:
         raise SettingsError("the dask backend needs the scheduler's address, such as tcp://host:8786")
     if backend == "local" and address:
@@ -54,9 +53,11 @@ def spread(
         address: the cluster's address.
 
     Raises:
+        SettingsError, UnknownNameError: if jobs, backend and address are invalid; see `check_backend`.
         WorkerError: if several workers died of the same piece, or the cluster does not respond.
         MissingExtraError: if the packages for the cluster are not installed.
     """
+    check_backend(backend, jobs, address)
     if backend == "local":
         from magical_mj.parallel.local import spread_here
 
