@@ -145,6 +145,22 @@ def test_without_a_plan_everything_but_the_expert_works(user: User) -> None:
     user.does(f"evaluate --policy noop {episodes} --out planless")
     done = user.python("-m", "magical_mj", "evaluate", "--policy", "expert", *episodes.split(), "--out", "stuck")
     assert "Planless has no plan, so no expert can play it" in done.stderr + done.stdout
+    user.runs(
+        """
+        from magical_mj import demos, load
+
+        for task, known, name in (
+            ("planless:SPEC", "planless:SPEC", "Planless"), ("push_out:SPEC", "PushOut", "PushOut")
+        ):
+            env = load(task, seed=0, observations=())
+            env.reset()
+            recorder = demos.Recorder(env)
+            recorder.step(1)
+            path = demos.keep(recorder.demonstration(task, "Demo", 0, "human", 0), "played")
+            assert path.name == f"{name}-Demo-human-000.npz"
+            assert [demo.task for demo in demos.load(task, "played")] == [known]
+        """
+    )
 
 
 def test_rules_can_be_exchanged_for_ones_own() -> None:

@@ -128,6 +128,15 @@ def test_what_was_played_is_kept_at_once_and_discarded_on_request(
     assert ("discarded" in player.lines[-1][1]) == discard
 
 
+def test_discarding_never_deletes_an_earlier_episode(tmp_path: Path) -> None:
+    demo = load("MoveToRegion")[0]
+    assert "kept, D discards it" in Episodes(tmp_path).finish(demo)
+    later = Episodes(tmp_path)
+    assert "the same as one that is kept" in later.finish(demo)
+    assert later.discard() is None
+    assert len(load("MoveToRegion", tmp_path)) == 1
+
+
 def test_without_a_folder_nothing_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
     episodes = Episodes(None)
     assert episodes.finish(load("MoveToRegion")[0]) == "score 1.00, solved"

@@ -98,7 +98,11 @@ def test_a_collection_asks_for_what_it_has_least_of(tmp_path: Path) -> None:
     me = collection.participant("../../somewhere")
     assert re.fullmatch("[0-9a-f]{16}", me)
     assert collection.participant(me) == me
-    collection.keep(json.dumps(recording(*pairs[0], 0, [0] * 40)), me)
+    collection = Collection(tmp_path, pairs, wanted=2)
+    for _ in range(2):  # as if the first answer was lost
+        collection.keep(json.dumps(recording(*pairs[0], 0, [0] * 40)), me)
+    assert (collection.next() or {})["variant"] == "Demo"
+    collection = Collection(tmp_path, pairs, wanted=1)
     assert (collection.next() or {})["variant"] == "Layout"
     collection.keep(json.dumps(recording(*pairs[1], 0, [1] * 40)), me)
     assert collection.next() is None

@@ -12,7 +12,7 @@ from typing import Final
 
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.export import to_minari, to_npz
-from magical_mj.demos.files import files_in, keep, read, write
+from magical_mj.demos.files import files_in, keep, kept, read, write
 from magical_mj.demos.importing import MAX_BYTES, Imported, from_recording
 from magical_mj.demos.learning import Transitions, observations, stream, transitions
 from magical_mj.demos.recording import Recorder, demonstrate
@@ -34,6 +34,7 @@ __all__ = [
     "files_in",
     "from_recording",
     "keep",
+    "kept",
     "load",
     "observations",
     "read",

@@ -13,7 +13,7 @@ from magical_mj._version import __version__
 from magical_mj.actions import ACTIONS
 from magical_mj.assets.world import World
 from magical_mj.errors import DemonstrationError
-from magical_mj.registry import environment_axes, score
+from magical_mj.registry import environment_axes, score, task_spec
 from magical_mj.scene import Scene
 
 Demonstrator = Literal["expert", "human"]
@@ -65,8 +65,8 @@ class Demonstration:
 
     @property
     def name(self) -> str:
-        """Such as ``"FindDupe-Demo"``."""
-        return f"{self.task}-{self.variant}"
+        """Such as ``"FindDupe-Demo"``: the name of the task, also if that is given by reference, and the variant."""
+        return f"{task_spec(self.task).name}-{self.variant}"
 
     def scenes(self) -> list[Scene]:
         """The scene before the first action and after each."""

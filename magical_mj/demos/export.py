@@ -22,6 +22,7 @@ from magical_mj.errors import DemonstrationError
 from magical_mj.extras import missing_extra
 from magical_mj.protocol import PROTOCOL
 from magical_mj.registration import env_id
+from magical_mj.registry import task_spec
 
 
 def to_npz(
@@ -77,7 +78,9 @@ def minari_name(demo: Demonstration, preset: str) -> str:
 
     It names the preset of the observations and the number of the protocol, here 1.
     """
-    return f"magical-mj/{demo.task}/{demo.variant}-{demo.demonstrator}-{preset or 'views'}-p{PROTOCOL}-v0"
+    return (
+        f"magical-mj/{task_spec(demo.task).name}/{demo.variant}-{demo.demonstrator}-{preset or 'views'}-p{PROTOCOL}-v0"
+    )
 
 
 def to_minari(

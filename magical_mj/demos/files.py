@@ -38,8 +38,8 @@ DAMAGE: Final = (  # the exceptions of numpy and zipfile for damaged archives
 TEXTS: Final = tuple(f.name for f in dataclasses.fields(Demonstration) if f.name not in (*ARRAYS, "scene"))
 
 
-def write(demo: Demonstration, path: Path) -> None:
-    """Write a demonstration to a file that does not exist yet.
+def write(demo: Demonstration, path: Path | str) -> None:
+    """Write a demonstration to a file that does not exist yet. Its folder is made if missing.
 
     Raises:
         FileExistsError: if it does; nothing is overwritten.
@@ -48,6 +48,7 @@ def write(demo: Demonstration, path: Path) -> None:
     header = {"format": FORMAT, **{name: getattr(demo, name) for name in TEXTS}}
     header["scene"] = json.loads(demo.scene.to_json())
     header["digest"] = _digest(header, arrays)
+    path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     archive = io.BytesIO()
     text = np.frombuffer(json.dumps(header).encode(), np.uint8)
@@ -55,31 +56,42 @@ def write(demo: Demonstration, path: Path) -> None:
     files.write(path, archive.getvalue())
 
 
-def files_in(folder: Path, beginning: str = "") -> list[Path]:
+def files_in(folder: Path | str, beginning: str = "") -> list[Path]:
     """The demonstration files in a folder whose names start with `beginning`, sorted; without unfinished ones."""
-    return sorted(path for path in folder.glob(f"{beginning}*{SUFFIX}") if not path.name.startswith("."))
+    return sorted(path for path in Path(folder).glob(f"{beginning}*{SUFFIX}") if not path.name.startswith("."))
 
 
-def keep(demo: Demonstration, folder: Path) -> Path:
+def kept(demo: Demonstration, folder: Path | str) -> Path | None:
+    """The file in which `keep` saved the same episode in this folder; None if there is none."""
+    for path in files_in(folder, _beginning(demo)):
+        other = read(path, demo.task)
+        if (other.scene_seed, other.actions.tobytes()) == (demo.scene_seed, demo.actions.tobytes()):
+            return path
+    return None
+
+
+def keep(demo: Demonstration, folder: Path | str) -> Path:
     """Writes a demonstration into a folder under the next free name, such as ``FindDupe-All-human-003.npz``.
 
     Returns:
         Its path. If the folder holds the same episode already, nothing is written and that file's path is returned.
     """
-    beginning = f"{demo.name}-{demo.demonstrator}-"
-    for path in files_in(folder, beginning):
-        other = read(path, demo.task)
-        if (other.scene_seed, other.actions.tobytes()) == (demo.scene_seed, demo.actions.tobytes()):
-            return path
-    names = (f"{beginning}{number:03}{SUFFIX}" for number in itertools.count())
+    there = kept(demo, folder)
+    if there is not None:
+        return there
+    paths = (Path(folder) / f"{_beginning(demo)}{number:03}{SUFFIX}" for number in itertools.count())
     while True:
-        path = next(folder / name for name in names if not (folder / name).exists())
+        path = next(path for path in paths if not path.exists())
         with contextlib.suppress(FileExistsError):  # another process has taken the name meanwhile
             write(demo, path)
             return path
 
 
-def read(path: Path, task: str | None = None) -> Demonstration:
+def _beginning(demo: Demonstration) -> str:
+    return f"{demo.name}-{demo.demonstrator}-"
+
+
+def read(path: Path | str, task: str | None = None) -> Demonstration:
     """Reads a demonstration and checks that it is undamaged.
 
     Args:
@@ -90,7 +102,7 @@ def read(path: Path, task: str | None = None) -> Demonstration:
         DemonstrationError: if it is truncated, altered, of another version or of another task.
         OSError: if there is no such file, or it cannot be read.
     """
-    parts = _parts(path)
+    parts = _parts(Path(path))
     arrays = {name: parts[name] for name in ARRAYS}
     try:
         header = json.loads(parts["header"].tobytes())

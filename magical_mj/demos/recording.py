@@ -14,7 +14,7 @@ from magical_mj.environment import Environment, load
 from magical_mj.episodes import forever, play
 from magical_mj.errors import DemonstrationError
 from magical_mj.experts import Expert
-from magical_mj.registry import variant_name
+from magical_mj.registry import task_name, variant_name
 
 Floats = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ class Recorder:
         """The episode so far as a demonstration, with the present score."""
         positions, velocities = self.states()
         return Demonstration(
-            task=task,
+            task=task_name(task),
             variant=variant_name(variant),
             scene_seed=scene_seed,
             demonstrator=demonstrator,

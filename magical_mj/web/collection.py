@@ -70,7 +70,7 @@ class Collection:
             return {"task": task, "variant": variant, "seed": self._offered[chosen] - 1}
 
     def keep(self, recording: str, participant: str) -> float:
-        """Replays a recording and saves it as a demonstration before it returns.
+        """Replays a recording and saves it as a demonstration before it returns; the same one counts once.
 
         Returns:
             Its score.
@@ -85,6 +85,6 @@ class Collection:
         if suspect:
             raise DemonstrationError(f"the replay ends {deviation:.3g} away from what was played: reload the page")
         with self._lock:
+            self._kept[pair] += demos.kept(demo, self._folder / participant) is None
             demos.keep(demo, self._folder / participant)
-            self._kept[pair] += 1
         return demo.score
