@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from magical_mj.errors import InvalidActionError
+from magical_mj.errors import InvalidActionError, shown
 
 
 class Gripper(IntEnum):
@@ -83,7 +83,7 @@ def action_number(action: Any) -> int:
         number = -1
     if isinstance(action, bool | np.bool_) or not 0 <= number < len(ACTIONS):
         raise InvalidActionError(
-            f"{action!r} is not an action: actions are the integers 0..{len(ACTIONS) - 1} "
+            f"{shown(action)} is not an action: actions are the integers 0..{len(ACTIONS) - 1} "
             "(9 * gripper + 3 * turn + drive; see magical_mj.actions.ACTIONS)"
         )
     return number
@@ -115,10 +115,12 @@ def to_vector(numbers: ArrayLike) -> NDArray[np.float32]:
     Raises:
         InvalidActionError: if any of them is not an action.
     """
-    array = np.asarray(numbers)
-    wrong = array.dtype.kind not in "iu" or (array.size and not (array.min() >= 0 and array.max() < len(ACTIONS)))
-    if wrong:
-        raise InvalidActionError(f"actions are the integers 0..{len(ACTIONS) - 1}, not {numbers!r}")
+    try:
+        array = np.asarray(numbers)
+    except (TypeError, ValueError):  # lists of different lengths
+        array = np.empty(0)
+    if array.dtype.kind not in "iu" or (array.size and not (array.min() >= 0 and array.max() < len(ACTIONS))):
+        raise InvalidActionError(f"actions are the integers 0..{len(ACTIONS) - 1}, not {shown(numbers)}")
     return _VECTORS[array]
 
 
@@ -136,11 +138,11 @@ def to_discrete(vector: ArrayLike) -> int:
     """
     try:
         entries = np.asarray(vector, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         entries = np.empty(0)
     if entries.shape != (3,) or not np.isfinite(entries).all():
         raise InvalidActionError(
-            f"{vector!r} is not a continuous action: those are three finite numbers in [-1, 1] (drive, turn, grip)"
+            f"{shown(vector)} is not a continuous action: those are three finite numbers in [-1, 1] (drive, turn, grip)"
         )
     drive, turn = (1 if entry > THRESHOLD else 2 if entry < -THRESHOLD else 0 for entry in entries[:2])
     return Action(Gripper(int(entries[2] > 0)), Turn(turn), Drive(drive)).number

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
-from magical_mj.errors import InvalidSceneError, SettingsError, check_name
+from magical_mj.errors import InvalidSceneError, SettingsError, check_name, shown
 from magical_mj.geometry import check_scene
 from magical_mj.observations import OBSERVATIONS, VIEWS, StateEncoder
 from magical_mj.registry import check_rules, environment_axes, sample_scene, task_spec
@@ -88,7 +88,9 @@ def check_observations(names: Sequence[str]) -> tuple[str, ...]:
     """
     if not isinstance(names, list | tuple):
         example = names if isinstance(names, str) and names in OBSERVATIONS else "ego"
-        raise SettingsError(f'observations must be a list or a tuple of names, such as ("{example}",), not {names!r}')
+        raise SettingsError(
+            f'observations must be a list or a tuple of names, such as ("{example}",), not {shown(names)}'
+        )
     for name in names:
         check_name("observation", name, OBSERVATIONS)
     return tuple(names)

@@ -52,6 +52,12 @@ class Environment(OpenEnvironment):
         )
 
     @property
+    def physics(self) -> Simulation:
+        """The simulation, which may be another one after a reset."""
+        self._open()
+        return super().physics
+
+    @property
     def scene(self) -> Scene:
         """Where everything is now, fingers included."""
         return self.task.world.read(self._open().data.qpos)
@@ -77,9 +83,12 @@ class Environment(OpenEnvironment):
             view: "ego" or "allo", the flat views of the benchmark, or "scene", a 3-D view from above a corner.
             size: pixels per side.
             out: the array to write to.
+
+        Raises:
+            UnknownNameError, SettingsError, RenderingError: for another view, size or array; without OpenGL.
         """
         check_name("view", view, CAMERAS)
-        return self._open().draw(view, check_size(size), out)
+        return self._open().draw(view, check_size(size, "size"), out)
 
     def reset(
         self, *, seed: int | None = None, scene: Scene | None = None, state: State | None = None
@@ -186,7 +195,7 @@ class Environment(OpenEnvironment):
 
     def _open(self) -> Simulation:
         if self._compiled is None:
-            raise ClosedError("the environment is closed; load another one")
+            raise ClosedError("the environment is closed, or its model could not be compiled; load another one")
         return self._compiled[1]
 
     def _resume(self, state: State) -> dm_env.TimeStep:
@@ -220,6 +229,7 @@ class Environment(OpenEnvironment):
                 world.rewrite(simulation.model.ptr, simulation.data.ptr)
                 return simulation
             simulation.free()
+            self._compiled = None  # also if it cannot be compiled
         self._compiled = world.structure, Simulation.of(world)
         return self._compiled[1]
 
@@ -255,7 +265,7 @@ def load(
     """A dm_env environment of the benchmark.
 
     Args:
-        task: one of `magical_mj.TASKS`.
+        task: one of `magical_mj.TASKS`, a task that a package announces, or ``"package.module:SPEC"``.
         variant: one of `magical_mj.VARIANTS` that the task has.
         seed: the first episode starts in `sample_scene(task, variant, seed)`, the following ones in scenes
             drawn from a generator with this seed. None: seeded from the system's entropy.
@@ -267,8 +277,9 @@ def load(
 
     Raises:
         UnknownNameError: for an unknown task, variant, observation, reward or rules, or an unsupported pair.
+        TaskError: if the task of another package is invalid.
         InvalidSceneError: if the scene is illegal or not one of the task.
-        ValueError: for a bad image size or seed.
+        InvalidSeedError, SettingsError: for a bad seed; for a bad image size or list of observations.
     """
     task_spec(task)  # None, too, is no task
     return _loaded(EnvironmentSettings(task, variant, scene, observations, image_size, reward, rules), seed)
@@ -284,6 +295,6 @@ def load_scene(
     """A dm_env environment that starts every episode in `scene`: no task, so no score and no horizon.
 
     Raises:
-        UnknownNameError, InvalidSceneError, ValueError: as `load`.
+        UnknownNameError, InvalidSceneError, InvalidSeedError, SettingsError: as `load`.
     """
     return _loaded(EnvironmentSettings(None, "Demo", scene, observations, image_size), seed)

@@ -35,7 +35,7 @@ class InvalidSeedError(MagicalError, ValueError):
 
 
 class PlacementError(MagicalError, RuntimeError):
-    """No legal placement was found within the allowed number of tries."""
+    """No legal placement was found within the allowed number of tries, or a plan has no place for a block."""
 
 
 class DemonstrationError(MagicalError, ValueError):

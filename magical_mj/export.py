@@ -23,6 +23,7 @@ from magical_mj.assets.region import BONE, region_mjcf
 from magical_mj.assets.robot import controls
 from magical_mj.assets.world import world_mjcf
 from magical_mj.environment import Environment
+from magical_mj.errors import InvalidSceneError, shown
 from magical_mj.geometry import check_scene
 from magical_mj.protocol import PROTOCOL
 from magical_mj.scene import Scene
@@ -63,7 +64,8 @@ def export_mjcf(source: Scene | Environment, path: str | os.PathLike[str], *, ov
         The path written.
 
     Raises:
-        InvalidSceneError: if the scene is not legal.
+        InvalidSceneError: if the scene is not legal, or the source is something else.
+        ClosedError: if the environment is closed.
         FileExistsError: if the file exists and `overwrite` is false.
         OSError: if it cannot be written.
     """
@@ -71,6 +73,11 @@ def export_mjcf(source: Scene | Environment, path: str | os.PathLike[str], *, ov
     if isinstance(source, Scene):
         check_scene(source)
         scene, data = source, mujoco.MjData(mujoco.MjModel.from_xml_string(world_mjcf(source)))
+    elif not isinstance(source, Environment):
+        raise InvalidSceneError(
+            f"a file is made of a Scene, or of what magical_mj.load returns, not of {shown(source)}; "
+            "in Gymnasium's environments that is env.unwrapped.dm_env"
+        )
     else:
         scene, data = source.initial_scene, source.physics.data.ptr
         settings = source.task.settings

@@ -67,7 +67,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         SettingsError: if it cannot be read as TOML.
     """
     try:
-        return tomllib.loads(path.read_text())
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise SettingsError(f"{path} cannot be read as TOML: {error}") from error
 

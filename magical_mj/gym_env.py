@@ -18,7 +18,7 @@ from magical_mj import constants as c
 from magical_mj.actions import ACTIONS, to_discrete
 from magical_mj.env_settings import Reward
 from magical_mj.environment import Environment, load
-from magical_mj.errors import InvalidSceneError, SettingsError, check_name
+from magical_mj.errors import InvalidSceneError, SettingsError, check_name, shown
 from magical_mj.frames import Images, Stacks
 from magical_mj.observations import CAMERAS, FINGERS, STATE_NAMES, VIEWS
 from magical_mj.presets import Preset
@@ -27,7 +27,7 @@ from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
 from magical_mj.state import State
 from magical_mj.tasks.spec import Rules
-from magical_mj.wrappers import CONTINUOUS_SPACE
+from magical_mj.wrappers import continuous_space
 
 ActionForm = Literal["discrete", "continuous"]
 ACTION_FORMS: Final[tuple[str, ...]] = get_args(ActionForm)
@@ -35,7 +35,6 @@ Observation = NDArray[Any] | dict[str, NDArray[Any]]
 
 RENDER_VIEWS: Final = (*CAMERAS, "both")
 STATE_BOUND: Final = 1000.0  # of any entry of the state vector; angles add up to 100 rad in the longest episode
-FINGERS_SPACE: Final = spaces.Box(-np.pi, np.pi, (2,), np.float32)
 
 
 class MagicalEnv(gymnasium.Env[Observation, Any]):
@@ -108,7 +107,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             rules=rules,
         )
         self._continuous = action == "continuous"
-        self.action_space = CONTINUOUS_SPACE if self._continuous else spaces.Discrete(len(ACTIONS))
+        self.action_space = continuous_space() if self._continuous else spaces.Discrete(len(ACTIONS))
         self.observation_space = _space(made, self._stacks.shapes)
         self._score_every_step = score_every_step
         self._begun = self._running = False
@@ -151,7 +150,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         super().reset(seed=seed)
         options = {} if options is None else options
         if not isinstance(options, Mapping):
-            raise SettingsError(f'options are a dict such as {{"scene": scene}}, not {options!r:.80}')
+            raise SettingsError(f'options are a dict such as {{"scene": scene}}, not {shown(options)}')
         self._warn_of_unknown(options)
         scene, state = _scene_option(options), options.get("state")
         if scene is not None or state is not None:
@@ -246,13 +245,18 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         return stacks if self._preset.layout == "dict" else stacks["all"]
 
 
+def fingers_space() -> spaces.Space[NDArray[np.float32]]:
+    """The space of the angles (rad) of the left and the right finger."""
+    return spaces.Box(-np.pi, np.pi, (2,), np.float32)
+
+
 def _space(made: Preset, shapes: Mapping[str, tuple[int, ...]]) -> spaces.Space[Any]:
     """The space of a preset's observations, with stacks of these shapes."""
     if made.layout == "state":
         return spaces.Box(-STATE_BOUND, STATE_BOUND, (len(STATE_NAMES),), np.float32)
     boxes: dict[str, spaces.Space[Any]] = {name: spaces.Box(0, 255, shape, np.uint8) for name, shape in shapes.items()}
     if made.fingers:
-        boxes["fingers"] = FINGERS_SPACE
+        boxes["fingers"] = fingers_space()
     return spaces.Dict(boxes) if made.layout == "dict" else boxes["all"]
 
 

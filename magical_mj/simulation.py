@@ -19,7 +19,7 @@ from magical_mj.errors import StateError
 from magical_mj.fields import MAX_NUMBER
 from magical_mj.observations import SOLID_VIEW
 from magical_mj.rendering.canvas import Picture
-from magical_mj.rendering.renderer import Renderer, SolidRenderer
+from magical_mj.rendering.renderer import Renderer, SolidRenderer, check_out
 
 _RK4: Final = mujoco.mjtIntegrator.mjINT_RK4.value
 _LEAST: Final = np.iinfo(np.int32).min
@@ -129,6 +129,7 @@ class Simulation(UnindexedPhysics):
 
     def draw(self, view: str, size: int, out: Picture | None = None) -> Picture:
         """A picture of the present state, fresh or in `out`. Shape (size, size, 3), RGB, top row first."""
+        check_out(out, size)
         model = self.model.ptr
         if view == SOLID_VIEW:
             if self._solid_renderer is None or self._solid_renderer.model is not model:

@@ -13,7 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from magical_mj.actions import ACTIONS, to_discrete, to_vector
 from magical_mj.errors import InvalidActionError, SettingsError
 
-CONTINUOUS_SPACE = spaces.Box(-1.0, 1.0, (3,), np.float32)
+
+def continuous_space() -> spaces.Space[NDArray[np.float32]]:
+    """The space of the vectors (drive, turn, grip). A new one for each environment: spaces have random generators."""
+    return spaces.Box(-1.0, 1.0, (3,), np.float32)
 
 
 class ContinuousActions(gymnasium.ActionWrapper[Any, NDArray[np.float32], Any], gymnasium.utils.RecordConstructorArgs):
@@ -37,7 +40,7 @@ class ContinuousActions(gymnasium.ActionWrapper[Any, NDArray[np.float32], Any], 
                 f"ContinuousActions wraps environments with the {len(ACTIONS)} discrete actions, not {env.action_space}"
             )
         super().__init__(env)
-        self.action_space = CONTINUOUS_SPACE
+        self.action_space = continuous_space()
 
     def action(self, action: ArrayLike) -> int:
         """The number of the action that the vector commands."""
@@ -60,13 +63,15 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         env: a `magical_mj` environment, with any wrappers.
 
     Raises:
-        SettingsError: if `max_episode_steps` is longer than the episodes of the task.
+        SettingsError: if `max_episode_steps` is longer than the episodes of the task, or it is another environment.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         gymnasium.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
-        self._world = self.unwrapped.dm_env  # type: ignore[attr-defined]
+        self._world: Any = getattr(self.unwrapped, "dm_env", None)
+        if self._world is None:
+            raise SettingsError(f"ScoreAtTheEnd wraps the environments of magical_mj, not {self.unwrapped}")
         asked, registered = ((spec.max_episode_steps or 0) if spec else 0 for spec in (env.spec, _registered(env.spec)))
         if asked > self._world.horizon and asked != registered:
             raise SettingsError(

@@ -39,7 +39,9 @@ def test_every_integer_type_and_the_triples_are_taken(action: Any) -> None:
     assert type(number) is int
 
 
-@pytest.mark.parametrize("action", [18, -1, 1.5, 1.0, None, "3", True, np.True_, [3], np.array([3, 4]), np.array(1.0)])
+@pytest.mark.parametrize(
+    "action", [18, -1, 1.5, 1.0, None, "3", True, np.True_, [3], np.array([3, 4]), np.array(1.0), [10**5000]]
+)
 def test_anything_else_is_refused(action: Any) -> None:
     with pytest.raises(InvalidActionError, match=r"is not an action: actions are the integers 0\.\.17"):
         action_number(action)
@@ -67,14 +69,15 @@ def test_thresholds_of_vectors(vector: list[float], action: Action) -> None:
 
 
 @pytest.mark.parametrize(
-    "vector", [[0.0, np.nan, 0.0], [np.inf, 0.0, 0.0], [0.0, 0.0], [[0.0, 0.0, 0.0]], "abc", None, 3, [1, 2, "x"]]
+    "vector",
+    [[0.0, np.nan, 0.0], [np.inf, 0.0, 0.0], [0.0, 0.0], [[0.0, 0.0, 0.0]], "abc", None, 3, [1, 2, "x"], [10**400] * 3],
 )
 def test_what_is_no_vector_is_refused(vector: object) -> None:
     with pytest.raises(InvalidActionError, match="three finite numbers"):
         to_discrete(vector)
 
 
-@pytest.mark.parametrize("numbers", [18, -1, 1.0, [0, 18], None, True])
+@pytest.mark.parametrize("numbers", [18, -1, 1.0, [0, 18], None, True, [[1], [1, 2]], [10**5000]])
 def test_what_is_no_number_has_no_vector(numbers: object) -> None:
     with pytest.raises(InvalidActionError, match=r"0\.\.17"):
         to_vector(numbers)

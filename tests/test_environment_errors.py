@@ -49,7 +49,7 @@ def test_bad_arguments_name_the_remedy() -> None:
     for size in (0, -3, 1.5, 10**6):
         with pytest.raises(ValueError, match="image_size"):
             magical_mj.load("FindDupe", image_size=size)
-    for seed in (-1, 1.5, "7"):
+    for seed in (-1, 1.5, "7", -(10**5000)):
         with pytest.raises(ValueError, match="seed"):
             magical_mj.load("FindDupe", seed=seed)
 
@@ -98,9 +98,28 @@ def test_closed_environments_say_so() -> None:
     env.close()
     env.close()
     uses = (env.reset, lambda: env.step(0), lambda: env.scene, env.score, env.render, env.get_state, env.clone)
+    uses += (lambda: env.physics, lambda: magical_mj.export_mjcf(env, "never.xml"))
     for use in uses:
         with pytest.raises(ClosedError, match="load another one"):
             use()
+
+
+def test_after_a_model_that_does_not_compile_the_environment_is_closed() -> None:
+    env = magical_mj.load("MoveToRegion", observations=())
+    tree = env.task.root_entity.mjcf_model
+    env.add_extra_hook("initialize_episode_mjcf", lambda _: tree.worldbody.add("geom", type="mesh", mesh="none"))
+    env.task.next_scene = env.initial_scene  # whose tree that is
+    with pytest.raises(ValueError, match="mesh 'none' not found"):
+        env.reset()
+    with pytest.raises(ClosedError, match="could not be compiled"):
+        _ = env.scene
+    env.close()
+
+
+@pytest.mark.parametrize("out", [np.zeros((16, 16, 3), np.uint8), np.zeros((32, 32, 3))])
+def test_pictures_are_written_to_arrays_that_fit(out: np.ndarray) -> None:
+    with pytest.raises(SettingsError, match=r"out must be of shape \(32, 32, 3\), uint8"):
+        magical_mj.load("MoveToRegion", observations=()).render(size=32, out=out)
 
 
 def test_an_episode_starts_from_one_thing() -> None:

@@ -247,6 +247,11 @@ def test_files_are_not_overwritten_without_a_word(tmp_path: Path) -> None:
     assert json.loads(texts(exported(scene, path.parent)[0])["scene"])["robot"]["x"] == scene.robot.x
 
 
+def test_only_scenes_and_environments_are_exported(tmp_path: Path) -> None:
+    with pytest.raises(InvalidSceneError, match=r"env\.unwrapped\.dm_env"):
+        magical_mj.export_mjcf(magical_mj.MagicalEnv("MoveToRegion"), tmp_path / "scene.xml")  # type: ignore[arg-type]
+
+
 def test_illegal_scenes_are_not_exported(tmp_path: Path) -> None:
     scene = magical_mj.sample_scene("MoveToRegion", "Demo", 0).moved(robot=(3, 0, 0))
     with pytest.raises(InvalidSceneError, match="walls"):

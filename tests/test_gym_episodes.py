@@ -73,6 +73,11 @@ def test_the_score_behind_wrappers_of_ones_own() -> None:
     assert [info["eval_score"].tolist() for info in infos] == [[0.0, 0.0]] * 4 + [[0.25, 0.25]]
 
 
+def test_other_packages_environments_have_no_score() -> None:
+    with pytest.raises(SettingsError, match="wraps the environments of magical_mj"):
+        ScoreAtTheEnd(gymnasium.make("CartPole-v1"))
+
+
 def test_the_score_at_every_step() -> None:
     env = gymnasium.make("magical_mj/MoveToRegion-Demo-State-v0", score_every_step=True)
     _, info = env.reset(seed=0)

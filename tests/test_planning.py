@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import magical_mj
 from magical_mj import ENVIRONMENTS, TASKS, Block
+from magical_mj.errors import PlacementError
 from magical_mj.planning import Noise, Subgoal, done
 from magical_mj.planning.arrangements import cluster_targets, line_targets
 from magical_mj.registry import task_spec
@@ -31,6 +33,13 @@ def test_the_subgoals_solve_the_task(task: str, variant: str) -> None:
         assert magical_mj.score(task, scene, done(scene, todo)) == 1.0
         assert len({subgoal.block for subgoal in todo}) == len(todo)
         assert all(max(map(abs, subgoal.target)) < 0.9 for subgoal in todo)
+
+
+def test_a_plan_without_room_says_so() -> None:
+    scene = magical_mj.sample_scene("MatchRegions", "Demo", 0)
+    everywhere = replace(scene, regions=(replace(scene.regions[0], x_min=-0.9, y_min=-0.9, x_max=0.9, y_max=0.9),))
+    with pytest.raises(PlacementError, match="no place for block 2"):
+        task_spec("MatchRegions").subgoals(everywhere, everywhere, noise())
 
 
 @pytest.mark.parametrize("task", TASKS)

@@ -73,6 +73,13 @@ def test_a_wrong_vector_is_refused(make: Any, action: Any) -> None:
     env.close()
 
 
+def test_each_environment_draws_its_own_actions() -> None:
+    first, second = (magical_mj.MagicalEnv("MoveToRegion", preset="State", action="continuous") for _ in range(2))
+    for env in (first, second):
+        env.action_space.seed(0)
+    assert first.action_space.sample().tolist() == second.action_space.sample().tolist()
+
+
 def test_only_discrete_environments_are_wrapped() -> None:
     with pytest.raises(InvalidActionError, match="18 discrete actions"):
         ContinuousActions(made())

@@ -13,7 +13,7 @@ from torch import Tensor
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter, View
 from magical_mj.batched.scenes import ABSENT, SceneArrays
-from magical_mj.gym_env import FINGERS_SPACE, STATE_BOUND
+from magical_mj.gym_env import STATE_BOUND, fingers_space
 from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
 from magical_mj.presets import Preset
 
@@ -91,7 +91,7 @@ class Frames:
             name: spaces.Box(0, 255, self._shaped(one[:1])[0].shape, np.uint8) for name, one in self._stacks.items()
         }
         if preset.fingers:
-            boxes["fingers"] = FINGERS_SPACE
+            boxes["fingers"] = fingers_space()
         self.space: spaces.Space[Any] = spaces.Dict(dict(boxes)) if preset.layout == "dict" else boxes["all"]
 
     def start(self, scenes: SceneArrays, worlds: Tensor) -> None:

@@ -23,7 +23,7 @@ from magical_mj.tasks.spec import Rules
 SHARE: Final = 0.1
 """The share of an entry's episodes that are replayed by default."""
 MOST: Final = 1000
-"""The least number of an entry's episodes that are replayed by default."""
+"""The largest number of an entry's episodes that are replayed by default."""
 
 Watch = Callable[[Checked], None]
 

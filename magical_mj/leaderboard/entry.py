@@ -225,7 +225,7 @@ def _content(data: bytes, name: object) -> dict[str, Any]:
 
 def schema() -> dict[str, Any]:
     """The JSON schema of entries."""
-    return json.loads((resources("magical_mj.leaderboard") / "entry.schema.json").read_text())
+    return json.loads((resources("magical_mj.leaderboard") / "entry.schema.json").read_text(encoding="utf-8"))
 
 
 def _check_schema(content: Any, name: object) -> None:

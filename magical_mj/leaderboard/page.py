@@ -64,7 +64,7 @@ def _html(found: Sequence[Standing], made: Sequence[Table]) -> str:
         _section(table.name, HEADINGS[table.name], drawn.get(table.name, "") + _table(table)) for table in made
     )
     links = " ".join(f'<a href="#{name}">{heading}</a>' for name, heading in HEADINGS.items())
-    style = (resources("magical_mj.leaderboard") / "style.css").read_text()
+    style = (resources("magical_mj.leaderboard") / "style.css").read_text(encoding="utf-8")
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{TITLE}</title>\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from magical_mj.errors import PlacementError
 from magical_mj.planning.noise import Noise
 from magical_mj.scene import GoalRegion, Scene
 
@@ -97,7 +98,11 @@ def places_outside(regions: Sequence[GoalRegion]) -> list[Point]:
 
 
 def bring(scene: Scene, block: int, places: Iterable[Point], noise: Noise) -> Subgoal:
-    """The subgoal of bringing a block to the nearest place that no other block occupies."""
+    """The subgoal of bringing a block to the nearest place that no other block occupies.
+
+    Raises:
+        PlacementError: if there are no places.
+    """
     here = scene.blocks[block]
 
     def cost(place: Point) -> float:
@@ -108,14 +113,29 @@ def bring(scene: Scene, block: int, places: Iterable[Point], noise: Noise) -> Su
         )
         return CARRYING * math.dist(place, (here.x, here.y)) + CROWDED * crowding + noise(SPREAD)
 
-    return Subgoal(block, min(places, key=cost))
+    return Subgoal(block, _cheapest(places, cost, f"block {block}"))
 
 
 def drive(scene: Scene, places: Iterable[Point], noise: Noise, tolerance: float) -> Subgoal:
-    """The subgoal of driving the robot to the nearest of the places."""
+    """The subgoal of driving the robot to the nearest of the places.
+
+    Raises:
+        PlacementError: if there are no places.
+    """
     here = scene.robot
-    place = min(places, key=lambda at: CARRYING * math.dist(at, (here.x, here.y)) + noise(WANDER))
-    return Subgoal(None, place, tolerance)
+
+    def cost(place: Point) -> float:
+        return CARRYING * math.dist(place, (here.x, here.y)) + noise(WANDER)
+
+    return Subgoal(None, _cheapest(places, cost, "the robot"), tolerance)
+
+
+def _cheapest(places: Iterable[Point], cost: Callable[[Point], float], what: str) -> Point:
+    """The place with the least cost for a block or the robot (`what`)."""
+    place = min(places, key=cost, default=None)
+    if place is None:
+        raise PlacementError(f"a plan has no place for {what}: the scene leaves no room, as for blocks between regions")
+    return place
 
 
 def each_to(targets: Sequence[Point | None], tolerance: float) -> list[Subgoal]:

@@ -16,7 +16,7 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from magical_mj.errors import SettingsError
+from magical_mj.errors import SettingsError, shown
 from magical_mj.rendering import gl
 from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS, Context, Picture
 
@@ -46,8 +46,14 @@ def check_size(value: Any, name: str = "image_size") -> int:
     except TypeError:
         size = 0
     if not 1 <= size <= LARGEST:
-        raise SettingsError(f"{name} must be an integer in 1..{LARGEST} (pixels per side), not {value!r}")
+        raise SettingsError(f"{name} must be an integer in 1..{LARGEST} (pixels per side), not {shown(value)}")
     return size
+
+
+def check_out(out: Picture | None, size: int) -> None:
+    """Raises a `SettingsError` unless a picture of this size can be written to the array, if there is one."""
+    if out is not None and (out.shape != (size, size, 3) or out.dtype != np.uint8):
+        raise SettingsError(f"out must be of shape ({size}, {size}, 3), uint8, not {out.shape}, {out.dtype}")
 
 
 class Renderer:

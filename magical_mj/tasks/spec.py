@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
@@ -75,14 +75,19 @@ class TaskSpec:
         """Checks the types and ranges of all fields; raises `TaskError`."""
         if not (isinstance(self.name, str) and self.name.isascii() and self.name.isalnum()):
             raise TaskError(f"the name of a task must be made of letters and digits, not {shown(self.name)}")
-        if not isinstance(self.demo, Scene):
-            raise TaskError(f"{self.name}.demo must be a Scene, not {shown(self.demo)}")
+        kinds = {"demo": Scene, "summary": str, "demonstrations": Path | str | None, "layout": bool}
+        for part, kind in kinds.items():
+            if not isinstance(getattr(self, part), kind):
+                wanted = getattr(kind, "__name__", kind)
+                raise TaskError(f"{self.name}.{part} must be a {wanted}, not {shown(getattr(self, part))}")
         for steps in (self.steps, self.steps if self.released_steps is None else self.released_steps):
             if type(steps) is not int or steps < 1:
                 raise TaskError(f"the steps of {self.name} must be an integer above 0, not {shown(steps)}")
-        low, high = self.region_size
+        low, high = self.region_size if _are_numbers(self.region_size, 2) else (1.0, 0.0)
         if not 0 <= low <= high <= 2 * ARENA_HALF_WIDTH or (self.demo.regions and not low):
             raise TaskError(f"{self.name}.region_size must be the least and greatest side of its goal regions, above 0")
+        if not _are_numbers((self.inner_margin,), 1) or not (self.inner_margin == 0 or 0 < self.inner_margin < low / 2):
+            raise TaskError(f"{self.name}.inner_margin must be 0, or less than half of the least side of its regions")
         for part in ("score", "check"):
             if not callable(getattr(self, part)):
                 raise TaskError(f"{self.name}.{part} must be a function")
@@ -110,3 +115,7 @@ class TaskSpec:
         if self.plan is None:
             raise TaskError(f"{self.name} has no plan, so no expert can play it; give its TaskSpec one")
         return self.plan
+
+
+def _are_numbers(values: Any, count: int) -> bool:
+    return isinstance(values, tuple | list) and len(values) == count and all(isinstance(x, int | float) for x in values)

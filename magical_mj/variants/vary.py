@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from magical_mj.errors import InvalidSeedError, PlacementError
+from magical_mj.errors import InvalidSeedError, PlacementError, shown
 from magical_mj.scene import Scene
 from magical_mj.tasks.spec import AxisRule, TaskSpec
 from magical_mj.variants.axes import AXES, Axis, varied_axes
@@ -78,7 +78,7 @@ def check_seed(seed: Any) -> int:
     except TypeError:
         number = -1
     if number < 0:
-        raise InvalidSeedError(f"{seed!r} is not a seed: seeds are integers from 0, of any size")
+        raise InvalidSeedError(f"{shown(seed)} is not a seed: seeds are integers from 0, of any size")
     return number
 
 

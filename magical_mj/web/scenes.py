@@ -36,7 +36,7 @@ def environment_scenes(task: str, variant: str) -> dict[str, Any]:
     """The page's data of an environment: its first scenes (of Demo, the only one), as JSON data."""
     shipped = demos.load(task)[:DEMONSTRATIONS] if variant == "Demo" else []
     demonstrations = [letters(demo.actions.tolist()) for demo in shipped]
-    expert: list[str] = demonstrations[:1] or json.loads(EXPERT.read_text())[f"{task}-{variant}"]
+    expert: list[str] = demonstrations[:1] or json.loads(EXPERT.read_text(encoding="utf-8"))[f"{task}-{variant}"]
     seeds = range(1 if variant == "Demo" else SCENES)
     expert += [""] * (len(seeds) - len(expert))
     return {

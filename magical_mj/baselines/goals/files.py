@@ -64,7 +64,7 @@ def load_goals(folder: Path | str) -> GoalPolicy:
     """
     path = Path(folder) / GOALS
     try:
-        return GoalPolicy(from_json(path.read_text()))
+        return GoalPolicy(from_json(path.read_text(encoding="utf-8")))
     except (OSError, UnicodeDecodeError, TrainingError) as error:
         raise TrainingError(f"cannot read {path}: {error}") from error
 
