@@ -13,6 +13,7 @@ from magical_mj.cli.console import Jobs, Tasks, claim_folder, console
 from magical_mj.cli.environments import contact_sheet
 from magical_mj.cli.evaluate import show_progress, summary
 from magical_mj.cli.results import film_episodes
+from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES, SETTINGS
@@ -32,16 +33,18 @@ def demo(out: Out = Path("out/demo"), tasks: Tasks = "all", episodes: Episodes =
     settings = EvaluationSettings(tasks=tasks, episodes=episodes, jobs=jobs, out=out)
     claim_folder(out)
     old = [path for path in (out / SCORES, out / SETTINGS, *out.glob("best-*.mp4")) if path.exists()]
+    if old and not (out / SHEET).exists():
+        raise EvaluationError(f"{out} holds an evaluation that this command has not made; give another folder by --out")
     if old:
         screen.print(f"replacing an earlier run in {out}", soft_wrap=True)
     for path in old:
         path.unlink()
+    with files.new_file(out / SHEET, overwrite=True) as unfinished:  # first, since it marks the folder as ours
+        contact_sheet(0, size=128).save(unfinished)
     evaluation = Evaluation(AGENTS, settings)
     show_progress(screen, evaluation)
     for line in summary(evaluation.scores):
         screen.print(line, soft_wrap=True)
-    with files.new_file(out / SHEET, overwrite=True) as unfinished:
-        contact_sheet(0, size=128).save(unfinished)
     best = [
         (which, score) for which, score in extremes(evaluation.scores) if (which, score.policy) == ("best", AGENTS[0])
     ]
