@@ -157,14 +157,16 @@ def test_a_leaderboard_names_bad_entries_and_shows_the_others(
     assert main(["leaderboard", str(entries), "--all"]) == 0
     assert f"good.json.gz: expert; {EPISODES} episodes replayed" in capsys.readouterr().out
     (entries / "cut.json.gz").write_bytes((entries / "good.json.gz").read_bytes()[:-20])
+    (entries / "folder.json.gz").mkdir()
     rewrite(folder, tampered_score)
     (tmp_path / "card.toml").write_text('method = "Liar"')
     submit([folder], entries / "lie.json.gz", card=tmp_path / "card.toml")
     assert main(["leaderboard", str(entries), "--all", "--out", str(tmp_path / "pages")]) == 1
     error = capsys.readouterr().err
     assert "cut.json.gz cannot be read" in error
+    assert "folder.json.gz cannot be read: Is a directory" in error
     assert "lie.json.gz differs: run 0, MoveToRegion Layout, seed 2: the score is 0.5" in error
-    assert "entries that are not what they claim, and are not on the page: 2" in error
+    assert "entries that are not what they claim, and are not on the page: 3" in error
     text = (tmp_path / "pages" / "leaderboard.md").read_text()
     assert "| expert | paper | the simulation |" in text
     assert "Liar" not in text

@@ -142,6 +142,10 @@ def test_an_entry_without_the_protocol_s_scenes_is_not_shown(tmp_path: Path) -> 
         ('colour = "red"', {}, UnknownNameError, "unknown entry of .*card.toml 'colour'"),
         ("[training]\nhuors = 1", {}, UnknownNameError, "Did you mean 'hours'"),
         ("method =", {}, SettingsError, "cannot be read as TOML"),
+        ("method = 2020-01-01", {}, SettingsError, "method is not valid in .*card.toml"),
+        ('links = "https://example.org"', {}, SettingsError, "links is not valid"),
+        ('training = "long"', {}, SettingsError, "training in .* must be a table with hours"),
+        ("[training]\nhours = nan", {}, SettingsError, "training.hours must be a number"),
         ("", {"policy": "nobody"}, UnknownNameError, "unknown policy 'nobody'"),
         ("", {"out": "entry.json"}, SettingsError, "must end in .json.gz"),
     ],
@@ -153,6 +157,12 @@ def test_bad_submissions_are_explained(
     with pytest.raises(error, match=problem):
         submit([folder], **{"out": tmp_path / "entry.json.gz", "card": tmp_path / "card.toml", **arguments})
     assert not list(tmp_path.glob("entry*"))
+
+
+def test_an_episode_is_submitted_once(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(EvaluationError, match="holds an episode twice"):
+        submit([folder, folder], tmp_path / "entry.json.gz")
+    assert not (tmp_path / "entry.json.gz").exists()
 
 
 def test_a_thousand_rows_too_few_are_named() -> None:

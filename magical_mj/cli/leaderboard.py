@@ -47,6 +47,7 @@ def verify_folder(folder: Folder, jobs: Jobs = None) -> None:
 
 def make_entry(folders: Folders, out: Out, card: Card = None, policy: Name = None) -> None:
     """Pack the evaluations of one method, with its card, into an entry for the leaderboard."""
+    claim_folder(out.parent)
     entry = submit(folders, out, card=card, policy=policy)
     unsaid = [name for name, value in entry.card.items() if value is None]
     screen = console()

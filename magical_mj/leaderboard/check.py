@@ -121,7 +121,10 @@ def check_entry(
         EvaluationError: if the file is not a valid entry; see `magical_mj.leaderboard.entry.unpacked`.
     """
     check_extra("leaderboards", "eval")
-    data = path.read_bytes()
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise EvaluationError(f"{path} cannot be read: {error.strerror}") from error
     entry = unpacked(data, path)
     chosen = entry.episodes if everything else _sample(entry.episodes, data)
     findings = Findings(unfit=[] if entry.protocol == PROTOCOL else ["no protocol's number was recorded"])

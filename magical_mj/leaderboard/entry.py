@@ -6,6 +6,7 @@ import gzip
 import hashlib
 import io
 import json
+import math
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,10 +15,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from magical_mj import files
-from magical_mj.errors import EvaluationError, SettingsError, unknown_name
+from magical_mj.errors import EvaluationError, SettingsError, shown, unknown_name
 from magical_mj.evaluation.results import check_same
 from magical_mj.evaluation.scores import SETTINGS, Score, read
 from magical_mj.evaluation.settings import UNOFFICIAL
+from magical_mj.extras import check_extra
 from magical_mj.leaderboard.claims import Claim
 from magical_mj.protocol import PROTOCOL
 from magical_mj.registry import ENVIRONMENTS, check_rules
@@ -83,7 +85,8 @@ def submit(
         policy: the name of the method, if the folders hold several.
 
     Raises:
-        SettingsError, UnknownNameError: if the card has unknown fields, or the choice of a method is ambiguous.
+        SettingsError, UnknownNameError: if the card has unknown fields or values of the wrong kind, or the choice of a
+            method is ambiguous.
         EvaluationError: if a folder is not an evaluation, or they cannot be combined.
         OSError: if the file exists or cannot be written.
     """
@@ -103,14 +106,17 @@ def submit(
         raise EvaluationError(f"{batched} was played in batched worlds, and cannot be an entry: {UNOFFICIAL}")
     for what in ("rules", "preset"):
         check_same(found, what, "an entry is of one kind")
+    described = {**said, "method": said["method"] or policy or names[0]}
+    _check_card(described, card)
     entry = Entry(
-        card={**said, "method": said["method"] or policy or names[0]},
+        card=described,
         observations=next((score.preset for score, _ in found if score.preset is not None), None),
         rules=check_rules(found[0][0].rules),
         protocol=_protocol(folders),
         versions={what: sorted({getattr(score, what) for score, _ in found}) for what in ("version", "mujoco", "gl")},
         episodes=[claim_of(score) for score, _ in found],
     )
+    _check_unique(entry.episodes, "the choice of folders")
     files.write(out, packed(entry))
     return entry
 
@@ -149,8 +155,24 @@ def _card(said: dict[str, Any], where: object, known: dict[str, Any] = CARD) -> 
             raise unknown_name(f"entry of {where}", name, known)
     whole = dict(known)
     for name, value in said.items():
+        if isinstance(known[name], dict) and not isinstance(value, dict):
+            raise SettingsError(f"{name} in {where} must be a table with {', '.join(known[name])}, not {shown(value)}")
         whole[name] = _card(value, where, known[name]) if isinstance(known[name], dict) else value
     return whole
+
+
+def _check_card(card: dict[str, Any], where: object) -> None:
+    """Raise a `SettingsError` unless the card is as the schema of entries says, which checks the leaderboard, too."""
+    check_extra("entries", "eval")
+    import jsonschema
+    from jsonschema.exceptions import best_match
+
+    wrong = best_match(jsonschema.Draft202012Validator(schema()["properties"]["card"]).iter_errors(card))
+    if wrong is not None:
+        field = ".".join(map(str, wrong.path))
+        raise SettingsError(f"the card's {field} is not valid{f' in {where}' if where else ''}: {wrong.message[:200]}")
+    if math.isnan(card["training"]["hours"] or 0):
+        raise SettingsError(f"the card's training.hours must be a number, and is nan in {where}")
 
 
 def packed(entry: Entry) -> bytes:
@@ -218,9 +240,14 @@ def _content(data: bytes, name: object) -> dict[str, Any]:
             text = file.read(MOST_BYTES + 1)
         if len(text) > MOST_BYTES:
             raise ValueError("it is too large")
-        return json.loads(text)
+        return json.loads(text, parse_constant=_no_number)
     except (OSError, EOFError, ValueError, RecursionError, zlib.error) as error:
         raise EvaluationError(f"{name} cannot be read: {error}") from error
+
+
+def _no_number(name: str) -> None:
+    """For NaN and infinities, which JSON does not have, but Python's parser reads."""
+    raise ValueError(f"{name} is not JSON")
 
 
 def schema() -> dict[str, Any]:

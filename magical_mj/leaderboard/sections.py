@@ -77,9 +77,9 @@ def _drops(found: Sequence[Standing]) -> Table:
 
 
 def _weakest(one: Standing) -> str:
-    """The variant (except All) with the largest drop of the score."""
-    axes = [name for name in one.drops if name != "All"]
-    return max(axes, key=lambda name: one.drops[name].value) if axes else NONE
+    """The variant (except All) with the largest drop of the score, if it drops in any."""
+    axes = [name for name in one.drops if name != "All" and one.drops[name].value > 0]
+    return max(axes, key=lambda name: one.drops[name].value, default=NONE)
 
 
 def _demo(one: Standing) -> Estimate | None:
