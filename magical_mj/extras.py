@@ -8,8 +8,10 @@ from typing import Final
 from magical_mj.errors import MissingExtraError
 
 MODULES: Final = {
+    "dask": ("distributed",),
     "eval": ("joblib", "jsonschema", "matplotlib", "pandas", "scipy"),
     "gpu": ("mujoco_warp", "torch", "warp"),
+    "ray": ("ray",),
     "il": ("kornia", "safetensors", "stable_baselines3", "tensorboard", "torch"),
 }
 """Extra -> the modules that are imported from its packages; see pyproject.toml."""

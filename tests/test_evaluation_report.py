@@ -132,6 +132,15 @@ def test_figures_mark_what_is_published_and_what_is_incomplete(tmp_path: Path) -
     assert any("hatched: mean over only some of the tasks" in text for text in drawn)
 
 
+def test_figures_show_names_with_dollars_as_they_are(tmp_path: Path) -> None:
+    """Between two of them, matplotlib expects a formula."""
+    name = r"$\frac{$"
+    rows = [replace(score, policy=name) for score in example() if score.policy == "noop"]
+    folder = report([write(tmp_path / "scores", rows)], tmp_path / "out").parent
+    assert name in (folder / "report.md").read_text()
+    assert (folder / "bars.png").stat().st_size
+
+
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="pdflatex is not installed")
 @pytest.mark.parametrize("which", ["made", "published"])
 def test_latex_compiles(which: str, request: pytest.FixtureRequest) -> None:

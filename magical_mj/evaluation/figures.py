@@ -59,7 +59,7 @@ def _panel(axes: Axes, results: Results, policy: str) -> Any:
     axes.set_facecolor(NO_ENVIRONMENT)
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
-    axes.set_title(marked(policy, bool(found["published"].any())), fontsize=11)
+    axes.set_title(_literal(marked(policy, bool(found["published"].any()))), fontsize=11)
     return image
 
 
@@ -77,6 +77,11 @@ def bars(results: Results) -> Figure:
             figure.legend(*handles, loc="outside upper center", ncols=8, frameon=False, fontsize=9, handlelength=1)
     _explain(figure, results)
     return figure
+
+
+def _literal(name: str) -> str:
+    """A name for matplotlib, which takes what is between dollar signs as a formula."""
+    return name.replace("$", r"\$")
 
 
 def _explain(figure: Figure, results: Results) -> None:
@@ -112,7 +117,7 @@ def _bar_row(axes: Axes, results: Results, policies: list[str], columns: int) ->
         lines: dict[str, Any] = {"fmt": "none", "ecolor": "#444", "elinewidth": 0.8, "capsize": 1.5}
         axes.errorbar(places[known], means[known], ends[:, known], **lines)
     published = set(results.variants[results.variants["published"]]["policy"])
-    names = [marked(name, name in published).replace(", ", ",\n") for name in policies]
+    names = [_literal(marked(name, name in published)).replace(", ", ",\n") for name in policies]
     axes.set_xticks(range(len(policies)), names)
     axes.tick_params(axis="x", length=0)
     axes.set_xlim(-0.55, columns - 0.45)

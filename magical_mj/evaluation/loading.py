@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from magical_mj.agents import AGENTS
-from magical_mj.errors import SettingsError, unknown_name
+from magical_mj.errors import SettingsError, shown, unknown_name
 from magical_mj.evaluation.models import LOADERS
 from magical_mj.evaluation.playing import Act, reason
 from magical_mj.references import resolve
@@ -88,6 +88,8 @@ def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
     found: list[Source] = []
     seen: Counter[str] = Counter()
     for source in _each(policies):
+        if not isinstance(source.name, str) or not source.name.strip() or not source.name.isprintable():
+            raise SettingsError(f"the name of a method is a text of printable characters, not {shown(source.name)}")
         found.append(replace(source, run=run + seen[source.name], trust=trust))
         seen[source.name] += 1
     if not found:

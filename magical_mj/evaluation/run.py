@@ -87,6 +87,8 @@ class Evaluation:
         listed = sources(policy, settings.run, settings.trust)
         if settings.batched:
             check_extra("batched worlds", "gpu")
+        if settings.backend != "local":
+            check_extra(f"workers of {settings.backend}", settings.backend)
         for source in listed:  # so that errors are raised now
             policy = source.load()
             check_fit(policy, settings.environments, settings.preset)
