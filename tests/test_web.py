@@ -110,6 +110,10 @@ def test_a_collection_asks_for_what_it_has_least_of(tmp_path: Path) -> None:
     assert again.next() is None  # what was kept counts after a restart
     assert len(again.token()) > 20
     assert again.token() == collection.token()
+    for damaged in (b"", b"\xff\xfe", b"a/b"):
+        (tmp_path / "token").write_bytes(damaged)
+        with pytest.raises(magical_mj.errors.SettingsError, match="delete it"):
+            again.token()
     with pytest.raises(magical_mj.errors.DemonstrationError, match="not collected"):
         collection.keep(json.dumps(recording("MoveToRegion", "Jitter", 0, [0] * 40)), me)
     assert len(list(tmp_path.rglob("*.npz"))) == 2

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
+from urllib.parse import urlsplit
 
 import typer
 
@@ -59,6 +60,8 @@ def serve_page(
         raise SettingsError(f"{first[0]}-{first[1]} is not among the environments that are to be played")
     if wanted is not None and collect is None:
         raise SettingsError("--wanted needs --collect")
+    if origin is not None:
+        origin = _checked(origin)
     try:
         from magical_mj.web.collection import Collection
         from magical_mj.web.server import PlayServer
@@ -70,6 +73,16 @@ def serve_page(
         server.token = collection.token()
     with suppress(KeyboardInterrupt):
         asyncio.run(_serve(server, "" if first is None else "#" + "-".join(map(str, first))))
+
+
+def _checked(origin: str) -> str:
+    """An origin as browsers send it, without a slash at its end; they compare it letter by letter."""
+    parts = urlsplit(origin)
+    if parts.scheme not in ("http", "https") or not parts.netloc or parts.path.strip("/") or parts.query:
+        raise SettingsError(
+            f"--origin takes an address such as https://study.example.org, without a path; not {origin!r}"
+        )
+    return f"{parts.scheme}://{parts.netloc.lower()}"
 
 
 async def _serve(server: PlayServer, place: str) -> None:

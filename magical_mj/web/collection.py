@@ -12,9 +12,10 @@ from typing import Any, Final
 
 from magical_mj import demos, files
 from magical_mj.demos.files import SUFFIX
-from magical_mj.errors import DemonstrationError
+from magical_mj.errors import DemonstrationError, SettingsError
 
 _PARTICIPANT: Final = re.compile("[0-9a-f]{16}")
+_TOKEN: Final = re.compile("[A-Za-z0-9_-]{16,}")
 
 
 class Collection:
@@ -45,12 +46,16 @@ class Collection:
 
         Raises:
             OSError: if it cannot be saved.
+            SettingsError: if the file in which it is saved holds something else.
         """
         path = self._folder / "token"
         if not path.exists():
             files.write(path, secrets.token_urlsafe(16))
             path.chmod(0o600)
-        return path.read_text(encoding="utf-8")
+        token = path.read_text(encoding="ascii", errors="replace").strip()
+        if not _TOKEN.fullmatch(token):
+            raise SettingsError(f"{path} must hold the secret part of the address; delete it, and a new one is made")
+        return token
 
     def participant(self, name: Any) -> str:
         """The id `name` if it is that of a known participant who returns, else a new id."""
