@@ -38,6 +38,19 @@ from magical_mj.rendering.backend import osmesa_works
         ("export", "TASK"),
         ("export FindDupe Nothing --out x", "unknown variant"),
         ("demo --jobs 0", "--jobs"),
+        ("evaluate --policy =noop --out scores", "name of a method"),
+        ("play FindDupe --collect study", "only with --web"),
+        ("play FindDupe --web --record mine", "without --web"),
+        ("play findupe --web", "Did you mean 'FindDupe'"),
+        ("play --web --origin study.example.org", "such as https://"),
+        ("play --web --origin https://study.example.org/page", "without a path"),
+        ("bench --worlds 5", "only with --batched"),
+        ("bench --json --markdown", "one of"),
+        ("view --grid --camera ego", "--camera"),
+        ("rollout FindDupe --camera ego", "only with --video"),
+        ("demos export --to npz --video", "only with --to lerobot"),
+        ("demos export --to minari --no-drop-noop", "only with --to npz"),
+        ("demos video --out a.mp4 --speed 1000", "--speed"),
     ],
 )
 def test_wrong_use(shell: Shell, line: str, hint: str, tmp_path: Path) -> None:
@@ -77,6 +90,16 @@ def test_nothing_is_overwritten_unless_forced(shell: Shell, line: str, name: str
     assert (tmp_path / name).read_text() == "precious"
     assert shell(*line.split(), "--force")[0] == 0
     assert (tmp_path / name).read_bytes() != b"precious"
+
+
+def test_the_tour_replaces_only_what_it_has_made(shell: Shell, tmp_path: Path) -> None:
+    """It starts anew where it was called before; scores of other evaluations may have taken days."""
+    few = ("--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1)
+    evaluate = ("evaluate", "--policy", "expert,random,noop", "--variants", "Demo", "--out", "mine")
+    assert shell(*evaluate, *few)[0] == 0
+    scores = (tmp_path / "mine" / "scores.jsonl").read_bytes()
+    assert "give another folder" in shell.fails(1, "demo", *few, "--out", "mine")
+    assert (tmp_path / "mine" / "scores.jsonl").read_bytes() == scores
 
 
 @pytest.mark.parametrize("extra", ["typer", "imageio_ffmpeg"])

@@ -77,10 +77,36 @@ def test_terminals_that_cannot_show_every_sign(encoding: str) -> None:
         assert result.returncode == (2 if "Größe" in command else 0)
 
 
-def test_a_reader_that_has_seen_enough_is_no_error() -> None:
-    command = f"'{sys.executable}' -m magical_mj list | head -1; exit ${{PIPESTATUS[0]}}"
+@pytest.mark.parametrize("command", ["list", "demos info --tasks MoveToRegion"])
+def test_a_reader_that_has_seen_enough_is_no_error(command: str) -> None:
+    command = f"'{sys.executable}' -m magical_mj {command} | true; exit ${{PIPESTATUS[0]}}"
     result = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert (result.returncode, result.stderr) == (0, "")
+
+
+def test_ctrl_c_while_modules_are_loaded_is_no_traceback() -> None:
+    """A module that every command needs is interrupted where it begins."""
+    code = (
+        "import builtins, sys; known = builtins.__import__\n"
+        "def interrupted(name, *rest):\n"
+        "    if name == 'typer': raise KeyboardInterrupt\n"
+        "    return known(name, *rest)\n"
+        "builtins.__import__ = interrupted\n"
+        "from magical_mj.cli import main; sys.exit(main(['list']))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stdout, result.stderr) == (130, "", "")
+
+
+def test_the_table_of_demonstrations_fits_a_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 80 columns, without shortening the environments' names."""
+    monkeypatch.setattr("magical_mj.cli.console.PLAIN_WIDTH", 80)
+    assert main(["demos", "info"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert "ClusterColour-Demo" in lines[1]
 
 
 def test_without_a_home(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from rich.progress import track
 from rich.table import Table
 
 from magical_mj._version import __version__
-from magical_mj.cli.console import Tasks, Variants, complain, console, some_of
+from magical_mj.cli.console import Tasks, Variants, check_fits, complain, console, some_of
 from magical_mj.extras import check_extra
 from magical_mj.presets import PRESETS, preset
 from magical_mj.registry import environments, listed
@@ -57,6 +57,7 @@ Profile = Annotated[bool, typer.Option("--profile", help="Print where the time g
 
 
 def bench(
+    context: typer.Context,
     tasks: Tasks = "all",
     variants: Variants = "all",
     presets: Presets = "LoRes4E",
@@ -69,6 +70,10 @@ def bench(
     device: Device = "cuda",
 ) -> None:
     """Measure steps per second including resets, the bare MuJoCo loop for comparison, and the time of resets."""
+    if as_json + markdown + profile > 1:
+        raise typer.BadParameter("give one of --json, --markdown and --profile.")
+    check_fits(context, batched, "with --batched", "worlds", "device")
+    check_fits(context, not batched, "without --batched", "steps", "as_json", "markdown")
     check_backend()  # before the simulator is imported, whose error would not help
     names = listed(presets, PRESETS)
     for name in names:

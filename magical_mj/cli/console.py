@@ -82,12 +82,36 @@ def _options(settings: type) -> Iterator[tuple[str, Any]]:
         )
 
 
+def check_fits(context: typer.Context, fits: bool, condition: str, *options: str) -> None:
+    """Raise `BadParameter` if one of these options was given, by the names of their parameters, and has no effect.
+
+    Args:
+        context: of the command.
+        fits: whether the options have an effect here.
+        condition: when they have one, for the message, such as "in a window".
+        options: the names of the command's parameters.
+    """
+    for name in options:
+        source = context.get_parameter_source(name)
+        if not fits and source is not None and source.name == "COMMANDLINE":
+            (flag,) = [option.opts[0] for option in context.command.params if option.name == name]
+            raise typer.BadParameter(f"{flag} has an effect only {condition}.")
+
+
+class Output(Console):
+    """A console that leaves it to the application what happens when the reader of its output is gone."""
+
+    def on_broken_pipe(self) -> None:
+        """Raise the error that rich would turn into exit code 1."""
+        raise BrokenPipeError
+
+
 def console() -> Console:
     """Standard output: in colour on a terminal; elsewhere plain and wide enough for the tables.
 
     Text is printed as it is: rich's markup is off, since names, paths and error messages may hold square brackets.
     """
-    out = Console(highlight=False, markup=False)
+    out = Output(highlight=False, markup=False)
     if not out.is_terminal:
         out.width = PLAIN_WIDTH
     return out

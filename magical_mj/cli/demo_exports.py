@@ -8,7 +8,7 @@ from typing import Annotated, Final, Literal
 import typer
 
 import magical_mj
-from magical_mj.cli.console import Force, Tasks, Variants, check_suffix, claim, claim_folder, console
+from magical_mj.cli.console import Force, Tasks, Variants, check_fits, check_suffix, claim, claim_folder, console
 from magical_mj.cli.demos import SUFFIX, Paths, read_chosen
 from magical_mj.errors import SettingsError
 
@@ -30,6 +30,7 @@ Fingers = Annotated[bool, typer.Option("--fingers", help="For LeRobot: the finge
 
 
 def export(
+    context: typer.Context,
     paths: Paths = None,
     tasks: Tasks = "all",
     variants: Variants = "all",
@@ -42,6 +43,9 @@ def export(
     force: Force = False,
 ) -> None:
     """Export demonstrations for other tools."""
+    check_fits(context, to == "lerobot", "with --to lerobot", "video", "fingers")
+    check_fits(context, to != "lerobot", "with other data sets: LeRobot's are written into new folders only", "force")
+    check_fits(context, to == "npz", "with --to npz: other data sets keep the no-ops", "drop_noop")
     from magical_mj.demos.lerobot import to_lerobot  # which loads the simulator
     from magical_mj.demos.robomimic import to_robomimic
 

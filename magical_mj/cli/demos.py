@@ -46,7 +46,7 @@ Folder = Annotated[Path, typer.Option("--out", help="The folder; existing files 
 Least = Annotated[float, typer.Option(min=0, max=1, help="The least score of a demonstration.")]
 Filmed = Annotated[int, typer.Option("--count", min=1, help="How many to film at most.")]
 Movie = Annotated[Path, typer.Option("--out", help="The MP4 file.", show_default=False)]
-Speed = Annotated[int, typer.Option(min=1, help="Times real time.")]
+Speed = Annotated[int, typer.Option(min=1, max=30, help="Times real time.")]
 
 app = typer.Typer(help="Make, import, check, show and export demonstrations.")
 
@@ -129,7 +129,9 @@ def info(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "all") 
 def describe(demos: Sequence[Demonstration]) -> None:
     """Prints a table with a row for each environment."""
     columns = ("environment", "by", "demos", "score", "steps", "actions", "orders", "strategies", "ways apart")
-    table = Table(*columns, box=None, header_style="bold")
+    table = Table(box=None, header_style="bold", padding=(0, 1, 0, 0), pad_edge=False)
+    for number, column in enumerate(columns):
+        table.add_column(column, no_wrap=number == 0, overflow="fold")
     groups: dict[tuple[str, str], list[Demonstration]] = {}
     for demo in demos:
         groups.setdefault((demo.name, demo.demonstrator), []).append(demo)

@@ -19,6 +19,7 @@ from magical_mj.cli.console import (
     Seed,
     Task,
     Variant,
+    check_fits,
     check_suffix,
     claim,
     console,
@@ -60,6 +61,7 @@ def list_environments(ids: Ids = False) -> None:
 
 
 def view(
+    context: typer.Context,
     task: OptionalTask = None,
     variant: Variant = "Demo",
     seed: Seed = 0,
@@ -75,6 +77,7 @@ def view(
     if grid:
         if task is not None:
             raise typer.BadParameter("give either TASK or --grid, not both.")
+        check_fits(context, False, "for one environment: the grid shows all from above", "camera")
         path = claim(out or Path(f"environments-{seed}.png"), force)
         picture = contact_sheet(seed, size or 128)
     else:

@@ -24,6 +24,7 @@ from magical_mj.cli.console import (
     Task,
     Variant,
     add_options,
+    check_fits,
     check_suffix,
     claim,
     console,
@@ -83,6 +84,7 @@ add_options(evaluate, EvaluationSettings)
 
 
 def rollout(
+    context: typer.Context,
     task: Task,
     variant: Variant = "Demo",
     policy: AnyPolicy = "expert",
@@ -96,6 +98,7 @@ def rollout(
     force: Force = False,
 ) -> None:
     """Play some episodes with a policy, print the scores, and make a video. For whole benchmarks, use `evaluate`."""
+    check_fits(context, video is not None, "with --video", "size", "camera", "force")
     check_suffix(video, ".mp4")
     views = views_of(camera)
     settings = EvaluationSettings(tasks=[task], variants=[variant], preset=preset, trust=trust)
@@ -105,7 +108,7 @@ def rollout(
         check_fit(source.load(), [pair], preset)
     if video is not None:
         claim(video, force)
-    screen = console()
+    screen, failed = console(), False
     with nullcontext() if video is None else film(video, size, views=views) as made:
         for source in listed:
             units = [Unit(source, *pair, (seed + k,), settings) for k in range(episodes)]
@@ -118,8 +121,11 @@ def rollout(
                 if made is not None:
                     replay(made, scores[-1])
             screen.print(f"{source.name}: mean of {episodes} {fmean(score.score for score in scores):.3f}")
+            failed |= all(score.failure is not None for score in scores)
     if video is not None:
         screen.print(video, soft_wrap=True)
+    if failed:  # a policy has not finished a single episode
+        raise typer.Exit(1)
 
 
 def _line(score: Score) -> str:

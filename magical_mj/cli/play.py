@@ -9,7 +9,7 @@ import typer
 
 import magical_mj
 from magical_mj.actions import NOOP
-from magical_mj.cli.console import OptionalTask, Seed, Size, Variant, claim_folder, console
+from magical_mj.cli.console import OptionalTask, Seed, Size, Variant, check_fits, claim_folder, console
 from magical_mj.cli.film import side_by_side
 from magical_mj.cli.web import Collect, Host, Origin, Port, Tasks, Variants, Wanted, serve_page
 from magical_mj.cli.window import Window
@@ -29,6 +29,7 @@ Web = Annotated[bool, typer.Option("--web", help="Play in a browser instead of a
 
 
 def play(
+    context: typer.Context,
     task: OptionalTask = None,
     variant: Variant = "Demo",
     seed: Seed = 0,
@@ -50,8 +51,10 @@ def play(
 
     With --web, and any of the options below it, in a browser: on this machine, or on another one through ssh -L.
     """
+    check_fits(context, not web, "in a window, that is, without --web", "record", "size", "speed")
+    check_fits(context, web, "with --web", "tasks", "variants", "collect", "wanted", "host", "port", "origin")
     if web:
-        first = None if task is None else (task, variant_name(variant), seed)
+        first = None if task is None else (task_spec(task).name, variant_name(variant), seed)
         serve_page(first, environments(tasks, variants), collect, wanted, host, port, origin)
         return
     if task is None:

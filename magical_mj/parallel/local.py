@@ -110,7 +110,8 @@ class _Worker:
                 return
             if hasattr(self, "_process"):
                 self._close()
-            program = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve()"
+            deaf = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"  # Ctrl-C is the caller's to handle
+            program = f"{deaf}; import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve()"
             self._process = subprocess.Popen(
                 [sys.executable, "-c", program],
                 stdin=subprocess.PIPE,
@@ -127,7 +128,6 @@ class _Worker:
 
 def serve() -> None:
     """The main function of a worker process. Printed output goes to standard error."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C also reaches the caller's process, which ends the workers
     source, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
