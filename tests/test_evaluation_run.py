@@ -206,6 +206,7 @@ def test_after_an_interruption_nothing_is_mixed_up() -> None:
         ("rndom", {}, "Did you mean 'random'"),
         ("", {}, "give a policy"),
         (3, {}, "3 is not a policy"),
+        (Path("missing.zip"), {}, "no file missing.zip"),
         ("no_such_module:thing", {}, "no_such_module:thing cannot be imported"),
         ("agents:nothing", {}, "no 'nothing' in agents"),
         ("agents:NOT_CALLABLE", {}, "is a int, which cannot be called"),

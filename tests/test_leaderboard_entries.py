@@ -53,6 +53,12 @@ def test_an_entry_says_everything_and_checks(folder: Path, tmp_path: Path) -> No
         submit([folder], path)
 
 
+def test_episodes_of_other_tasks_are_no_entry(folder: Path, tmp_path: Path) -> None:
+    rewrite(folder, lambda rows: rows[0].update(task="PushOut"))
+    with pytest.raises(EvaluationError, match="not in PushOut-Layout"):
+        submit([folder], tmp_path / "entry.json.gz")
+
+
 def test_what_the_card_does_not_say_is_null(folder: Path, tmp_path: Path) -> None:
     card = submit([folder], tmp_path / "entry.json.gz").card
     assert card.pop("method") == "expert"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -81,7 +82,7 @@ def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
 
     Args:
         policies: a policy or a list of them; each a name, ``module:object``, a file, a folder, any of them as
-            ``NAME=...``, a mapping of such names to policies or lists of them, or a policy object.
+            ``NAME=...``, a path, a mapping of such names to policies or lists of them, or a policy object.
         run: the number of the first run.
         trust: whether files that hold code may be loaded.
     """
@@ -98,7 +99,10 @@ def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
 
 
 def _each(policies: Any) -> Iterator[Source]:
-    if isinstance(policies, str):
+    if isinstance(policies, os.PathLike):
+        path = os.fspath(policies)
+        yield Source(_short(path), 0, path)
+    elif isinstance(policies, str):
         for text in filter(None, (part.strip() for part in policies.split(","))):
             name, equals, origin = text.partition("=")
             yield Source(name, 0, origin) if equals else Source(_short(text), 0, text)
@@ -114,14 +118,16 @@ def _each(policies: Any) -> Iterator[Source]:
     elif callable(policies):
         yield Source(getattr(policies, "__name__", type(policies).__name__), 0, policies)
     else:
-        raise SettingsError(f"{policies!r} is not a policy: it must be callable, or one of {LEGEND}")
+        raise SettingsError(f"{shown(policies)} is not a policy: it must be callable, or one of {LEGEND}")
 
 
 def _short(origin: str) -> str:
     path = Path(origin)
     if path.suffix in LOADERS:
         return path.stem
-    return path.name if path.is_dir() else origin.rpartition(":")[2]
+    if path.is_dir():
+        return path.resolve().name if path.name in ("", "..") else path.name
+    return origin.rpartition(":")[2]
 
 
 def _folder_loader(folder: str) -> EntryPoint:

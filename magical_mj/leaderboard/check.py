@@ -105,7 +105,7 @@ def _unfit(settings: Mapping[str, Any], what: str, here: Any) -> list[str]:
 
 
 def check_entry(
-    path: Path, *, everything: bool = False, jobs: int | None = None, watch: Watch = lambda _: None
+    path: Path | str, *, everything: bool = False, jobs: int | None = None, watch: Watch = lambda _: None
 ) -> tuple[Entry, Findings]:
     """Reads an entry, and replays a random part of its episodes.
 
@@ -122,7 +122,7 @@ def check_entry(
     """
     check_extra("leaderboards", "eval")
     try:
-        data = path.read_bytes()
+        data = Path(path).read_bytes()
     except OSError as error:
         raise EvaluationError(f"{path} cannot be read: {error.strerror}") from error
     entry = unpacked(data, path)

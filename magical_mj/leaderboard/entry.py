@@ -106,6 +106,11 @@ def submit(
         raise EvaluationError(f"{batched} was played in batched worlds, and cannot be an entry: {UNOFFICIAL}")
     for what in ("rules", "preset"):
         check_same(found, what, "an entry is of one kind")
+    others = {f"{score.task}-{score.variant}" for score, _ in found if (score.task, score.variant) not in ENVIRONMENTS}
+    if others:
+        raise EvaluationError(
+            f"an entry has results in the benchmark's environments, not in {', '.join(sorted(others))}"
+        )
     described = {**said, "method": said["method"] or policy or names[0]}
     _check_card(described, card)
     entry = Entry(
