@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -70,6 +71,22 @@ def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
     assert all(torch.equal(whole[name], cut[name]) for name in whole)
     rows = [[row | {"seconds": ""} for row in read_metrics(tmp_path / name)] for name in ("whole", "cut")]
     assert rows[0] == rows[1]
+
+
+def test_a_run_that_ends_between_its_files_is_finished_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    original, written = checkpoint.write, list[Path]()
+
+    def write(path: Path, state: dict[str, Any]) -> None:
+        if len(written) == 7:  # of the eight files of four checkpoints
+            raise KeyboardInterrupt
+        written.append(path)
+        original(path, state)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(checkpoint, "write", write)
+        train(tiny(preset="State"), tmp_path / "run")
+    train(tiny(preset="State"), tmp_path / "run", resume=True)
+    assert is_done(tmp_path / "run")
 
 
 def test_a_finished_run_resumes_to_itself(tmp_path: Path) -> None:

@@ -188,8 +188,8 @@ class _Run:
         if fault is not None:
             self._give_up(fault)
         kept: dict[str, Any] = {"update": self._update, "seconds": self._seconds, "learner": self._learner.state()}
+        self._learner.save_policy(self._folder, self._update)  # first: a run with the last checkpoint is finished
         checkpoint.write(self._folder / CHECKPOINT, kept)
-        self._learner.save_policy(self._folder, self._update)
         self._saved = self._update
 
     def _give_up(self, reason: str) -> None:
