@@ -82,9 +82,10 @@ def test_a_run_that_ends_between_its_files_is_finished_later(tmp_path: Path, mon
         written.append(path)
         original(path, state)
 
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(checkpoint, "write", write)
+    monkeypatch.setattr(checkpoint, "write", write)
+    with pytest.raises(KeyboardInterrupt):
         train(tiny(preset="State"), tmp_path / "run")
+    monkeypatch.undo()
     train(tiny(preset="State"), tmp_path / "run", resume=True)
     assert is_done(tmp_path / "run")
 
