@@ -24,13 +24,13 @@ def losses(log: str) -> tuple[list[int], list[float]]:
 
 def main(picture: str, *logs: str) -> None:
     """One curve for each log."""
-    figure = Figure((6.0, 3.0), layout="constrained", dpi=100)
+    figure = Figure((8.0, 3.0), layout="constrained", dpi=100)
     axes: Any = figure.subplots()
     for name, path in (text.split("=", 1) for text in logs):
         axes.plot(*losses(Path(path).read_text(encoding="utf-8")), label=name)
     axes.set(xlabel="step", ylabel="loss", ylim=(0, None))
     axes.grid(alpha=0.3)
-    axes.legend()
+    figure.legend(loc="outside right upper")
     figure.savefig(picture)
 
 
