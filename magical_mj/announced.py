@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from traceback import extract_tb
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -38,13 +39,18 @@ def load_spec(task: str) -> TaskSpec:
 
     Raises:
         UnknownNameError: if its module or the object in it does not exist.
-        TaskError: if the object is not a valid task.
+        TaskError: if its module fails when it is imported, or the object is not a valid task.
     """
     point = announced().get(task)
     try:
         spec = resolve(task if point is None else point.value)
     except ImportError as error:
         raise UnknownNameError(f"the task {shown(task)} cannot be imported: {error}") from error
+    except (Exception, SystemExit) as error:
+        place = extract_tb(error.__traceback__)[-1]
+        where = "" if isinstance(error, SyntaxError) else f" ({place.filename}, line {place.lineno})"
+        what = f"{type(error).__name__}: {error}{where}"
+        raise TaskError(f"the task {shown(task)} cannot be imported: {what}") from error
     check_spec(spec, task)
     if point is not None and spec.name != task:
         raise TaskError(f"{point.value} is announced as {task!r}, but its name is {spec.name!r}: they must be the same")

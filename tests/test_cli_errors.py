@@ -92,6 +92,15 @@ def test_nothing_is_overwritten_unless_forced(shell: Shell, line: str, name: str
     assert (tmp_path / name).read_bytes() != b"precious"
 
 
+@pytest.mark.parametrize("broken", ["raise ValueError('no [red] blocks')", "import sys; sys.exit(3)", "SPEC = ("])
+def test_a_task_whose_module_fails_is_one_line(shell: Shell, broken: str, tmp_path: Path) -> None:
+    name = f"broken_{abs(hash(broken))}"
+    (tmp_path / f"{name}.py").write_text(broken)
+    error = shell.fails(2, "view", f"{name}:SPEC")
+    assert f"the task '{name}:SPEC' cannot be imported: " in error
+    assert "line 1)" in error
+
+
 def test_the_tour_replaces_only_what_it_has_made(shell: Shell, tmp_path: Path) -> None:
     """It starts anew where it was called before; scores of other evaluations may have taken days."""
     few = ("--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1)

@@ -8,8 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from commands import process
 
 from magical_mj.cli import main
+from magical_mj.registry import ENVIRONMENTS
 from magical_mj.speed.yardstick import Yardstick
 
 COMMANDS = (
@@ -107,6 +109,22 @@ def test_the_table_of_demonstrations_fits_a_terminal(
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= 80
     assert "ClusterColour-Demo" in lines[1]
+
+
+def test_broken_plug_ins_take_nothing_else_away(tmp_path: Path) -> None:
+    """Another package's task and command, in a module that cannot be imported."""
+    (tmp_path / "broken.py").write_text("raise ValueError('[broken]')")
+    about = tmp_path / "broken-1.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1\n")
+    points = "[magical_mj.tasks]\nBroken = broken:SPEC\n[magical_mj.commands]\nspoil = broken:spoil\n"
+    (about / "entry_points.txt").write_text(points)
+    result = process("list", PYTHONPATH=str(tmp_path))
+    assert result.returncode == 0
+    assert len(result.stdout.splitlines()) == 1 + len(ENVIRONMENTS)
+    command, task = result.stderr.splitlines()
+    assert "the command spoil (broken:spoil) cannot be loaded: ValueError: [broken]" in command
+    assert "the task 'Broken' cannot be imported: ValueError: [broken]" in task
 
 
 def test_without_a_home(tmp_path: Path) -> None:

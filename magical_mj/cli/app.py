@@ -40,7 +40,10 @@ app.command("bench")(bench.bench)
 app.command("doctor")(doctor.doctor)
 app.command("demo")(demo.demo)
 for plugin in entry_points(group="magical_mj.commands"):  # commands of the learners, and of other packages
-    app.command(plugin.name)(plugin.load())
+    try:
+        app.command(plugin.name)(plugin.load())
+    except Exception as error:  # noqa: BLE001 another package's fault must not take all commands away
+        complain(f"the command {plugin.name} ({plugin.value}) cannot be loaded: {type(error).__name__}: {error}")
 
 
 @app.callback(invoke_without_command=True)

@@ -22,10 +22,12 @@ from magical_mj.cli.console import (
     check_fits,
     check_suffix,
     claim,
+    complain,
     console,
     file_name,
 )
 from magical_mj.cli.film import side_by_side, views_of
+from magical_mj.errors import MagicalError
 from magical_mj.registry import environment_axes, environments, task_spec
 
 GAP: Final = 6  # pixels between the cells of the contact sheet
@@ -48,7 +50,12 @@ Folder = Annotated[Path, typer.Option("--out", help="The folder to write the mod
 def list_environments(ids: Ids = False) -> None:
     """List the environments, with their horizons and the axes that vary; those of other packages come last."""
     out = console()
-    pairs = environments([*TASKS, *announced()])
+    pairs = environments(TASKS)
+    for name in announced():
+        try:
+            pairs += environments([name])
+        except MagicalError as error:  # the others are there nevertheless
+            complain(str(error))
     if ids:
         for task, variant in pairs:
             out.print(env_id(task, variant))
