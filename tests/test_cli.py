@@ -87,7 +87,7 @@ def test_view_draws_the_cameras_that_are_named(shell: Shell, tmp_path: Path) -> 
     assert (scene.size, three.size) == ((64, 64), (192, 64))
     assert three.crop((0, 0, 64, 64)).tobytes() == scene.tobytes()
     assert "scene" in shell.fails(2, "view", "FindDupe", "--camera", "scenes")
-    assert "scene" in shell.fails(2, "rollout", "FindDupe", "--camera", "scenes")
+    assert "scene" in shell.fails(2, "rollout", "FindDupe", "--video", "a.mp4", "--camera", "scenes")
 
 
 def test_view_grid(shell: Shell, tmp_path: Path) -> None:
