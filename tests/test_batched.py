@@ -21,7 +21,7 @@ from magical_mj.batched import physics as physics_module
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter, View
 from magical_mj.batched.scenes import Capacity, SceneArrays
-from magical_mj.errors import InvalidActionError, SettingsError, UnknownNameError
+from magical_mj.errors import InvalidActionError, InvalidSeedError, SettingsError, UnknownNameError
 from magical_mj.presets import PRESETS
 from magical_mj.scene import Scene
 
@@ -196,6 +196,15 @@ def test_without_autoreset_worlds_wait_for_a_mask() -> None:
     assert torch.equal(same, after)
     assert not torch.equal(after[0], first[0])
     made.step([1, 1])
+    assert torch.equal(made.reset(seed=np.int64(3))[0], first)
+    for mask in ([0, 1], [True], "01", [[True, False]]):
+        with pytest.raises(SettingsError, match="reset_mask must hold 2 bools"):
+            made.reset(options={"reset_mask": mask})
+    for seed in (-1, 1.5, [1, None], "12"):
+        with pytest.raises(InvalidSeedError, match="is not a seed"):
+            made.reset(seed=seed)
+    with pytest.warns(UserWarning, match="reset ignores the options 'scene'"):
+        made.reset(options={"scene": 3})
     made.close()
 
 
@@ -229,6 +238,8 @@ def test_wrong_settings_are_named() -> None:
         batched.make("MoveToRegion", num_envs=1, device="cuda:7")
     with pytest.raises(SettingsError, match="at least 1"):
         batched.make("MoveToRegion", num_envs=0, device="cpu")
+    with pytest.raises(SettingsError, match="workers must be an integer of at least 0"):
+        batched.make("MoveToRegion", num_envs=1, device="cpu", workers=-1)
     with pytest.raises(UnknownNameError, match="preset"):
         batched.make("MoveToRegion", num_envs=1, device="cpu", preset="HiRes")
     with pytest.raises(SettingsError, match="SAME_STEP or DISABLED"):

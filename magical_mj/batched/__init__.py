@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from gymnasium.vector import AutoresetMode
 
 from magical_mj.env_settings import Reward
-from magical_mj.errors import SettingsError
+from magical_mj.errors import SettingsError, shown
 from magical_mj.extras import check_extra
 from magical_mj.registry import environments
 from magical_mj.tasks.spec import Rules
@@ -58,14 +58,16 @@ def make(
 
     Raises:
         MissingExtraError: if the extra `gpu` is not installed.
+        InvalidSeedError: if the seed is not an integer, or negative.
         SettingsError: if there is no such device, or a setting is not possible.
         UnknownNameError: if there is no such task, variant or preset.
     """
     check_extra("batched worlds", "gpu")
     from magical_mj.batched.environment import BatchedEnv
 
-    if num_envs < 1:
-        raise SettingsError(f"num_envs must be at least 1, not {num_envs}")
+    for name, value, least in (("num_envs", num_envs, 1), ("workers", workers, 0)):
+        if not isinstance(value, int) or value < least:
+            raise SettingsError(f"{name} must be an integer of at least {least}, not {shown(value)}")
     pairs = environments(task, variant)
     return BatchedEnv(
         [pairs[world % len(pairs)] for world in range(num_envs)],

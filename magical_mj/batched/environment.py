@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Final
@@ -23,13 +24,13 @@ from magical_mj.batched.physics import Physics, check_device
 from magical_mj.batched.scenes import Capacity, SceneArrays
 from magical_mj.batched.scores import SCORES, Start, score
 from magical_mj.env_settings import REWARDS, Reward
-from magical_mj.errors import InvalidActionError, SettingsError, check_name, unknown_name
+from magical_mj.errors import InvalidActionError, SettingsError, check_name, shown
 from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS
 from magical_mj.presets import preset as preset_named
 from magical_mj.registry import check_rules, sample_scene, task_spec
 from magical_mj.rendering.renderer import check_size
 from magical_mj.tasks.spec import Rules
-from magical_mj.variants.axes import varied_axes
+from magical_mj.variants import check_seed, varied_axes
 
 MODES: Final = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
 
@@ -68,8 +69,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     ) -> None:
         if autoreset_mode not in MODES:
             raise SettingsError(f"autoreset_mode must be SAME_STEP or DISABLED, not {autoreset_mode}")
-        if reward not in REWARDS:
-            raise unknown_name("reward", reward, REWARDS)
+        check_name("reward", reward, REWARDS)
         for task, _ in pairs:
             check_name("batched task", task, SCORES)
         self.num_envs = len(pairs)
@@ -82,7 +82,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         horizons = [task_spec(task).horizon(rules) for task, _ in pairs]
         self._horizons = torch.tensor(horizons, device=device)
         self._drawer = SceneDrawer(pairs, _capacity(pairs), workers)
-        self._drawer.seed(seed)
+        self._drawer.seed(check_seed(seed))
         self._scenes = self._drawer.scenes(list(range(self.num_envs)), [0] * self.num_envs)
         self._start = Start.of(self._scenes, device)
         self._physics = Physics(self._scenes, device)
@@ -110,19 +110,39 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         Args:
             seed: of the first world's scene, the others have the next ones; or one for each world; None: scenes are
                 drawn by the environment's own seed.
-            options: see above.
+            options: see above; others are ignored, with a warning.
+
+        Raises:
+            InvalidSeedError: if a seed is not an integer, or negative.
+            SettingsError: if there is not one seed, or one entry of the mask, for each world.
         """
-        mask = (options or {}).get("reset_mask")
-        worlds = range(self.num_envs) if mask is None else np.flatnonzero(np.asarray(torch.as_tensor(mask).cpu()))
-        chosen = [int(world) for world in worlds]
+        options = options or {}
+        if others := sorted(map(repr, options.keys() - {"reset_mask"})):
+            warnings.warn(f'reset ignores the options {", ".join(others)}; it knows "reset_mask"', stacklevel=2)
+        chosen = self._masked(options.get("reset_mask"))
         seeds = None
         if seed is not None:
-            each = [seed + world for world in range(self.num_envs)] if isinstance(seed, int) else list(seed)
+            if isinstance(seed, Sequence | np.ndarray | Tensor) and not isinstance(seed, str):
+                each: list[Any] = list(seed)
+            else:
+                each = [check_seed(seed) + world for world in range(self.num_envs)]
             if len(each) != self.num_envs:
                 raise SettingsError(f"there are {self.num_envs} worlds, and {len(each)} seeds were given")
-            seeds = [each[world] for world in chosen]
+            seeds = [check_seed(each[world]) for world in chosen]
         observation = self._begin(chosen, seeds)
         return observation, self._info(torch.zeros(self.num_envs, dtype=torch.float64, device=self.device))
+
+    def _masked(self, mask: Any) -> list[int]:
+        """The worlds for which the mask is true; without a mask all of them."""
+        if mask is None:
+            return list(range(self.num_envs))
+        try:
+            given = torch.as_tensor(mask).cpu()
+        except (TypeError, ValueError, RuntimeError):
+            given = torch.empty(0)
+        if given.dtype != torch.bool or given.shape != (self.num_envs,):
+            raise SettingsError(f"reset_mask must hold {self.num_envs} bools, one for each world, not {shown(mask)}")
+        return given.nonzero()[:, 0].tolist()
 
     def _begin(self, worlds: list[int], seeds: list[int] | None = None) -> Observation:
         where = torch.tensor(worlds, dtype=torch.int64, device=self.device)

@@ -16,7 +16,8 @@ from torch import Tensor
 
 from magical_mj.batched.scenes import ABSENT, SceneArrays
 from magical_mj.constants import COLOURS, SHAPES
-from magical_mj.errors import unknown_name
+from magical_mj.errors import check_name
+from magical_mj.tasks.cluster import NEARER
 from magical_mj.tasks.make_line import INLIER_DISTANCE, MAX_GAP
 from magical_mj.tasks.move_to_corner import CORNER, FULL_SCORE_DISTANCE, ZERO_SCORE_DISTANCE
 from magical_mj.tasks.spec import Rules
@@ -135,7 +136,7 @@ def _cluster(start: Start, now: Tensor, kinds: Tensor, number: int, rules: Rules
     squares = torch.where((sizes > 0)[:, None], squares, math.inf)
     own = squares.gather(-1, kinds.long().clamp(min=0)[..., None])[..., 0]
     nearest = torch.where(members.bool(), math.inf, squares).min(-1).values
-    right = own.sqrt() < nearest.sqrt() - 2 * own if rules == "released" else own < nearest / 3
+    right = own.sqrt() < nearest.sqrt() - 2 * own if rules == "released" else own < nearest / NEARER
     nothing = 0.75 if rules == "released" else 0.5
     share = (right & start.present).sum(-1).double() / start.present.sum(-1)
     return ((share - nothing) / (1 - nothing)).clamp(min=0.0)
@@ -178,6 +179,5 @@ def score(task: str, start: Start, now: Tensor, rules: Rules = "paper") -> Tenso
     Raises:
         UnknownNameError: if the task has no batched score.
     """
-    if task not in SCORES:
-        raise unknown_name("batched task", task, SCORES)
+    check_name("batched task", task, SCORES)
     return SCORES[task](start, now, rules)
