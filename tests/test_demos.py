@@ -94,6 +94,11 @@ def test_altered_arrays_are_noticed(name: str, demo: Demonstration, path: Path) 
         demos.read(path)
 
 
+def test_states_of_another_scene_are_refused(demo: Demonstration) -> None:
+    with pytest.raises(DemonstrationError, match="have 21 positions and velocities, not"):
+        dataclasses.replace(demo, qpos=demo.qpos[:, :-3])
+
+
 def test_another_version_another_task_and_other_files_are_named(
     demo: Demonstration, path: Path, tmp_path: Path
 ) -> None:
@@ -255,7 +260,7 @@ def test_a_killed_generate_leaves_only_whole_files_and_goes_on(tmp_path: Path) -
         stdout=subprocess.DEVNULL,
         start_new_session=True,
     )
-    for _ in range(300):
+    for _ in range(1200):
         if demos.files_in(tmp_path):
             break
         time.sleep(0.1)

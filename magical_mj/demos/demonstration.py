@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Final, Literal, get_args
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from magical_mj._version import __version__
 from magical_mj.actions import ACTIONS
+from magical_mj.assets.robot import JOINTS
 from magical_mj.assets.world import World
 from magical_mj.errors import DemonstrationError
 from magical_mj.registry import environment_axes, score, task_spec
@@ -62,6 +64,10 @@ class Demonstration:
             raise DemonstrationError(f"actions must be below {len(ACTIONS)}")
         if not (np.isfinite(self.qpos).all() and np.isfinite(self.qvel).all()):
             raise DemonstrationError("states must be finite")
+        sizes = self.qpos.shape[1], self.qvel.shape[1]
+        needed = len(JOINTS) + 3 * len(self.scene.blocks)
+        if sizes != (needed, needed):
+            raise DemonstrationError(f"states of this scene have {needed} positions and velocities, not {sizes}")
 
     @property
     def name(self) -> str:
@@ -76,3 +82,16 @@ class Demonstration:
     def rescored(self) -> float:
         """The score computed from the last state."""
         return score(self.task, self.scene, World(self.scene).read(self.qpos[-1]))
+
+
+def only_environment(demos: Sequence[Demonstration]) -> str:
+    """The name of the environment of all these demonstrations, such as ``"FindDupe-Demo"``.
+
+    Raises:
+        DemonstrationError: if they are of several environments, or there are none.
+    """
+    names = sorted({demo.name for demo in demos})
+    if len(names) != 1:
+        found = f"these are of {', '.join(names)}" if names else "there are none"
+        raise DemonstrationError(f"a data set holds demonstrations of one environment, and {found}")
+    return names[0]

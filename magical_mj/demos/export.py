@@ -7,7 +7,7 @@ import shutil
 import tempfile
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from magical_mj import files
 from magical_mj.actions import NOOP
-from magical_mj.demos.demonstration import Demonstration
+from magical_mj.demos.demonstration import Demonstration, only_environment
 from magical_mj.demos.learning import observations, stream
 from magical_mj.errors import DemonstrationError
 from magical_mj.extras import missing_extra
@@ -27,7 +27,7 @@ from magical_mj.registry import task_spec
 
 def to_npz(
     demos: Iterable[Demonstration],
-    path: Path,
+    path: Path | str,
     preset: str = "LoRes4E",
     *,
     drop_noop: bool = True,
@@ -119,10 +119,7 @@ def to_minari(
         from minari.storage import get_dataset_path
     except ModuleNotFoundError:
         raise missing_extra("exporting to Minari", "minari") from None
-    names = {demo.name for demo in demos}
-    if len(names) != 1:
-        raise DemonstrationError(f"a data set holds demonstrations of one environment, not of {sorted(names)}")
-    first = demos[0]
+    environment, first = only_environment(demos), demos[0]
     name = minari_name(first, preset) if name is None else name
     try:
         parse_dataset_id(name)
@@ -132,8 +129,8 @@ def to_minari(
         ) from None
     episodes = [_episode(demo, number, preset) for number, demo in enumerate(demos)]
     _check_space(get_dataset_path(), sum(map(_size, episodes)))
-    env = gymnasium.make(env_id(first.task, first.variant, preset), reward="score")
-    with warnings.catch_warnings(), _new_folder(get_dataset_path(name), overwrite):
+    made = gymnasium.make(env_id(first.task, first.variant, preset), reward="score")
+    with closing(made) as env, warnings.catch_warnings(), _new_folder(get_dataset_path(name), overwrite):
         warnings.filterwarnings("ignore", module="minari")  # it asks for optional metadata
         minari.create_dataset_from_buffers(
             dataset_id=name,
@@ -142,11 +139,10 @@ def to_minari(
             eval_env=env,
             algorithm_name=f"magical_mj {first.demonstrator}",
             author=author,
-            description=f"{len(demos)} demonstrations of {first.name} by the {first.demonstrator} of magical_mj",
+            description=f"{len(demos)} demonstrations of {environment} by the {first.demonstrator} of magical_mj",
             requirements=[f"magical-mj=={first.package}", f"mujoco=={first.mujoco}"],
             jpeg_encoding=False,
         )
-    env.close()
     return name
 
 

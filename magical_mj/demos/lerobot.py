@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from magical_mj import constants as c
 from magical_mj.actions import to_vector
 from magical_mj.assets.world import World
-from magical_mj.demos.demonstration import Demonstration
+from magical_mj.demos.demonstration import Demonstration, only_environment
 from magical_mj.demos.learning import observations
 from magical_mj.demos.replay import see
-from magical_mj.errors import DemonstrationError, MagicalError, unknown_name
+from magical_mj.errors import DemonstrationError, MagicalError, check_name
 from magical_mj.observations import STATE_NAMES
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.registry import task_spec
@@ -51,15 +51,14 @@ def image_keys(views: str) -> dict[str, str]:
     Raises:
         UnknownNameError: if `views` is none of `VIEWS`.
     """
-    if views not in VIEWS:
-        raise unknown_name("choice of views", views, VIEWS)
+    check_name("choice of views", views, VIEWS)
     shown = VIEWS[views]
     return {view: "observation.image" if len(shown) == 1 else f"observation.images.{view}" for view in shown}
 
 
 def to_lerobot(
     demos: Sequence[Demonstration],
-    folder: Path,
+    folder: Path | str,
     *,
     views: str = "ego",
     fingers: bool = False,
@@ -87,12 +86,10 @@ def to_lerobot(
     except ImportError:
         raise missing_lerobot() from None
     keys = image_keys(views)
-    names = {demo.name for demo in demos}
-    if len(names) != 1:
-        raise DemonstrationError(f"a data set holds demonstrations of one environment, not of {sorted(names)}")
+    environment, folder = only_environment(demos), Path(folder)
     if folder.exists():
         raise DemonstrationError(f"{folder} exists already; give a new folder")
-    name = f"magical-mj/{names.pop()}-{views}{'-fingers' if fingers else ''}-p{PROTOCOL}d{DEMONSTRATIONS}"
+    name = f"magical-mj/{environment}-{views}{'-fingers' if fingers else ''}-p{PROTOCOL}d{DEMONSTRATIONS}"
     features = _features(keys, fingers=fingers, video=video)
     try:
         made = LeRobotDataset.create(

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from magical_mj import files
 from magical_mj.actions import to_vector
-from magical_mj.demos.demonstration import Demonstration
+from magical_mj.demos.demonstration import Demonstration, only_environment
 from magical_mj.demos.learning import observations
 from magical_mj.demos.lerobot import IMAGE_SIZE, VIEWS
 from magical_mj.demos.replay import see
-from magical_mj.errors import DemonstrationError, check_name
+from magical_mj.errors import check_name
 from magical_mj.extras import missing_extra
 from magical_mj.registration import env_id
 
@@ -28,7 +28,9 @@ GYM: Final = 2
 """robomimic's number for Gym environments; its class for them imports the old `gym`, so rollouts need one's own."""
 
 
-def to_robomimic(demos: Sequence[Demonstration], path: Path, *, views: str = "ego", overwrite: bool = False) -> None:
+def to_robomimic(
+    demos: Sequence[Demonstration], path: Path | str, *, views: str = "ego", overwrite: bool = False
+) -> None:
     """Write demonstrations of one environment as a data set of robomimic.
 
     Each becomes ``data/demo_0`` and so on: ``obs`` and ``next_obs`` (``ego_image`` and ``allo_image``, uint8, height x
@@ -52,9 +54,7 @@ def to_robomimic(demos: Sequence[Demonstration], path: Path, *, views: str = "eg
     except ModuleNotFoundError:
         raise missing_extra("exporting to robomimic", "robomimic") from None
     check_name("choice of views", views, VIEWS)
-    names = {demo.name for demo in demos}
-    if len(names) != 1:
-        raise DemonstrationError(f"a data set holds demonstrations of one environment, not of {sorted(names)}")
+    only_environment(demos)
     first = demos[0]
     with files.new_file(path, overwrite=overwrite) as unfinished, h5py.File(unfinished, "w") as file:
         data = file.create_group("data")

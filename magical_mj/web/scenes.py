@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from magical_mj import demos
 from magical_mj.environment import Environment
+from magical_mj.episodes import word_of
 from magical_mj.export import export_mjcf
 from magical_mj.registry import sample_scene
 from magical_mj.web.catalogue import scene_data
@@ -27,15 +28,10 @@ DEMONSTRATIONS: Final = 5
 _BETWEEN_ELEMENTS: Final = re.compile(r"(?<=>)(?=\s*<)")
 
 
-def letters(actions: Sequence[int]) -> str:
-    """Actions as a text, with "a" for action 0."""
-    return "".join(chr(ord("a") + action) for action in actions)
-
-
 def environment_scenes(task: str, variant: str) -> dict[str, Any]:
     """The page's data of an environment: its first scenes (of Demo, the only one), as JSON data."""
     shipped = demos.load(task)[:DEMONSTRATIONS] if variant == "Demo" else []
-    demonstrations = [letters(demo.actions.tolist()) for demo in shipped]
+    demonstrations = [word_of(demo.actions) for demo in shipped]
     expert: list[str] = demonstrations[:1] or json.loads(EXPERT.read_text(encoding="utf-8"))[f"{task}-{variant}"]
     seeds = range(1 if variant == "Demo" else SCENES)
     expert += [""] * (len(seeds) - len(expert))
