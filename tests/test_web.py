@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -132,6 +133,14 @@ def test_a_collection_asks_for_what_it_has_least_of(tmp_path: Path) -> None:
 def test_wrong_options_are_said(options: list[str], complaint: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["play", *options]) == 2
     assert complaint in capsys.readouterr().err
+
+
+def test_a_taken_port_is_said_with_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        assert main(["play", "--web", "--port", str(taken.getsockname()[1])]) == 1
+    error = capsys.readouterr().err
+    assert "cannot listen there" in error
+    assert "--port 0" in error
 
 
 @pytest.fixture

@@ -86,6 +86,12 @@ def _checked(origin: str) -> str:
 
 
 async def _serve(server: PlayServer, place: str) -> None:
-    async with await server.start() as listening:
+    try:
+        started = await server.start()
+    except OSError as error:
+        raise OSError(
+            f"cannot listen there ({error}); give another --host or --port; --port 0 is a free one"
+        ) from error
+    async with started as listening:
         console().print(f"{server.address}{place}\nCtrl-C ends it.", soft_wrap=True)
         await listening.serve_forever()
