@@ -116,7 +116,7 @@ def to_vector(numbers: ArrayLike) -> NDArray[np.float32]:
         InvalidActionError: if any of them is not an action.
     """
     try:
-        array = np.asarray(numbers)
+        array: NDArray[Any] = np.asarray(numbers)
     except (TypeError, ValueError):  # lists of different lengths
         array = np.empty(0)
     if array.dtype.kind not in "iu" or (array.size and not (array.min() >= 0 and array.max() < len(ACTIONS))):

@@ -115,7 +115,7 @@ def test_states_instead_of_pictures(plugin: Any, tmp_path: Path) -> None:
 
 
 @needs_lerobot
-def test_nothing_is_overwritten_and_nothing_half_made_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
     demos = magical_mj.demos.load("FixColour")[:1]
     to_lerobot(demos, tmp_path / "set")
     with pytest.raises(DemonstrationError, match="exists already"):
@@ -124,9 +124,39 @@ def test_nothing_is_overwritten_and_nothing_half_made_stays(tmp_path: Path, monk
         to_lerobot([*demos, *magical_mj.demos.load("FindDupe")[:1]], tmp_path / "other")
     with pytest.raises(UnknownNameError, match="both"):
         to_lerobot(demos, tmp_path / "other", views="bot")
-    broken = [demos[0], None]
-    with pytest.raises(AttributeError):
-        to_lerobot(broken, tmp_path / "other")  # type: ignore[list-item]
+    assert [path.name for path in tmp_path.iterdir()] == ["set"]
+
+
+ENDING = """
+import os, sys
+from magical_mj.demos import load
+from magical_mj.demos.lerobot import to_lerobot
+
+class Ending(list):
+    passes = 0
+    def __iter__(self):
+        self.passes += 1
+        for number, demo in enumerate(super().__iter__()):
+            if self.passes == 2 and number == 1:  # the first pass is the check of the environment
+                {end}
+            yield demo
+
+to_lerobot(Ending(load("FixColour")[:2]), sys.argv[1], views="state")
+"""
+
+
+@needs_lerobot
+@pytest.mark.parametrize("end", ["sys.exit(9)", "os._exit(9)"])
+def test_half_a_data_set_never_has_its_name(tmp_path: Path, end: str) -> None:
+    """What a process leaves that was killed, the next export removes."""
+    folder = tmp_path / "set"
+    ended = subprocess.run(
+        [sys.executable, "-c", ENDING.replace("{end}", end), folder], check=False, capture_output=True
+    )
+    assert ended.returncode == 9
+    assert not folder.exists()
+    demos = magical_mj.demos.load("FixColour")[:1]
+    assert to_lerobot(demos, folder, views="state").num_episodes == 1
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
 
 

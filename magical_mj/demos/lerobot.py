@@ -91,19 +91,22 @@ def to_lerobot(
         raise DemonstrationError(f"{folder} exists already; give a new folder")
     name = f"magical-mj/{environment}-{views}{'-fingers' if fingers else ''}-p{PROTOCOL}d{DEMONSTRATIONS}"
     features = _features(keys, fingers=fingers, video=video)
+    beside = folder.with_name(f".{folder.name}.part")  # half a data set reads like a whole one
+    shutil.rmtree(beside, ignore_errors=True)  # what an export left that was killed
     try:
         made = LeRobotDataset.create(
-            name, c.CONTROL_RATE, features, root=folder, robot_type="magical_mj", use_videos=video
+            name, c.CONTROL_RATE, features, root=beside, robot_type="magical_mj", use_videos=video
         )
         for demo in demos:
             for frame in _frames(demo, keys, fingers=fingers):
                 made.add_frame(frame)
             made.save_episode()
         made.finalize()
+        beside.rename(folder)
     except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)  # half a data set reads like a whole one
+        shutil.rmtree(beside, ignore_errors=True)
         raise
-    return made
+    return LeRobotDataset(name, root=folder)
 
 
 STATE_VECTOR: Final = "observation.environment_state"
