@@ -90,6 +90,7 @@ class Collection:
         if suspect:
             raise DemonstrationError(f"the replay ends {deviation:.3g} away from what was played: reload the page")
         with self._lock:
-            self._kept[pair] += demos.kept(demo, self._folder / participant) is None
+            again = demos.kept(demo, self._folder / participant) is not None
             demos.keep(demo, self._folder / participant)
+            self._kept[pair] += not again
         return demo.score
