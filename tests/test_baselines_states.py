@@ -19,6 +19,7 @@ from magical_mj.baselines.settings import Network
 from magical_mj.baselines.states import (
     HISTORY,
     NOISE,
+    PAST_NOISE,
     ROTATION,
     TRANSLATION,
     History,
@@ -123,18 +124,18 @@ def test_augmentations_move_the_robot_and_shake_what_is_there() -> None:
     seen = torch.as_tensor(np.repeat(played()[3:4], 2000, axis=0))
     generator = torch.Generator().manual_seed(0)
     shift = StateAugmentation("all")(seen, generator) - seen
-    robot = shift[..., :3].mean(1)
     bounds = torch.tensor([TRANSLATION, TRANSLATION, math.radians(ROTATION)])
-    torch.testing.assert_close(robot.abs().amax(0), bounds, rtol=0.25, atol=0.01)
-    index = STATE_NAMES.index("block2.x")
-    assert shift[..., index].std() == pytest.approx(NOISE, rel=0.1)
+    torch.testing.assert_close(shift[:, -1, :3].std(0), (bounds**2 / 3 + NOISE**2).sqrt(), rtol=0.1, atol=0)
+    block = shift[..., STATE_NAMES.index("block2.x")]
+    assert block[:, -1].std() == pytest.approx(NOISE, rel=0.1)
+    assert block[:, :-1].std() == pytest.approx(PAST_NOISE, rel=0.1)
     fixed = [n for n, name in enumerate(STATE_NAMES) if name.endswith(("present", "velocity", "red", "star", "_min"))]
     assert not shift[..., fixed].any()
     absent = [n for n, name in enumerate(STATE_NAMES) if name.startswith("block9.")]
     assert not shift[..., absent].any()
     assert StateAugmentation("none")(seen, generator) is seen
     still = StateAugmentation("no-trans-rot")(seen, generator) - seen
-    assert still[..., :3].std() == pytest.approx(NOISE, rel=0.1)
+    assert still[:, -1, :3].std() == pytest.approx(NOISE, rel=0.1)
     with pytest.raises(UnknownNameError, match="no-trans-rot"):
         StateAugmentation("no-trans")
 

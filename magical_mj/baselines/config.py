@@ -66,7 +66,7 @@ STATE_TRACK: Final[Mapping[str, Any]] = MappingProxyType(
         **_SHORT,
         "evaluations": 2,
         "checkpoints": 2,
-        "bc.batches": 3_000,
+        "bc.batches": 6_000,
         "bc.batch_size": 64,
         "bc.optimizer": "adam",
         "bc.learning_rate": 2e-3,

@@ -45,7 +45,10 @@ AUGMENTATIONS: Final[Mapping[str, tuple[Part, ...]]] = MappingProxyType(
 """The counterparts of the picture augmentations of the same names. Names of colours cannot be shifted a little."""
 TRANSLATION: Final = 0.02  # units: the bound of the uniform draws along each axis
 ROTATION: Final = 2.0  # degrees, likewise
-NOISE: Final = 0.005  # standard deviation, in units and radians, of all poses and finger angles
+NOISE: Final = 0.01  # standard deviation, in units and radians, of the poses and finger angles of the present state
+PAST_NOISE: Final = 0.2  # likewise of the earlier states
+"""So much, that a policy cannot just repeat the action that it reads off the latest movements (de Haan et al., 2019:
+"Causal Confusion in Imitation Learning"), as it could in demonstrations, where four of five actions are repeated."""
 
 
 def histories(states: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -175,7 +178,8 @@ class StateAugmentation:
     """Changes histories at random.
 
     The counterparts of a moved and turned picture are a robot that stands and looks a little elsewhere than it does,
-    alike in the four states of a history; noise of pixels corresponds to noise of poses, drawn for each state.
+    alike in the four states of a history; noise of pixels corresponds to noise of poses, drawn for each state, and
+    larger in the earlier ones.
 
     Attributes:
         parts: what it does.
@@ -197,7 +201,9 @@ class StateAugmentation:
         shifts *= shifts.new_tensor([TRANSLATION, TRANSLATION, math.radians(ROTATION)])
         shifts *= shifts.new_tensor(["translation" in self.parts] * 2 + ["rotation" in self.parts])
         noise = torch.randn(histories.shape, generator=generator, device=generator.device).to(histories)
-        changed = histories + NOISE * noise * _noisy(histories)
+        sizes = noise.new_full((HISTORY, 1), PAST_NOISE)
+        sizes[-1] = NOISE
+        changed = histories + sizes * noise * _noisy(histories)
         changed[..., :3] += shifts
         return changed
 
