@@ -65,10 +65,10 @@ def experiment(file: File, out: Folder, jobs: Jobs = 1, backend: Where = "local"
     screen = console()
     columns = LABEL, BarColumn(), MofNCompleteColumn()
     with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=screen) as progress:
-        bar = progress.add_task("runs, and the report", total=len(planned) + 1)
-        for line in baselines.conduct(planned, out, jobs=jobs, backend=backend, address=address):
+        bar = progress.add_task("runs", total=len(planned))
+        for number, line in enumerate(baselines.conduct(planned, out, jobs=jobs, backend=backend, address=address), 1):
             screen.print(line, soft_wrap=True)
-            progress.advance(bar)
+            progress.update(bar, completed=min(number, len(planned)))  # after the runs come lines about all of them
 
 
 def train(
