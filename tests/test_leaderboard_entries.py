@@ -171,6 +171,34 @@ def test_an_episode_is_submitted_once(folder: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "entry.json.gz").exists()
 
 
+def test_an_entry_is_extended_by_further_runs(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "card.toml").write_text(CARD)
+    submit([folder], tmp_path / "one.json.gz", card=tmp_path / "card.toml")
+    rewrite(folder, lambda rows: [row.update(run=1, mujoco="3.18.0") for row in rows])
+    two = submit([folder], tmp_path / "two.json.gz", extend=tmp_path / "one.json.gz")
+    entry, found = check_entry(tmp_path / "two.json.gz", everything=True)
+    assert entry == replace(two, episodes=sorted(two.episodes))
+    assert (entry.runs, found.episodes, found.differing) == ([0, 1], 2 * EPISODES, [])
+    assert entry.card == check_entry(tmp_path / "one.json.gz")[0].card
+    assert len(entry.versions["mujoco"]) == 2
+    with pytest.raises(EvaluationError, match=r"two.json.gz with these folders holds an episode twice"):
+        submit([folder], tmp_path / "three.json.gz", extend=tmp_path / "two.json.gz")
+    (tmp_path / "card.toml").write_text('method = "Another"')
+    with pytest.raises(FileNotFoundError):
+        submit([folder], tmp_path / "three.json.gz", extend=tmp_path / "none.json.gz")
+    again = submit([folder], tmp_path / "three.json.gz", card=tmp_path / "card.toml", extend=tmp_path / "one.json.gz")
+    assert (again.method, again.runs) == ("Another", [0, 1])
+
+
+@pytest.mark.parametrize("change", [{"rules": "released"}, {"preset": "LoRes4A"}])
+def test_an_entry_is_extended_by_its_own_kind_only(folder: Path, tmp_path: Path, change: dict[str, str]) -> None:
+    submit([folder], tmp_path / "one.json.gz")
+    rewrite(folder, lambda rows: [row.update(run=1, **change) for row in rows])
+    with pytest.raises(EvaluationError, match=f"cannot be extended by these folders: .*, {next(iter(change.values()))} here"):
+        submit([folder], tmp_path / "two.json.gz", extend=tmp_path / "one.json.gz")
+    assert not (tmp_path / "two.json.gz").exists()
+
+
 def test_a_thousand_rows_too_few_are_named() -> None:
     entry = whole()
     assert missing(entry.episodes, magical_mj.TASKS) == []

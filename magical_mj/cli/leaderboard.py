@@ -31,6 +31,7 @@ Folders = Annotated[list[Path], typer.Argument(help="Folders of evaluations of o
 Out = Annotated[Path, typer.Option(help="The entry's file, which ends in .json.gz.", show_default=False)]
 Card = Annotated[Path | None, typer.Option(help="A TOML file that describes the method; see docs/leaderboard.md.")]
 Name = Annotated[str | None, typer.Option("--policy", help="The method to submit, if the folders hold several.")]
+Extend = Annotated[Path | None, typer.Option(help="An earlier entry, to whose episodes these are added.")]
 
 
 def verify_folder(folder: Folder, jobs: Jobs = None) -> None:
@@ -45,10 +46,10 @@ def verify_folder(folder: Folder, jobs: Jobs = None) -> None:
         raise typer.Exit(1)
 
 
-def make_entry(folders: Folders, out: Out, card: Card = None, policy: Name = None) -> None:
+def make_entry(folders: Folders, out: Out, card: Card = None, policy: Name = None, extend: Extend = None) -> None:
     """Pack the evaluations of one method, with its card, into an entry for the leaderboard."""
     claim_folder(out.parent)
-    entry = submit(folders, out, card=card, policy=policy)
+    entry = submit(folders, out, card=card, policy=policy, extend=extend)
     unsaid = [name for name, value in entry.card.items() if value is None]
     screen = console()
     screen.print(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from magical_mj.leaderboard.check import Findings, check_entry, verify
-from magical_mj.leaderboard.entry import Entry, submit
+from magical_mj.leaderboard.entry import Entry
+from magical_mj.leaderboard.submission import submit
 
 __all__ = ["Entry", "Findings", "check_entry", "submit", "verify"]

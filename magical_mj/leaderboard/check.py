@@ -15,7 +15,8 @@ from magical_mj.evaluation.scores import read
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.extras import check_extra
 from magical_mj.leaderboard.claims import SEEDS, Checked, Claim, check_claims, missing
-from magical_mj.leaderboard.entry import Entry, claim_of, recorded, unpacked
+from magical_mj.leaderboard.entry import Entry, unpacked
+from magical_mj.leaderboard.submission import claim_of, recorded
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.registry import TASKS, check_rules
 from magical_mj.tasks.spec import Rules

@@ -1,0 +1,168 @@
+"""Entries from evaluations: `magical-mj submit`."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from magical_mj import files
+from magical_mj.errors import EvaluationError, SettingsError, shown, unknown_name
+from magical_mj.evaluation.results import check_same
+from magical_mj.evaluation.scores import SETTINGS, Score, read
+from magical_mj.evaluation.settings import UNOFFICIAL
+from magical_mj.extras import check_extra
+from magical_mj.leaderboard.claims import Claim
+from magical_mj.leaderboard.entry import SUFFIX, Entry, check_unique, packed, schema, unpacked
+from magical_mj.registry import ENVIRONMENTS, check_rules
+
+CARD: Final[dict[str, Any]] = {
+    "method": None,
+    "description": None,
+    "authors": None,
+    "links": None,
+    "demonstrations": {"set": None, "per_task": None, "other": None},
+    "training": {"hours": None, "device": None, "steps": None},
+    "hardware": None,
+}
+"""The fields of a card; fields that are not given are null."""
+
+
+def submit(
+    folders: Sequence[Path | str],
+    out: Path | str,
+    *,
+    card: Path | str | None = None,
+    policy: str | None = None,
+    extend: Path | str | None = None,
+) -> Entry:
+    """Makes an entry from the evaluations in some folders, and writes it.
+
+    Args:
+        folders: evaluations of one method, such as one for each run.
+        out: the file, whose name must end in .json.gz; an existing file is not replaced.
+        card: a TOML file with fields of `CARD`; missing fields are null, and the method then has its name in the
+            evaluations.
+        policy: the name of the method, if the folders hold several.
+        extend: an earlier entry of the same method, whose episodes are taken over, and its card if none is given.
+
+    Raises:
+        SettingsError, UnknownNameError: if the card has unknown fields or values of the wrong kind, or the choice of a
+            method is ambiguous.
+        EvaluationError: if a folder is not an evaluation, or they cannot be combined.
+        OSError: if the file exists or cannot be written, or the earlier entry cannot be read.
+    """
+    out = Path(out)
+    if not out.name.endswith(SUFFIX):
+        raise SettingsError(f"{out} must end in {SUFFIX}")
+    said = _card({} if card is None else files.read_toml(Path(card)), card)
+    found = [(score, folder) for folder in map(Path, folders) for score in read(folder)]
+    names = list(dict.fromkeys(score.policy for score, _ in found))
+    if policy is not None and policy not in names:
+        raise unknown_name("policy", policy, names)
+    if policy is None and len(names) > 1:
+        raise SettingsError(f"the folders hold {', '.join(names)}: say which is meant (--policy NAME)")
+    found = [(score, folder) for score, folder in found if score.policy == (policy or names[0])]
+    described = {**said, "method": said["method"] or policy or names[0]}
+    _check_card(described, card)
+    entry = _entry(described, found, _protocol(folders))
+    if extend is not None:
+        earlier = unpacked(Path(extend).read_bytes(), extend)
+        entry = _extended(earlier, entry, extend, keep_card=card is None)
+    check_unique(entry.episodes, "the choice of folders" if extend is None else f"{extend} with these folders")
+    files.write(out, packed(entry))
+    return entry
+
+
+def _entry(card: dict[str, Any], found: Sequence[tuple[Score, Path]], protocol: int | None) -> Entry:
+    """The entry of one method's scores, which must be of one kind and in the benchmark's environments."""
+    batched = next((folder for score, folder in found if score.worlds != "single"), None)
+    if batched is not None:
+        raise EvaluationError(f"{batched} was played in batched worlds, and cannot be an entry: {UNOFFICIAL}")
+    for what in ("rules", "preset"):
+        check_same(found, what, "an entry is of one kind")
+    others = {f"{score.task}-{score.variant}" for score, _ in found if (score.task, score.variant) not in ENVIRONMENTS}
+    if others:
+        raise EvaluationError(
+            f"an entry has results in the benchmark's environments, not in {', '.join(sorted(others))}"
+        )
+    return Entry(
+        card=card,
+        observations=next((score.preset for score, _ in found if score.preset is not None), None),
+        rules=check_rules(found[0][0].rules),
+        protocol=protocol,
+        versions={what: sorted({getattr(score, what) for score, _ in found}) for what in ("version", "mujoco", "gl")},
+        episodes=[claim_of(score) for score, _ in found],
+    )
+
+
+def _extended(earlier: Entry, added: Entry, name: object, *, keep_card: bool) -> Entry:
+    """The episodes of both."""
+    for what in ("observations", "rules", "protocol"):
+        before, now = getattr(earlier, what), getattr(added, what)
+        if before != now:
+            raise EvaluationError(f"{name} cannot be extended by these folders: {what} is {before} there, {now} here")
+    return Entry(
+        card=earlier.card if keep_card else added.card,
+        observations=added.observations,
+        rules=added.rules,
+        protocol=added.protocol,
+        versions={what: sorted({*earlier.versions[what], *found}) for what, found in added.versions.items()},
+        episodes=[*earlier.episodes, *added.episodes],
+    )
+
+
+def claim_of(score: Score) -> Claim:
+    """The claim of an evaluated episode."""
+    return Claim(
+        *(score.run, score.task, score.variant, score.seed, score.scene, score.score, score.actions, score.failure)
+    )
+
+
+def _protocol(folders: Sequence[Path | str]) -> int | None:
+    """The protocol's number that the evaluations recorded.
+
+    Raises:
+        EvaluationError: if they recorded different ones.
+    """
+    numbers = {recorded(Path(folder)).get("protocol") for folder in folders}
+    if len(numbers) > 1:
+        raise EvaluationError(f"the evaluations follow different protocols: {', '.join(map(str, numbers))}")
+    return numbers.pop()
+
+
+def recorded(folder: Path) -> dict[str, Any]:
+    """The settings that an evaluation recorded; empty if there are none."""
+    try:
+        return dict(json.loads((folder / SETTINGS).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError, RecursionError):
+        return {}
+
+
+def _card(said: dict[str, Any], where: object, known: dict[str, Any] = CARD) -> dict[str, Any]:
+    """All fields of a card, with the values that are given."""
+    for name in said:
+        if name not in known:
+            raise unknown_name(f"entry of {where}", name, known)
+    whole = dict(known)
+    for name, value in said.items():
+        if isinstance(known[name], dict) and not isinstance(value, dict):
+            raise SettingsError(f"{name} in {where} must be a table with {', '.join(known[name])}, not {shown(value)}")
+        whole[name] = _card(value, where, known[name]) if isinstance(known[name], dict) else value
+    return whole
+
+
+def _check_card(card: dict[str, Any], where: object) -> None:
+    """Raise a `SettingsError` unless the card is as the schema of entries says, which checks the leaderboard, too."""
+    check_extra("entries", "eval")
+    import jsonschema
+    from jsonschema.exceptions import best_match
+
+    wrong = best_match(jsonschema.Draft202012Validator(schema()["properties"]["card"]).iter_errors(card))
+    if wrong is not None:
+        field = ".".join(map(str, wrong.path))
+        raise SettingsError(f"the card's {field} is not valid{f' in {where}' if where else ''}: {wrong.message[:200]}")
+    if math.isnan(card["training"]["hours"] or 0):
+        raise SettingsError(f"the card's training.hours must be a number, and is nan in {where}")
