@@ -1,4 +1,4 @@
-"""Writing files atomically, so that a file appears under its name only when it is complete; and reading TOML."""
+"""Writing files atomically, so that a file appears under its name only when it is complete; locks; and reading TOML."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from magical_mj.errors import SettingsError
 
@@ -58,6 +58,19 @@ def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             unfinished.unlink()
+
+
+def lock(file: IO[Any]) -> bool:
+    """Locks an open file until it is closed, and returns whether it was free. On Windows there is no lock."""
+    try:
+        import fcntl
+    except ImportError:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from magical_mj.baselines import checkpoint, load_policy, train
 from magical_mj.baselines.config import from_toml, recorded
 from magical_mj.baselines.metrics import read_metrics
 from magical_mj.baselines.policy import POLICY
-from magical_mj.baselines.run import CHECKPOINT, CONFIG
+from magical_mj.baselines.run import CHECKPOINT, CONFIG, Progress
 from magical_mj.episodes import Episode
 from magical_mj.errors import MagicalError, SettingsError, TrainingError, UnknownNameError
 from magical_mj.evaluation import evaluate
@@ -49,6 +49,22 @@ def test_a_folder_holds_everything(tmp_path: Path) -> None:
     assert [bool(progress.scores) for progress in seen] == [update in (6, 12) for update in range(1, 13)]
     assert any((tmp_path / "run" / "tensorboard").iterdir())
     assert is_done(tmp_path / "run")
+
+
+def test_a_folder_belongs_to_one_training_at_a_time(tmp_path: Path) -> None:
+    """A second one is refused while the first goes on, and leaves everything as it is."""
+    settings, run, errors = tiny(), tmp_path / "run", list[str]()
+
+    def second(_: Progress) -> None:
+        if not errors:
+            held = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+            command = [sys.executable, "-c", f"{START}train(tiny(), {str(run)!r}, resume=True)"]
+            errors.append(subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False).stderr)
+            assert held == {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+
+    train(settings, run, watch=second)
+    assert f"another process is training in {run}" in errors[0]
+    assert is_done(run)
 
 
 def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:

@@ -190,11 +190,11 @@ def test_an_entry_is_extended_by_further_runs(folder: Path, tmp_path: Path) -> N
     assert (again.method, again.runs) == ("Another", [0, 1])
 
 
-@pytest.mark.parametrize("change", [{"rules": "released"}, {"preset": "LoRes4A"}])
-def test_an_entry_is_extended_by_its_own_kind_only(folder: Path, tmp_path: Path, change: dict[str, str]) -> None:
+@pytest.mark.parametrize(("what", "value"), [("rules", "released"), ("preset", "LoRes4A")])
+def test_an_entry_is_extended_by_its_own_kind_only(folder: Path, tmp_path: Path, what: str, value: str) -> None:
     submit([folder], tmp_path / "one.json.gz")
-    rewrite(folder, lambda rows: [row.update(run=1, **change) for row in rows])
-    with pytest.raises(EvaluationError, match=f"cannot be extended by these folders: .*, {next(iter(change.values()))} here"):
+    rewrite(folder, lambda rows: [row.update({"run": 1, what: value}) for row in rows])
+    with pytest.raises(EvaluationError, match=f"cannot be extended by these folders: .*, {value} here"):
         submit([folder], tmp_path / "two.json.gz", extend=tmp_path / "one.json.gz")
     assert not (tmp_path / "two.json.gz").exists()
 

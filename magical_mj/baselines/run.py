@@ -89,7 +89,10 @@ def train(
     made = (learner or METHODS[settings.method])(settings)
     try:
         _start(folder, settings)
-        return _Run(folder, settings, made).play(watch)
+        with (folder / CONFIG).open("rb") as config:
+            if not files.lock(config):
+                raise TrainingError(f"another process is training in {folder}; wait for it, or give a new folder")
+            return _Run(folder, settings, made).play(watch)
     finally:
         made.close()
 

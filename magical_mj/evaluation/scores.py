@@ -154,7 +154,8 @@ class ScoreFile:
     def __enter__(self) -> Self:
         self._file = self._path.open("a", encoding="utf-8")
         try:
-            _lock(self._file, self._path)
+            if not files.lock(self._file):
+                raise EvaluationError(f"another evaluation is writing to {self._path}")
             _repair(self._path)
         except BaseException:
             self._file.close()
@@ -190,17 +191,6 @@ def _repair(path: Path) -> None:
         return
     with path.open("ab") as file:
         file.write(b"\n")
-
-
-def _lock(file: IO[Any], path: Path) -> None:
-    try:
-        import fcntl
-    except ImportError:  # Windows: there is no lock
-        return
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        raise EvaluationError(f"another evaluation is writing to {path}") from error
 
 
 def frame(scores: Sequence[Score]) -> Any:
