@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from magical_mj.errors import SettingsError, UnknownNameError, WorkerError
@@ -22,7 +23,7 @@ def square(number: int) -> int:
 
 
 def test_all_the_work_is_done() -> None:
-    assert sorted(spread(square, range(20), jobs=2)) == [number**2 for number in range(20)]
+    assert sorted(spread(square, range(20), jobs=np.int64(2))) == [number**2 for number in range(20)]
     assert list(spread(square, [], jobs=2)) == []
 
 

@@ -11,6 +11,7 @@ Example:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from numbers import Integral
 from typing import TYPE_CHECKING
 
 from gymnasium.vector import AutoresetMode
@@ -66,7 +67,7 @@ def make(
     from magical_mj.batched.environment import BatchedEnv
 
     for name, value, least in (("num_envs", num_envs, 1), ("workers", workers, 0)):
-        if not isinstance(value, int) or value < least:
+        if not isinstance(value, Integral) or value < least:
             raise SettingsError(f"{name} must be an integer of at least {least}, not {shown(value)}")
     pairs = environments(task, variant)
     return BatchedEnv(

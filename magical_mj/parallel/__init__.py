@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
+from numbers import Integral
 from typing import Final, Literal, TypeVar, get_args
 
 from magical_mj.errors import SettingsError, check_name, shown
@@ -25,7 +26,7 @@ def cores() -> int:
 def check_backend(backend: str, jobs: int | None, address: str | None) -> None:
     """Raises a `SettingsError` or an `UnknownNameError` unless these arguments of `spread` are valid together."""
     check_name("backend", backend, BACKENDS)
-    if jobs is not None and (not isinstance(jobs, int) or jobs < 1):
+    if jobs is not None and (not isinstance(jobs, Integral) or jobs < 1):
         raise SettingsError(f"jobs must be an integer of at least 1, not {shown(jobs)}")
     if backend == "dask" and not address:
         raise SettingsError("the dask backend needs the scheduler's address, such as tcp://host:8786")
