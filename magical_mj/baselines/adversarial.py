@@ -47,7 +47,7 @@ class Adversarial(RewardLearner):
         self._noise = torch.Generator(self.device).manual_seed(settings.seed)
         with seeded(settings.seed + 1):
             self._judge = Discriminator(settings.network, len(settings.tasks), states=settings.states).to(self.device)
-        self._optimizer = torch.optim.Adam(self._judge.parameters(), settings.discriminator.learning_rate)
+        self._optimizer = torch.optim.Adam(self._judge.parameters(), settings.discriminator.learning_rate, fused=True)
 
     def update(self) -> Mapping[str, float]:
         """A rollout, the discriminator's steps, and PPO's update on the new discriminator's rewards."""

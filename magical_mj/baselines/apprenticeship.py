@@ -45,7 +45,7 @@ class Apprenticeship(RewardLearner):
         size, tasks = settings.features.size, len(settings.tasks)
         with seeded(settings.seed + 1):
             self._coder = Autoencoder(settings.network, size, states=settings.states).to(self.device)
-        self._optimizer = torch.optim.Adam(self._coder.parameters(), settings.features.learning_rate)
+        self._optimizer = torch.optim.Adam(self._coder.parameters(), settings.features.learning_rate, fused=True)
         self._batches = 0
         self._figures: dict[str, float] = dict.fromkeys(FIGURES, 0.0)
         self._weights = torch.zeros(tasks, size, device=self.device)

@@ -88,7 +88,7 @@ class ActorCritic(ActorCriticPolicy):
             **others,
         )
         self.action_net, self.value_net = ForTasks(actor.head), ForTasks(critic)
-        self.optimizer = torch.optim.Adam(self.parameters(), lr_schedule(1))  # its eps is 1e-8, as rlpyt's
+        self.optimizer = torch.optim.Adam(self.parameters(), lr_schedule(1), fused=True)  # its eps is 1e-8, as rlpyt's
 
 
 class EvenBuffer(DictRolloutBuffer):
