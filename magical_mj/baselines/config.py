@@ -65,16 +65,19 @@ STATE_TRACK: Final[Mapping[str, Any]] = MappingProxyType(
     {
         **_SHORT,
         "evaluations": 2,
-        "checkpoints": 2,
+        "checkpoints": 10,
         "bc.batches": 6_000,
         "bc.batch_size": 64,
         "bc.optimizer": "adam",
         "bc.learning_rate": 2e-3,
         "bc.final_learning_rate": 1e-5,
         "bc.heads": "uniform",
-        "ppo.total_steps": 300_000,
+        "ppo.total_steps": 1_000_000,
         "ppo.minibatch": 128,
+        "ppo.entropy": 0.02,
+        "ppo.clip": 0.05,
         "discriminator.batch_size": 128,
+        "discriminator.rollouts": 4,
     }
 )
 """The changes for the preset State, which the paper does not have."""
