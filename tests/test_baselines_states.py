@@ -185,3 +185,15 @@ def test_players_look_at_states_too(method: str, tmp_path: Path) -> None:
 def test_quick_is_for_pictures() -> None:
     with pytest.raises(SettingsError, match="quick is for pictures"):
         load_settings("bc", "FindDupe", quick=True, preset="State")
+
+
+def test_training_from_states_uses_one_thread(tmp_path: Path) -> None:
+    """More would wait for each other on busy cores, and round differently."""
+    before, seen = torch.get_num_threads(), set[int]()
+    torch.set_num_threads(2)
+    try:
+        settings = load_settings("bc", "MoveToRegion", preset="State", **{"bc.batches": 3, "evaluations": 0})
+        train(settings, tmp_path / "run", watch=lambda _: seen.add(torch.get_num_threads()))
+        assert (seen, torch.get_num_threads()) == ({1}, 2)
+    finally:
+        torch.set_num_threads(before)

@@ -10,7 +10,7 @@ from torch import nn
 
 from magical_mj.baselines.augmentation import augmentation
 from magical_mj.baselines.data import Dataset, Demonstrations
-from magical_mj.baselines.learner import Learner, restore_optimizer, seeded
+from magical_mj.baselines.learner import Learner, restore_optimizer, seeded, threads_for
 from magical_mj.baselines.network import Actor, as_input
 from magical_mj.baselines.policy import TrainedPolicy
 from magical_mj.baselines.settings import Cloning, TrainingSettings
@@ -108,10 +108,11 @@ def clone(settings: TrainingSettings, demonstrations: Demonstrations | None = No
         settings: the settings; their number of demonstrations of each task is chosen at random by the seed.
         demonstrations: task -> demonstrations to choose from, instead of the shipped ones.
     """
-    learner = BehaviouralCloning(settings, demonstrations)
-    for _ in range(learner.updates):
-        learner.update()
-    learner.recalibrate()
+    with threads_for(settings):
+        learner = BehaviouralCloning(settings, demonstrations)
+        for _ in range(learner.updates):
+            learner.update()
+        learner.recalibrate()
     return TrainedPolicy(learner.actor, settings.tasks, settings.preset)
 
 

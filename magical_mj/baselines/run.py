@@ -26,7 +26,7 @@ from magical_mj.baselines.apprenticeship import Apprenticeship
 from magical_mj.baselines.bc import BehaviouralCloning
 from magical_mj.baselines.config import MADE, from_toml, recorded, to_toml
 from magical_mj.baselines.goals.method import GoalInference
-from magical_mj.baselines.learner import Method
+from magical_mj.baselines.learner import Method, threads_for
 from magical_mj.baselines.metrics import Metrics
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.episodes import Policy
@@ -86,15 +86,16 @@ def train(
     if learner is None and settings.method not in METHODS:
         raise unknown_name("method", settings.method, METHODS)
     _check(folder, settings, resume)
-    made = (learner or METHODS[settings.method])(settings)
-    try:
-        _start(folder, settings)
-        with (folder / CONFIG).open("rb") as config:
-            if not files.lock(config):
-                raise TrainingError(f"another process is training in {folder}; wait for it, or give a new folder")
-            return _Run(folder, settings, made).play(watch)
-    finally:
-        made.close()
+    with threads_for(settings):
+        made = (learner or METHODS[settings.method])(settings)
+        try:
+            _start(folder, settings)
+            with (folder / CONFIG).open("rb") as config:
+                if not files.lock(config):
+                    raise TrainingError(f"another process is training in {folder}; wait for it, or give a new folder")
+                return _Run(folder, settings, made).play(watch)
+        finally:
+            made.close()
 
 
 def _check(folder: Path, settings: TrainingSettings, resume: bool) -> None:
