@@ -99,7 +99,9 @@ def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
     before = (out / "runs" / "bc-FixColour-1" / POLICY).read_bytes()
     for path in (out / "runs" / "bc-FixColour-1").glob("*.safetensors"):
         path.unlink()
-    again = list(conduct(runs(file, out), out))
+    seen: list[tuple[str, int]] = []
+    again = list(conduct(runs(file, out), out, watch=lambda name, progress: seen.append((name, progress.update))))
+    assert seen == [("bc-FixColour-1", update) for update in range(1, 5)]
     assert [line.split(":")[0] for line in again[:4] if ": trained;" in line] == ["bc-FixColour-1"]
     assert sum("was trained before" in line for line in again) == 3
     assert (out / "runs" / "bc-FixColour-1" / POLICY).read_bytes() == before  # in another process

@@ -11,7 +11,6 @@ import typer
 from rich.console import Console
 from rich.progress import (
     BarColumn,
-    MofNCompleteColumn,
     Progress,
     ProgressColumn,
     Task,
@@ -31,6 +30,8 @@ if TYPE_CHECKING:
 
 MINUTE = 60.0
 """Seconds between two lines where no bar can be shown."""
+DAY = 86400.0
+"""Seconds over which the speed of an experiment is averaged: a run may take hours."""
 
 Method = Annotated[str, typer.Argument(help="bc, gail, wgail-gp, al or goals.", show_default=False)]
 Tasks = Annotated[str, typer.Option(help="A task; with --multi-task several, separated by commas, or all.")]
@@ -63,10 +64,18 @@ def experiment(file: File, out: Folder, jobs: Jobs = 1, backend: Where = "local"
     """Train and evaluate methods x tasks x seeds. Called again, it continues."""
     planned = baselines.runs(file, out)
     screen = console()
-    columns = LABEL, BarColumn(), MofNCompleteColumn()
-    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=screen) as progress:
-        bar = progress.add_task("runs", total=len(planned))
-        for number, line in enumerate(baselines.conduct(planned, out, jobs=jobs, backend=backend, address=address), 1):
+    watches: dict[str, Watch] = {}
+    with Progress(*_columns(), console=screen, speed_estimate_period=DAY) as progress:
+
+        def watch(name: str, trained: Trained) -> None:
+            watches[name] = watches.get(name) or Watch(screen, progress, name)
+            watches[name](trained)
+            if trained.update == trained.updates:
+                progress.remove_task(watches.pop(name).bar)
+
+        bar = progress.add_task("runs", total=len(planned), unit="runs", figures="")
+        lines = baselines.conduct(planned, out, jobs=jobs, backend=backend, address=address, watch=watch)
+        for number, line in enumerate(lines, 1):
             screen.print(line, soft_wrap=True)
             progress.update(bar, completed=min(number, len(planned)))  # after the runs come lines about all of them
 
@@ -99,15 +108,8 @@ def train(
 
     keep_freed_memory()
     screen = console()
-    columns = (
-        LABEL,
-        BarColumn(),
-        Rate(Column(no_wrap=True, overflow="ellipsis")),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
     try:
-        with Progress(*columns, console=screen, speed_estimate_period=120) as progress:
+        with Progress(*_columns(), console=screen, speed_estimate_period=120) as progress:
             baselines.train(settings, out, resume=resume, watch=Watch(screen, progress, method))
     except KeyboardInterrupt:
         screen.print("stopped; the same command with --resume continues")
@@ -125,41 +127,54 @@ def _change(text: str) -> tuple[str, str]:
     return name, value
 
 
+def _columns() -> list[ProgressColumn]:
+    rate = Rate(Column(no_wrap=True, overflow="ellipsis"))
+    return [LABEL, BarColumn(), rate, TimeElapsedColumn(), TimeRemainingColumn()]
+
+
 class Rate(ProgressColumn):
-    """Finished updates of the total, updates per second, and the latest metrics."""
+    """Finished updates of the total, updates per second, and the latest metrics; or finished runs."""
 
     def render(self, task: Task) -> Text:
         """As text."""
-        speed = f"{task.speed:.1f}/s" if task.speed else ""
-        return Text(f"{task.completed:.0f}/{task.total or 0:.0f} updates, {speed} {task.fields['figures']}")
+        done = f"{task.completed:.0f}/{task.total or 0:.0f} {task.fields['unit']}"
+        speed = f", {task.speed:.1f}/s" if task.speed and task.fields["unit"] == "updates" else ""
+        return Text(f"{done}{speed} {task.fields['figures']}")
 
 
 class Watch:
-    """Shows a training: a progress bar with the latest metrics, or a line per minute; and a line per evaluation."""
+    """Shows a training: a progress bar with the latest metrics, or a line per minute; and a line per evaluation.
 
-    def __init__(self, screen: Console, progress: Progress, method: str) -> None:
-        self._screen, self._progress = screen, progress
-        self._bar = progress.add_task(method, total=None, figures="")
+    Attributes:
+        bar: the number of its progress bar.
+    """
+
+    def __init__(self, screen: Console, progress: Progress, name: str) -> None:
+        self._screen, self._progress, self._name = screen, progress, name
+        self.bar = progress.add_task(name, total=None, unit="updates", figures="")
         self._started = self._told = time.monotonic()
         self._first, self._figures = 0, ""
 
     def __call__(self, trained: Trained) -> None:
         """Called after each update."""
-        self._progress.update(self._bar, completed=trained.update, total=trained.updates)
+        self._progress.update(self.bar, completed=trained.update, total=trained.updates)
         if trained.figures:
             shown = "  ".join(f"{name} {value:.3g}" for name, value in trained.figures.items())
-            self._progress.update(self._bar, figures=shown)
+            self._progress.update(self.bar, figures=shown)
             self._figures = shown
         if not self._screen.is_terminal and time.monotonic() - self._told >= MINUTE:
             self._tell(trained)
         self._first = self._first or trained.update
         if trained.scores:
             shown = ", ".join(f"{task} {score:.2f}" for task, score in trained.scores.items())
-            self._screen.print(f"after {trained.update} updates: mean score on Demo: {shown}", soft_wrap=True)
+            self._say(f"after {trained.update} updates: mean score on Demo: {shown}")
 
     def _tell(self, trained: Trained) -> None:
         self._told = time.monotonic()
         rate = (trained.update - self._first) / (self._told - self._started)
         left = timedelta(seconds=round((trained.updates - trained.update) / rate)) if rate else "?"
         done = f"{trained.update}/{trained.updates} updates, {rate:.2g}/s, {left} left"
-        self._screen.print(f"{done}  {self._figures}", soft_wrap=True)
+        self._say(f"{done}  {self._figures}")
+
+    def _say(self, line: str) -> None:
+        self._screen.print(f"{self._name}: {line}", soft_wrap=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from operator import methodcaller
 from pathlib import Path
@@ -43,6 +43,9 @@ NAMED: Final = ("preset", "augment", "device", "evaluations", "episodes", "check
 LEAST_PAIRS: Final = 5
 """The least number of environments for which a rank correlation is printed."""
 ABLATIONS: Final = {"all": "", "none": ", no aug.", "no-trans-rot": ", no trans./rot. aug."}
+
+
+Watch = Callable[[str, Progress], None]
 
 
 @dataclass(frozen=True)
@@ -89,12 +92,19 @@ class Run:
         """The folder of the evaluation."""
         return self.folder / "evaluations" / self.name
 
-    def play(self) -> str:
+    def play(self, watch: Watch | None = None) -> str:
         """Trains and evaluates, as far as that is not done yet; returns a line about it."""
         trained = self.folder / "runs" / self.name
         keep_freed_memory()
-        updates: list[Progress] = []
-        policy = train(self.settings, trained, resume=True, watch=updates.append)
+        updates = 0
+
+        def count(progress: Progress) -> None:
+            nonlocal updates
+            updates += 1
+            if watch is not None:
+                watch(self.name, progress)
+
+        policy = train(self.settings, trained, resume=True, watch=count)
         frame = evaluate(
             {self.method: str(trained)},
             tasks=self.settings.tasks,
@@ -151,7 +161,13 @@ def runs(file: Path, out: Path) -> list[Run]:
 
 
 def conduct(
-    planned: list[Run], out: Path, *, jobs: int | None = 1, backend: str = "local", address: str | None = None
+    planned: list[Run],
+    out: Path,
+    *,
+    jobs: int | None = 1,
+    backend: str = "local",
+    address: str | None = None,
+    watch: Watch | None = None,
 ) -> Iterator[str]:
     """Trains and evaluates what is not done yet. Yields a line for each run, then `agreement` and the report's path.
 
@@ -161,13 +177,14 @@ def conduct(
         jobs: the number of simultaneous runs, each on one thread; a single run uses all cores.
         backend: "local", "dask" or "ray".
         address: the cluster's address.
+        watch: called with a run's name and progress after each of its updates, if the runs are not in other processes.
 
     Raises:
         MagicalError: if a run fails. Called again, it continues.
     """
     check_backend(backend, jobs, address)
     if backend == "local" and jobs == 1:
-        yield from (run.play() for run in planned)
+        yield from (run.play(watch) for run in planned)
     else:
         yield from spread(methodcaller("play"), planned, jobs, backend, address)
     yield from agreement(planned)
