@@ -80,6 +80,13 @@ def test_probability_of_improvement() -> None:
     assert improvement(half, replace(half, means={})).value != improvement(half, half).value  # nothing in common: NaN
 
 
+def test_partial_entries_with_all_environments_come_first() -> None:
+    """However well another one did in the few that it played."""
+    best = [episode._replace(score=1.0) for episode in whole(runs=1).episodes if episode.task == "FindDupe"]
+    entries = [replace(named(whole(runs=1), "Few"), episodes=best), named(whole(runs=2), "All")]
+    assert [one.name for one in standings(entries)[:2]] == ["All", "Few"]
+
+
 def test_published_results_stand_under_their_own_rules() -> None:
     found = standings([whole()])
     assert [one.kind for one in found] == ["official", *["published"] * 11]

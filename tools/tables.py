@@ -157,12 +157,17 @@ def results() -> dict[str, str]:
     }
 
 
+def _place(one: Standing) -> tuple[bool, bool, float]:
+    """By which methods are sorted."""
+    return one.kind != "official", not one.everywhere, -_mean(one, VARIANTS)
+
+
 def _results() -> tuple[dict[str, Standing], list[Standing]]:
     """Of our own learners by the names of their files, the complete ones and the best first; and of the paper's."""
     learnt = {name: one for name, one in own_standings(ROOT / "results").items() if one.name not in AGENTS}
     paper = [one for one in published() if one.name in COMPARED]
     return (
-        dict(sorted(learnt.items(), key=lambda item: (item[1].kind != "official", -_mean(item[1], VARIANTS)))),
+        dict(sorted(learnt.items(), key=lambda item: _place(item[1]))),
         sorted(paper, key=lambda one: COMPARED.index(one.name)),
     )
 

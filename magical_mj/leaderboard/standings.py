@@ -62,6 +62,11 @@ class Standing:
     drops: Mapping[str, Estimate]
 
     @property
+    def everywhere(self) -> bool:
+        """Whether it has results in all environments."""
+        return len(self.means) == len(ENVIRONMENTS)
+
+    @property
     def profile(self) -> Floats:
         """The share of environments and runs with a mean score of at least each of the `THRESHOLDS`."""
         values = np.concatenate(list(self.means.values()))
@@ -173,10 +178,15 @@ def _better(first: Floats, second: Floats) -> Any:
 
 
 def standings(found: Sequence[Entry]) -> list[Standing]:
-    """All methods: official ones first, then partial and published ones, each kind by its overall score."""
+    """All methods: official ones first, then partial and published ones, each kind by its overall score.
+
+    Partial ones that played all environments come before those with some, whose scores do not compare.
+    """
     order = ("official", "partial", "published")
     every = [*map(standing, found), *published()]
-    return sorted(every, key=lambda one: (order.index(one.kind), -one.scores[OVERALL].value, one.name))
+    return sorted(
+        every, key=lambda one: (order.index(one.kind), not one.everywhere, -one.scores[OVERALL].value, one.name)
+    )
 
 
 def rules_of(one: Standing) -> str:
