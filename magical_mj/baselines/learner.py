@@ -128,8 +128,8 @@ def keep_freed_memory() -> None:
 def threads_for(settings: TrainingSettings) -> AbstractContextManager[None]:
     """A context for a training: PyTorch uses one thread for states.
 
-    Their networks are so small that threads gain nothing, and wait for each other where the cores are busy: on two busy
-    cores, BC did 1.4 batches per second with two threads, and 106 with one.
+    Their networks are so small that a second thread gains a tenth on idle cores. On busy cores, threads wait for each
+    other: with two, BC did 1.4 batches per second, and with one 106.
     """
     return one_thread() if settings.states else nullcontext()
 
