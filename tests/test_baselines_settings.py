@@ -99,6 +99,7 @@ def test_text_values_are_read_as_the_fields_kind() -> None:
         ({"ppo.minibatch": 1}, "more than one sample"),
         ({"ppo.total_steps": 100}, "too few for one rollout"),
         ({"ppo.discount": 1.5}, "at most 1"),
+        ({"ppo.averaging": 1}, "would not learn"),
         ({"discriminator.batch_size": 25}, "must be even"),
         ({"features.samples": 1, "tasks": "FindDupe,MakeLine"}, "at least one for each of 2 tasks"),
     ],

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 import magical_mj
 from magical_mj import demos
 from magical_mj.baselines import METHODS, checkpoint, load_policy, load_settings, train
+from magical_mj.baselines.adversarial import GAIL
 from magical_mj.baselines.bc import clone
 from magical_mj.baselines.settings import Network
 from magical_mj.baselines.states import (
@@ -178,8 +179,28 @@ def test_players_look_at_states_too(method: str, tmp_path: Path) -> None:
         figures = whole.update()
         assert figures == resumed.update()
         assert all(math.isfinite(value) for value in figures.values())
+    assert all(map(torch.equal, whole.actor.parameters(), resumed.actor.parameters()))
     whole.close()
     resumed.close()
+
+
+def test_the_average_of_the_policies_is_what_plays_and_is_saved(tmp_path: Path) -> None:
+    """With 0.75, after policies a, b and c: 0.75 (0.75 a + 0.25 b) + 0.25 c; the policy in training is left alone."""
+    learner = GAIL(playing(preset="State", **{"ppo.averaging": 0.75}))
+    plain = GAIL(playing(preset="State", **{"ppo.averaging": 0}))
+    kept = []
+    for _ in range(3):
+        learner.update()
+        plain.update()
+        kept.append([weights.detach().clone() for weights in plain.actor.parameters()])
+    expected = [0.75 * (0.75 * a + 0.25 * b) + 0.25 * c for a, b, c in zip(*kept, strict=True)]
+    assert not torch.equal(kept[0][0], kept[2][0])
+    learner.save_policy(tmp_path, 3)
+    for policy in (learner.policy(), load_policy(tmp_path)):
+        for found, weights in zip(policy._actor.parameters(), expected, strict=True):
+            torch.testing.assert_close(found, weights)
+    for one in (learner, plain):
+        one.close()
 
 
 def test_quick_is_for_pictures() -> None:

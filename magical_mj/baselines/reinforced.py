@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from torch import Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from magical_mj.baselines.data import Batch, Dataset, Rollout
 from magical_mj.baselines.environments import Environments
@@ -43,13 +44,14 @@ class RewardLearner(Learner):
                 standardise(actor.torso, self.on_device(first)[0])
             critic = Heads(tasks, actor.torso.features, 1).to(self.device)
             self._actor = actor
+            self._average = AveragedModel(actor, multi_avg_fn=get_ema_multi_avg_fn(settings.ppo.averaging))
             self._ppo = Improver(settings, self._environments, actor, critic, self._draw, self.device)
         self._normalise = RewardNormaliser(settings.ppo.reward_deviation, self._environments.tasks)
 
     @property
     def actor(self) -> Actor:
-        """The policy as it is now."""
-        return self._actor
+        """The average of the policies so far, of which the latest weigh most; with `ppo.averaging` 0, the latest."""
+        return self._average.module
 
     def play(self) -> Mapping[str, float]:
         """One rollout, its rewards and PPO's step; stable-baselines3's draws from global generators stay in here."""
@@ -59,7 +61,9 @@ class RewardLearner(Learner):
             with torch.no_grad():
                 parts = [self.reward(*self.on_device(batch)) for batch in rollout.batches(self.settings.ppo.minibatch)]
             rewards = torch.cat(parts).double().cpu().numpy().reshape(rollout.actions.shape)
-            return {**figures, "reward": float(rewards.mean()), **self._ppo.improve(self._normalise(rewards))}
+            figures |= {"reward": float(rewards.mean()), **self._ppo.improve(self._normalise(rewards))}
+        self._average.update_parameters(self._actor)
+        return figures
 
     @abstractmethod
     def study(self, rollout: Rollout) -> Mapping[str, float]:
@@ -74,12 +78,14 @@ class RewardLearner(Learner):
         return as_input(batch.observations, self.device), batch.actions.to(self.device), batch.tasks.to(self.device)
 
     def state(self) -> dict[str, Any]:
-        """Of the policy, the environments, the rewards and the draws."""
-        return {"ppo": self._ppo.state(), "rewards": self._normalise.state(), "draw": self._draw.get_state()}
+        """Of the policy and its average, the environments, the rewards and the draws."""
+        kept = {"ppo": self._ppo.state(), "average": self._average.state_dict()}
+        return {**kept, "rewards": self._normalise.state(), "draw": self._draw.get_state()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restores a `state`."""
         self._ppo.restore(state["ppo"])
+        self._average.load_state_dict(state["average"])
         self._normalise.restore(state["rewards"])
         self._draw.set_state(state["draw"])
 

@@ -61,6 +61,7 @@ class PPO:
     anneal_clip: bool = True  # it falls to 0 with the learning rate; not in the paper, but in its library, rlpyt
     normalise_advantages: bool = False  # in each minibatch; rlpyt does not
     gradient_norm: float = 1.0
+    averaging: float = 0.0  # the share that each update leaves of the policies' moving average, which is evaluated
     reward_deviation: float = 0.1  # standard deviation to which rewards are normalised
 
 
@@ -174,6 +175,8 @@ class TrainingSettings:
             raise SettingsError(f"ppo.total_steps={ppo.total_steps} are too few for one rollout of {rollout} steps")
         if max(ppo.discount, ppo.gae_lambda) > 1:
             raise SettingsError("ppo.discount and ppo.gae_lambda must be at most 1")
+        if ppo.averaging >= 1:
+            raise SettingsError("with ppo.averaging of 1 or more, the policy that plays in evaluations would not learn")
         if self.discriminator.batch_size % 2:
             raise SettingsError("half of discriminator.batch_size are the policy's samples: it must be even")
         if self.features.samples < tasks:
@@ -184,7 +187,8 @@ class TrainingSettings:
 
 MAY_BE_ZERO: Final = {
     "seed", "evaluations",
-    "bc.momentum", "ppo.discount", "ppo.gae_lambda", "ppo.entropy", "discriminator.gradient_penalty",
+    "bc.momentum", "ppo.discount", "ppo.gae_lambda", "ppo.entropy", "ppo.averaging",
+    "discriminator.gradient_penalty",
 }  # fmt: skip
 
 
