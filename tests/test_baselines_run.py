@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from learners import is_done, tiny
+from learners import is_done, playing, tiny
 
 import magical_mj
 from magical_mj.baselines import checkpoint, load_policy, train
@@ -122,6 +122,18 @@ def test_damaged_figures_are_refused_and_kept(text: str, tmp_path: Path) -> None
     with pytest.raises(TrainingError, match=r"metrics\.csv is damaged: .*; delete it"):
         train(tiny(), tmp_path / "run", resume=True)
     assert (tmp_path / "run" / "metrics.csv").read_text("latin-1") == text
+
+
+def test_a_checkpoint_of_another_version_is_refused_and_kept(tmp_path: Path) -> None:
+    settings = playing()
+    train(settings, tmp_path / "run")
+    kept = checkpoint.read(tmp_path / "run" / CHECKPOINT)
+    del kept["learner"]["average"]
+    checkpoint.write(tmp_path / "run" / CHECKPOINT, kept)
+    before = (tmp_path / "run" / CHECKPOINT).read_bytes()
+    with pytest.raises(TrainingError, match=r"does not fit this version of gail .*another folder"):
+        train(settings, tmp_path / "run", resume=True)
+    assert (tmp_path / "run" / CHECKPOINT).read_bytes() == before
 
 
 def test_what_is_there_is_never_overwritten(tmp_path: Path) -> None:

@@ -80,7 +80,7 @@ def train(
 
     Raises:
         SettingsError, UnknownNameError: if the settings are invalid, or differ from those of a resumed training.
-        TrainingError: if the folder cannot be used, or a loss becomes NaN or infinite.
+        TrainingError: if the folder or its checkpoint cannot be used, or a loss becomes NaN or infinite.
     """
     folder = Path(out)
     if learner is None and settings.method not in METHODS:
@@ -141,7 +141,13 @@ class _Run:
         if (folder / CHECKPOINT).exists():
             kept = checkpoint.read(folder / CHECKPOINT)
             self._update, self._seconds = kept["update"], kept["seconds"]
-            learner.restore(kept["learner"])
+            try:
+                learner.restore(kept["learner"])
+            except (KeyError, RuntimeError, ValueError) as error:
+                raise TrainingError(
+                    f"{folder / CHECKPOINT} does not fit this version of {settings.method} ({error!r}): continue with "
+                    "the version that its config.toml names, or train anew in another folder"
+                ) from error
         self._saved = self._update
 
     def play(self, watch: Callable[[Progress], None]) -> Policy:
