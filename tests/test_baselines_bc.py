@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import platform
+import subprocess
+import sys
 from collections import Counter, defaultdict
 from pathlib import Path
 
@@ -203,6 +206,24 @@ def test_it_can_learn_five_demonstrations_by_heart() -> None:
     known = sum(max(counter.values()) for counter in done.values())
     assert 0.9 * len(actions) < known < len(actions)
     assert (predicted == actions).sum() >= 0.99 * known
+
+
+FREED = """
+import resource, torch
+from magical_mj.baselines.learner import keep_freed_memory
+keep_freed_memory()
+faults = []
+for _ in range(6):
+    torch.ones(20_000_000)  # 80 MB, twenty thousand pages
+    faults.append(resource.getrusage(resource.RUSAGE_SELF).ru_minflt)
+print(faults[-1] - faults[1])
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries manage memory otherwise")
+def test_freed_memory_is_not_fetched_anew() -> None:
+    done = subprocess.run([sys.executable, "-c", FREED], capture_output=True, text=True, check=True)
+    assert int(done.stdout) < 1000
 
 
 def test_unknown_augmentations_are_refused() -> None:

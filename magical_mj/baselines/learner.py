@@ -115,13 +115,14 @@ def keep_freed_memory() -> None:
     """Makes glibc keep freed memory (with other C libraries it does nothing).
 
     Training frees and allocates blocks of many megabytes in every batch. By default these are returned to the system,
-    which must clear them again: a quick BC step would take 1.7 times as long.
+    which must clear them again: a quick BC step would take 1.7 times as long. Raising the size above which a block is
+    returned would not do: glibc allows 32 MiB at most, and a batch of the full network needs 72 MiB at once.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError, TypeError):  # no such library
         return
-    for parameter, value in ((-1, 2**31 - 1), (-2, 2**26), (-3, 2**25)):  # trim threshold, top pad, mmap threshold
+    for parameter, value in ((-1, 2**31 - 1), (-2, 2**26), (-4, 0)):  # trim threshold, top pad, mmap's maximum
         mallopt(parameter, value)
 
 
