@@ -1,4 +1,4 @@
-"""Draws docs/learners.png: how some trainings went, from the metrics.csv of their folders.
+"""Draws how some trainings went, from the metrics.csv of their folders, as in docs/learners.png and docs/results.png.
 
 python tools/learners_picture.py "BC=runs/bc-MoveToRegion-0" "GAIL=runs/gail-MoveToRegion-0" --out docs/learners.png
 """
