@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -51,7 +51,7 @@ class RewardLearner(Learner):
     @property
     def actor(self) -> Actor:
         """The average of the policies so far, of which the latest weigh most; with `ppo.averaging` 0, the latest."""
-        return self._average.module
+        return cast("Actor", self._average.module)
 
     def play(self) -> Mapping[str, float]:
         """One rollout, its rewards and PPO's step; stable-baselines3's draws from global generators stay in here."""
