@@ -17,6 +17,7 @@ from magical_mj.baselines.policy import POLICY
 from magical_mj.cli.app import run
 from magical_mj.errors import SettingsError, UnknownNameError
 from magical_mj.evaluation.results import published_results
+from magical_mj.files import read_toml
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 SET = [part for name, value in {**TINY, "bc.batches": 8}.items() for part in ("--set", f"{name}={value}")]
@@ -163,5 +164,7 @@ def test_changed_settings_show_in_the_methods_name(tmp_path: Path) -> None:
 def test_the_packages_experiments_can_be_run(file: Path, tmp_path: Path) -> None:
     """Each says how, and plans as many runs as it has methods, groups of tasks and seeds."""
     assert f"magical-mj experiment experiments/{file.name} --out runs/{file.stem}" in file.read_text()
-    planned = runs(file, tmp_path)
-    assert len({run.name for run in planned}) == len(planned) >= 5
+    planned, table = runs(file, tmp_path), read_toml(file)
+    tasks = magical_mj.TASKS if table["tasks"] == "all" else table["tasks"]
+    groups = 1 if table.get("multi_task") else len(tasks)
+    assert len({run.name for run in planned}) == len(planned) == len(table["methods"]) * groups * len(table["seeds"])
