@@ -79,7 +79,7 @@ class Learner(Method):
     @property
     @abstractmethod
     def actor(self) -> Actor:
-        """The policy as it is now."""
+        """The policy that is evaluated and saved; it stays up to date."""
 
     def policy(self) -> TrainedPolicy:
         """Draws from what the network holds probable."""
