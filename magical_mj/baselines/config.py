@@ -76,7 +76,7 @@ STATE_TRACK: Final[Mapping[str, Any]] = MappingProxyType(
         "ppo.minibatch": 128,
         "ppo.entropy": 0.02,
         "ppo.clip": 0.05,
-        "ppo.averaging": 0.99,
+        "ppo.averaging": 0.995,
         "discriminator.batch_size": 128,
         "discriminator.rollouts": 4,
     }
