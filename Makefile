@@ -1,4 +1,4 @@
-# `make demo` and `make test` work on a bare machine with Python 3.11 or 3.12: they create .venv and install what is
+# `make demo` and `make test` work on a bare machine with Python 3.11 to 3.13: they create .venv and install what is
 # missing, in the versions of constraints.txt. With Python 3.13: `make PYTHON=python3.13 VENV=.venv-3.13 test`.
 # `make demo` needs no torch. `make test` and `make check` do: on Linux, point PIP_EXTRA_INDEX_URL to PyTorch's index of
 # CPU builds to be spared the CUDA packages.
@@ -30,7 +30,7 @@ format: $(VENV)/.installed-dev  ## format, and fix what can be fixed
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the README and of docs/results.md
+docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the README and of docs/
 	$(BIN)/magical-mj view --grid --size 112 --out docs/environments.png --force
 	$(BIN)/magical-mj view FindDupe --camera scene,ego --size 400 --out docs/scene.png --force
 	rm -rf out/models

@@ -1,4 +1,4 @@
-"""The page about the learners: its method of one's own runs, and its experiment can be read."""
+"""The pages about the learners: what they show in Python runs, and the experiment can be read."""
 
 from __future__ import annotations
 
@@ -11,18 +11,20 @@ from learners import is_done
 
 from magical_mj.baselines import runs
 
-TEXT = (Path(__file__).parent.parent / "docs" / "learners.md").read_text()
+DOCS = Path(__file__).parent.parent / "docs"
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL)
+def block(page: str, language: str) -> str:
+    """The only one in this language."""
+    (found,) = re.findall(rf"```{language}\n(.*?)```", (DOCS / page).read_text(), re.DOTALL)
+    return found
 
 
 def test_a_method_of_ones_own_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    *_, code = blocks("python")
+    code = block("learners.md", "python")
     assert len(code.splitlines()) <= 60
     monkeypatch.chdir(tmp_path)
-    shown: dict[str, object] = {"__name__": "page"}
+    shown: dict[str, Any] = {"__name__": "page"}
     exec(compile(code, "learners.md", "exec"), shown)
     assert is_done(tmp_path / "runs" / "forgetful-0")
     assert len(shown["scores"]) == 4
@@ -30,13 +32,13 @@ def test_a_method_of_ones_own_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 def test_demonstrations_at_hand_are_cloned() -> None:
     shown: dict[str, Any] = {"__name__": "page"}
-    exec(compile(blocks("python")[0], "learners.md", "exec"), shown)
+    exec(compile(block("state-track.md", "python"), "state-track.md", "exec"), shown)
     assert shown["scores"].groupby("variant")["score"].count().to_dict() == {"Demo": 4, "Jitter": 4}
 
 
 def test_the_experiment_can_be_read(tmp_path: Path) -> None:
     file = tmp_path / "experiment.toml"
-    file.write_text(blocks("toml")[0])
+    file.write_text(block("learners.md", "toml"))
     planned = runs(file, tmp_path)
     assert len({run.name for run in planned}) == len(planned) == 2 * 2 * 5
     assert {run.method for run in planned} == {

@@ -1,4 +1,4 @@
-"""Writes tables between their markers: README.md's from the registry, docs/results.md's from the entries in results/.
+"""Writes tables between their markers, from the registry and, on the pages of results, from the entries in results/.
 
 `make docs` runs this.
 """
@@ -24,7 +24,6 @@ from magical_mj.registry import task_spec
 from magical_mj.variants import VARIANTS, Axis
 
 ROOT: Final = Path(__file__).parent.parent
-EXPERTS: Final = ROOT / "docs" / "experts.md"
 COMPARED: Final = ("BC (ST)", "BC (MT)", "GAIL (ST)", "GAIL (MT)", "WGAIL-GP (ST)", "AL (ST)")
 """The paper's methods with its default settings, beside which ours stand."""
 
@@ -70,11 +69,6 @@ def presets() -> str:
     """Each preset of the Gymnasium ids and what it observes."""
     rows = [(f"`-{name}`" if name else "none", _sentence(entry.summary)) for name, entry in PRESETS.items()]
     return table(("Preset", "Observation"), rows)
-
-
-def experts() -> str:
-    """The experts' mean scores, as `make demonstrations` found them."""
-    return EXPERTS.read_text().split("\n\n")[2]
 
 
 def _mean(one: Standing, variants: Iterable[str]) -> float:
@@ -141,20 +135,28 @@ def readme() -> dict[str, str]:
     return {
         "tasks": tasks(),
         "variants": variants(),
-        "presets": presets(),
-        "experts": experts(),
-        "results": overview(learnt, paper),
+        "results": overview({name: one for name, one in learnt.items() if one.everywhere}, paper),
     }
 
 
 def results() -> dict[str, str]:
-    """The tables of docs/results.md by name; an entry's has the name of its file."""
+    """The tables of docs/results.md by name."""
     learnt, paper = _results()
-    return {
-        "overview": overview(learnt, paper),
-        "agreement": agreement(learnt, paper),
-        **{name: environments(one) for name, one in learnt.items()},
-    }
+    return {"overview": overview(learnt, paper), "agreement": agreement(learnt, paper)}
+
+
+def results_from_states() -> dict[str, str]:
+    """Of each entry that learnt from states, by the name of its file: its scores in each environment."""
+    return {name: environments(one) for name, one in _results()[0].items() if _sees_states(one)}
+
+
+def results_from_pictures() -> dict[str, str]:
+    """The same for pictures."""
+    return {name: environments(one) for name, one in _results()[0].items() if not _sees_states(one)}
+
+
+def _sees_states(one: Standing) -> bool:
+    return one.entry is not None and one.entry.observations == "State"
 
 
 def _place(one: Standing) -> tuple[bool, bool, float]:
@@ -172,7 +174,13 @@ def _results() -> tuple[dict[str, Standing], list[Standing]]:
     )
 
 
-PAGES: Final[Mapping[str, Callable[[], dict[str, str]]]] = {"README.md": readme, "docs/results.md": results}
+PAGES: Final[Mapping[str, Callable[[], dict[str, str]]]] = {
+    "README.md": readme,
+    "docs/environments.md": lambda: {"presets": presets()},
+    "docs/results.md": results,
+    "docs/results-pictures.md": results_from_pictures,
+    "docs/results-states.md": results_from_states,
+}
 """The pages that have such tables."""
 
 
