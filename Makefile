@@ -1,5 +1,6 @@
 # `make demo` and `make test` work on a bare machine with Python 3.11 to 3.13: they create .venv and install what is
-# missing, in the versions of constraints.txt. With Python 3.13: `make PYTHON=python3.13 VENV=.venv-3.13 test`.
+# missing, in the versions of constraints.txt. For another Python than the first one found:
+# `make PYTHON=python3.13 VENV=.venv-3.13 test`.
 # `make demo` needs no torch. `make test` and `make check` do: on Linux, point PIP_EXTRA_INDEX_URL to PyTorch's index of
 # CPU builds to be spared the CUDA packages.
 
