@@ -101,5 +101,5 @@ def _results(task: str, variants: list[str], methods: list[Standing]) -> str:
         "† The paper's, in the original simulator. Mean scores of the runs; ST was trained on this task, MT on all.\n\n"
         + "\n".join(lines)
         + "\n\nThe expert of this package scores 1.00 in every variant ([details](experts.md)). "
-        "How ours were trained: [Results](results.md)."
+        "How ours were trained: [from pictures](results-pictures.md), [from states](results-states.md)."
     )

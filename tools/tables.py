@@ -28,7 +28,7 @@ COMPARED: Final = ("BC (ST)", "BC (MT)", "GAIL (ST)", "GAIL (MT)", "WGAIL-GP (ST
 """The paper's methods with its default settings, beside which ours stand."""
 
 AXES: Final[dict[Axis, str]] = {
-    "jitter": f"small changes of every pose: ±{c.JITTER_POSITION} per axis, ±{c.JITTER_ANGLE:.3f} rad",
+    "jitter": f"small changes of every pose: ±{c.JITTER_POSITION} of the arena's 2 per axis, ±{c.JITTER_ANGLE:.3f} rad",
     "layout": "all poses, and the sizes of goal regions",
     "colour": "colours",
     "shape": "shapes",
