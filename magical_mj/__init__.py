@@ -15,7 +15,7 @@ from magical_mj.rendering.backend import check_backend, choose_backend
 from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
 
 if TYPE_CHECKING:
-    from magical_mj import demos, experts
+    from magical_mj import batched, demos, experts, wrappers
     from magical_mj.environment import Environment, load, load_scene
     from magical_mj.evaluation import evaluate
     from magical_mj.export import export_mjcf
@@ -42,6 +42,7 @@ __all__ = [
     "Robot",
     "Scene",
     "__version__",
+    "batched",
     "demos",
     "env_id",
     "evaluate",
@@ -51,10 +52,11 @@ __all__ = [
     "load_scene",
     "sample_scene",
     "score",
+    "wrappers",
 ]
 
 
-_LAZY_MODULES = ("demos", "experts")
+_LAZY_MODULES = ("batched", "demos", "experts", "wrappers")
 
 
 def __getattr__(name: str) -> Any:

@@ -53,7 +53,7 @@ class Environment(OpenEnvironment):
 
     @property
     def physics(self) -> Simulation:
-        """The simulation, which may be another one after a reset."""
+        """The simulation. A reset may replace it: whoever changes its model does so in a hook, at every episode."""
         self._open()
         return super().physics
 
@@ -101,8 +101,7 @@ class Environment(OpenEnvironment):
             state: a state to continue from: as `set_state`, but returns a first time step with its observation.
 
         Raises:
-            InvalidSceneError, InvalidSeedError, StateError: if the argument is invalid.
-            SettingsError: if more than one argument is given.
+            InvalidSceneError, InvalidSeedError, StateError, SettingsError: if it is invalid; if there is more than one.
         """
         self._open()
         given = [name for name, value in (("seed", seed), ("scene", scene), ("state", state)) if value is not None]
@@ -128,8 +127,7 @@ class Environment(OpenEnvironment):
         environments may have different observations. The generator that draws later scenes is not changed.
 
         Raises:
-            StateError: if it is not a state of a scene of this task.
-            InvalidSceneError: if its scene is not one of this task.
+            StateError, InvalidSceneError: if it is not a state of a scene of this task.
         """
         self._open()
         check_state(state)
@@ -139,14 +137,12 @@ class Environment(OpenEnvironment):
             self.task.start(state.scene)
             self.recompile()
         self._open().restore(state.simulation)
-        self.task.steps = state.steps
+        self.task.steps = int(state.steps)
         self._updater.reset(self._open(), self.random_state)
         self.over = self.task.should_terminate_episode(self._open())
 
     def clone(self) -> Environment:
-        """A copy of this environment in the same state. Both behave the same from now on, also in later episodes.
-
-        Takes as long as loading one. To try many actions from one state, `set_state` on one clone is faster.
+        """A copy in the same state, in as long as loading takes. Both behave the same, also in later episodes.
 
         Raises:
             StateError: if users have changed the hooks, observables or the MJCF tree of this environment.
@@ -164,7 +160,8 @@ class Environment(OpenEnvironment):
                 "load another one, make the same changes, and call its set_state() with this one's get_state()"
             )
         begun = None if self.task.next_scene is not None else self.get_state()
-        return _copied, (self.task.settings, self.initial_scene, self.random_state.get_state(legacy=False), begun)
+        now = self.random_state.get_state(legacy=False), self.task.seed, self.task.next_seed
+        return _copied, (self.task.settings, self.initial_scene, now, begun)
 
     def step(self, action: Any) -> dm_env.TimeStep:
         """One action of 1/8 s. After the last step of an episode, the next call starts another one.
@@ -199,9 +196,10 @@ class Environment(OpenEnvironment):
         return self._compiled[1]
 
     def _resume(self, state: State) -> dm_env.TimeStep:
-        self.set_state(state)
-        if self.over:
+        check_state(state)
+        if self.horizon is not None and state.steps >= self.horizon:
             raise StateError(f"the episode of this state is over, after {state.steps} steps; give an earlier state")
+        self.set_state(state)
         return dm_env.restart(self._updater.get_observation())
 
     def _enabled(self) -> dict[str, Any]:
@@ -234,12 +232,13 @@ class Environment(OpenEnvironment):
         return self._compiled[1]
 
 
-def _copied(settings: EnvironmentSettings, first: Scene, generator: Any, begun: State | None) -> Environment:
+def _copied(settings: EnvironmentSettings, first: Scene, seeds: tuple[Any, ...], begun: State | None) -> Environment:
     """A copy of an environment, as `Environment.__reduce__` describes it."""
     env = Environment(settings, first, seed=0)
-    env.random_state.set_state(generator)
     if begun is not None:
         env.set_state(begun)
+    generator, env.task.seed, env.task.next_seed = seeds
+    env.random_state.set_state(generator)
     return env
 
 

@@ -23,7 +23,7 @@ from magical_mj.assets.region import BONE, region_mjcf
 from magical_mj.assets.robot import controls
 from magical_mj.assets.world import world_mjcf
 from magical_mj.environment import Environment
-from magical_mj.errors import InvalidSceneError, shown
+from magical_mj.errors import InvalidSceneError, StateError, shown
 from magical_mj.geometry import check_scene
 from magical_mj.protocol import PROTOCOL
 from magical_mj.scene import Scene
@@ -66,6 +66,7 @@ def export_mjcf(source: Scene | Environment, path: str | os.PathLike[str], *, ov
     Raises:
         InvalidSceneError: if the scene is not legal, or the source is something else.
         ClosedError: if the environment is closed.
+        StateError: if users have changed the environment's MJCF tree, which a file made of its scene would lack.
         FileExistsError: if the file exists and `overwrite` is false.
         OSError: if it cannot be written.
     """
@@ -80,6 +81,11 @@ def export_mjcf(source: Scene | Environment, path: str | os.PathLike[str], *, ov
         )
     else:
         scene, data = source.initial_scene, source.physics.data.ptr
+        if source.task.world.tree is not None:
+            raise StateError(
+                "the environment's MJCF tree has been read, and may have been changed: write that one, with "
+                "dm_control.mjcf.export_with_assets(env.task.root_entity.mjcf_model, folder), or export its scene"
+            )
         settings = source.task.settings
         about |= {"task": settings.task, "variant": settings.task and settings.variant, "seed": source.task.seed}
         about["horizon"] = source.horizon

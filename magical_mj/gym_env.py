@@ -27,6 +27,7 @@ from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
 from magical_mj.state import State
 from magical_mj.tasks.spec import Rules
+from magical_mj.variants import check_seed
 from magical_mj.wrappers import continuous_space
 
 ActionForm = Literal["discrete", "continuous"]
@@ -110,7 +111,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self.action_space = continuous_space() if self._continuous else spaces.Discrete(len(ACTIONS))
         self.observation_space = _space(made, self._stacks.shapes)
         self._score_every_step = score_every_step
-        self._begun = self._running = False
+        self._begun = False
         self._seeded: int | None = None
         self._unknown_options: set[str] = set()
 
@@ -144,10 +145,11 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             options: "scene" or "state"; others are ignored, with a warning.
 
         Raises:
+            InvalidSeedError: if the seed is not an integer, or negative.
             InvalidSceneError: if the scene is not one of the task.
             StateError: if the state is none of an episode of the task that goes on.
         """
-        super().reset(seed=seed)
+        seed = None if seed is None else check_seed(seed)
         options = {} if options is None else options
         if not isinstance(options, Mapping):
             raise SettingsError(f'options are a dict such as {{"scene": scene}}, not {shown(options)}')
@@ -158,7 +160,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         else:
             again = self._seeded if seed is None else seed
             first = self._env.reset(seed=int(self.np_random.integers(2**63)) if again is None else again)
-        self._begun = self._running = True
+        super().reset(seed=seed)  # last, so that a reset that is refused changes nothing
+        self._begun = True
         self._seeded = seed if scene is None and state is None else None
         stacks = self._stacks.start(self._see, None if state is None else state.frames)
         return self._observation(first.observation, stacks), self._info(last=False)
@@ -184,9 +187,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             InvalidSceneError: if its scene is not one of this task.
         """
         self._env.set_state(state)
-        self._begun = True
-        self._running = self._env.horizon is None or state.steps < self._env.horizon
-        self._seeded = None
+        self._begun, self._seeded = True, None
         self._stacks.start(self._see, state.frames)
 
     def clone(self) -> MagicalEnv:
@@ -200,11 +201,10 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             InvalidActionError: if the action is not one of the 18.
             gymnasium.error.ResetNeeded: before the first reset and after the last step.
         """
-        if not self._running:
+        if not self._begun or self._env.over:
             raise ResetNeeded("the episode has ended; call reset() before the next step")
         now = self._env.step(to_discrete(action) if self._continuous else action)
-        last = now.last()
-        self._running, self._seeded = not last, None
+        last, self._seeded = now.last(), None
         observation = self._observation(now.observation, self._stacks.push(self._see))
         return observation, float(now.reward or 0.0), False, last, self._info(last=last)
 

@@ -52,7 +52,7 @@ def check_state(state: object) -> None:
     """Raise `StateError` unless it is a `State`, whose simulation may still not fit."""
     if not isinstance(state, State):
         raise StateError(f"set_state() takes what get_state() gave, not {type(state).__name__}")
-    if type(state.steps) is not int or state.steps < 0:
+    if isinstance(state.steps, bool) or not isinstance(state.steps, int | np.integer) or state.steps < 0:
         raise StateError(f"the steps of a state are an integer from 0 up, not {shown(state.steps)}")
     if not isinstance(state.scene, Scene):
         raise StateError(f"the scene of a state is a magical_mj.Scene, not {shown(state.scene)}")

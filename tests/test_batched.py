@@ -21,7 +21,14 @@ from magical_mj.batched import physics as physics_module
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter, View
 from magical_mj.batched.scenes import Capacity, SceneArrays
-from magical_mj.errors import InvalidActionError, InvalidSeedError, SettingsError, UnknownNameError
+from magical_mj.errors import (
+    ClosedError,
+    InvalidActionError,
+    InvalidSeedError,
+    SettingsError,
+    StateError,
+    UnknownNameError,
+)
 from magical_mj.presets import PRESETS
 from magical_mj.scene import Scene
 
@@ -159,11 +166,17 @@ def test_what_is_not_finite_stays_in_its_world(env: Any) -> None:
     assert observations[1].float().std() > 1
 
 
-@pytest.mark.parametrize("actions", [[1, 2], [0, 1, 18], [0.5, 1.0, 2.0], [-1, 0, 0]])
+@pytest.mark.parametrize("actions", [[1, 2], [0, 1, 18], [0.5, 1.0, 2.0], [-1, 0, 0], None, "abc", [2**70, 0, 0]])
 def test_wrong_actions_are_refused(env: Any, actions: Any) -> None:
     env.reset(seed=0)
     with pytest.raises(InvalidActionError, match="3 integers"):
         env.step(actions)
+
+
+def test_actions_of_any_integer_type_are_taken(env: Any) -> None:
+    env.reset(seed=0)
+    env.step(np.array([1, 2, 17], np.uint16))
+    assert env._steps.tolist() == [1, 1, 1]
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -205,7 +218,44 @@ def test_without_autoreset_worlds_wait_for_a_mask() -> None:
             made.reset(seed=seed)
     with pytest.warns(UserWarning, match="reset ignores the options 'scene'"):
         made.reset(options={"scene": 3})
+    with pytest.raises(SettingsError, match="options are a dict"):
+        made.reset(options=["scene"])  # type: ignore[arg-type]
     made.close()
+
+
+def test_a_seed_determines_the_later_episodes_too() -> None:
+    made = batched.make("FindDupe", "All", 2, device="cpu", preset="State", seed=5)
+    drawn = []
+    for seed in (7, np.array(7)):
+        made.reset(seed=seed)
+        drawn.append([made.reset()[0] for _ in range(2)])
+    assert not torch.equal(*drawn[0])
+    assert all(torch.equal(one, other) for one, other in zip(*drawn, strict=True))
+    made.close()
+
+
+def test_what_users_do_to_observations_changes_none_of_the_later_ones() -> None:
+    made, twin = (batched.make("FindDupe", "All", 2, device="cpu", image_size=16) for _ in range(2))
+    seen, kept = made.reset(seed=0)[0], twin.reset(seed=0)[0]
+    for action in (1, 4):
+        seen.zero_()
+        seen, kept = made.step([action] * 2)[0], twin.step([action] * 2)[0]
+        assert torch.equal(seen, kept)
+    for one in (made, twin):
+        one.close()
+
+
+def test_states_of_other_worlds_and_closed_environments_are_refused() -> None:
+    made = batched.make("MoveToRegion", "Demo", 2, device="cpu", preset="State")
+    other = batched.make("MoveToRegion", "Demo", 1, device="cpu", preset="State")
+    for wrong in (None, {}, other.get_state()):
+        with pytest.raises(StateError, match="of 2 worlds"):
+            made.set_state(wrong)
+    for one in (made, other):
+        one.close()
+    for use in (made.reset, made.get_state, lambda: made.step([0, 0]), lambda: made.set_state({})):
+        with pytest.raises(ClosedError, match="make another one"):
+            use()
 
 
 def test_scenes_do_not_depend_on_who_draws_them() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -116,9 +118,16 @@ def test_after_a_model_that_does_not_compile_the_environment_is_closed() -> None
     env.close()
 
 
-@pytest.mark.parametrize("out", [np.zeros((16, 16, 3), np.uint8), np.zeros((32, 32, 3))])
-def test_pictures_are_written_to_arrays_that_fit(out: np.ndarray) -> None:
-    with pytest.raises(SettingsError, match=r"out must be of shape \(32, 32, 3\), uint8"):
+@pytest.mark.parametrize("out", [np.zeros((16, 16, 3), np.uint8), np.zeros((32, 32, 3)), [[0]], b"bytes"])
+def test_pictures_are_written_to_arrays_that_fit(out: Any) -> None:
+    with pytest.raises(SettingsError, match=r"out must be .*of shape \(32, 32, 3\), uint8"):
+        magical_mj.load("MoveToRegion", observations=()).render(size=32, out=out)
+
+
+def test_pictures_are_not_written_to_what_is_read_only() -> None:
+    out = np.zeros((32, 32, 3), np.uint8)
+    out.flags.writeable = False
+    with pytest.raises(SettingsError, match="read-only"):
         magical_mj.load("MoveToRegion", observations=()).render(size=32, out=out)
 
 

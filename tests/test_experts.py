@@ -11,7 +11,7 @@ import pytest
 import magical_mj
 from magical_mj import ENVIRONMENTS, TASKS, Block, Robot, Scene
 from magical_mj.actions import NOOP, Action, Drive, Gripper, Turn
-from magical_mj.errors import InvalidSceneError, InvalidSeedError, UnknownNameError
+from magical_mj.errors import InvalidSceneError, InvalidSeedError, SettingsError, UnknownNameError
 from magical_mj.experts import Expert, make_expert, run_episode
 from magical_mj.experts.driving import drive, steer
 from magical_mj.experts.hand import Hand
@@ -235,6 +235,11 @@ def test_plain_scenes_have_no_expert() -> None:
     env.reset()
     with pytest.raises(InvalidSceneError):
         make_expert(env, "FindDupe")
+
+
+def test_an_expert_drives_a_dm_env_environment() -> None:
+    with pytest.raises(SettingsError, match=r"env\.unwrapped\.dm_env"):
+        make_expert(magical_mj.MagicalEnv("MoveToRegion"), "MoveToRegion")
 
 
 def test_a_place_out_of_reach_is_approached() -> None:

@@ -19,7 +19,7 @@ from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.mjcf import LINE
 from magical_mj.assets.robot import control_signal, controls
 from magical_mj.environment import Environment
-from magical_mj.errors import InvalidSceneError
+from magical_mj.errors import InvalidSceneError, StateError
 from magical_mj.protocol import PROTOCOL
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 
@@ -250,6 +250,15 @@ def test_files_are_not_overwritten_without_a_word(tmp_path: Path) -> None:
 def test_only_scenes_and_environments_are_exported(tmp_path: Path) -> None:
     with pytest.raises(InvalidSceneError, match=r"env\.unwrapped\.dm_env"):
         magical_mj.export_mjcf(magical_mj.MagicalEnv("MoveToRegion"), tmp_path / "scene.xml")  # type: ignore[arg-type]
+
+
+def test_what_a_file_of_the_scene_would_lack_is_not_exported_without_a_word(tmp_path: Path) -> None:
+    env = magical_mj.load("MoveToRegion", observations=())
+    env.task.root_entity.mjcf_model.worldbody.add("geom", type="sphere", size=[0.1])
+    env.reset()
+    with pytest.raises(StateError, match="export_with_assets"):
+        magical_mj.export_mjcf(env, tmp_path / "scene.xml")
+    assert not (tmp_path / "scene.xml").exists()
 
 
 def test_illegal_scenes_are_not_exported(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import warnings
 from typing import Any
@@ -10,9 +11,10 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium import wrappers
+from gymnasium.error import ResetNeeded
 
 import magical_mj
-from magical_mj.errors import InvalidSceneError, SettingsError, UnknownNameError
+from magical_mj.errors import InvalidSceneError, InvalidSeedError, SettingsError, StateError, UnknownNameError
 from magical_mj.registry import task_spec
 from magical_mj.wrappers import ScoreAtTheEnd
 
@@ -165,3 +167,33 @@ def test_what_users_do_to_observations_changes_none_of_the_later_ones(preset: st
         seen, kept = env.step(action)[0], twin.step(action)[0]
         for one, other in zip(*(list(s.values()) if isinstance(s, dict) else [s] for s in (seen, kept)), strict=True):
             np.testing.assert_array_equal(one, other)
+
+
+def test_a_reset_that_is_refused_changes_nothing() -> None:
+    env, twin = (magical_mj.MagicalEnv("MoveToRegion", "Layout", "State") for _ in range(2))
+    env.reset(seed=1)
+    while not env.step(0)[3]:
+        pass
+    ended = env.get_state()
+    for one in (env, twin):
+        one.reset(seed=2)
+        one.step(1)
+    before = env.get_state()
+    refused: list[tuple[dict[str, Any], type[Exception]]] = [
+        ({"options": {"state": ended}}, StateError),
+        ({"seed": -1}, InvalidSeedError),
+        ({"seed": True}, InvalidSeedError),
+        ({"seed": 5, "options": {"scene": "no scene"}}, InvalidSceneError),
+        ({"seed": 5, "options": {"state": 3}}, StateError),
+    ]
+    for arguments, error in refused:
+        with pytest.raises(error):
+            env.reset(**arguments)
+        assert env.get_state() == before
+    for one in (env, twin):
+        one.reset()
+    assert env.scene == twin.scene
+    with pytest.raises(StateError):
+        env.set_state(dataclasses.replace(ended, steps=3, simulation=np.full_like(ended.simulation, np.nan)))
+    with pytest.raises(ResetNeeded):  # the simulation of its scene is at hand, but in no state of an episode
+        env.step(0)

@@ -90,10 +90,12 @@ def test_a_checkpoint_sees_here_what_it_sees_in_lerobot(tmp_path: Path, options:
     )  # fmt: skip
     seen, _ = env.reset(seed=3)
     observation, _ = ours.reset(seed=3)
+    generator = torch.get_rng_state()
     policy.reset(Episode("FixColour", "Demo", 3, 3))
     with torch.inference_mode():
         wanted = theirs.select_action(preprocess_observation({name: _batch(value) for name, value in seen.items()}))
     assert policy(observation) == magical_mj.actions.to_discrete(wanted[0].numpy())
+    assert torch.equal(torch.get_rng_state(), generator)  # which is the user's
     env.close()
     ours.close()
 

@@ -24,7 +24,7 @@ from magical_mj.batched.physics import Physics, check_device
 from magical_mj.batched.scenes import Capacity, SceneArrays
 from magical_mj.batched.scores import SCORES, Start, score
 from magical_mj.env_settings import REWARDS, Reward
-from magical_mj.errors import InvalidActionError, SettingsError, check_name, shown
+from magical_mj.errors import ClosedError, InvalidActionError, SettingsError, StateError, check_name, shown
 from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS
 from magical_mj.presets import preset as preset_named
 from magical_mj.registry import check_rules, sample_scene, task_spec
@@ -33,7 +33,8 @@ from magical_mj.tasks.spec import Rules
 from magical_mj.variants import check_seed, varied_axes
 
 MODES: Final = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
-
+STATE: Final = {"scenes", "drawer", "physics", "observer", "steps", "running"}
+"""What a state of the environment consists of."""
 
 OVERFLOW: Final = (
     "worlds had more contacts than there is room for, and some were dropped: do not trust the episodes that "
@@ -108,24 +109,30 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """Starts episodes in all worlds, or in those of `options["reset_mask"]`, shape (num_envs,), bool.
 
         Args:
-            seed: of the first world's scene, the others have the next ones; or one for each world; None: scenes are
-                drawn by the environment's own seed.
+            seed: of the first world's scene, the others have the next ones; without a mask, also of the scenes of all
+                later episodes. Or a sequence with one for each world, of this episode alone. None: drawn scenes.
             options: see above; others are ignored, with a warning.
 
         Raises:
             InvalidSeedError: if a seed is not an integer, or negative.
             SettingsError: if there is not one seed, or one entry of the mask, for each world.
+            ClosedError: if the environment is closed.
         """
-        options = options or {}
+        self._check_open()
+        options = {} if options is None else options
+        if not isinstance(options, Mapping):
+            raise SettingsError(f'options are a dict such as {{"reset_mask": mask}}, not {shown(options)}')
         if others := sorted(map(repr, options.keys() - {"reset_mask"})):
             warnings.warn(f'reset ignores the options {", ".join(others)}; it knows "reset_mask"', stacklevel=2)
         chosen = self._masked(options.get("reset_mask"))
         seeds = None
         if seed is not None:
-            if isinstance(seed, Sequence | np.ndarray | Tensor) and not isinstance(seed, str):
+            if isinstance(seed, Sequence | np.ndarray | Tensor) and np.ndim(seed) > 0:
                 each: list[Any] = list(seed)
             else:
                 each = [check_seed(seed) + world for world in range(self.num_envs)]
+                if options.get("reset_mask") is None:
+                    self._drawer.seed(each[0])
             if len(each) != self.num_envs:
                 raise SettingsError(f"there are {self.num_envs} worlds, and {len(each)} seeds were given")
             seeds = [check_seed(each[world]) for world in chosen]
@@ -162,6 +169,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     def get_state(self) -> dict[str, Any]:
         """The present state of all worlds, the pictures in the stacks included: tensors, arrays and plain values."""
+        self._check_open()
         return {
             "scenes": asdict(self._scenes),
             "drawer": self._drawer.get_state(),
@@ -176,7 +184,14 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
         What follows is the same to the bit on Warp's CPU device. On an accelerator the state is the same, and what
         follows is as near as any two runs are there: contacts are taken down in the order in which threads find them.
+
+        Raises:
+            StateError: if it is not a state of so many worlds.
+            ClosedError: if the environment is closed.
         """
+        self._check_open()
+        if not isinstance(state, Mapping) or set(state) != STATE or len(state["steps"]) != self.num_envs:
+            raise StateError(f"set_state() takes what get_state() of {self.num_envs} worlds gave, not {shown(state)}")
         self._put(SceneArrays(**state["scenes"]), torch.arange(self.num_envs, device=self.device))
         self._drawer.set_state(state["drawer"])
         self._physics.set_state(state["physics"])
@@ -192,7 +207,9 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         Raises:
             InvalidActionError: if they are anything else.
             ResetNeeded: if the episode of a world has ended and was not reset.
+            ClosedError: if the environment is closed.
         """
+        self._check_open()
         if not self._running.all():
             raise ResetNeeded("episodes have ended: reset them, with options={'reset_mask': ...} or all at once")
         self._physics.step(self._checked(actions))
@@ -216,14 +233,18 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return observation, reward, torch.zeros_like(ended), ended, info
 
     def _checked(self, actions: Any) -> Tensor:
-        given = torch.as_tensor(actions, device=self.device)
-        whole = not given.is_floating_point() and given.dtype != torch.bool
-        if given.shape != (self.num_envs,) or not whole or bool(((given < 0) | (given >= len(ACTIONS))).any()):
+        try:
+            given = torch.as_tensor(actions, device=self.device)
+        except (TypeError, ValueError, RuntimeError):
+            given = torch.empty(0)
+        whole = not given.is_floating_point() and not given.is_complex() and given.dtype != torch.bool
+        numbers = given.long() if whole else given
+        if given.shape != (self.num_envs,) or not whole or bool(((numbers < 0) | (numbers >= len(ACTIONS))).any()):
             raise InvalidActionError(
                 f"actions must be {self.num_envs} integers in 0..{len(ACTIONS) - 1}, one for each world, "
-                f"not a {given.dtype} of shape {tuple(given.shape)}"
+                f"not {shown(actions)}"
             )
-        return given.long()
+        return numbers
 
     def _scores(self) -> Tensor:
         poses = self._physics.poses.double()
@@ -242,9 +263,14 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         }
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Ends the processes that draw scenes."""
+        """Ends the processes that draw scenes, and frees the worlds."""
         del kwargs
         self._drawer.close()
+        del self._physics, self._observer
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise ClosedError("the environment is closed; make another one")
 
 
 def _capacity(pairs: Sequence[Pair]) -> Capacity:

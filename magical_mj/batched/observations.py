@@ -101,18 +101,16 @@ class Frames:
     def look(self, physics: Physics) -> Observation:
         """Adds the present pictures to the stacks; fresh tensors."""
         for name, frames in self._groups.items():
-            last, first = self._stacks[name], 0
-            moved = last.clone()
+            stack, first = self._stacks[name], 0
             for _, count in frames:
-                moved[..., first : first + 3 * (count - 1)] = last[..., first + 3 : first + 3 * count]
-                first += 3 * count
-            self._stacks[name] = moved
+                end = first + 3 * count
+                stack[..., first : end - 3] = stack[..., first + 3 : end].clone()
+                first = end
         self._draw(physics)
         return self._seen(physics)
 
     def begin(self, physics: Physics, worlds: Tensor) -> Observation:
         """Fills the stacks of these worlds with their present pictures; fresh tensors, of all worlds."""
-        self._stacks = {name: stack.clone() for name, stack in self._stacks.items()}
         self._draw(physics)
         for name, frames in self._groups.items():
             stack, first = self._stacks[name], 0
@@ -142,7 +140,8 @@ class Frames:
                 self._painter.draw(seen, self._stacks[name][..., end - 3 : end])
 
     def _seen(self, physics: Physics) -> Observation:
-        seen = {name: self._shaped(stack) for name, stack in self._stacks.items()}
+        """Copies: whoever changes an observation in place does not change the next ones."""
+        seen = {name: self._shaped(stack.clone()) for name, stack in self._stacks.items()}
         if self._preset.fingers:
             seen["fingers"] = physics.fingers
         return seen if self._preset.layout == "dict" else seen["all"]

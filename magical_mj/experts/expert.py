@@ -10,6 +10,7 @@ import numpy as np
 
 from magical_mj.actions import NOOP
 from magical_mj.environment import Environment
+from magical_mj.errors import SettingsError, shown
 from magical_mj.experts.lookahead import Lookahead, state_of
 from magical_mj.experts.planner import Plan, Planner
 from magical_mj.registry import task_spec
@@ -74,9 +75,15 @@ class Expert(PlanFollower):
         TaskError: if it has no plan.
         InvalidSceneError: if the environment's scene is not one of the task.
         InvalidSeedError: if the seed is not an integer, or negative.
+        SettingsError: if the environment is not one of `magical_mj.load`.
     """
 
     def __init__(self, env: Environment, task: str, seed: int = 0) -> None:
+        if not isinstance(env, Environment):
+            raise SettingsError(
+                f"an expert drives what magical_mj.load returns, not {shown(env)}; "
+                "in Gymnasium's environments that is env.unwrapped.dm_env"
+            )
         spec = task_spec(task)
         spec.check_plan()
         spec.check(env.initial_scene)

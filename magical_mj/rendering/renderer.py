@@ -50,10 +50,16 @@ def check_size(value: Any, name: str = "image_size") -> int:
     return size
 
 
-def check_out(out: Picture | None, size: int) -> None:
+def check_out(out: Any, size: int) -> None:
     """Raises a `SettingsError` unless a picture of this size can be written to the array, if there is one."""
-    if out is not None and (out.shape != (size, size, 3) or out.dtype != np.uint8):
+    if out is None:
+        return
+    if not isinstance(out, np.ndarray):
+        raise SettingsError(f"out must be an array of shape ({size}, {size}, 3), uint8, not {shown(out)}")
+    if out.shape != (size, size, 3) or out.dtype != np.uint8:
         raise SettingsError(f"out must be of shape ({size}, {size}, 3), uint8, not {out.shape}, {out.dtype}")
+    if not out.flags.writeable:
+        raise SettingsError("out is a read-only array; give one that can be written to, or a copy")
 
 
 class Renderer:

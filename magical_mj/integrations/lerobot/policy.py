@@ -58,10 +58,11 @@ class LeRobotPolicy:
         with_fingers = self._fingers and self._views != "state"
         self.preset = "LoResFingers" if with_fingers else _PRESETS[self._views]
         self._sentence = ""
+        self._noise = torch.Generator().get_state()
 
     def reset(self, episode: Episode) -> None:
         """Forgets the chunk of the last episode, and draws noise by the episode's seed."""
-        torch.manual_seed(int(episode.rng().integers(2**63)))
+        self._noise = torch.Generator().manual_seed(int(episode.rng().integers(2**63))).get_state()
         self._policy.reset()
         self._sentence = task_spec(episode.task).summary
 
@@ -76,8 +77,10 @@ class LeRobotPolicy:
             for view, key in image_keys(self._views).items()
         } or {STATE_VECTOR: torch.from_numpy(seen["state"])[None]}
         batch["observation.state"] = torch.from_numpy(state(fingers))[None]
-        with torch.inference_mode():
+        with torch.inference_mode(), torch.random.fork_rng(devices=[]):  # policies draw from torch's own generator
+            torch.set_rng_state(self._noise)
             action = self._after(self._policy.select_action(self._before({**batch, "task": [self._sentence]})))
+            self._noise = torch.get_rng_state()
         return to_discrete(action[0].numpy())
 
 
