@@ -46,8 +46,9 @@ class Policy(Protocol):
     """An agent. A plain function from observation to action is accepted too.
 
     A class attribute `blind = True` means that the policy does not use observations: none are made, which is much
-    faster, and `reset` gets the environment instead. Attributes `preset`, `tasks` and `observation_space` say which
-    observations it was trained on and in which tasks it can act; evaluations of anything else raise an error.
+    faster, and `reset` gets the environment instead. Attributes `preset`, `tasks` and `observation_shapes` (a list of
+    those that it accepts, with None for any size) say what it was trained on; evaluations of anything else raise an
+    error.
     """
 
     def reset(self, episode: Episode) -> None:

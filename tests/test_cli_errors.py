@@ -108,7 +108,18 @@ def test_the_tour_replaces_only_what_it_has_made(shell: Shell, tmp_path: Path) -
     assert shell(*evaluate, *few)[0] == 0
     scores = (tmp_path / "mine" / "scores.jsonl").read_bytes()
     assert "give another folder" in shell.fails(1, "demo", *few, "--out", "mine")
+    (tmp_path / "mine" / "environments.png").write_text("precious")
+    assert "give another folder" in shell.fails(1, "demo", *few, "--out", "mine")
     assert (tmp_path / "mine" / "scores.jsonl").read_bytes() == scores
+
+
+@pytest.mark.parametrize("name", ["report.md", "environments.png", "bars.png", "scores.jsonl"])
+def test_the_tour_keeps_out_of_folders_with_other_files(shell: Shell, name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text("precious")
+    error = shell.fails(1, "demo", "--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1, "--out", tmp_path)
+    assert "holds files that this command has not made" in error
+    assert (tmp_path / name).read_text() == "precious"
+    assert len(list(tmp_path.iterdir())) == 1
 
 
 @pytest.mark.parametrize("extra", ["typer", "imageio_ffmpeg"])

@@ -20,6 +20,7 @@ import pytest
 import magical_mj
 from magical_mj import demos
 from magical_mj.cli import main
+from magical_mj.cli.demos import make
 from magical_mj.demos import Demonstration
 from magical_mj.errors import DemonstrationError, MagicalError, UnknownNameError
 from magical_mj.presets import PRESETS
@@ -229,6 +230,12 @@ def test_generate_verify_info_video_and_export(tmp_path: Path, capsys: pytest.Ca
     assert (tmp_path / "x.mp4").stat().st_size > 1000
     assert run("demos", "export", folder, "--out", tmp_path / "x.npz", "--preset", "State") == 0
     assert (tmp_path / "x.npz").exists()
+
+
+def test_generate_takes_what_another_process_was_faster_to_make(path: Path) -> None:
+    before = path.read_bytes()
+    assert make(("FixColour", "Demo", 0, 1.0, path)) == ""
+    assert path.read_bytes() == before
 
 
 def test_a_damaged_file_stops_generate_and_verify(path: Path, capsys: pytest.CaptureFixture[str]) -> None:

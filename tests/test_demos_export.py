@@ -142,6 +142,42 @@ def test_a_process_that_died_while_it_replaced_a_set_costs_nothing(
     assert minari.load_dataset(name).total_episodes == 1 + overwrite
 
 
+def test_a_process_that_died_while_it_removed_the_replaced_set_leaves_the_new_one(
+    demo: Demonstration, minari: Any, tmp_path: Path
+) -> None:
+    name = demos.to_minari([demo])
+    program = (
+        "import os, shutil, sys; from magical_mj import demos\n"
+        "shutil.rmtree = lambda folder, **_: os.path.exists(folder) and os.kill(os.getpid(), 9)\n"
+        "some = demos.load('FixColour')[:1]\n"
+        "demos.to_minari([*some, *some], sys.argv[1], overwrite=True)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", program, name], check=False).returncode == -9
+    with pytest.raises(DemonstrationError, match="already"):
+        demos.to_minari([demo])
+    assert minari.load_dataset(name).total_episodes == 2
+    assert list((tmp_path / "sets" / name).parent.glob(".*")) == []
+
+
+def test_an_export_that_fails_leaves_what_others_made_beside_it(
+    demo: Demonstration, minari: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Both start in a namespace that does not exist yet; the other one ends first."""
+    write = minari.create_dataset_from_buffers
+
+    def interrupted(**arguments: Any) -> None:
+        monkeypatch.setattr(minari, "create_dataset_from_buffers", write)
+        demos.to_minari([demo], "new/theirs/set-v0")
+        write(**arguments)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(minari, "create_dataset_from_buffers", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        demos.to_minari([demo], "new/mine/set-v0")
+    assert list(minari.list_local_datasets()) == ["new/theirs/set-v0"]
+    assert not (tmp_path / "sets" / "new" / "mine").exists()
+
+
 @contextmanager
 def files_of_at_most(size: int) -> Iterator[None]:
     """As if the disk were full: whoever writes more bytes into a file gets an error."""

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 import magical_mj
-from magical_mj.errors import EvaluationError, MissingExtraError
+from magical_mj.errors import EvaluationError, MissingExtraError, SettingsError
 from magical_mj.evaluation import Score
 from magical_mj.evaluation.scores import read
 
@@ -78,13 +78,21 @@ def test_ray_gives_the_same(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_a_cluster_that_is_not_there() -> None:
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "foo://127.0.0.1:9"])
+def test_a_cluster_that_is_not_there(address: str) -> None:
     distributed = pytest.importorskip("distributed")
     with (
         distributed.dask.config.set({"distributed.comm.timeouts.connect": "1s"}),
-        pytest.raises(EvaluationError, match=r"no dask scheduler answers at .*9"),
+        pytest.raises(EvaluationError, match=rf"no dask scheduler answers at {address}"),
     ):
-        magical_mj.evaluate("noop", backend="dask", address="tcp://127.0.0.1:9", **SETTINGS)
+        magical_mj.evaluate("noop", backend="dask", address=address, **SETTINGS)
+
+
+@pytest.mark.parametrize("address", ["localhost", "tcp://h:notaport", "tcp://h", "http://h:1/path"])
+def test_what_is_no_address_is_said_before_anything_is_made(address: str, tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="needs the scheduler's address, such as tcp://host:8786; not"):
+        magical_mj.evaluate("noop", backend="dask", address=address, out=tmp_path / "out", **SETTINGS)
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_dead_worker_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ from evaluations import SMALL, rows
 
 import magical_mj
 from magical_mj.errors import EvaluationError, SettingsError
-from magical_mj.evaluation import Score
+from magical_mj.evaluation import Episode, Score
 from magical_mj.evaluation.scores import SCORES, ScoreFile, read
 
 TESTS = Path(__file__).parent
@@ -49,6 +49,24 @@ def test_resume_does_only_what_is_left(tmp_path: Path) -> None:
     pd.testing.assert_frame_equal(again.drop(columns="seconds"), whole.drop(columns="seconds"))
     magical_mj.evaluate("random", out=tmp_path / "part", resume=True, watch=played.append, **SMALL)
     assert len(played) == 3
+
+
+class Misnamed:
+    """Misses a file in the scene of seed 1, whose name is not UTF-8: so Python shows the bytes of such names."""
+
+    blind = True
+
+    def reset(self, episode: Episode) -> None:
+        if episode.seed == 1:
+            raise FileNotFoundError("weights-\udce9.npy")
+
+    def __call__(self, observation: Any) -> int:
+        return 0
+
+
+def test_reasons_that_cannot_be_encoded_are_kept(tmp_path: Path) -> None:
+    magical_mj.evaluate(Misnamed(), out=tmp_path, **SMALL)
+    assert {score.failure for score in read(tmp_path)} == {None, r"FileNotFoundError: weights-\udce9.npy"}
 
 
 @pytest.mark.parametrize("cut", [1, 20, -2, -1])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import pickle
+import sys
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ import pytest
 from gymnasium import spaces
 
 import magical_mj
-from magical_mj.errors import EvaluationError, SettingsError
+from magical_mj.errors import EvaluationError, MissingExtraError, SettingsError
 from magical_mj.evaluation.models import load_onnx, load_sb3
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
@@ -149,6 +150,49 @@ def test_files_that_are_no_archives(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "model.zip").write_bytes(content)
     with pytest.raises(SettingsError, match="not a stable-baselines3 archive"):
         magical_mj.evaluate(str(tmp_path / "model.zip"), **SMALL)
+
+
+@pytest.mark.parametrize(
+    ("data", "weights", "trust", "complaint"),
+    [
+        (b"[]", {}, False, "not a stable-baselines3 archive"),
+        (b"{}", None, False, "weights that are not tensors"),
+        (b"{}", [], False, "weights that are not tensors"),
+        (
+            b'{"policy_kwargs": {}, "observation_space": 3}',
+            {"action_net.weight": 1},
+            False,
+            "does not say how its network is built",
+        ),
+        (b"{}", {}, True, "does not say how its network is built: KeyError: 'policy_class'"),
+    ],
+)
+def test_archives_that_are_not_whole(tmp_path: Path, data: bytes, weights: Any, trust: bool, complaint: str) -> None:
+    torch = pytest.importorskip("torch")
+    with zipfile.ZipFile(tmp_path / "model.zip", "w") as archive:
+        archive.writestr("data", data)
+        with archive.open("policy.pth", "w") as file:
+            if weights is not None:
+                torch.save(weights, file)
+    with pytest.raises(SettingsError, match=complaint):
+        load_sb3(tmp_path / "model.zip", trust)
+
+
+def test_an_archive_with_wrong_bytes(tmp_path: Path) -> None:
+    path = tmp_path / "model.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("data", json.dumps(list(range(3000))))
+    content = bytearray(path.read_bytes())
+    content[60:80] = bytes(20)
+    path.write_bytes(content)
+    with pytest.raises(SettingsError, match="not a stable-baselines3 archive: error: Error -3 while decompressing"):
+        load_sb3(path)
+
+
+def test_a_missing_package_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    with pytest.raises(MissingExtraError, match=r"model\.zip needs stable-baselines3: pip install"):
+        load_sb3(tmp_path / "model.zip")
 
 
 def linear(path: Path, outputs: int) -> np.ndarray:

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -47,6 +48,51 @@ def test_errors_come_back_with_their_origin() -> None:
     with pytest.raises(UnknownNameError, match="no 7") as caught:
         list(spread(fail, [7], jobs=1))
     assert "in fail" in caught.value.__notes__[0]
+
+
+class LockedError(Exception):
+    """Cannot be pickled."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self.lock = threading.Lock()
+
+
+class TwoPartError(Exception):
+    """Can be pickled, and not be unpickled."""
+
+    def __init__(self, text: str, more: str = "", *, number: int) -> None:
+        super().__init__(text)
+
+
+@pytest.mark.parametrize("error", [LockedError, lambda text: TwoPartError(text, number=1)])
+def test_errors_that_cannot_be_sent_keep_their_reason(error: Callable[[str], Exception]) -> None:
+    def fail(_: int) -> int:
+        raise error("the reason")
+
+    with pytest.raises(WorkerError, match=r"a worker process raised \w+Error\('the reason'\)") as caught:
+        list(spread(fail, [0], jobs=1))
+    assert "in fail" in caught.value.__notes__[0]
+
+
+class Piece:
+    """Counts how often a piece of work is pickled."""
+
+    sent = 0
+
+    def __reduce__(self) -> Any:
+        Piece.sent += 1
+        time.sleep(0.001)
+        return int, ()
+
+
+def test_work_that_is_given_up_is_not_sent_any_more() -> None:
+    results = spread(square, [Piece() for _ in range(1000)], jobs=1)
+    assert next(results) == 0
+    threads = threading.active_count()
+    results.close()  # type: ignore[attr-defined]
+    wait_for(lambda: threading.active_count() < threads, 10)
+    assert Piece.sent < 1000
 
 
 def test_what_cannot_be_sent_is_an_error() -> None:

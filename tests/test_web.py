@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 import signal
@@ -31,6 +32,8 @@ websockets = pytest.importorskip("websockets")
 
 from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 from websockets.sync.client import ClientConnection, connect  # noqa: E402
+
+from magical_mj.web.server import PlayServer  # noqa: E402
 
 
 def test_the_page_is_told_of_every_task_in_words_and_with_a_solved_example() -> None:
@@ -118,6 +121,51 @@ def test_a_collection_asks_for_what_it_has_least_of(tmp_path: Path) -> None:
     with pytest.raises(magical_mj.errors.DemonstrationError, match="not collected"):
         collection.keep(json.dumps(recording("MoveToRegion", "Jitter", 0, [0] * 40)), me)
     assert len(list(tmp_path.rglob("*.npz"))) == 2
+
+
+def test_a_collection_asks_for_scenes_that_it_has_not(tmp_path: Path) -> None:
+    """Those that were given up are asked for again after a restart, and no others."""
+    pair = "MoveToRegion", "Demo"
+    collection = Collection(tmp_path, [pair])
+    assert [(collection.next() or {})["seed"] for _ in range(3)] == [0, 1, 2]
+    collection.keep(json.dumps(recording(*pair, 2, [0] * 40)), collection.participant(None))
+    again = Collection(tmp_path, [pair])
+    assert [(again.next() or {})["seed"] for _ in range(3)] == [0, 1, 3]
+    (tmp_path / "0123456789abcdef").mkdir()
+    (tmp_path / "0123456789abcdef" / "MoveToRegion-Demo-human-000.npz").touch()
+    with pytest.raises(magical_mj.errors.DemonstrationError, match="damaged"):
+        Collection(tmp_path, [pair])
+
+
+@pytest.mark.parametrize(
+    ("host", "port", "origin", "start"),
+    [
+        ("127.0.0.1", 8008, None, "http://127.0.0.1:8008"),
+        ("127.0.0.1", 80, None, "http://127.0.0.1"),
+        ("0.0.0.0", 8080, None, "http://localhost:8080"),
+        ("::1", 8008, None, "http://[::1]:8008"),
+        ("::1", 80, None, "http://[::1]"),
+        ("::1", 8008, "https://study.example.org:443", "https://study.example.org"),
+        ("::1", 8008, "http://study.example.org:80", "http://study.example.org"),
+        ("::1", 8008, "https://study.example.org:80", "https://study.example.org:80"),
+    ],
+)
+def test_addresses_are_written_as_browsers_do(host: str, port: int, origin: str | None, start: str) -> None:
+    assert PlayServer(magical_mj.ENVIRONMENTS[:1], host, port, "secret", origin).address == f"{start}/secret/"
+
+
+def test_an_ipv6_address_is_played_at() -> None:
+    async def play() -> Any:
+        server = PlayServer(magical_mj.ENVIRONMENTS[:1], "::1", 0)
+        async with await server.start():
+            with await asyncio.to_thread(sit, server.address) as seat:
+                return await asyncio.to_thread(ask, seat, {"dance": 1})
+
+    try:
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError:
+        pytest.skip("there is no IPv6 here")
+    assert "error" in asyncio.run(play())
 
 
 @pytest.mark.parametrize(

@@ -14,15 +14,18 @@ from magical_mj.cli.environments import contact_sheet
 from magical_mj.cli.evaluate import show_progress, summary
 from magical_mj.cli.results import film_episodes
 from magical_mj.errors import EvaluationError
+from magical_mj.evaluation.loading import sources
 from magical_mj.evaluation.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
-from magical_mj.evaluation.scores import SCORES, SETTINGS
+from magical_mj.evaluation.scores import SCORES, SETTINGS, read_settings
 from magical_mj.evaluation.settings import EvaluationSettings
 
 AGENTS: Final = ("expert", "random", "noop")
 SHEET: Final = "environments.png"
+SAME: Final = ("environments", "episodes", "rules")
+"""The settings by which an earlier run of the same tour is recognised; those that a new version changes are not."""
 
-Out = Annotated[Path, typer.Option(help="The folder for all results; those of an earlier run are replaced.")]
+Out = Annotated[Path, typer.Option(help="The folder for all results; those of the same tour are replaced.")]
 Episodes = Annotated[int, typer.Option(min=1, help="Of each agent in each environment.")]
 
 
@@ -32,16 +35,18 @@ def demo(out: Out = Path("out/demo"), tasks: Tasks = "all", episodes: Episodes =
     start = time.perf_counter()
     settings = EvaluationSettings(tasks=tasks, episodes=episodes, jobs=jobs, out=out)
     claim_folder(out)
-    old = [path for path in (out / SCORES, out / SETTINGS, *out.glob("best-*.mp4")) if path.exists()]
-    if old and not (out / SHEET).exists():
-        raise EvaluationError(f"{out} holds an evaluation that this command has not made; give another folder by --out")
-    if old:
+    if any(out.iterdir()):
+        if not _is_ours(out, settings):
+            raise EvaluationError(
+                f"{out} holds files that this command has not made, or not with these options; "
+                "give another folder by --out"
+            )
         screen.print(f"replacing an earlier run in {out}", soft_wrap=True)
-    for path in old:
-        path.unlink()
-    with files.new_file(out / SHEET, overwrite=True) as unfinished:  # first, since it marks the folder as ours
+        (out / SCORES).unlink(missing_ok=True)
+        (out / SETTINGS).unlink()
+    evaluation = Evaluation(AGENTS, settings)  # writes the settings, by which the folder is recognised
+    with files.new_file(out / SHEET, overwrite=True) as unfinished:
         contact_sheet(0, size=128).save(unfinished)
-    evaluation = Evaluation(AGENTS, settings)
     show_progress(screen, evaluation)
     for line in summary(evaluation.scores):
         screen.print(line, soft_wrap=True)
@@ -54,3 +59,14 @@ def demo(out: Out = Path("out/demo"), tasks: Tasks = "all", episodes: Episodes =
         f"{len(evaluation.scores)} episodes, {time.perf_counter() - start:.0f} s; scores, tables, figures, videos:"
     )
     screen.print(page, soft_wrap=True)
+
+
+def _is_ours(folder: Path, settings: EvaluationSettings) -> bool:
+    """Whether the folder holds this evaluation: another one may have taken days."""
+    try:
+        known = read_settings(folder)
+    except EvaluationError:
+        return False
+    now = settings.recorded()
+    policies = [source.describe() for source in sources(AGENTS)]
+    return known.get("policies") == policies and all(known.get(name) == now[name] for name in SAME)

@@ -90,6 +90,8 @@ def make(work: tuple[str, str, int, float, Path]) -> str:
     task, variant, number, least_score, path = work
     try:
         magical_mj.demos.write(magical_mj.demos.demonstrate(task, variant, number, least_score), path)
+    except FileExistsError:  # another process, which generates into the same folder, was faster
+        return ""
     except DemonstrationError as error:
         return str(error)
     return ""

@@ -7,9 +7,9 @@ import shutil
 import tempfile
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import gymnasium
 import numpy as np
@@ -23,6 +23,9 @@ from magical_mj.extras import missing_extra
 from magical_mj.protocol import PROTOCOL
 from magical_mj.registration import env_id
 from magical_mj.registry import task_spec
+
+NAMESPACE: Final = "namespace_metadata.json"
+"""The file that Minari writes into each folder of data sets."""
 
 
 def to_npz(
@@ -165,23 +168,36 @@ def _check_space(folder: Path, size: int) -> None:
 @contextmanager
 def _new_folder(path: Path, overwrite: bool) -> Iterator[None]:
     """For a block that makes a folder. If the block raises, or its process dies, the previous content is restored."""
-    old = path.with_name(f".{path.name}.old")
+    old, discarded = (path.with_name(f".{path.name}.{what}") for what in ("old", "discarded"))
+    shutil.rmtree(discarded, ignore_errors=True)  # a process died while it removed the previous content
     if old.exists():  # a process died, and has left half of the new folder
         shutil.rmtree(path, ignore_errors=True)
         old.rename(path)
     if path.exists() and not overwrite:
         raise DemonstrationError(f"there is a data set {path} already; give it another id, or overwrite it (--force)")
-    highest = next((folder for folder in reversed((path, *path.parents)) if not folder.exists()), path)
+    missing = [folder for folder in path.parents if not folder.exists()]
     if path.exists():
         path.rename(old)
     try:
         yield
     except BaseException:
-        shutil.rmtree(highest, ignore_errors=True)
+        shutil.rmtree(path, ignore_errors=True)
+        for folder in missing:
+            _remove_unused(folder)
         if old.exists():
             old.rename(path)
         raise
-    shutil.rmtree(old, ignore_errors=True)
+    if old.exists():
+        old.rename(discarded)  # from here on, the new content counts
+        shutil.rmtree(discarded, ignore_errors=True)
+
+
+def _remove_unused(folder: Path) -> None:
+    """Removes a folder of Minari's unless it holds a data set or a folder, which another process may have made."""
+    with suppress(OSError):
+        if {path.name for path in folder.iterdir()} <= {NAMESPACE}:
+            (folder / NAMESPACE).unlink(missing_ok=True)
+            folder.rmdir()
 
 
 def _episode(demo: Demonstration, number: int, preset: str) -> dict[str, Any]:

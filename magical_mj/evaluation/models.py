@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import io
 import json
-import pickle
 import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -22,6 +21,7 @@ from gymnasium import spaces
 from magical_mj.actions import ACTIONS
 from magical_mj.episodes import Episode
 from magical_mj.errors import MissingExtraError, SettingsError
+from magical_mj.evaluation.playing import reason
 from magical_mj.evaluation.policies import Shape
 from magical_mj.extras import missing_extra
 
@@ -57,19 +57,18 @@ class Model:
 def load_sb3(path: Path, trust: bool = False) -> Model:
     """The policy of a stable-baselines3 archive; it acts deterministically."""
     try:
+        import stable_baselines3  # noqa: F401
         import torch
     except ModuleNotFoundError:
         raise MissingExtraError(f"{path} needs stable-baselines3: pip install stable-baselines3") from None
     torch.set_num_threads(1)  # sums depend on how they are split, and workers share the cores
+    data, weights = _content(path)
     try:
-        with zipfile.ZipFile(path) as archive:
-            data = json.loads(archive.read("data"))
-            weights = torch.load(io.BytesIO(archive.read("policy.pth")), map_location="cpu", weights_only=True)
-    except (zipfile.BadZipFile, KeyError, ValueError) as error:
-        raise SettingsError(f"{path} is not a stable-baselines3 archive: {error}") from error
-    except (pickle.UnpicklingError, RuntimeError) as error:
-        raise SettingsError(f"{path} has weights that are not tensors; it is not loaded") from error
-    policy = _trusted(path) if trust else _rebuilt(path, data, weights)
+        policy = _trusted(path) if trust else _rebuilt(path, data, weights)
+    except SettingsError:
+        raise
+    except Exception as error:
+        raise SettingsError(f"{path} does not say how its network is built: {reason(error)}") from error
     if not isinstance(policy.action_space, spaces.Discrete) or policy.action_space.n != len(ACTIONS):
         raise SettingsError(f"{path} acts in {policy.action_space}, and the environments in Discrete({len(ACTIONS)})")
     try:
@@ -78,6 +77,27 @@ def load_sb3(path: Path, trust: bool = False) -> Model:
         raise SettingsError(f"{path} is not of a standard network; {TRUST}") from error
     policy.set_training_mode(False)
     return Model(lambda observations: _best_actions(policy, observations), _accepted(policy.observation_space))
+
+
+def _content(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The JSON and the weights of a stable-baselines3 archive; if it is damaged, reading it may raise anything."""
+    import torch
+
+    try:
+        with zipfile.ZipFile(path) as archive:
+            data, packed = _named(json.loads(archive.read("data"))), archive.read("policy.pth")
+    except Exception as error:
+        raise SettingsError(f"{path} is not a stable-baselines3 archive: {reason(error)}") from error
+    try:
+        return data, _named(torch.load(io.BytesIO(packed), map_location="cpu", weights_only=True))
+    except Exception as error:
+        raise SettingsError(f"{path} has weights that are not tensors; it is not loaded") from error
+
+
+def _named(values: Any) -> dict[str, Any]:
+    if not isinstance(values, dict):
+        raise TypeError(f"a {type(values).__name__} where names and values should be")
+    return values
 
 
 def _best_actions(policy: Any, observations: Any) -> Any:

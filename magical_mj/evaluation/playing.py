@@ -110,8 +110,9 @@ def _observation(result: Any) -> Any:
 
 
 def reason(error: BaseException) -> str:
-    """One line about an error."""
-    return " ".join(f"{type(error).__name__}: {error}".split())[:REASON_LENGTH]
+    """One line about an error, which can be encoded: Python shows bytes of file names as characters that cannot."""
+    text = " ".join(f"{type(error).__name__}: {error}".split())
+    return text.encode(errors="backslashreplace").decode()[:REASON_LENGTH]
 
 
 class Copies:

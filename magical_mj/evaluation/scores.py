@@ -218,12 +218,17 @@ def prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[Score]
         except OSError as error:
             raise EvaluationError(f"cannot write into {folder}: {error.strerror}") from error
         return []
-    check_unchanged(folder, _read_settings(folder), settings)
+    check_unchanged(folder, read_settings(folder), settings)
     with ScoreFile(folder):  # repairs the last line
         return read(folder) if (folder / SCORES).stat().st_size else []
 
 
-def _read_settings(folder: Path) -> dict[str, Any]:
+def read_settings(folder: Path) -> dict[str, Any]:
+    """The settings with which the evaluation in a folder was started.
+
+    Raises:
+        EvaluationError: if they cannot be read.
+    """
     try:
         known = dict(json.loads((folder / SETTINGS).read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError, RecursionError) as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterator, Sequence
 from numbers import Integral
 from typing import Final, Literal, TypeVar, get_args
@@ -14,6 +15,8 @@ BACKENDS: Final[tuple[str, ...]] = get_args(Backend)
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
+
+_DASK: Final = re.compile(r"(\w+://)?[^/]+:\d+|inproc://.+")
 
 __all__ = ["BACKENDS", "Backend", "check_backend", "cores", "spread"]
 
@@ -28,8 +31,10 @@ def check_backend(backend: str, jobs: int | None, address: str | None) -> None:
     check_name("backend", backend, BACKENDS)
     if jobs is not None and (not isinstance(jobs, Integral) or jobs < 1):
         raise SettingsError(f"jobs must be an integer of at least 1, not {shown(jobs)}")
-    if backend == "dask" and not address:
-        raise SettingsError("the dask backend needs the scheduler's address, such as tcp://host:8786")
+    if backend == "dask" and not _DASK.fullmatch(address or ""):
+        raise SettingsError(
+            f"the dask backend needs the scheduler's address, such as tcp://host:8786; not {shown(address)}"
+        )
     if backend == "local" and address:
         raise SettingsError("only clusters have an address: choose the dask or the ray backend")
 

@@ -54,8 +54,8 @@ def _dask_client(address: str | None) -> Any:
         raise missing_extra("the dask backend", "dask") from None
     try:
         return Client(address)
-    except OSError as error:
-        raise WorkerError(f"no dask scheduler answers at {address}") from error
+    except (OSError, ValueError) as error:  # the latter if it is not of the form of an address
+        raise WorkerError(f"no dask scheduler answers at {address}: {error}") from error
 
 
 def _start_ray(address: str | None) -> None:

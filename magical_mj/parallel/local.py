@@ -59,9 +59,9 @@ def spread_here(function: Callable[[Piece], Result], pieces: Sequence[Piece], jo
 
 
 def _attend(worker: _Worker, todo: queue.SimpleQueue[Any], done: queue.SimpleQueue[Answer]) -> None:
-    """Gives pieces of work to a worker, one after another, until there are no more."""
+    """Gives pieces of work to a worker, one after another, until there are no more or it is killed."""
     with suppress(queue.Empty):
-        while True:
+        while not worker.killed:
             work = todo.get_nowait()
             try:
                 done.put(worker.do(cloudpickle.dumps(work)))
@@ -70,10 +70,14 @@ def _attend(worker: _Worker, todo: queue.SimpleQueue[Any], done: queue.SimpleQue
 
 
 class _Worker:
-    """A worker process, which is replaced if it dies."""
+    """A worker process, which is replaced if it dies.
+
+    Attributes:
+        killed: whether it was killed for good.
+    """
 
     def __init__(self) -> None:
-        self._lock, self._killed = threading.Lock(), False
+        self._lock, self.killed = threading.Lock(), False
         self._start()
 
     def do(self, piece: bytes) -> Answer:
@@ -100,13 +104,13 @@ class _Worker:
     def kill(self) -> None:
         """Kills the process."""
         with self._lock:
-            self._killed = True
+            self.killed = True
             self._process.kill()
             self._close()
 
     def _start(self) -> None:
         with self._lock:
-            if self._killed:
+            if self.killed:
                 return
             if hasattr(self, "_process"):
                 self._close()
@@ -151,9 +155,18 @@ def _answer(piece: bytes) -> Answer:
         answer = True, function(argument)
         cloudpickle.dumps(answer)
     except Exception as error:  # noqa: BLE001 the caller gets it
-        error.add_note(f"in a worker process:\n{''.join(traceback.format_exception(error))}")
-        return False, error
+        return False, _sendable(error, f"in a worker process:\n{''.join(traceback.format_exception(error))}")
     return answer
+
+
+def _sendable(error: Exception, note: str) -> Exception:
+    """The error, or one that says the same if it does not survive pickling, as those that hold a lock."""
+    try:
+        pickle.loads(cloudpickle.dumps(error))  # noqa: S301 our own
+    except Exception:  # noqa: BLE001 classes may raise anything
+        error = WorkerError(f"a worker process raised {error!r}")
+    error.add_note(note)
+    return error
 
 
 def _send(pipe: IO[bytes] | None, message: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import secrets
 import threading
@@ -28,6 +29,7 @@ class Collection:
 
     Raises:
         OSError: if the folder cannot be made.
+        DemonstrationError: if a demonstration in it is damaged.
     """
 
     def __init__(self, folder: Path, environments: Sequence[tuple[str, str]], wanted: int | None = None) -> None:
@@ -36,10 +38,14 @@ class Collection:
         self._wanted = wanted
         self._lock = threading.Lock()
         folder.mkdir(parents=True, exist_ok=True)
-        names = {f"{task}-{variant}": (task, variant) for task, variant in environments}
-        found = ("-".join(path.name.split("-")[:2]) for path in folder.glob(f"*/*{SUFFIX}"))
-        self._kept = Counter(names[name] for name in found if name in names)
-        self._offered = Counter(self._kept)
+        self._kept = {
+            (task, variant): [
+                demos.read(path, task).scene_seed for path in folder.glob(f"*/{task}-{variant}-*{SUFFIX}")
+            ]
+            for task, variant in environments
+        }
+        self._offered = Counter({pair: len(seeds) for pair, seeds in self._kept.items()})
+        self._seeds = {pair: itertools.count() for pair in environments}
 
     def token(self) -> str:
         """The secret part of the page's address, which stays the same when the server is restarted.
@@ -62,17 +68,20 @@ class Collection:
         return name if isinstance(name, str) and _PARTICIPANT.fullmatch(name) else secrets.token_hex(8)
 
     def next(self) -> dict[str, Any] | None:
-        """The next episode to play: the wanted environment that was offered least often, and its next seed.
+        """The next episode to play: the wanted environment that was offered least often, and a seed that was not kept.
 
         None if there are enough demonstrations of all.
         """
         with self._lock:
-            open_ones = [pair for pair in self._environments if self._wanted is None or self._kept[pair] < self._wanted]
+            open_ones = [
+                pair for pair in self._environments if self._wanted is None or len(self._kept[pair]) < self._wanted
+            ]
             if not open_ones:
                 return None
             task, variant = chosen = min(open_ones, key=lambda pair: self._offered[pair])
             self._offered[chosen] += 1
-            return {"task": task, "variant": variant, "seed": self._offered[chosen] - 1}
+            seed = next(seed for seed in self._seeds[chosen] if seed not in self._kept[chosen])
+            return {"task": task, "variant": variant, "seed": seed}
 
     def keep(self, recording: str, participant: str) -> float:
         """Replays a recording and saves it as a demonstration before it returns; the same one counts once.
@@ -92,5 +101,6 @@ class Collection:
         with self._lock:
             again = demos.kept(demo, self._folder / participant) is not None
             demos.keep(demo, self._folder / participant)
-            self._kept[pair] += not again
+            if not again:
+                self._kept[pair].append(demo.scene_seed)
         return demo.score

@@ -81,11 +81,14 @@ class PlayServer:
     @property
     def address(self) -> str:
         """The page's address, once the server has started."""
-        return f"{self.origin or self._own_origins()[0]}/{self.token}/"
+        return f"{self._origins()[0]}/{self.token}/"
 
-    def _own_origins(self) -> list[str]:
+    def _origins(self) -> list[str]:
+        """Those of the page, as browsers send them: IPv6 addresses in brackets, and no port that is the default."""
         host = "localhost" if self.host in ("0.0.0.0", "::") else self.host  # noqa: S104 (compared, not bound)
-        return [f"http://{name}:{self.port}" for name in dict.fromkeys((host, "localhost"))]
+        names = dict.fromkeys((f"[{host}]" if ":" in host else host, "localhost"))
+        origins = [self.origin] if self.origin else [f"http://{name}:{self.port}" for name in names]
+        return [origin.removesuffix(":443" if origin.startswith("https:") else ":80") for origin in origins]
 
     def _respond(self, _connection: ServerConnection, request: Request) -> Response | None:
         """The response with a file or a refusal; None if a WebSocket may be opened."""
@@ -94,8 +97,8 @@ class PlayServer:
         if not secrets.compare_digest(start.encode(), self.token.encode()) or path == f"/{self.token}":
             return _response(HTTPStatus.FORBIDDEN)
         if name == "socket":
-            allowed = [self.origin] if self.origin else self._own_origins()
-            return None if request.headers.get("Origin") in allowed else _response(HTTPStatus.FORBIDDEN)
+            ours = request.headers.get("Origin") in self._origins()
+            return None if ours else _response(HTTPStatus.FORBIDDEN)
         content = self._content(name)
         if content is None:
             return _response(HTTPStatus.NOT_FOUND)
