@@ -11,6 +11,7 @@ from evaluations import TEMPLATE, example, write
 
 from magical_mj.errors import EvaluationError, SettingsError
 from magical_mj.evaluation.compare import compare
+from magical_mj.evaluation.report import report
 from magical_mj.evaluation.scores import Score
 
 
@@ -70,3 +71,15 @@ def test_scores_of_different_kinds_are_not_compared(different: dict[str, Any], t
     other = write(tmp_path / "other", [replace(score, **different) for score in example()])
     with pytest.raises(EvaluationError, match=f"different {next(iter(different))}"):
         compare(f"{one}:noop", f"{other}:noop")
+
+
+def test_scores_in_different_worlds_are_not_compared(tmp_path: Path) -> None:
+    """A protocol draws other scenes from the same seeds; older files do not say which scenes they were."""
+    one, other, older = (
+        write(tmp_path / str(scene), [replace(TEMPLATE, policy=str(scene), scene=scene)]) for scene in ("a", "b", None)
+    )
+    with pytest.raises(EvaluationError, match="different scenes in FindDupe Demo, seed 0: a in a, b in b"):
+        compare(one, other)
+    assert compare(one, older)["scenes"].tolist() == [1, 1]
+    with pytest.raises(EvaluationError, match=r"different scenes in FindDupe Demo, seed 0: a in .*a, b in .*b;"):
+        report([one, older, other], tmp_path / "out")

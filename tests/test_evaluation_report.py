@@ -164,7 +164,19 @@ def test_empty_and_missing_folders_are_explained(tmp_path: Path) -> None:
     (tmp_path / SCORES).write_text("")
     with pytest.raises(EvaluationError, match="no finished episode"):
         report([tmp_path], tmp_path / "out")
+    with pytest.raises(EvaluationError, match="give at least one folder"):
+        report([], tmp_path / "out")
+    write(tmp_path, [replace(example()[0], variant="Foo")])
+    with pytest.raises(EvaluationError, match="holds results in the variant 'Foo'; there are: Demo, "):
+        report([tmp_path], tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_the_paper_s_methods_keep_their_names(tmp_path: Path) -> None:
+    folder = write(tmp_path / "scores", [replace(score, policy="BC (ST)") for score in example()[:4]])
+    with pytest.raises(EvaluationError, match=r"the paper has methods named 'BC \(ST\)' as well: evaluate yours under"):
+        report([folder], tmp_path / "out", with_published=True)
+    assert "| BC (ST) |" in report([folder], tmp_path / "out").read_text()
 
 
 def test_mixed_rules_are_refused(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import signal
 import threading
 import time
@@ -19,7 +20,8 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 import magical_mj
 from magical_mj.episodes import LETTERS, actions_of
 from magical_mj.errors import SettingsError, UnknownNameError
-from magical_mj.evaluation import Episode, rollouts
+from magical_mj.evaluation import Episode, Evaluation, EvaluationSettings, rollouts
+from magical_mj.evaluation.scores import read
 
 TESTS = Path(__file__).parent
 
@@ -39,6 +41,21 @@ def test_scores_are_those_of_a_plain_loop() -> None:
             taken.append(policy(observation))
             observation, _, _, done, info = env.step(taken[-1])
         assert (row.score, row.steps, actions_of(row.actions)) == (info["eval_score"], 120, taken)
+
+
+def test_playing_goes_on_where_it_was_abandoned(tmp_path: Path) -> None:
+    evaluation, late = (
+        Evaluation(
+            "noop", EvaluationSettings(tasks="FixColour", variants="Demo", episodes=3, out=tmp_path, resume=True)
+        )
+        for _ in range(2)
+    )
+    first = next(evaluation.play())
+    assert [score.seed for score in evaluation.play()] == [1, 2]
+    assert read(tmp_path) == evaluation.scores
+    assert evaluation.scores[0] == first
+    assert list(late.play()) == []
+    assert late.scores == evaluation.scores
 
 
 def test_order_and_company_do_not_matter() -> None:
@@ -200,6 +217,16 @@ def test_after_an_interruption_nothing_is_mixed_up() -> None:
 # what is asked for
 
 
+class Holding:
+    """Holds something that belongs to this process."""
+
+    def __init__(self, thing: Any) -> None:
+        self.thing = thing
+
+    def __call__(self, observation: Any) -> int:
+        return 0
+
+
 @pytest.mark.parametrize(
     ("policy", "settings", "hint"),
     [
@@ -235,6 +262,8 @@ def test_after_an_interruption_nothing_is_mixed_up() -> None:
         ("agents:Needy", {}, "is a class, and calling it fails: TypeError"),
         (agents.Needy, {}, "is a class, and calling it fails: TypeError"),
         ("leaving:act", {}, "cannot be imported: SystemExit: 3"),
+        (Holding(threading.Lock()), {"envs": 2, "jobs": 1}, "cannot be copied for episodes side by side (TypeEr"),
+        (Holding(ctypes.pointer(ctypes.c_int())), {"jobs": 2}, "cannot be sent to other processes (ValueError"),
         (agents.Seeing((97,)), {}, "observations of shape (97,), and LoRes4E gives (96, 96, 12): no preset"),
         (agents.Seeing((None, 96, 12)), {"preset": "State"}, "give --preset LoRes4E or LoRes4A or LoRes3EA"),
         (agents.Seeing((96, 96, 12)), {"preset": ""}, "gives a dict: give --preset LoRes4E"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,9 +16,11 @@ from entries import EPISODES, rewrite, tampered_score, whole
 
 import magical_mj
 from magical_mj.cli import main
+from magical_mj.evaluation.tables import NONE
 from magical_mj.leaderboard import Entry, submit
 from magical_mj.leaderboard.claims import Claim
 from magical_mj.leaderboard.page import write_pages
+from magical_mj.leaderboard.sections import tables
 from magical_mj.leaderboard.standings import improvement, rules_of, standing, standings
 from magical_mj.registry import ENVIRONMENTS
 
@@ -46,7 +49,23 @@ def test_scores_are_interquartile_means_over_environments_and_runs() -> None:
     assert found.scores["all environments"].value == pytest.approx(0.5)
     assert found.scores["all environments"].low < 0.5 < found.scores["all environments"].high
     assert set(found.scores) == {"all environments", *magical_mj.VARIANTS}
-    np.testing.assert_allclose(found.profile[[0, 25, 50]], [1, 0.6, 0.2])
+    np.testing.assert_allclose(found.profile[[0, 50, 100]], [1, 0.6, 0.2])
+
+
+def test_profiles_count_what_reaches_the_threshold() -> None:
+    """By hand: in a hundred episodes, k successes are a mean of k %, wherever floating point puts it."""
+    found = standing(whole(runs=1))
+    for count in range(101):
+        mean = np.mean([1.0] * count + [0.0] * (100 - count), keepdims=True)
+        reached = replace(found, means={("FindDupe", "Demo"): mean}).profile
+        assert reached.tolist() == [1.0] * (count + 1) + [0.0] * (100 - count)
+
+
+def test_profiles_are_shown_at_their_thresholds() -> None:
+    found = standing(scored(whole(runs=1), lambda episode: 0.245))
+    (shown,) = [table for table in tables([found]) if table.name == "profiles"]
+    assert shown.header[1:4] == ("0.1", "0.25", "0.5")
+    assert shown.groups[0][1][0][1:4] == ("1.00", "0.00", "0.00")
 
 
 def test_only_the_seeds_of_the_protocol_count() -> None:
@@ -77,7 +96,11 @@ def test_probability_of_improvement() -> None:
     assert improvement(mixed, nothing).value == 1
     assert improvement(nothing, mixed).value == 0
     assert improvement(half, half).value == 0.5
-    assert improvement(half, replace(half, means={})).value != improvement(half, half).value  # nothing in common: NaN
+    assert np.isnan(improvement(half, replace(half, means={})).value)  # nothing in common
+    strict = standing(replace(whole(runs=2), rules="released"))
+    assert np.isnan(improvement(half, strict).value)
+    (shown,) = [table for table in tables([half, strict]) if table.name == "improvement"]
+    assert [row[1:] for row in shown.groups[0][1]] == [(NONE, NONE)] * 2
 
 
 def test_partial_entries_with_all_environments_come_first() -> None:
@@ -119,6 +142,36 @@ def test_pages_need_nothing_from_elsewhere_and_trust_no_text(tmp_path: Path) -> 
     parser = Balanced()
     parser.feed(html)
     assert parser.open == []
+
+
+@pytest.mark.parametrize("name", ["leaderboard.html", "leaderboard.md"])
+def test_pages_of_others_are_kept(name: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """And the command says so before it replays anything; pages of its own are replaced."""
+    submit([folder], tmp_path / "entry.json.gz")
+    for _ in range(2):
+        assert main(["leaderboard", str(tmp_path)]) == 0
+    (tmp_path / name).write_text("# Mine, on the leaderboard\n")
+    capsys.readouterr()
+    assert main(["leaderboard", str(tmp_path)]) == 1
+    out, error = capsys.readouterr()
+    assert (out, f"{name} is not a page of an earlier leaderboard: move it" in error) == ("", True)
+    assert (tmp_path / name).read_text() == "# Mine, on the leaderboard\n"
+    assert main(["leaderboard", str(tmp_path), "--out", "/dev/null/pages"]) == 1
+    out, error = capsys.readouterr()
+    assert (out, "cannot write into /dev/null/pages" in error) == ("", True)
+
+
+def test_a_sample_is_repeated_by_its_seed(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rewrite(folder, lambda rows: [row.update(score=0.5) for row in rows])
+    submit([folder], tmp_path / "entry.json.gz")
+    assert main(["leaderboard", str(tmp_path)]) == 1
+    out, error = capsys.readouterr()
+    (seed,) = re.findall(r"--seed (\d+) chooses the same again", out)
+    assert "entry.json.gz differs: run 0, MoveToRegion Layout" in error
+    assert main(["leaderboard", str(tmp_path), "--seed", seed]) == 1
+    assert capsys.readouterr().err == error
+    assert main(["leaderboard", str(tmp_path), "--all", "--seed", seed]) == 2
+    assert "--seed has an effect only without --all" in capsys.readouterr().err
 
 
 class Balanced(HTMLParser):
@@ -165,6 +218,7 @@ def test_a_leaderboard_names_bad_entries_and_shows_the_others(
     assert f"good.json.gz: expert; {EPISODES} episodes replayed" in capsys.readouterr().out
     (entries / "cut.json.gz").write_bytes((entries / "good.json.gz").read_bytes()[:-20])
     (entries / "folder.json.gz").mkdir()
+    (entries / "half.json.gz").write_bytes(gzip.compress(b'{"card": "\\ud800"}'))
     rewrite(folder, tampered_score)
     (tmp_path / "card.toml").write_text('method = "Liar"')
     submit([folder], entries / "lie.json.gz", card=tmp_path / "card.toml")
@@ -172,8 +226,9 @@ def test_a_leaderboard_names_bad_entries_and_shows_the_others(
     error = capsys.readouterr().err
     assert "cut.json.gz cannot be read" in error
     assert "folder.json.gz cannot be read: Is a directory" in error
+    assert "half.json.gz cannot be read: 'utf-8' codec" in error
     assert "lie.json.gz differs: run 0, MoveToRegion Layout, seed 2: the score is 0.5" in error
-    assert "entries that are not what they claim, and are not on the page: 3" in error
+    assert "entries that are not what they claim, and are not on the page: 4" in error
     text = (tmp_path / "pages" / "leaderboard.md").read_text()
     assert "| expert | paper | the simulation |" in text
     assert "Liar" not in text

@@ -14,6 +14,7 @@ from entries import EPISODES, TAMPERED, Row, rewrite, whole
 
 import magical_mj
 from magical_mj.errors import EvaluationError, SettingsError, UnknownNameError
+from magical_mj.evaluation.scores import SETTINGS
 from magical_mj.leaderboard import check_entry, submit
 from magical_mj.leaderboard.claims import Claim, missing
 from magical_mj.leaderboard.entry import packed, unpacked
@@ -86,6 +87,8 @@ def content(path: Path) -> dict[str, Any]:
         ({"surprise": 1}, "does not follow the schema"),
         ({"environments": {"FindDupe-Everything": [[0, 0, None, 0, "", None]]}}, "which is no environment"),
         ({"environments": {"FindDupe-All": [[0, 0, None, 2, "", None]]}}, r"at \$.environments.*2 is greater"),
+        ({"environments": {"FindDupe-All": [[0, 1.0, None, 0, "", None]]}}, "in FindDupe-All that are not written as"),
+        ({"observations": "\ud800"}, "entry.json.gz cannot be read: 'utf-8' codec"),
     ],
 )
 def test_what_is_no_entry_is_named(folder: Path, tmp_path: Path, change: dict[str, Any], problem: str) -> None:
@@ -124,14 +127,15 @@ def test_an_entry_with_a_proper_hash_is_still_replayed(
     assert problem in found.differing[-1]
 
 
-def test_a_random_part_is_checked_and_always_the_same(tmp_path: Path) -> None:
-    """A tenth of 200 episodes that all lie."""
+def test_a_random_part_is_checked(tmp_path: Path) -> None:
+    """A tenth of 200 episodes that all lie; only who knows the seed can tell which."""
     episodes = [Claim(0, "MoveToRegion", "Demo", seed, None, 0.7, "a" * 40, None) for seed in range(200)]
     entry = replace(unpacked(packed(whole(runs=1))), episodes=episodes)
     (tmp_path / "entry.json.gz").write_bytes(packed(entry))
-    found, again = (check_entry(tmp_path / "entry.json.gz")[1] for _ in range(2))
+    found, again, *others = (check_entry(tmp_path / "entry.json.gz", seed=seed)[1] for seed in (0, 0, 1, None, None))
     assert len(found.differing) == found.episodes == 20
     assert found.differing == again.differing
+    assert len({tuple(sorted(one.differing)) for one in (found, *others)}) == 4
 
 
 def test_an_entry_without_the_protocol_s_scenes_is_not_shown(tmp_path: Path) -> None:
@@ -151,7 +155,9 @@ def test_an_entry_without_the_protocol_s_scenes_is_not_shown(tmp_path: Path) -> 
         ("method = 2020-01-01", {}, SettingsError, "method is not valid in .*card.toml"),
         ('links = "https://example.org"', {}, SettingsError, "links is not valid"),
         ('training = "long"', {}, SettingsError, "training in .* must be a table with hours"),
-        ("[training]\nhours = nan", {}, SettingsError, "training.hours must be a number"),
+        ("[training]\nhours = nan", {}, SettingsError, "training.hours must be a finite number"),
+        ("[training]\nhours = inf", {}, SettingsError, "training.hours must be a finite number, and is inf"),
+        ("", {"folders": []}, SettingsError, "give at least one folder"),
         ("", {"policy": "nobody"}, UnknownNameError, "unknown policy 'nobody'"),
         ("", {"out": "entry.json"}, SettingsError, "must end in .json.gz"),
     ],
@@ -161,7 +167,16 @@ def test_bad_submissions_are_explained(
 ) -> None:
     (tmp_path / "card.toml").write_text(card)
     with pytest.raises(error, match=problem):
-        submit([folder], **{"out": tmp_path / "entry.json.gz", "card": tmp_path / "card.toml", **arguments})
+        submit(**{"folders": [folder], "out": tmp_path / "entry.json.gz", "card": tmp_path / "card.toml", **arguments})
+
+
+@pytest.mark.parametrize("number", [[1], "1", True, 0])
+def test_a_protocol_that_is_no_number_is_explained(folder: Path, tmp_path: Path, number: object) -> None:
+    settings = json.loads((folder / SETTINGS).read_text())
+    (folder / SETTINGS).write_text(json.dumps({**settings, "protocol": number}))
+    with pytest.raises(EvaluationError, match=r"the protocol in .*run.json must be a number such as 1, and is"):
+        submit([folder], tmp_path / "entry.json.gz")
+    assert not (tmp_path / "entry.json.gz").exists()
     assert not list(tmp_path.glob("entry*"))
 
 
@@ -175,14 +190,16 @@ def test_an_entry_is_extended_by_further_runs(folder: Path, tmp_path: Path) -> N
     (tmp_path / "card.toml").write_text(CARD)
     submit([folder], tmp_path / "one.json.gz", card=tmp_path / "card.toml")
     rewrite(folder, lambda rows: [row.update(run=1, mujoco="3.18.0") for row in rows])
-    two = submit([folder], tmp_path / "two.json.gz", extend=tmp_path / "one.json.gz")
+    with pytest.raises(SettingsError, match=r"is of 'Oracle', and the folders hold 'expert': .*\(--policy expert, or"):
+        submit([folder], tmp_path / "two.json.gz", extend=tmp_path / "one.json.gz")
+    two = submit([folder], tmp_path / "two.json.gz", policy="expert", extend=tmp_path / "one.json.gz")
     entry, found = check_entry(tmp_path / "two.json.gz", everything=True)
     assert entry == replace(two, episodes=sorted(two.episodes))
     assert (entry.runs, found.episodes, found.differing) == ([0, 1], 2 * EPISODES, [])
     assert entry.card == check_entry(tmp_path / "one.json.gz")[0].card
     assert len(entry.versions["mujoco"]) == 2
     with pytest.raises(EvaluationError, match=r"two.json.gz with these folders holds an episode twice"):
-        submit([folder], tmp_path / "three.json.gz", extend=tmp_path / "two.json.gz")
+        submit([folder], tmp_path / "three.json.gz", policy="expert", extend=tmp_path / "two.json.gz")
     (tmp_path / "card.toml").write_text('method = "Another"')
     with pytest.raises(FileNotFoundError):
         submit([folder], tmp_path / "three.json.gz", extend=tmp_path / "none.json.gz")

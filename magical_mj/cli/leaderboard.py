@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,13 +12,13 @@ import typer
 from rich import progress as bars
 from rich.console import Console
 
-from magical_mj.cli.console import LABEL, Jobs, claim_folder, complain, console
+from magical_mj.cli.console import LABEL, Jobs, check_fits, claim_folder, complain, console
 from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.scores import read
 from magical_mj.leaderboard import Findings, check_entry, submit, verify
 from magical_mj.leaderboard.check import entries
 from magical_mj.leaderboard.claims import Checked
-from magical_mj.leaderboard.page import write_pages
+from magical_mj.leaderboard.page import check_free, write_pages
 from magical_mj.leaderboard.standings import standings
 
 SHOWN: Final = 20
@@ -26,11 +27,17 @@ SHOWN: Final = 20
 Entries = Annotated[Path, typer.Argument(help="The folder with the entries (*.json.gz).", show_default=False)]
 Pages = Annotated[Path | None, typer.Option("--out", help="The folder for the pages.", show_default="FOLDER")]
 All = Annotated[bool, typer.Option("--all", help="Replay all episodes of each entry, not only a random tenth.")]
+Sample = Annotated[
+    int | None, typer.Option("--seed", min=0, help="Chooses the tenth.", show_default="another each time")
+]
 Folder = Annotated[Path, typer.Argument(help="The folder of an evaluation.", show_default=False)]
 Folders = Annotated[list[Path], typer.Argument(help="Folders of evaluations of one method.", show_default=False)]
 Out = Annotated[Path, typer.Option(help="The entry's file, which ends in .json.gz.", show_default=False)]
 Card = Annotated[Path | None, typer.Option(help="A TOML file that describes the method; see docs/leaderboard.md.")]
-Name = Annotated[str | None, typer.Option("--policy", help="The method to submit, if the folders hold several.")]
+Name = Annotated[
+    str | None,
+    typer.Option("--policy", help="The method to submit, if the folders hold several or EXTEND calls it otherwise."),
+]
 Extend = Annotated[Path | None, typer.Option(help="An earlier entry, to whose episodes these are added.")]
 
 
@@ -60,14 +67,27 @@ def make_entry(folders: Folders, out: Out, card: Card = None, policy: Name = Non
     screen.print(out, soft_wrap=True)
 
 
-def make_leaderboard(folder: Entries, out: Pages = None, everything: All = False, jobs: Jobs = None) -> None:
+def make_leaderboard(
+    context: typer.Context,
+    folder: Entries,
+    out: Pages = None,
+    everything: All = False,
+    seed: Sample = None,
+    jobs: Jobs = None,
+) -> None:
     """Check all entries in a folder, and write the leaderboard: leaderboard.html and leaderboard.md."""
+    check_fits(context, not everything, "without --all", "seed")
+    paths, pages = list(entries(folder)), out or folder
+    check_free(claim_folder(pages))
     screen = console()
+    if not everything:
+        seed = secrets.randbits(32) if seed is None else seed
+        screen.print(f"a tenth of each entry's episodes is replayed; --seed {seed} chooses the same again")
     good, bad = [], 0
-    for path in entries(folder):
+    for path in paths:
         with _bar(screen, f"checking {path.name}", None) as watch:
             try:
-                entry, found = check_entry(path, everything=everything, jobs=jobs, watch=watch)
+                entry, found = check_entry(path, everything=everything, seed=seed, jobs=jobs, watch=watch)
             except EvaluationError as error:
                 complain(str(error))
                 bad += 1
@@ -77,7 +97,7 @@ def make_leaderboard(folder: Entries, out: Pages = None, everything: All = False
             bad += 1
         else:
             good.append(entry)
-    for page in write_pages(standings(good), claim_folder(out or folder)):
+    for page in write_pages(standings(good), pages):
         screen.print(page, soft_wrap=True)
     if bad:
         raise EvaluationError(f"entries that are not what they claim, and are not on the page: {bad}")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from magical_mj.errors import EvaluationError, SettingsError
-from magical_mj.evaluation.results import check_same
+from magical_mj.evaluation.results import check_same, check_scenes
 from magical_mj.evaluation.scores import Score, read
 from magical_mj.evaluation.statistics import mean_interval
 from magical_mj.extras import check_extra
@@ -54,8 +54,8 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
 
     Raises:
         SettingsError: if the choice of policies is ambiguous.
-        EvaluationError: if they were scored by different rules or in different kinds of worlds, or have no scene in
-            common.
+        EvaluationError: if they were scored by different rules or in different kinds of worlds, their seeds' scenes
+            differ, or they have no scene in common.
     """
     check_extra("comparisons", "eval")
     import pandas as pd
@@ -64,6 +64,7 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
     found = [(score, name) for name, scores in sides for score in scores]
     check_same(found, "rules", "they cannot be compared")
     check_same(found, "worlds", "scores of batched worlds are approximate, and compared among themselves")
+    check_scenes(found)
     both = pd.concat([_by_scene(scores) for _, scores in sides], axis=1, keys=["first", "second"])
     paired = both.dropna()
     if paired.empty:

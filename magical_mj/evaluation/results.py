@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from magical_mj.errors import EvaluationError
+from magical_mj.errors import EvaluationError, shown
 from magical_mj.evaluation.scores import Key, Score, frame, read
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.evaluation.statistics import COLUMNS, by_environment, by_variant
@@ -55,11 +55,18 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False) -> list[Score]:
     """The scores of all folders.
 
     Raises:
-        EvaluationError: if a folder is not an evaluation, two hold the same episode, or rules or presets differ.
+        EvaluationError: if there are no folders, one is not an evaluation or names an unknown variant, two hold the
+            same episode, or rules, presets or scenes differ.
     """
+    if not folders:
+        raise EvaluationError("give at least one folder of an evaluation")
     found: dict[Key, tuple[Score, Path]] = {}
     for folder in folders:
         for score in read(folder):
+            if score.variant not in VARIANTS:
+                raise EvaluationError(
+                    f"{folder} holds results in the variant {shown(score.variant)}; there are: {', '.join(VARIANTS)}"
+                )
             if score.key in found:
                 raise EvaluationError(
                     f"{found[score.key][1]} and {folder} both hold run {score.run} of {score.policy} in {score.task} "
@@ -71,6 +78,7 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False) -> list[Score]:
     check_same(found.values(), "worlds", "scores of batched worlds are approximate, and reported by themselves")
     if not mixed_presets:
         check_same(found.values(), "preset", "--mixed-presets (mixed_presets=True) reports them together anyway")
+    check_scenes(found.values())
     return scores
 
 
@@ -91,15 +99,40 @@ def check_same(found: Iterable[tuple[Score, object]], what: str, consequence: st
         raise EvaluationError(f"different {what}: {kinds}; {consequence}")
 
 
+def check_scenes(found: Iterable[tuple[Score, object]]) -> None:
+    """Raises an `EvaluationError` if a seed's scene has two digests: of other worlds, scores do not compare.
+
+    Args:
+        found: scores and their sources. Scenes whose digest was not recorded match any.
+    """
+    known: dict[tuple[str, str, int], tuple[str, object]] = {}
+    for score, folder in found:
+        if score.scene is not None:
+            scene, where = known.setdefault((score.task, score.variant, score.seed), (score.scene, folder))
+            if scene != score.scene:
+                raise EvaluationError(
+                    f"different scenes in {score.task} {score.variant}, seed {score.seed}: {scene} in {where}, "
+                    f"{score.scene} in {folder}; they follow different protocols, and their scores do not compare: "
+                    "evaluate both with one version"
+                )
+
+
 def results(folders: Sequence[Path], with_published: bool = False, mixed_presets: bool = False) -> Results:
     """The data of a report on these folders.
 
     Raises:
-        EvaluationError: as `gather`.
+        EvaluationError: as `gather`, or if a method has the name of a published one, and these are shown as well.
     """
     import pandas as pd
 
     scores = frame(gather(folders, mixed_presets))
+    theirs = list(dict.fromkeys(published_results()["policy"])) if with_published else []
+    taken = [name for name in dict.fromkeys(scores["policy"]) if name in theirs]
+    if taken:
+        raise EvaluationError(
+            f"the paper has methods named {', '.join(map(repr, taken))} as well: evaluate yours under another name "
+            "(--policy NAME=...), or leave out the published results"
+        )
     rules = str(scores["rules"].iloc[0])
     environments = by_environment(scores).assign(published=False, rules=rules)
     counted = scores[scores["task"].isin(counted_tasks(scores))]
@@ -108,9 +141,7 @@ def results(folders: Sequence[Path], with_published: bool = False, mixed_presets
         marks = {"published": True, "rules": PUBLISHED_RULES}
         environments = pd.concat([environments, published_by_environment().assign(**marks)])
         variants = pd.concat([variants, published_by_variant().assign(**marks)])
-    order = list(dict.fromkeys(scores["policy"])) + (
-        [] if not with_published else list(dict.fromkeys(published_results()["policy"]))
-    )
+    order = [*dict.fromkeys(scores["policy"]), *theirs]
     environments = _sorted(environments, order)
     variants = _sorted(variants, order)
     variants["missing"] = [_missing(counted, row) for row in variants.itertuples()]

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
-import pickle
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import cloudpickle
 import mujoco
 
 from magical_mj._version import __version__
 from magical_mj.episodes import is_blind
 from magical_mj.errors import EvaluationError, SettingsError, WorkerError
-from magical_mj.evaluation.loading import sources
-from magical_mj.evaluation.policies import check_fit
-from magical_mj.evaluation.scores import Score, ScoreFile, frame, prepare
+from magical_mj.evaluation.loading import Source, sources
+from magical_mj.evaluation.playing import reason
+from magical_mj.evaluation.policies import BatchPolicy, check_fit
+from magical_mj.evaluation.scores import SCORES, Score, ScoreFile, frame, prepare, read
 from magical_mj.evaluation.settings import EvaluationSettings, described, settings_from
-from magical_mj.evaluation.worker import plan, play_unit, player
+from magical_mj.evaluation.worker import Unit, plan, play_unit, player
 from magical_mj.extras import check_extra
 from magical_mj.parallel import cores, spread
 
@@ -77,7 +79,7 @@ class Evaluation:
     Attributes:
         settings: the settings of the evaluation.
         scores: the scores of the finished episodes.
-        units: the work that remained when it was made.
+        units: the work that remained when it was made, or when `play` was called last.
     """
 
     def __init__(self, policy: Any, settings: EvaluationSettings) -> None:
@@ -94,20 +96,29 @@ class Evaluation:
             check_fit(policy, settings.environments, settings.preset)
             if settings.batched and is_blind(policy):
                 raise SettingsError(f"{source.name} uses no observations: it plays in single worlds only")
+            if settings.batched or settings.envs > 1:
+                _check_copies(source.name, policy)
         self._out = None if settings.out is None else Path(settings.out)
         recorded = {"policies": [source.describe() for source in listed], **settings.recorded()}
         self.scores = [] if self._out is None else prepare(self._out, recorded, settings.resume)
-        self.units = plan(listed, settings, {score.key for score in self.scores})
+        self._sources = listed
+        self.units = self._remaining()
 
     def play(self) -> Iterator[Score]:
         """Plays the remaining episodes and yields each score once it is in the file."""
         with ScoreFile(self._out) if self._out else nullcontext() as file:
+            if self._out and (self._out / SCORES).stat().st_size:
+                self.scores = read(self._out)  # to which another process may have added some by now
+            self.units = self._remaining()
             for found in _without_hopeless(self._play_units(), {(score.policy, score.run) for score in self.scores}):
                 _check_versions(found)
                 if file is not None:
                     file.add(found)
                 self.scores += found
                 yield from found
+
+    def _remaining(self) -> list[Unit]:
+        return plan(self._sources, self.settings, {score.key for score in self.scores})
 
     def _play_units(self) -> Iterator[list[Score]]:
         """The scores of all units in order of completion."""
@@ -122,14 +133,34 @@ class Evaluation:
             finally:
                 player().release()
             return
+        for source in self._sources:
+            _check_pickles(source)
         try:
             yield from spread(play_unit, self.units, jobs, backend, self.settings.address)
         except WorkerError as error:
             raise EvaluationError(f"{error}; --resume continues (resume=True)") from error
-        except (pickle.PicklingError, TypeError) as error:
-            raise SettingsError(
-                f"the policy cannot be sent to other processes ({error}); give it as module:object, or jobs=1"
-            ) from error
+
+
+def _check_pickles(source: Source) -> None:
+    try:
+        cloudpickle.dumps(source)
+    except Exception as error:
+        raise SettingsError(
+            f"{source.name} cannot be sent to other processes ({reason(error)}): give it as module:object, or jobs=1"
+        ) from error
+
+
+def _check_copies(name: str, policy: Any) -> None:
+    """Raises a `SettingsError` if the policy must be copied to act in several episodes at once, and cannot be."""
+    if isinstance(policy, BatchPolicy) or is_blind(policy):
+        return
+    try:
+        copy.deepcopy(policy)
+    except Exception as error:
+        raise SettingsError(
+            f"{name} cannot be copied for episodes side by side ({reason(error)}): give it the methods reset_batch "
+            "and act_batch, or envs=1"
+        ) from error
 
 
 def _without_hopeless(played: Iterable[list[Score]], fine: set[tuple[str, int]]) -> Iterator[list[Score]]:

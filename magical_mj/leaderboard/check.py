@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import secrets
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,9 +15,9 @@ from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.scores import read
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.extras import check_extra
-from magical_mj.leaderboard.claims import SEEDS, Checked, Claim, check_claims, missing
+from magical_mj.leaderboard.claims import SEEDS, Checked, Claim, check_claims, claim_of, missing
 from magical_mj.leaderboard.entry import Entry, unpacked
-from magical_mj.leaderboard.submission import claim_of, recorded
+from magical_mj.leaderboard.record import Plan, disagreements, recorded
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.registry import TASKS, check_rules
 from magical_mj.tasks.spec import Rules
@@ -68,6 +69,8 @@ class Findings:
 def verify(folder: Path | str, *, jobs: int | None = None, watch: Watch = lambda _: None) -> Findings:
     """Replays all episodes of an evaluation, and checks its settings and completeness against the protocol.
 
+    What was to be played is taken from the settings, so that an environment or a run without any episodes is missed.
+
     Args:
         folder: the folder of the evaluation.
         jobs: the number of processes; None: one per core.
@@ -77,22 +80,25 @@ def verify(folder: Path | str, *, jobs: int | None = None, watch: Watch = lambda
         EvaluationError: if the folder is not an evaluation.
     """
     folder = Path(folder)
-    settings = recorded(folder)
-    findings = Findings()
-    for what, here in (("protocol", PROTOCOL), ("demonstrations", DEMONSTRATIONS)):
-        findings.unfit += _unfit(settings, what, here)
-    kinds: dict[tuple[str, Rules], list[Claim]] = defaultdict(list)
-    scores = read(folder)
+    settings, scores = recorded(folder), read(folder)
     if any(score.worlds != "single" for score in scores):
         return Findings(unfit=[f"it was played in batched worlds: {UNOFFICIAL}"])
+    plan, findings = Plan.read(settings), Findings()
+    for what, here in (("protocol", PROTOCOL), ("demonstrations", DEMONSTRATIONS)):
+        findings.unfit += _unfit(settings, what, here)
+    findings.unfit += disagreements(settings, plan, scores)
+    kinds: dict[tuple[str, Rules], list[Claim]] = defaultdict(list)
     for score in scores:
         kinds[score.policy, check_rules(score.rules)].append(claim_of(score))
+    tasks = {task for task, _ in plan.environments} | {score.task for score in scores}
+    for policy in dict.fromkeys([*plan.runs, *(policy for policy, _ in kinds)]):
+        there = [claim_of(score) for score in scores if score.policy == policy]
+        findings.missing += [f"{policy}, {problem}" for problem in missing(there, tasks, plan.runs.get(policy, ()))]
     for (policy, rules), episodes in kinds.items():
         findings.unfit += _unfit(settings, "rules", rules)
         ours = [episode for episode in episodes if episode.task in TASKS]
         if len(ours) < len(episodes):
             findings.unfit.append(f"{policy}: {len(episodes) - len(ours)} episodes are of tasks outside the benchmark")
-        findings.missing += [f"{policy}, {problem}" for problem in missing(ours)]
         findings.replay(ours, rules, jobs, watch)
     return findings
 
@@ -106,15 +112,21 @@ def _unfit(settings: Mapping[str, Any], what: str, here: Any) -> list[str]:
 
 
 def check_entry(
-    path: Path | str, *, everything: bool = False, jobs: int | None = None, watch: Watch = lambda _: None
+    path: Path | str,
+    *,
+    everything: bool = False,
+    seed: int | None = None,
+    jobs: int | None = None,
+    watch: Watch = lambda _: None,
 ) -> tuple[Entry, Findings]:
     """Reads an entry, and replays a random part of its episodes.
 
-    The choice of episodes depends only on the file's content, so that a check can be repeated.
+    The choice of episodes does not depend on the file, whose author could otherwise alter it until the choice is good.
 
     Args:
         path: the file.
         everything: replay all episodes.
+        seed: with which a check can be repeated: the same seed chooses the same episodes; None: nobody knows which.
         jobs: the number of processes; None: one per core.
         watch: called with the result of each chunk of episodes.
 
@@ -127,7 +139,7 @@ def check_entry(
     except OSError as error:
         raise EvaluationError(f"{path} cannot be read: {error.strerror}") from error
     entry = unpacked(data, path)
-    chosen = entry.episodes if everything else _sample(entry.episodes, data)
+    chosen = entry.episodes if everything else _sample(entry.episodes, seed)
     findings = Findings(unfit=[] if entry.protocol == PROTOCOL else ["no protocol's number was recorded"])
     if all(episode.seed >= SEEDS for episode in entry.episodes):
         findings.unfit.append(f"none of its episodes starts in the scenes of seeds 0 to {SEEDS - 1}")
@@ -135,9 +147,9 @@ def check_entry(
     return entry, findings
 
 
-def _sample(episodes: Sequence[Claim], data: bytes) -> list[Claim]:
+def _sample(episodes: Sequence[Claim], seed: int | None) -> list[Claim]:
     count = min(MOST, max(1, round(SHARE * len(episodes))))
-    return random.Random(data).sample(episodes, count)  # noqa: S311 no secret
+    return random.Random(secrets.randbits(64) if seed is None else seed).sample(episodes, count)  # noqa: S311
 
 
 def entries(folder: Path | str) -> Iterator[Path]:

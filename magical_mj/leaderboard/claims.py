@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -15,6 +15,7 @@ from magical_mj.tasks.spec import Rules
 
 if TYPE_CHECKING:
     from magical_mj.environment import Environment
+    from magical_mj.evaluation.scores import Score
 
 SEEDS: Final = 100
 """The number of episodes in each environment that the protocol requires."""
@@ -49,6 +50,13 @@ class Claim(NamedTuple):
 
     def __str__(self) -> str:
         return f"run {self.run}, {self.task} {self.variant}, seed {self.seed}"
+
+
+def claim_of(score: Score) -> Claim:
+    """The claim of an evaluated episode."""
+    return Claim(
+        *(score.run, score.task, score.variant, score.seed, score.scene, score.score, score.actions, score.failure)
+    )
 
 
 @dataclass(frozen=True)
@@ -119,22 +127,22 @@ def check_claim(claim: Claim, env: Environment) -> str | None:
     return None
 
 
-def missing(episodes: Iterable[Claim], tasks: Iterable[str] | None = None) -> list[str]:
+def missing(episodes: Iterable[Claim], tasks: Collection[str], runs: Iterable[int] = ()) -> list[str]:
     """Which episodes that the protocol requires are missing: a sentence for each run and environment.
 
     Args:
         episodes: the existing episodes.
-        tasks: the tasks in all of whose environments each run must have played; None: all tasks that any run played.
+        tasks: the tasks in all of whose environments each run must have played.
+        runs: the numbers of runs of which there may be no episodes at all.
     """
     found: dict[tuple[int, str, str], set[int]] = defaultdict(set)
     for episode in episodes:
         found[episode.run, episode.task, episode.variant].add(episode.seed)
-    wanted = set(tasks) if tasks is not None else {task for _, task, _ in found}
     problems = []
-    for run in sorted({run for run, _, _ in found}):
+    for run in sorted({*runs, *(run for run, _, _ in found)}):
         for task, variant in ENVIRONMENTS:
             absent = set(range(SEEDS)) - found[run, task, variant]
-            if task in wanted and absent:
+            if task in tasks and absent:
                 seeds = "all" if len(absent) == SEEDS else f"{len(absent)}, such as seed {min(absent)},"
                 problems.append(f"run {run}, {task} {variant}: {seeds} of the {SEEDS} episodes are missing")
     return problems

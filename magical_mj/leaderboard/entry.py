@@ -120,9 +120,11 @@ def _content(data: bytes, name: object) -> dict[str, Any]:
             text = file.read(MOST_BYTES + 1)
         if len(text) > MOST_BYTES:
             raise ValueError("it is too large")
-        return json.loads(text, parse_constant=_no_number)
+        content = json.loads(text, parse_constant=_no_number)
+        _text(content).encode()  # raises an error for half a character, which JSON can name and UTF-8 cannot hold
     except (OSError, EOFError, ValueError, RecursionError, zlib.error) as error:
         raise EvaluationError(f"{name} cannot be read: {error}") from error
+    return content
 
 
 def _no_number(name: str) -> None:
@@ -142,9 +144,11 @@ def _check_schema(content: Any, name: object) -> None:
     wrong = best_match(jsonschema.Draft202012Validator(schema()).iter_errors(content))
     if wrong is not None:
         raise EvaluationError(f"{name} does not follow the schema at {wrong.json_path}: {wrong.message[:200]}")
-    for environment in content["environments"]:
+    for environment, rows in content["environments"].items():
         if tuple(environment.split("-", 1)) not in ENVIRONMENTS:
             raise EvaluationError(f"{name} has results in {environment}, which is no environment")
+        if any(type(number) is not int for row in rows for number in row[:2]):  # to the schema, 1.0 is an integer
+            raise EvaluationError(f"{name} has runs or seeds in {environment} that are not written as integers")
 
 
 def check_unique(episodes: Sequence[Claim], name: object) -> None:

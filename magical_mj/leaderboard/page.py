@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from magical_mj import files
+from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.tables import Table, markdown
 from magical_mj.leaderboard.charts import intervals, profiles
 from magical_mj.leaderboard.sections import tables
@@ -31,10 +32,28 @@ HEADINGS: Final = {
 SHADED: Final = ("scores", "drops", "improvement", "profiles")
 HTML: Final = "leaderboard.html"
 MARKDOWN: Final = "leaderboard.md"
+BEGINNINGS: Final = {
+    HTML: f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{TITLE}</title>\n',
+    MARKDOWN: f"# {TITLE}\n",
+}
+"""By which an earlier page is recognised, and may be replaced."""
+
+
+def check_free(out: Path) -> None:
+    """Raises an `EvaluationError` if somebody else's file in this folder has the name of a page."""
+    for name, beginning in BEGINNINGS.items():
+        path = out / name
+        if path.exists() and not (path.is_file() and path.read_bytes().startswith(beginning.encode())):
+            raise EvaluationError(f"{path} is not a page of an earlier leaderboard: move it, or choose another folder")
 
 
 def write_pages(found: Sequence[Standing], out: Path) -> list[Path]:
-    """Writes both pages into a folder, replacing older ones, and returns their paths."""
+    """Writes both pages into a folder, replacing earlier ones, and returns their paths.
+
+    Raises:
+        EvaluationError: if somebody else's file has the name of a page.
+    """
+    check_free(out)
     made = tables(found)
     pages = {HTML: _html(found, made), MARKDOWN: _markdown(made)}
     for name, text in pages.items():
@@ -43,7 +62,7 @@ def write_pages(found: Sequence[Standing], out: Path) -> list[Path]:
 
 
 def _markdown(made: Sequence[Table]) -> str:
-    parts = [f"# {TITLE}", INTRODUCTION]
+    parts = [BEGINNINGS[MARKDOWN].strip(), INTRODUCTION]
     for table in made:
         parts += [f"## {HEADINGS[table.name]}", markdown(_escaped(table)).strip()]
     return "\n\n".join(parts) + "\n"
@@ -66,7 +85,7 @@ def _html(found: Sequence[Standing], made: Sequence[Table]) -> str:
     links = " ".join(f'<a href="#{name}">{heading}</a>' for name, heading in HEADINGS.items())
     style = (resources("magical_mj.leaderboard") / "style.css").read_text(encoding="utf-8")
     return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{TITLE}</title>\n'
+        f"{BEGINNINGS[HTML]}"
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<style>\n{style}</style></head>\n<body><header><h1>{TITLE}</h1><p>{INTRODUCTION}</p>\n"
         f"<nav>{links}</nav></header>\n{sections}\n"

@@ -98,7 +98,7 @@ def _improvements(found: Sequence[Standing]) -> Table:
     return Table(
         "improvement",
         "How probable it is that a run of the method on the left beats one of the method above, over the environments "
-        "that both have played",
+        f"that both have played ({NONE} if there are none, or they were scored by different rules)",
         ("Method", *(one.name for one in mine)),
         (("", tuple(rows)),),
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from magical_mj.evaluation.results import PUBLISHED_RULES, published_results
 from magical_mj.evaluation.statistics import bootstrap, interquartile_mean, mean_interval, summarise
-from magical_mj.leaderboard.claims import SEEDS, Claim
+from magical_mj.leaderboard.claims import SAME, SEEDS, Claim
 from magical_mj.leaderboard.entry import SUFFIX, Entry, unpacked
 from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS
 
@@ -25,7 +25,7 @@ Environment = tuple[str, str]
 
 LEAST_RUNS: Final = 5
 """The least number of runs of an official entry: the paper's number."""
-THRESHOLDS: Final = np.linspace(0, 1, 51)
+THRESHOLDS: Final = np.linspace(0, 1, 101)
 """Of performance profiles."""
 OVERALL: Final = "all environments"
 
@@ -70,7 +70,7 @@ class Standing:
     def profile(self) -> Floats:
         """The share of environments and runs with a mean score of at least each of the `THRESHOLDS`."""
         values = np.concatenate(list(self.means.values()))
-        return (values[:, None] >= THRESHOLDS).mean(axis=0)
+        return (values[:, None] >= THRESHOLDS - SAME).mean(axis=0)
 
 
 def standing(entry: Entry) -> Standing:
@@ -157,10 +157,11 @@ def _drops(means: Mapping[Environment, Floats]) -> dict[str, Estimate]:
 def improvement(first: Standing, second: Standing) -> Estimate:
     """The probability that a run of the first method beats one of the second in an environment (Agarwal et al., 2021).
 
-    It is averaged over the environments that both have played; equal scores count one half.
+    It is averaged over the environments that both have played; equal scores count one half. It is NaN if there are
+    none, or if they were scored by different rules.
     """
     pairs = [pair for pair in first.means if pair in second.means]
-    if not pairs:
+    if not pairs or rules_of(first) != rules_of(second):
         return Estimate(np.nan)
     strata = [values for pair in pairs for values in (first.means[pair], second.means[pair])]
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -11,11 +11,12 @@ from typing import Any, Final
 from magical_mj import files
 from magical_mj.errors import EvaluationError, SettingsError, shown, unknown_name
 from magical_mj.evaluation.results import check_same
-from magical_mj.evaluation.scores import SETTINGS, Score, read
+from magical_mj.evaluation.scores import Score, read
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.extras import check_extra
-from magical_mj.leaderboard.claims import Claim
+from magical_mj.leaderboard.claims import claim_of
 from magical_mj.leaderboard.entry import SUFFIX, Entry, check_unique, packed, schema, unpacked
+from magical_mj.leaderboard.record import protocol_of
 from magical_mj.registry import ENVIRONMENTS, check_rules
 
 CARD: Final[dict[str, Any]] = {
@@ -45,7 +46,7 @@ def submit(
         out: the file, whose name must end in .json.gz; an existing file is not replaced.
         card: a TOML file with fields of `CARD`; missing fields are null, and the method then has its name in the
             evaluations.
-        policy: the name of the method, if the folders hold several.
+        policy: the name of the method in the folders, if they hold several, or if the earlier entry calls it otherwise.
         extend: an earlier entry of the same method, whose episodes are taken over, and its card if none is given.
 
     Raises:
@@ -57,6 +58,8 @@ def submit(
     out = Path(out)
     if not out.name.endswith(SUFFIX):
         raise SettingsError(f"{out} must end in {SUFFIX}")
+    if not folders:
+        raise SettingsError("give at least one folder of an evaluation")
     said = _card({} if card is None else files.read_toml(Path(card)), card)
     found = [(score, folder) for folder in map(Path, folders) for score in read(folder)]
     names = list(dict.fromkeys(score.policy for score, _ in found))
@@ -70,6 +73,11 @@ def submit(
     entry = _entry(described, found, _protocol(folders))
     if extend is not None:
         earlier = unpacked(Path(extend).read_bytes(), extend)
+        if earlier.method != entry.method and said["method"] is None and policy is None:
+            raise SettingsError(
+                f"{extend} is of {earlier.method!r}, and the folders hold {entry.method!r}: if these are the same "
+                f"method, say so (--policy {shlex.quote(entry.method)}, or a card with its name)"
+            )
         entry = _extended(earlier, entry, extend, keep_card=card is None)
     check_unique(entry.episodes, "the choice of folders" if extend is None else f"{extend} with these folders")
     files.write(out, packed(entry))
@@ -114,31 +122,16 @@ def _extended(earlier: Entry, added: Entry, name: object, *, keep_card: bool) ->
     )
 
 
-def claim_of(score: Score) -> Claim:
-    """The claim of an evaluated episode."""
-    return Claim(
-        *(score.run, score.task, score.variant, score.seed, score.scene, score.score, score.actions, score.failure)
-    )
-
-
 def _protocol(folders: Sequence[Path | str]) -> int | None:
     """The protocol's number that the evaluations recorded.
 
     Raises:
-        EvaluationError: if they recorded different ones.
+        EvaluationError: if they recorded different ones, or something else.
     """
-    numbers = {recorded(Path(folder)).get("protocol") for folder in folders}
+    numbers = {protocol_of(Path(folder)) for folder in folders}
     if len(numbers) > 1:
         raise EvaluationError(f"the evaluations follow different protocols: {', '.join(map(str, numbers))}")
     return numbers.pop()
-
-
-def recorded(folder: Path) -> dict[str, Any]:
-    """The settings that an evaluation recorded; empty if there are none."""
-    try:
-        return dict(json.loads((folder / SETTINGS).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError, RecursionError):
-        return {}
 
 
 def _card(said: dict[str, Any], where: object, known: dict[str, Any] = CARD) -> dict[str, Any]:
@@ -164,5 +157,6 @@ def _check_card(card: dict[str, Any], where: object) -> None:
     if wrong is not None:
         field = ".".join(map(str, wrong.path))
         raise SettingsError(f"the card's {field} is not valid{f' in {where}' if where else ''}: {wrong.message[:200]}")
-    if math.isnan(card["training"]["hours"] or 0):
-        raise SettingsError(f"the card's training.hours must be a number, and is nan in {where}")
+    hours = card["training"]["hours"]
+    if isinstance(hours, float) and not math.isfinite(hours):
+        raise SettingsError(f"the card's training.hours must be a finite number, and is {hours} in {where}")
