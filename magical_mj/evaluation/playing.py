@@ -21,7 +21,7 @@ from gymnasium.vector.utils import iterate
 from magical_mj.actions import action_number
 from magical_mj.episodes import LETTERS, Episode, begin, is_blind
 from magical_mj.episodes import play as play_actions
-from magical_mj.errors import EvaluationError, RenderingError
+from magical_mj.errors import EvaluationError, RenderingError, SettingsError
 from magical_mj.evaluation.policies import BatchPolicy
 from magical_mj.registration import env_id
 from magical_mj.tasks.spec import Rules
@@ -119,7 +119,13 @@ class Copies:
     """A batch policy made of copies of a policy for single observations, one for each episode."""
 
     def __init__(self, policy: Act, envs: Envs) -> None:
-        self._copies = [copy.deepcopy(policy) for _ in range(envs.num_envs)]
+        try:
+            self._copies = [copy.deepcopy(policy) for _ in range(envs.num_envs)]
+        except Exception as error:
+            raise SettingsError(
+                f"{type(policy).__name__} cannot be copied for episodes side by side ({reason(error)}): give it the "
+                "methods reset_batch and act_batch, or play one episode at a time (envs=1)"
+            ) from error
         self._space = envs.observation_space
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
@@ -146,6 +152,7 @@ def rollouts(
 
     Raises:
         RenderingError: if no pictures can be drawn on this machine.
+        SettingsError: if the policy must be copied, and cannot be.
     """
     if isinstance(env, gymnasium.vector.VectorEnv):
         acting = policy if isinstance(policy, BatchPolicy) else Copies(policy, env)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import inspect
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
@@ -18,7 +17,7 @@ from magical_mj.episodes import is_blind
 from magical_mj.errors import EvaluationError, SettingsError, WorkerError
 from magical_mj.evaluation.loading import Source, sources
 from magical_mj.evaluation.playing import reason
-from magical_mj.evaluation.policies import BatchPolicy, check_fit
+from magical_mj.evaluation.policies import check_fit
 from magical_mj.evaluation.scores import SCORES, Score, ScoreFile, frame, prepare, read
 from magical_mj.evaluation.settings import EvaluationSettings, described, settings_from
 from magical_mj.evaluation.worker import Unit, plan, play_unit, player
@@ -96,8 +95,6 @@ class Evaluation:
             check_fit(policy, settings.environments, settings.preset)
             if settings.batched and is_blind(policy):
                 raise SettingsError(f"{source.name} uses no observations: it plays in single worlds only")
-            if settings.batched or settings.envs > 1:
-                _check_copies(source.name, policy)
         self._out = None if settings.out is None else Path(settings.out)
         recorded = {"policies": [source.describe() for source in listed], **settings.recorded()}
         self.scores = [] if self._out is None else prepare(self._out, recorded, settings.resume)
@@ -147,19 +144,6 @@ def _check_pickles(source: Source) -> None:
     except Exception as error:
         raise SettingsError(
             f"{source.name} cannot be sent to other processes ({reason(error)}): give it as module:object, or jobs=1"
-        ) from error
-
-
-def _check_copies(name: str, policy: Any) -> None:
-    """Raises a `SettingsError` if the policy must be copied to act in several episodes at once, and cannot be."""
-    if isinstance(policy, BatchPolicy) or is_blind(policy):
-        return
-    try:
-        copy.deepcopy(policy)
-    except Exception as error:
-        raise SettingsError(
-            f"{name} cannot be copied for episodes side by side ({reason(error)}): give it the methods reset_batch "
-            "and act_batch, or envs=1"
         ) from error
 
 
