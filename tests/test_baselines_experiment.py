@@ -62,6 +62,8 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
         (["train", "bc", "--tasks", "FindDupe", "--set", "bc.batch=3"], "Did you mean 'bc.batches'?"),
         (["train", "bc", "--tasks", "FindDupe", "--preset", "LoResCHW4E"], "one stack of frames"),
         (["train", "bc", "--tasks", "FindDupe", "--device", "abacus"], "no device 'abacus' here"),
+        (["train", "bc", "--tasks", "FindDupe", "--device", "meta"], "'meta' holds no numbers"),
+        (["train", "bc", "--tasks", "FindDupe", "--set", "method=gail"], "method is given by itself"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "demonstrations=26"], "there are 25"),
     ],
 )
@@ -125,6 +127,13 @@ def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
         ("seeds = [0, 1]", 'seeds = ["x"]', "seed must be a number"),
         ("quick = true", 'quick = "no"', "quick = 'no'; it must look like: quick = false"),
         ('["bc"]', '"bc"', "methods = 'bc'; it must look like"),
+        ('["bc"]', '[["bc"]]', "unknown method"),
+        ('["bc"]', '["bc", "bc"]', "one of its methods twice"),
+        ("seeds = [0, 1]", "seeds = [0, 1, 0]", "one of its seeds twice"),
+        ("seeds = [0, 1]", "seeds = [2_000_000_000]", "run must be at most"),
+        ('"FixColour"', '"MoveToRegion"', "one of its tasks twice"),
+        ("bc.batches = 4", "seed = 4", "seed is given by itself"),
+        ('variants = "Demo"', 'variants = "Shape"', "MoveToRegion"),  # which FixColour has
     ],
 )
 def test_wrong_experiments_are_refused(old: str, new: str, says: str, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -18,6 +19,7 @@ from learners import is_done, playing, tiny
 
 import magical_mj
 from magical_mj.baselines import checkpoint, load_policy, train
+from magical_mj.baselines.bc import CALIBRATION
 from magical_mj.baselines.config import from_toml, recorded
 from magical_mj.baselines.metrics import read_metrics
 from magical_mj.baselines.policy import POLICY
@@ -111,6 +113,23 @@ def test_a_finished_run_resumes_to_itself(tmp_path: Path) -> None:
     before = (tmp_path / "run" / POLICY).read_bytes()
     train(tiny(), tmp_path / "run", resume=True, watch=lambda progress: pytest.fail("there is nothing left to do"))
     assert (tmp_path / "run" / POLICY).read_bytes() == before
+    (tmp_path / "run" / POLICY).unlink()
+    train(tiny(), tmp_path / "run", resume=True)
+    assert (tmp_path / "run" / POLICY).read_bytes() == before
+
+
+def test_a_policy_that_is_saved_on_the_way_is_as_it_would_be_evaluated(tmp_path: Path) -> None:
+    """Its batch norm has averages over enough batches, and not those that lag behind the weights."""
+
+    def stop(progress: Progress) -> None:
+        if progress.update == 3:  # the first of four checkpoints
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(tiny(), tmp_path / "run", watch=stop)
+    weights = checkpoint.read(tmp_path / "run" / POLICY)["weights"]
+    batches = [int(value) for name, value in weights.items() if name.endswith("num_batches_tracked")]
+    assert batches == [CALIBRATION] * 5
 
 
 @pytest.mark.parametrize(
@@ -134,6 +153,19 @@ def test_a_checkpoint_of_another_version_is_refused_and_kept(tmp_path: Path) -> 
     with pytest.raises(TrainingError, match=r"does not fit this version of gail .*another folder"):
         train(settings, tmp_path / "run", resume=True)
     assert (tmp_path / "run" / CHECKPOINT).read_bytes() == before
+    (tmp_path / "run" / CHECKPOINT).write_bytes((tmp_path / "run" / POLICY).read_bytes())  # which is another thing
+    with pytest.raises(TrainingError, match="does not fit"):
+        train(settings, tmp_path / "run", resume=True)
+
+
+@pytest.mark.parametrize("what", ["protocol", "demonstrations"])
+def test_a_training_with_other_demonstrations_or_worlds_is_not_continued(what: str, tmp_path: Path) -> None:
+    train(tiny(), tmp_path / "run")
+    config = tmp_path / "run" / CONFIG
+    settings, made = config.read_text().split("[made]")
+    config.write_text(f"{settings}[made]{re.sub(f'{what} = .*', f'{what} = 99', made)}")
+    with pytest.raises(TrainingError, match=f"the {what} of number 99"):
+        train(tiny(), tmp_path / "run", resume=True)
 
 
 def test_what_is_there_is_never_overwritten(tmp_path: Path) -> None:
@@ -162,7 +194,7 @@ def test_what_cannot_be_leaves_no_folder(changes: dict[str, str], tmp_path: Path
 
 
 def test_a_loss_that_is_no_number_stops_and_keeps_the_checkpoint(tmp_path: Path) -> None:
-    wild = {"bc.optimizer": "sgd", "bc.learning_rate": 1e20, "bc.final_learning_rate": 1e20}
+    wild = {"bc.optimizer": "sgd", "bc.learning_rate": 1e6, "bc.final_learning_rate": 1e6}
     with pytest.raises(TrainingError, match=r"at update 2; the checkpoint of update 1 is kept .*lower learning rate"):
         train(tiny(**wild, checkpoints=12), tmp_path / "run")
     kept = checkpoint.read(tmp_path / "run" / POLICY)

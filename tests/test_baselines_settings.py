@@ -89,6 +89,10 @@ def test_text_values_are_read_as_the_fields_kind() -> None:
         ({"bc.batches": [3]}, "bc.batches must be a number"),
         ({"tasks": 3}, "give at least one of"),
         ({"bc.final_learning_rate": 1}, "learning rates fall"),
+        ({"augment": "odd"}, "unknown augmentation 'odd'"),
+        ({"seed": 2**63}, r"seed must be below 2\*\*63"),
+        ({"network.first_kernel": 4}, "network.first_kernel must be odd"),
+        ({"network.entity": 62}, "network.entity must be a multiple of 4"),
         ({"preset": "LoResCHW4E"}, "one stack of frames"),
         ({"preset": "LoRes5E"}, "LoRes4E"),
         ({"tasks": "FindDupes"}, "FindDupe"),
@@ -113,6 +117,7 @@ def test_cloning_does_not_mind_what_playing_needs() -> None:
     assert tiny("bc", "FindDupe,MakeLine,FixColour", **{"ppo.minibatch": 100}).tasks == (
         "FindDupe", "MakeLine", "FixColour"
     )  # fmt: skip
+    assert len(tiny("goals", "FindDupe,MakeLine,FixColour", preset="State").tasks) == 3
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import fields, is_dataclass, replace
 from numbers import Real
 from pathlib import Path
@@ -52,6 +52,7 @@ QUICK: Final[Mapping[str, Any]] = MappingProxyType(
         "network.first_channels": 32,
         "network.channels": 64,
         "evaluations": 5,
+        "checkpoints": 10,
         "bc.batches": 1_000,
         "bc.optimizer": "adam",
         "bc.final_learning_rate": 1e-5,
@@ -103,6 +104,13 @@ def load_settings(
             raise SettingsError("quick is for pictures: learning from states is quick as it is")
         changes = {**STATE_TRACK, **changes}
     return changed(TrainingSettings(method, tasks), {**(QUICK if quick else {}), **changes})
+
+
+def check_changes(changes: Iterable[str], given: Collection[str]) -> None:
+    """Raises a `SettingsError` if one of the changes is among what is given in another place."""
+    for name in changes:
+        if name in given:
+            raise SettingsError(f"{name} is given by itself, and not among the settings that are changed")
 
 
 def changed(settings: TrainingSettings, changes: Mapping[str, Any]) -> TrainingSettings:

@@ -9,12 +9,12 @@ from operator import methodcaller
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.baselines.config import flattened, load_settings
+from magical_mj.baselines.config import check_changes, flattened, load_settings
 from magical_mj.baselines.learner import keep_freed_memory
 from magical_mj.baselines.run import METHODS, Progress, train
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.episodes import is_blind
-from magical_mj.errors import SettingsError, unknown_name
+from magical_mj.errors import SettingsError, check_name, unknown_name
 from magical_mj.evaluation.report import report
 from magical_mj.evaluation.results import gather, published_results
 from magical_mj.evaluation.run import evaluate
@@ -147,15 +147,20 @@ def runs(file: Path, out: Path) -> list[Run]:
         raise SettingsError(f"{file} gives episodes = {evaluation['episodes']!r}; it must look like: episodes = 100")
     evaluation = EVALUATION | evaluation
     tasks = [task_name(task) for task in listed(table["tasks"], TASKS)]
-    settings_from({**evaluation, "tasks": tasks})
-    _check("method", table["methods"], METHODS)
+    for method in table["methods"]:
+        check_name("method", method, METHODS)
+    for name, values in (("methods", table["methods"]), ("tasks", tasks), ("seeds", table["seeds"])):
+        if len({str(value) for value in values}) < len(values):
+            raise SettingsError(f"{file} gives one of its {name} twice: {', '.join(map(str, values))}")
     groups = [tuple(tasks)] if table.get("multi_task", False) else [(task,) for task in tasks]
     quick, changes = table.get("quick", False), flattened(table.get("settings", {}))
+    check_changes(changes, ("method", "tasks", "quick", "seed"))
     found = []
     for seed in table["seeds"]:
         for method in table["methods"]:
             for group in groups:
                 settings = load_settings(method, group, quick=quick, **{**changes, "seed": seed})
+                settings_from({**evaluation, "tasks": list(group), "run": seed})  # an error now, not after the training
                 found.append(Run(settings, quick, changes, evaluation, out))
     return found
 

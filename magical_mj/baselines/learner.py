@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import torch
 
@@ -16,6 +16,9 @@ from magical_mj.baselines.policy import TrainedPolicy, one_thread, save_policy
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.episodes import Policy
 from magical_mj.errors import SettingsError
+
+UNUSABLE: Final = {"mps": "has no numbers of 64 bits", "meta": "holds no numbers"}
+"""Types of devices that PyTorch knows, and why nothing can be learnt on them."""
 
 
 class Method(ABC):
@@ -90,8 +93,8 @@ class Learner(Method):
         save_policy(folder, self.actor, self.settings, (update, self.updates))
 
     def fault(self) -> str | None:
-        """Whether a weight is not finite."""
-        finite = all(weights.isfinite().all() for weights in self.actor.parameters())
+        """Whether a weight, or an average of batch norm, is not finite."""
+        finite = all(values.isfinite().all() for values in self.actor.state_dict().values())
         return None if finite else "a weight is not finite any more"
 
 
@@ -102,13 +105,17 @@ def device(name: str) -> torch.device:
         SettingsError: if PyTorch has no such device here.
     """
     if name == "auto":
-        return torch.accelerator.current_accelerator(check_available=True) or torch.device("cpu")
+        found = torch.accelerator.current_accelerator(check_available=True)
+        return torch.device("cpu") if found is None or found.type in UNUSABLE else found
     try:
-        return torch.zeros(1, device=name).device
+        found = torch.zeros(1, device=name).device
     except (RuntimeError, AssertionError) as error:
         raise SettingsError(
             f"there is no device {name!r} here: {str(error).splitlines()[0]}; cpu always works"
         ) from error
+    if found.type in UNUSABLE:
+        raise SettingsError(f"{name!r} {UNUSABLE[found.type]}; cpu always works")
+    return found
 
 
 def keep_freed_memory() -> None:

@@ -33,6 +33,7 @@ from magical_mj.episodes import Policy
 from magical_mj.errors import TrainingError, unknown_name
 from magical_mj.evaluation.run import evaluate
 from magical_mj.evaluation.settings import check_unchanged
+from magical_mj.files import read_toml
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 
 METHODS: Final[Mapping[str, Callable[[TrainingSettings], Method]]] = MappingProxyType(
@@ -108,6 +109,13 @@ def _check(folder: Path, settings: TrainingSettings, resume: bool) -> None:
     if not resume:
         raise TrainingError(f"{folder} holds a training already; --resume continues it (resume=True)")
     check_unchanged(folder, recorded(from_toml(config)), recorded(settings))
+    begun = read_toml(config).get(MADE, {})
+    for name, number in (("protocol", PROTOCOL), ("demonstrations", DEMONSTRATIONS)):
+        if begun.get(name, number) != number:
+            raise TrainingError(
+                f"{folder} was begun with the {name} of number {begun[name]}, and this version has number {number}: "
+                f"continue with magical_mj {begun.get('magical_mj')}, or train anew in another folder"
+            )
 
 
 def _start(folder: Path, settings: TrainingSettings) -> None:
@@ -140,10 +148,10 @@ class _Run:
         self._update, self._seconds = 0, 0.0
         if (folder / CHECKPOINT).exists():
             kept = checkpoint.read(folder / CHECKPOINT)
-            self._update, self._seconds = kept["update"], kept["seconds"]
             try:
+                self._update, self._seconds = kept["update"], kept["seconds"]
                 learner.restore(kept["learner"])
-            except (KeyError, RuntimeError, ValueError) as error:
+            except (KeyError, IndexError, TypeError, RuntimeError, ValueError) as error:
                 raise TrainingError(
                     f"{folder / CHECKPOINT} does not fit this version of {settings.method} ({error!r}): continue with "
                     "the version that its config.toml names, or train anew in another folder"
@@ -153,6 +161,8 @@ class _Run:
     def play(self, watch: Callable[[Progress], None]) -> Policy:
         updates, settings = self._learner.updates, self._settings
         policy = self._learner.policy()
+        if self._update == updates:
+            self._learner.save_policy(self._folder, updates)  # in case somebody has lost it
         started = time.monotonic() - self._seconds
         with Metrics(self._folder, self._update) as metrics:
             while self._update < updates:
@@ -162,7 +172,7 @@ class _Run:
                 metrics.add(figures)
                 save = _due(self._update, updates, settings.checkpoints)
                 evaluation = _due(self._update, updates, settings.evaluations)
-                if evaluation or self._update == updates:
+                if evaluation or save:
                     self._learner.recalibrate()
                 scores = self._scores(policy) if evaluation else {}
                 means: Mapping[str, float] = {}

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from math import inf
 from typing import Any, Final
 
-from magical_mj.errors import SettingsError, shown
+from magical_mj.errors import SettingsError, check_name, shown
 from magical_mj.evaluation.settings import WORLDS
 from magical_mj.presets import PRESETS, preset
 from magical_mj.registry import task_spec
@@ -15,6 +15,12 @@ STATE: Final = "State"
 """The preset of the state track."""
 LEARNABLE: Final = (*(name for name, made in PRESETS.items() if made.layout == "hwc"), STATE)
 """The presets that learners can look at: one stack of frames, the channels last, or states."""
+AUGMENT: Final = ("all", "none", "no-trans-rot")
+"""The sets of augmentations, of pictures and of states."""
+HEADS: Final = 4
+"""Of the attention between blocks and regions, which share the units of `Network.entity`."""
+SEEDS: Final = 2**63
+"""What PyTorch's generators take; and what is added to a seed for a second generator."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +103,7 @@ class TrainingSettings:
         seed: decides everything that is drawn: the demonstrations, the weights, the batches.
         demonstrations: how many of each task's are drawn.
         preset: what is looked at, one of `LEARNABLE`.
-        augment: one of `magical_mj.baselines.augmentation.AUGMENTATIONS`, for BC's policy and the discriminator.
+        augment: one of `AUGMENT`, for BC's policy and the discriminator.
         device: "auto", "cpu", or another device's name in PyTorch, such as "cuda".
         evaluations: how often during the training the policy is evaluated on the demo variant.
         episodes: in each of these evaluations, for each task.
@@ -136,7 +142,14 @@ class TrainingSettings:
             raise SettingsError(
                 f"learners look at one stack of frames or at states: preset must be one of {', '.join(LEARNABLE)}"
             )
+        check_name("augmentation", self.augment, AUGMENT)
         _check_positive(self, "")
+        if self.seed >= SEEDS:
+            raise SettingsError(f"a training's seed must be below 2**63, not {shown(self.seed)}")
+        if self.network.first_kernel % 2 == 0:
+            raise SettingsError(f"network.first_kernel must be odd, not {self.network.first_kernel}")
+        if self.network.entity % HEADS:
+            raise SettingsError(f"network.entity must be a multiple of {HEADS}, not {self.network.entity}")
         for name, (value, allowed) in {
             "bc.optimizer": (self.bc.optimizer, ("sgd", "adam")),
             "bc.heads": (self.bc.heads, ("normal", "uniform")),
@@ -146,10 +159,13 @@ class TrainingSettings:
             if value not in allowed:
                 raise SettingsError(f"{name} must be {' or '.join(allowed)}, not {value!r}")
         if self.bc.final_learning_rate > self.bc.learning_rate:
-            raise SettingsError("learning rates fall: bc.final_learning_rate must be at most bc.learning_rate")
+            raise SettingsError(
+                f"learning rates fall: bc.final_learning_rate={self.bc.final_learning_rate} must be at most "
+                f"bc.learning_rate={self.bc.learning_rate}; set both"
+            )
         if self.method == "bc" and self.ppo.worlds != "single":
             raise SettingsError("bc learns without playing: worlds are chosen for gail, wgail-gp and al")
-        if self.method != "bc":
+        if self.method not in ("bc", "goals"):
             self._check_reinforcement()
 
     @property
@@ -158,7 +174,7 @@ class TrainingSettings:
         return self.preset == STATE
 
     def _check_reinforcement(self) -> None:
-        """Of all methods but BC, whatever the user's own may be: most of them play."""
+        """Of all methods but BC and goals, whatever the user's own may be: most of them play."""
         ppo, tasks = self.ppo, len(self.tasks)
         rollout = ppo.environments * ppo.steps
         if ppo.environments % tasks:

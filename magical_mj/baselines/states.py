@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from magical_mj.actions import ACTIONS
-from magical_mj.baselines.settings import Network
+from magical_mj.baselines.settings import HEADS, Network
 from magical_mj.errors import unknown_name
 from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
 
@@ -34,9 +34,6 @@ _MOVEMENT: Final = 0.1
 These scales are fixed. Scaled by their deviation in the demonstrations, positions that hardly vary there would
 dominate as soon as they vary a little, as in the Jitter variant.
 """
-
-HEADS: Final = 4
-"""Of the attention."""
 
 Part = Literal["translation", "rotation", "noise"]
 AUGMENTATIONS: Final[Mapping[str, tuple[Part, ...]]] = MappingProxyType(
