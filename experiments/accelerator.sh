@@ -3,13 +3,17 @@
 #   experiments/accelerator.sh 580 12 runs    # for so many seconds, so many runs side by side, into this folder
 # Runs side by side share the card: one alone keeps it waiting for its small kernels to be launched.
 set -uo pipefail
-seconds=$1 jobs=$2 out=$3
+usage="usage: experiments/accelerator.sh SECONDS JOBS FOLDER"
+seconds=${1:?$usage} jobs=${2:?$usage} out=${3:?$usage} status=0
 mkdir -p "$out"
 for table in pixels-bc pixels-bc-multi pixels-bc-no-augmentation pixels-bc-no-trans-rot pixels-bc-allo \
     pixels-gail-multi pixels-gail; do
   left=$((seconds - SECONDS))
   [ "$left" -gt 0 ] || break
   timeout --signal=INT --kill-after=20 "$left" \
-    magical-mj experiment "experiments/$table.toml" --jobs "$jobs" --out "$out/$table"
+    magical-mj experiment "$(dirname "$0")/$table.toml" --jobs "$jobs" --out "$out/$table"
+  code=$?
+  case $code in 0) ;; 124 | 137) break ;; *) status=$code ;; esac  # timeout's codes: the time is over
 done
 cd "$out" && find . -path '*/evaluations/*' -type f | tar -czf evaluations.tar.gz -T -  # all that tables are made of
+exit "$status"

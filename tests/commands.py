@@ -5,12 +5,27 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from PIL import Image
+from typer.core import TyperGroup
+from typer.main import get_command
 
 from magical_mj.cli import main
+from magical_mj.cli.app import app
+
+
+def _commands(group: object, before: str = "") -> Iterator[str]:
+    if isinstance(group, TyperGroup):
+        for name, command in group.commands.items():
+            yield before + name
+            yield from _commands(command, f"{before}{name} ")
+
+
+COMMANDS = tuple(_commands(get_command(app)))
+"""All commands of `magical-mj`, such as "demos generate"."""
 
 
 class Shell:

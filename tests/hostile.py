@@ -1,7 +1,4 @@
-"""Episodes of rough hands, and how well the physics holds: what `test_physics.py` bounds.
-
-python tests/hostile.py 2000        # as many episodes, and the worst that was found
-"""
+"""Episodes of rough hands, and how well the physics holds: what `test_physics.py` bounds."""
 
 from __future__ import annotations
 
@@ -26,7 +23,6 @@ from magical_mj.variants.dynamics import draw_dynamics
 STEPS = 100
 KINDS = ("random", "corner", "spin", "steady")
 VARIANTS = [pair for pair in magical_mj.ENVIRONMENTS if pair[1] in ("Demo", "Dynamics", "All")]
-OUTLINES = {shape: shapely.Polygon(block_outline(shape)) for shape in c.SHAPES}
 ANGLES = np.linspace(0, np.pi, 60, endpoint=False)
 DIRECTIONS = np.array([np.cos(ANGLES), np.sin(ANGLES)])
 

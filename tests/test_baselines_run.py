@@ -30,7 +30,8 @@ from magical_mj.evaluation import evaluate
 from magical_mj.files import read_toml
 from magical_mj.protocol import PROTOCOL
 
-START = "import sys; sys.path.insert(0, 'tests'); from learners import tiny; from magical_mj.baselines import train; "
+HERE = str(Path(__file__).parent)
+START = f"import sys; sys.path.insert(0, {HERE!r}); from learners import tiny; from magical_mj.baselines import train; "
 
 
 def test_a_folder_holds_everything(tmp_path: Path) -> None:

@@ -8,17 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from commands import process
+from commands import COMMANDS, process
 
 from magical_mj.cli import main
 from magical_mj.registry import ENVIRONMENTS
 from magical_mj.speed.yardstick import Yardstick
-
-COMMANDS = (
-    *("list", "view", "rollout", "evaluate", "report", "compare", "play", "export", "bench", "doctor", "demo"),
-    *("train", "experiment", "demos", "demos generate", "demos import", "demos info", "demos verify", "demos video"),
-    "demos export",
-)
 
 
 @pytest.mark.parametrize(

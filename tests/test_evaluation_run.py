@@ -23,9 +23,6 @@ from magical_mj.errors import SettingsError, UnknownNameError
 from magical_mj.evaluation import Episode, Evaluation, EvaluationSettings, rollouts
 from magical_mj.evaluation.scores import read
 
-TESTS = Path(__file__).parent
-
-
 # equal scores
 
 
@@ -277,6 +274,3 @@ def test_bad_settings_are_explained(
     with pytest.raises((SettingsError, UnknownNameError)) as caught:
         evaluate(policy, **settings)
     assert hint in str(caught.value)
-
-
-# scores.jsonl

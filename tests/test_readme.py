@@ -19,8 +19,8 @@ import magical_mj
 from magical_mj.cli.app import app
 
 ROOT = Path(__file__).parent.parent
-TEXT = (ROOT / "README.md").read_text()
-PAGE = (ROOT / "docs" / "environments.md").read_text()
+TEXT = (ROOT / "README.md").read_text("utf-8")
+PAGE = (ROOT / "docs" / "environments.md").read_text("utf-8")
 PYTHON = re.findall(r"```python\n(.*?)```", TEXT + PAGE, re.DOTALL)
 COMMANDS = re.findall(r"^\$ magical-mj (.*?)(?: #.*)?$", TEXT, re.MULTILINE)
 
@@ -49,7 +49,7 @@ def test_command_runs(command: str, tmp_path: Path) -> None:
 def test_commands_in_the_text_lack_nothing() -> None:
     """Of what is named with arguments, on all pages; it is not run, since much of it takes folders of the reader's."""
     pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/*.md"), *ROOT.glob("site/pages/*.md")]
-    texts = [re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL) for page in pages]
+    texts = [re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL) for page in pages]
     found = [shlex.split(command) for text in texts for command in re.findall(r"`magical-mj\s([^`]+)`", text)]
     assert len(found) > 20
     for words in found:
@@ -69,7 +69,7 @@ def test_tables_are_up_to_date() -> None:
     spec.loader.exec_module(tables)
     assert len(tables.PAGES) == 5
     for page, of_page in tables.PAGES.items():
-        text = (ROOT / page).read_text()
+        text = (ROOT / page).read_text("utf-8")
         assert tables.filled(text, of_page()) == text, f"run `make docs`: {page}"
 
 
@@ -80,7 +80,7 @@ def test_the_numbers_of_tasks_and_environments_are_those_of_the_registry() -> No
 def test_links_and_make_targets_exist() -> None:
     for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", TEXT):
         assert (ROOT / target).exists(), target
-    makefile = (ROOT / "Makefile").read_text()
+    makefile = (ROOT / "Makefile").read_text("utf-8")
     for target in re.findall(r"(?<![\w-])make (\w+)", TEXT):
         assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
 
@@ -93,7 +93,9 @@ def test_names_in_the_text_exist() -> None:
         *ROOT.glob("magical_mj/**/*.py"),
     ]
     entry_points = {"magical_mj.commands", "magical_mj.policy_folders", "magical_mj.tasks"}
-    found = {name for page in pages for name in re.findall(r"`(magical_mj(?:\.\w+)+)", page.read_text())} - entry_points
+    found = {
+        name for page in pages for name in re.findall(r"`(magical_mj(?:\.\w+)+)", page.read_text("utf-8"))
+    } - entry_points
     assert len(found) > 30
     for name in found:
         assert pkgutil.resolve_name(name) is not None

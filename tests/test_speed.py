@@ -35,7 +35,7 @@ def test_resets_are_split_by_what_they_do(task: str, variant: str, cause: str) -
     assert len(made.resets[cause]) > RESETS / 2
     if variant == "Layout":
         assert made.reset_quantile("compiled", 0.5) is None
-    assert 0 < made.reset_quantile(cause, 0.5) <= made.reset_quantile(cause, 0.95) < 10
+    assert 0 < made.reset_quantile(cause, 0.5) <= made.reset_quantile(cause, 0.95)
 
 
 @pytest.mark.parametrize("name", ["LoRes4E", "LoResStack", "State"])

@@ -36,6 +36,12 @@ from websockets.sync.client import ClientConnection, connect  # noqa: E402
 from magical_mj.web.server import PlayServer  # noqa: E402
 
 
+@pytest.fixture(autouse=True)
+def _no_proxy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The user's proxy does not know this machine's servers."""
+    monkeypatch.setenv("no_proxy", "127.0.0.1,localhost,::1")
+
+
 def test_the_page_is_told_of_every_task_in_words_and_with_a_solved_example() -> None:
     told = json.loads(json.dumps(catalogue(magical_mj.ENVIRONMENTS, "browser")))
     assert set(told["tasks"]) == set(magical_mj.TASKS)
@@ -214,7 +220,7 @@ def ask(seat: ClientConnection, message: Any) -> Any:
 
 def test_an_episode_at_the_server_is_pythons_and_outlives_a_kill(server: tuple[Any, str, Path]) -> None:
     process, address, folder = server
-    with urlopen(address) as reply:
+    with urlopen(address, timeout=60) as reply:
         assert reply.read() == (PAGE / "index.html").read_bytes()
     env = magical_mj.load("MoveToRegion", "All", seed=7, observations=())
     env.reset()
@@ -245,7 +251,7 @@ def test_strangers_are_refused(server: tuple[Any, str, Path]) -> None:
     _, address, folder = server
     for wrong in (address[:-2] + "/", address[:-1], address.rsplit("/", 2)[0] + "/", f"{address}../pyproject.toml"):
         with pytest.raises(HTTPError, match=r"40[34]"):
-            urlopen(wrong)
+            urlopen(wrong, timeout=60)
     for origin in ("http://evil.example", "null"):
         with pytest.raises(InvalidStatus, match="403"):
             sit(address, origin)

@@ -60,5 +60,5 @@ def episodes(scores: Sequence[Score]) -> str:
 
 if __name__ == "__main__":
     found = read(Path(sys.argv[1]))
-    PAGE.write_text(page(found))
-    EXPERT.write_text(episodes(found))
+    PAGE.write_text(page(found), encoding="utf-8")
+    EXPERT.write_text(episodes(found), encoding="utf-8")

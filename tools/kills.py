@@ -186,6 +186,8 @@ def kill(kind: Kind, name: str, folder: Path, kills: int, rng: random.Random) ->
         if lost:
             raise SystemExit(f"{name}, {how}: lost or changed: {', '.join(lost)}")
         print(f"{name} {number}: {how}; {len(now) - len(before)} more, {len(now)} in all", flush=True)
+        if ended and kind.result is None:
+            raise SystemExit(f"{name} ended by itself; run the command to see why: {' '.join(kind.into(out))}")
         if ended and kind.result is not None:
             ends, seconds = ends + 1, min(seconds, time.monotonic() - start)
             compare(name, kind.result(out), expected)
@@ -193,7 +195,10 @@ def kill(kind: Kind, name: str, folder: Path, kills: int, rng: random.Random) ->
     if kind.result is not None:
         undisturbed(kind, out)
         compare(name, kind.result(out), expected)
-    print(f"{name}: {kills} kills, {ends} of them too late; nothing lost, no process left, the same in the end")
+    elif not kind.finished(out):
+        raise SystemExit(f"{name} has finished nothing between {kills} kills; allow more (--kills)")
+    same = "" if kind.result is None else ", the same in the end"
+    print(f"{name}: {kills} kills, {ends} of them too late; nothing lost, no process left{same}")
 
 
 def compare(name: str, found: Found, expected: Found | None) -> None:
@@ -263,6 +268,8 @@ def main() -> None:
         scores = Path(name) / "scores"
         every = kinds(scores)
         chosen = list(every) if given.kinds == "all" else given.kinds.split(",")
+        if unknown := set(chosen) - set(every):
+            parser.error(f"there are the kinds {', '.join(every)}, and not {', '.join(unknown)}")
         if "report" in chosen:
             undisturbed(every["evaluate"], scores)
         for kind in chosen:

@@ -69,6 +69,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--without", action="append", default=[], metavar="SECTION", help="leave this one out")
     with tempfile.TemporaryDirectory() as folder:
-        run((ROOT / "README.md").read_text(), parser.parse_args().without, Path(folder))
+        run((ROOT / "README.md").read_text(encoding="utf-8"), parser.parse_args().without, Path(folder))
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     told(f"all of it ran, in {used.ru_utime + used.ru_stime:.0f} s of one core")

@@ -3,6 +3,8 @@
 # Installs what is absent with apt-get where that is permitted, and says in one line what to install where it is not.
 # Usage: tools/system.sh PYTHON [node] [chromium] [xvfb]
 
+python=$1
+shift
 missing=""
 if [ "$(uname)" = Linux ]; then
     libraries=$(PATH="$PATH:/sbin:/usr/sbin" ldconfig -p 2>/dev/null)
@@ -10,7 +12,7 @@ if [ "$(uname)" = Linux ]; then
     case $libraries in *libGL.so.1*) ;; *) missing="$missing libgl1" ;; esac
     [ -n "$missing" ] && missing="$missing libgl1-mesa-dri"
 fi
-"$1" -c "import ensurepip" 2>/dev/null || missing="$missing $(basename "$("$1" -c \
+"$python" -c "import ensurepip" 2>/dev/null || missing="$missing $(basename "$("$python" -c \
     'import sys; print("python{}.{}".format(*sys.version_info))')")-venv"
 case $* in *node*) command -v npm >/dev/null || missing="$missing nodejs npm" ;; esac
 case $* in *chromium*) [ -x "${CHROMIUM:-/usr/bin/chromium}" ] || missing="$missing chromium" ;; esac

@@ -197,4 +197,4 @@ def filled(text: str, tables: Mapping[str, str]) -> str:
 if __name__ == "__main__":
     for page, tables in PAGES.items():
         path = ROOT / page
-        path.write_text(filled(path.read_text(), tables()))
+        path.write_text(filled(path.read_text(encoding="utf-8"), tables()), encoding="utf-8")

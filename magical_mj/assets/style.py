@@ -33,7 +33,6 @@ REGION_FILL: Final = _palette((250, 190, 209), (224, 231, 191), (194, 219, 233),
 REGION_BORDER: Final = BLOCK_FILL
 
 # Heights (world units). What is drawn later is higher, so that every program shows the same picture from above.
-Z_GROUND: Final = -0.01  # the infinite plane on which the feet stand
 Z_REGION, REGION_STEP, BORDER_ABOVE_FILL = 0.001, 0.001, 0.0005
 WALL_HEIGHT, BLOCK_HEIGHT, FINGER_HEIGHT, ROBOT_HEIGHT = 0.05, 0.08, 0.09, 0.13
 LIFT: Final = 0.001  # distance between stacked polygons; in the same plane, which one is visible would be undefined

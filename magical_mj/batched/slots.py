@@ -8,7 +8,6 @@ and slots without a block far outside the arena.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
 from functools import cache
 from typing import Final, NamedTuple
 
@@ -81,12 +80,12 @@ def solid(shape: Shape) -> Solid:
     )
 
 
-def slotted_model(blocks: int, shapes: Iterable[Shape] = SHAPES) -> mujoco.MjModel:
-    """The model whose every slot can be a block of any of these shapes."""
+def slotted_model(blocks: int) -> mujoco.MjModel:
+    """The model whose every slot can be a block of any shape."""
     apart = tuple(Block("circle", "red", 2.0 * index, 0.0, 0.0) for index in range(blocks))
     spec = mujoco.MjSpec.from_string(world_mjcf(Scene(Robot(0.0, 0.0, 0.0), apart), regions=""))
     needed: Counter[tuple[str, int]] = Counter()
-    for shape in shapes:
+    for shape in SHAPES:
         for one, count in Counter(_classes(shape)).items():
             needed[one] = max(needed[one], count)
     unseen = [geom for geom in spec.geoms if geom.classname.name == "visual"]

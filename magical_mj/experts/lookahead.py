@@ -58,11 +58,6 @@ class Lookahead:
         self._simulation.restore(memory.state)
         self.trace, self.states = [], []
 
-    def remember(self, memory: Snapshot) -> None:
-        """Goes to the final state of a snapshot, with its history."""
-        self.restore(memory)
-        self.trace, self.states = list(memory.trace), list(memory.states)
-
     def act(self, gripper: Gripper, turn: Turn = Turn.NONE, drive: Drive = Drive.NONE) -> None:
         """One control step."""
         action = Action(gripper, turn, drive)

@@ -104,14 +104,16 @@ def main() -> int:
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--case", help="repeat one, such as files:12, and show everything")
     given = parser.parse_args()
+    kinds = given.kinds.split(",")
+    kind, _, number = (given.case or f"{kinds[0]}:0").partition(":")
+    if not {kind, *kinds} <= set(KINDS) or not number.isdecimal():
+        parser.error(f"there are the kinds {', '.join(KINDS)}, and cases such as {KINDS[0]}:12")
     with tempfile.TemporaryDirectory() as name:
         if given.case:
-            kind, _, number = given.case.partition(":")
             numbers = f"{number}:{int(number) + 1}"
             command = [sys.executable, str(Path(__file__).parent / "cases.py"), kind, numbers, "0", name, "--loud"]
             return subprocess.run(command, check=False, env=_variables()).returncode
         campaign, end = Campaign(Path(name)), time.monotonic() + 60 * given.minutes
-        kinds = given.kinds.split(",")
         while time.monotonic() < end and any(campaign.tried[kind] < given.cases for kind in kinds):
             for kind in kinds:
                 campaign.go_on(kind, min(SLICE, end - time.monotonic()), given.cases)
