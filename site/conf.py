@@ -8,7 +8,7 @@ project = "magical_mj"
 author = "The magical_mj developers"
 project_copyright = "The magical_mj developers"
 version = release = __version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["extra"]
 myst_heading_anchors = 3
 suppress_warnings = ["myst.header"]  # README's sections start where their page says

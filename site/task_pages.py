@@ -25,7 +25,7 @@ def write_task_pages(folder: Path, media: Path) -> None:
         animation(task, media / f"{task}.webp")
         (folder / f"{task}.md").write_text(_page(task, methods, media), encoding="utf-8")
         goal = _sentence(task_spec(task).summary)
-        cards.append(f'<a class="card" href="{task}.html">{_animation(task)}<strong>{task}</strong> {goal}</a>')
+        cards.append(f'<a class="card" href="{task}.html">{_animation(task, media)}<strong>{task}</strong> {goal}</a>')
     listed = "```{toctree}\n:hidden:\n\n" + "\n".join(TASKS) + "\n```"
     text = f'# Tasks\n\n{listed}\n\n<div class="cards">{"".join(cards)}</div>\n'
     (folder / "tasks.md").write_text(text, encoding="utf-8")
@@ -39,7 +39,7 @@ def _page(task: str, methods: list[Standing], media: Path) -> str:
     parts = [
         f"# {task}",
         f"{_sentence(spec.summary)} {_play(task, 'Demo', 'Play it')}",
-        _animation(task),
+        _animation(task, media),
         said["Goal"],
         f"{steps}." if released == paper else f"{steps} (by the released code's rules {released}).",
         "## Variants",
@@ -56,8 +56,13 @@ def _page(task: str, methods: list[Standing], media: Path) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _animation(task: str) -> str:
-    return f'<img class="wide" src="media/{task}.webp" alt="An expert at work, from above and as the robot sees it">'
+def _animation(task: str, media: Path) -> str:
+    """For readers who want no movement, the initial scene."""
+    still = next(iter(scenes(task, "Demo", media))).name
+    return (
+        f'<picture><source media="(prefers-reduced-motion: reduce)" srcset="media/{still}">'
+        f'<img class="wide" src="media/{task}.webp" alt="An expert at work, from above and as the robot sees it"></picture>'
+    )
 
 
 def _sentence(text: str) -> str:

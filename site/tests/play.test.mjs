@@ -104,6 +104,28 @@ test("the expert is watched to its full score, and what a player does is saved",
   assert.deepEqual(complaints, []);
 });
 
+test("nothing starts by itself, whatever was pressed or stands in the address", async () => {
+  await page.goto(`${site.address}play/?speed=${SPEED}#MoveToRegion-Demo-0`);
+  await page.focus("#arena");
+  await untilStatus("Press");
+  for (let repeat = 0; repeat < 3; repeat += 1) {
+    await page.keyboard.down("ArrowUp");  // as a held key does again and again, also when the episode is over
+    if (!repeat) await untilStatus("Over");
+  }
+  await page.keyboard.up("ArrowUp");
+  await page.selectOption("#task", "FixColour");
+  await untilStatus("Press");
+  await moreFrames(20);
+  assert.equal(await status(), "Press a key to start");
+  for (const wrong of ["FindDupe-All-abc", "FindDupe-All--3", "FindDupe-All-1e30", "FindDupe-Nothing", "Nothing-All-0"]) {
+    await page.evaluate((hash) => { location.hash = hash; }, wrong);
+    await page.waitForFunction((wrong) => location.hash !== `#${wrong}`, wrong);
+    await untilStatus("Press");
+    assert.match(await page.evaluate("location.hash"), /^#[A-Z]\w+-[A-Z]\w+-0$/);
+  }
+  assert.deepEqual(complaints, []);
+});
+
 test("canvases show what the renderer shows", async () => {
   const [look, pictures] = await Promise.all(["look", "pictures"].map(async (name) => JSON.parse(await readFile(`${OUT}site-test/${name}.json`, "utf8"))));
   const worst = { allo: 0, ego: 0 };

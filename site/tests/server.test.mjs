@@ -50,3 +50,18 @@ test("people play at the server and send what they did", async () => {
     server.kill();
   }
 });
+
+test("whoever comes by another address than the server's is told", async () => {
+  const server = spawn(PYTHON, ["-m", "magical_mj", "play", "--web", "--port", "0", "--host", "0.0.0.0"]);
+  const browser = await launch();
+  try {
+    const { value: address } = await createInterface(server.stdout)[Symbol.asyncIterator]().next();
+    const page = await browser.context.newPage();
+    await page.goto(address.replace("localhost", "127.0.0.1"));
+    await page.waitForFunction(() => document.getElementById("status")?.textContent?.includes("refuses this address"),
+      undefined, { timeout: 20000 });
+  } finally {
+    await browser.close();
+    server.kill();
+  }
+});

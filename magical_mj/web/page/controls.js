@@ -17,8 +17,8 @@ export class Controls {
    * @param {Iterable<HTMLButtonElement>} buttons  each with a command as data-command
    */
   constructor(arena, buttons) {
-    /** @type {Set<Command>} */
-    this.held = new Set();
+    /** @type {Map<string | HTMLElement, Command>} by key or button: two keys may give the same command */
+    this.held = new Map();
     /** @type {Set<Command>} commands that were given since the last action, however shortly */
     this.tapped = new Set();
     addEventListener("keydown", (event) => {
@@ -26,16 +26,16 @@ export class Controls {
       const elsewhere = event.target !== document.body && event.target !== arena;
       if (!command || elsewhere || event.ctrlKey || event.metaKey || event.altKey) return;
       event.preventDefault();  // the page must not scroll
-      this.#press(command);
+      this.#press(event.code, command);
     });
-    addEventListener("keyup", (event) => this.held.delete(KEYS[event.code]));
+    addEventListener("keyup", (event) => this.held.delete(event.code));
     addEventListener("blur", () => this.held.clear());
     for (const button of buttons) this.#touch(button, /** @type {Command} */ (button.dataset.command));
   }
 
-  /** @param {Command} command */
-  #press(command) {
-    this.held.add(command);
+  /** @param {string | HTMLElement} by @param {Command} command */
+  #press(by, command) {
+    this.held.set(by, command);
     this.tapped.add(command);
   }
 
@@ -44,9 +44,9 @@ export class Controls {
     button.addEventListener("pointerdown", (event) => {
       event.preventDefault();
       button.setPointerCapture(event.pointerId);
-      this.#press(command);
+      this.#press(button, command);
     });
-    for (const end of ["pointerup", "pointercancel"]) button.addEventListener(end, () => this.held.delete(command));
+    for (const end of ["pointerup", "pointercancel"]) button.addEventListener(end, () => this.held.delete(button));
     button.addEventListener("contextmenu", (event) => event.preventDefault());  // what a long press would open
     button.addEventListener("click", (event) => event.detail || this.tapped.add(command));  // by keyboard or screen reader
   }
@@ -58,7 +58,7 @@ export class Controls {
 
   /** The action to take now. */
   next() {
-    const commands = new Set([...this.held, ...this.tapped]);
+    const commands = new Set([...this.held.values(), ...this.tapped]);
     this.tapped.clear();
     return action(commands);
   }

@@ -14,18 +14,22 @@ import { Seat } from "./server.js";
 
 /** @param {string} id */
 const element = (id) => /** @type {any} */ (document.getElementById(id));
-const speed = Number(new URLSearchParams(location.search).get("speed")) || 1;  // times real time
+const speed = Math.min(40, Math.max(0.1, Number(new URLSearchParams(location.search).get("speed")) || 1));  // times real time
 const arena = element("arena");
 const controls = new Controls(arena, document.querySelectorAll("[data-command]"));
-const catalogue = await fetchJson("catalogue.json");
+const catalogue = await fetchJson("catalogue.json").catch((error) => {
+  element("status").textContent = error.message;
+  throw error;
+});
 const seat = catalogue.simulation === "server" ? new Seat() : null;
 const open = seat?.open ?? inBrowser();
 
 /** What is on the page now. */
 const shown = {
-  task: "", variant: "", seed: -1, watching: false, note: "",
+  task: "", variant: "", seed: -1, watching: false, sending: false, note: "",
   /** @type {import("./scenes.js").Environment} */ environment: { scenes: [], demonstrations: [] },
   /** @type {Game | null} */ game: null,
+  /** @type {(() => void) | null} draws it again */ again: null,
 };
 let choices = 0;  // the last one wins, whatever was loaded in between
 
@@ -39,15 +43,17 @@ let choices = 0;  // the last one wins, whatever was loaded in between
 async function choose(task, variant, seed, script = null) {
   const choice = ++choices;
   const isOther = task !== shown.task || variant !== shown.variant;
-  const environment = isOther ? await loadEnvironment(task, variant) : shown.environment;
+  const environment = isOther ? await loadEnvironment(task, variant).catch(complain) : shown.environment;
   if (choice !== choices) return;
+  if (!environment) return shown.task ? showNames() : undefined;
   const known = environment.scenes.find((entry) => entry.seed === seed);
   const entry = known ?? (seat ? { seed, expert: "", scene: null } : environment.scenes[0]);
   Object.assign(shown, { task, variant, seed: entry.seed, environment, watching: script !== null, note: "" });
   history.replaceState(null, "", `#${task}-${variant}-${entry.seed}`);
   showChoice(isOther);
   shown.game?.episode.close();
-  shown.game = null;
+  shown.game = shown.again = null;
+  element("save").disabled = true;
   if (entry.scene) show(entry.scene, entry.scene);
   const actions = script === null ? null : fromLetters(script);
   let started = false;
@@ -61,18 +67,25 @@ async function choose(task, variant, seed, script = null) {
   };
   const episode = await open(environment, entry, task, variant).catch(complain);
   if (!episode || choice !== choices) return episode?.close();
+  controls.tapped.clear();  // what was pressed before the scene was there does not start it
   const game = new Game(episode, catalogue.tasks[task].horizon, next, speed);
   shown.game = game;
+}
+
+/** Selects say which environment is shown. */
+function showNames() {
+  const { task, variant } = shown;
+  element("task").value = task;
+  const variants = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);
+  element("variant").replaceChildren(...variants.map((/** @type {Name} */ { variant }) => new Option(variant)));
+  element("variant").value = variant;
 }
 
 /** @param {boolean} isOther  whether another environment is shown than before */
 function showChoice(isOther) {
   const { task, variant, seed, environment } = shown;
   const { summary, goal, solved } = catalogue.tasks[task];
-  element("task").value = task;
-  const variants = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);
-  element("variant").replaceChildren(...variants.map((/** @type {Name} */ { variant }) => new Option(variant)));
-  element("variant").value = variant;
+  showNames();
   element("summary").textContent = `${summary[0].toUpperCase()}${summary.slice(1)}.`;
   element("words").textContent = goal;
   element("seed").value = seed;
@@ -102,17 +115,19 @@ function sceneButton({ seed, scene }) {
  * @param {import("./scene.js").Scene} scene
  */
 function show(initial, scene) {
-  const { task, game, watching } = shown, { horizon } = catalogue.tasks[task];
+  shown.again = () => show(initial, scene);
+  const { task, game, watching, sending } = shown, { horizon } = catalogue.tasks[task];
   const done = game?.actions.length ?? 0, now = score(task, initial, game?.now ?? scene);
   for (const view of /** @type {const} */ (["allo", "ego"])) {
     const canvas = element(view);
-    canvas.ariaLabel = `${view === "allo" ? "From above" : "As the robot sees it"}: ${scene.blocks.length} blocks, ${scene.regions.length} goal regions`;
+    const words = `${view === "allo" ? "From above" : "As the robot sees it"}: ${scene.blocks.length} blocks, ${scene.regions.length} goal regions`;
+    if (canvas.ariaLabel !== words) canvas.ariaLabel = words;
     draw(canvas, catalogue.look, scene, view);
   }
   element("time").value = done / horizon;
   element("left").textContent = game ? `${game.secondsLeft.toFixed(0)} s left` : "";
-  element("score").textContent = now.toFixed(2);
-  element("save").disabled = !game?.over || watching;
+  if (element("score").textContent !== now.toFixed(2)) element("score").textContent = now.toFixed(2);  // else it is read out
+  element("save").disabled = !game?.over || watching || sending;
   if (game?.failure) complain(game.failure);
   const status = shown.note ? shown.note : !game ? "Loading MuJoCo …" : game.over ? `Over: score ${now.toFixed(2)}`
     : watching ? "Watching" : done ? "Playing" : "Press a key to start";
@@ -138,7 +153,6 @@ function frame(time) {
 /** Plays this scene of the present environment, from its start. @param {number} seed @param {string | null} script */
 function play(seed, script = null) {
   arena.focus({ preventScroll: true });
-  controls.tapped.clear();
   return choose(shown.task, shown.variant, seed, script);
 }
 
@@ -158,13 +172,31 @@ function demo() {
 
 /** Gives the server what was played; it says what to play next. */
 async function send() {
-  element("save").disabled = true;
+  shown.sending = element("save").disabled = true;
   try {
     const { score, next } = await /** @type {Seat} */ (seat).ask({ keep: recording(shown, catalogue.protocol) });
     await chooseWanted(next);
     complain(`Kept, with score ${score.toFixed(2)}. Thank you! ${next ? "Press a key to go on" : "That was everything"}`);
   } catch (error) {
     complain(/** @type {Error} */ (error));
+  }
+  shown.sending = false;
+}
+
+/** Tells the server who is here, and shows what it wants. @param {Seat} seat */
+async function arrive(seat) {
+  const { participant, next } = await seat.ask({ arrive: remembered() });
+  remembered(participant);
+  await (next ? chooseWanted(next) : chooseByAddress());
+}
+
+/** The participant's id, which the browser keeps if it may. @param {string} [id]  to be kept */
+function remembered(id) {
+  try {
+    if (id) localStorage.setItem("participant", id);
+    return localStorage.getItem("participant");
+  } catch {
+    return null;
   }
 }
 
@@ -173,17 +205,22 @@ async function chooseWanted(wanted) {
   if (wanted) await choose(wanted.task, wanted.variant, wanted.seed);
 }
 
+/** @param {string | undefined} text */
+function seedIn(text) {
+  return /^\d+$/.test(text ?? "") && Number.isSafeInteger(Number(text)) ? Number(text) : 0;
+}
+
 /** `#FindDupe-All-3`; what is missing or unknown is replaced by the first there is. */
 function chooseByAddress() {
   const [task, variant, seed] = location.hash.slice(1).split("-");
   const tasks = Object.keys(catalogue.tasks), known = tasks.includes(task) ? task : tasks[0];
   const variants = catalogue.environments.filter((/** @type {Name} */ one) => one.task === known)
     .map((/** @type {Name} */ one) => one.variant);
-  return choose(known, variants.includes(variant) ? variant : variants[0], Number(seed ?? 0));
+  return choose(known, variants.includes(variant) ? variant : variants[0], seedIn(seed));
 }
 
-/** @type {Record<string, () => Promise<void>>} */
-const SHORTCUTS = { KeyR: again, KeyN: next, KeyH: expert };
+/** @type {Record<string, string>} the buttons that keys press */
+const SHORTCUTS = { KeyR: "again", KeyN: "next", KeyH: "expert" };
 
 /** Selects keep the focus while they are used by keyboard, and give it to the arena when used by pointer. */
 for (const id of ["task", "variant"]) {
@@ -193,35 +230,43 @@ for (const id of ["task", "variant"]) {
   element(id).addEventListener("change", async () => {
     if (byPointer) arena.focus({ preventScroll: true });
     const task = element("task").value, variant = element("variant").value;
-    const exists = catalogue.environments.some((/** @type {Name} */ one) => one.task === task && one.variant === variant);
-    await choose(task, exists ? variant : "Demo", 0);
+    const there = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);
+    const exists = there.some((/** @type {Name} */ one) => one.variant === variant);
+    await choose(task, exists ? variant : there[0].variant, 0);
   });
 }
 for (const [id, press] of Object.entries({ again, next, expert, demo })) element(id).onclick = () => press();
 element("save").onclick = catalogue.collects ? send : () => save(recording(shown, catalogue.protocol));
-element("seed").onchange = () => play(Math.max(0, Math.floor(Number(element("seed").value))));
+element("seed").onchange = () => play(seedIn(element("seed").value));
 addEventListener("keydown", (event) => {
   const elsewhere = /** @type {any} */ (event.target).matches("select, input");
-  if (elsewhere || controls.held.size || event.ctrlKey || event.metaKey || event.altKey) return;  // R and W are neighbours
-  SHORTCUTS[event.code]?.();
+  if (elsewhere || event.repeat || controls.held.size || event.ctrlKey || event.metaKey || event.altKey) return;  // R and W are neighbours
+  if (SHORTCUTS[event.code]) element(SHORTCUTS[event.code]).click();
 });
 addEventListener("hashchange", chooseByAddress);
 
-/** Canvases have as many pixels as the screen. */
+/** Canvases have as many pixels as the screen. A new size clears them. */
 const resized = new ResizeObserver((entries) => {
-  for (const { target, contentRect } of entries) {
+  for (const { target, contentRect, devicePixelContentBoxSize } of entries) {
     const canvas = /** @type {HTMLCanvasElement} */ (target);
-    canvas.width = canvas.height = Math.max(1, Math.round(contentRect.width * devicePixelRatio));
+    const side = devicePixelContentBoxSize?.[0].inlineSize ?? Math.round(contentRect.width * devicePixelRatio);
+    canvas.width = canvas.height = Math.max(1, side);
   }
+  shown.again?.();
 });
-for (const view of ["allo", "ego"]) resized.observe(element(view));
+for (const view of ["allo", "ego"]) {
+  try {
+    resized.observe(element(view), { box: "device-pixel-content-box" });  // changes with the zoom, too
+  } catch {
+    resized.observe(element(view));
+  }
+}
 element("task").replaceChildren(...Object.keys(catalogue.tasks).map((name) => new Option(name)));
 element("seed-label").hidden = !seat;
 if (seat) element("home").removeAttribute("href");
+requestAnimationFrame(frame);
 if (seat && catalogue.collects) {
   element("save").textContent = "Send";
-  const { participant, next } = await seat.ask({ arrive: localStorage.getItem("participant") });
-  localStorage.setItem("participant", participant);
-  await (next ? chooseWanted(next) : chooseByAddress());
+  await arrive(seat).catch(complain);
 } else await chooseByAddress();
-requestAnimationFrame(frame);
+

@@ -12,7 +12,13 @@ export class Seat {
     this.socket = new WebSocket(address);
     /** @type {{resolve: (reply: any) => void, reject: (error: Error) => void}[]} */
     this.waiting = [];
-    this.opened = new Promise((resolve) => this.socket.addEventListener("open", resolve));
+    this.opened = new Promise((resolve, reject) => {
+      this.socket.addEventListener("open", resolve);
+      this.socket.addEventListener("close", () => {
+        reject(new Error("The server refuses this address: open the link that it printed; see also its option --origin"));
+      });
+    });
+    this.opened.catch(() => {});  // whoever asks is told
     this.socket.addEventListener("message", ({ data }) => {
       const reply = JSON.parse(data), asked = this.waiting.shift();
       if (reply.error) asked?.reject(new Error(reply.error));
