@@ -59,10 +59,8 @@ def _page(task: str, methods: list[Standing], media: Path) -> str:
 def _animation(task: str, media: Path) -> str:
     """For readers who want no movement, the initial scene."""
     still = next(iter(scenes(task, "Demo", media))).name
-    return (
-        f'<picture><source media="(prefers-reduced-motion: reduce)" srcset="media/{still}">'
-        f'<img class="wide" src="media/{task}.webp" alt="An expert at work, from above and as the robot sees it"></picture>'
-    )
+    image = f'<img class="wide" src="media/{task}.webp" alt="An expert at work, from above and as the robot sees it">'
+    return f'<picture><source media="(prefers-reduced-motion: reduce)" srcset="media/{still}">{image}</picture>'
 
 
 def _sentence(text: str) -> str:
@@ -105,6 +103,6 @@ def _results(task: str, variants: list[str], methods: list[Standing]) -> str:
     return (
         "† The paper's, in the original simulator. Mean scores of the runs; ST was trained on this task, MT on all.\n\n"
         + "\n".join(lines)
-        + "\n\nThe expert of this package scores 1.00 in every variant ([details](experts.md)). "
+        + "\n\nWhat the scripted expert scores: [The experts](experts.md). "
         "How ours were trained: [from pictures](results-pictures.md), [from states](results-states.md)."
     )

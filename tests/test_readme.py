@@ -73,6 +73,16 @@ def test_tables_are_up_to_date() -> None:
         assert tables.filled(text, of_page()) == text, f"run `make docs`: {page}"
 
 
+def test_the_expert_is_as_good_as_said() -> None:
+    page = (ROOT / "docs" / "experts.md").read_text("utf-8")
+    found = re.search(r"^(\d+) of (\d+) episodes have the full score", page, re.MULTILINE)
+    assert found
+    assert f"{int(found[1]):,} of {int(found[2]):,} episodes end\nwith the full score" in TEXT
+    means = [float(number) for number in re.findall(r"\d\.\d{3}", page)]
+    assert len(means) == len(magical_mj.ENVIRONMENTS)
+    assert min(means) >= 0.96
+
+
 def test_the_numbers_of_tasks_and_environments_are_those_of_the_registry() -> None:
     assert f": {len(magical_mj.TASKS)} tasks,\n{len(magical_mj.ENVIRONMENTS)} environments, for " in TEXT
 
