@@ -9,7 +9,9 @@ import torch
 from kornia.color import lab_to_rgb, rgb_to_lab
 from torch import Tensor
 
+from magical_mj.baselines import states
 from magical_mj.baselines.augmentation import AUGMENTATIONS, Augmentation, Part, move, recolour
+from magical_mj.baselines.settings import AUGMENT
 from magical_mj.errors import UnknownNameError
 
 HEIGHT, WIDTH = 32, 48
@@ -194,6 +196,10 @@ def test_a_red_square_stays_a_red_square() -> None:
     background = torch.stack([red, green, blue], 1)[:, :, -20:]
     assert background.min() > 0.7  # nothing dark comes in at the edges
     assert background.max() < 0.9
+
+
+def test_the_sets_are_those_that_settings_allow() -> None:
+    assert set(AUGMENT) == set(AUGMENTATIONS) == set(states.AUGMENTATIONS)
 
 
 @pytest.mark.parametrize("preset", AUGMENTATIONS)

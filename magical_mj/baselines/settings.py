@@ -20,7 +20,7 @@ AUGMENT: Final = ("all", "none", "no-trans-rot")
 HEADS: Final = 4
 """Of the attention between blocks and regions, which share the units of `Network.entity`."""
 SEEDS: Final = 2**63
-"""What PyTorch's generators take; and what is added to a seed for a second generator."""
+"""Seeds are below this: half of what PyTorch's generators take, since some of them get a little more than the seed."""
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from magical_mj.errors import EvaluationError, shown
-from magical_mj.evaluation.scores import SETTINGS, Score
+from magical_mj.evaluation.scores import SETTINGS, Score, read_settings
 from magical_mj.leaderboard.claims import claim_of
 from magical_mj.registry import ENVIRONMENTS
 
@@ -22,8 +21,8 @@ FIELDS: Final = ("preset", "version", "mujoco")
 def recorded(folder: Path) -> dict[str, Any]:
     """The settings that an evaluation recorded; empty if there are none."""
     try:
-        return dict(json.loads((folder / SETTINGS).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError, RecursionError):
+        return read_settings(folder)
+    except EvaluationError:
         return {}
 
 
