@@ -16,7 +16,7 @@ from magical_mj.experts.planner import Plan, Planner
 from magical_mj.registry import task_spec
 from magical_mj.variants import check_seed
 
-BUDGET: Final = 150  # simulated steps per step of the episode; once they are used, no new plan is started
+BUDGET: Final = 300  # simulated steps per step of the episode; once they are used, no new plan is started
 
 
 class PlanFollower:

@@ -22,10 +22,11 @@ TRIES: Final = 8  # manoeuvres tried in one situation
 SPREAD: Final = 4.0  # actions: the largest change by noise of a manoeuvre's estimated cost
 TASTE: Final = 5.0  # the same for its cost after it was tried
 BOLDER, CALMER = 1.5, 0.7  # factors of noise and of lateness after each failed plan
+ROUND: Final = 3  # plans, after which the noise starts from 1 again: with much more of it every choice is a bad one
 LOSS: Final = 300.0  # the cost, in actions, of losing a score of 1
 FAILURE: Final = 60.0  # the cost, in actions, of a subgoal that was attempted and not reached
 REACH: Final = 90  # actions: the longest path
-ATTEMPTS: Final = 20  # the number of plans for an episode
+ATTEMPTS: Final = 40  # the number of plans for an episode
 SECOND_THOUGHTS: Final = 2  # additional plans to find one that is done early
 PAUSE: Final = 4  # actions of waiting when there is nothing to do
 SETTLING: Final = (
@@ -77,7 +78,7 @@ class Planner:
         Args:
             steps: the number of remaining actions.
             budget: the number of simulated steps after which no new plan is started.
-            rng: varies the plans. After each failure, noise increases and execution becomes more precise.
+            rng: varies the plans. Execution becomes more precise with each failure, noise increases for `ROUND` plans.
         """
         start, end = self._world.save(), self._world.count + budget
         best = self._attempt(start, steps, Noise(rng, 1.0), self._hand(rng, LATE))
@@ -85,7 +86,9 @@ class Planner:
             good = best.score == 1.0 and (best.rest or failed > SECOND_THOUGHTS)
             if good or self._world.count > end:
                 break
-            plan = self._attempt(start, steps, Noise(rng, BOLDER**failed), self._hand(rng, LATE * CALMER**failed))
+            plan = self._attempt(
+                start, steps, Noise(rng, BOLDER ** (failed % ROUND)), self._hand(rng, LATE * CALMER**failed)
+            )
             best = max(best, plan, key=lambda plan: (plan.score, plan.rest))
         return best
 
