@@ -1,6 +1,6 @@
-"""Draws how some trainings went, from the metrics.csv of their folders, as in docs/learners.png and docs/results.png.
+"""Draws how some trainings went, from the metrics.csv of their folders, as in docs/results.png.
 
-python tools/learners_picture.py "BC=runs/bc-MoveToRegion-0" "GAIL=runs/gail-MoveToRegion-0" --out docs/learners.png
+python tools/learners_picture.py "BC=runs/bc-MoveToRegion-0" "GAIL=runs/gail-MoveToRegion-0" --out curves.png
 """
 
 from __future__ import annotations
