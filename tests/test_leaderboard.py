@@ -196,7 +196,7 @@ def test_the_commands_say_what_they_found(folder: Path, tmp_path: Path, capsys: 
     path = tmp_path / "entry.json.gz"
     assert main(["submit", str(folder), "--out", str(path)]) == 0
     out = capsys.readouterr().out
-    assert f"expert: {EPISODES} episodes of 1 runs" in out
+    assert f"expert: {EPISODES} episodes of 1 run," in out
     assert "the card does not say: description, authors, links, hardware (--card)" in out
     rewrite(folder, tampered_score)
     assert main(["verify", str(folder)]) == 1

@@ -58,10 +58,9 @@ def make_entry(folders: Folders, out: Out, card: Card = None, policy: Name = Non
     claim_folder(out.parent)
     entry = submit(folders, out, card=card, policy=policy, extend=extend)
     unsaid = [name for name, value in entry.card.items() if value is None]
+    runs = "1 run" if len(entry.runs) == 1 else f"{len(entry.runs)} runs"
     screen = console()
-    screen.print(
-        f"{entry.method}: {len(entry.episodes)} episodes of {len(entry.runs)} runs, {out.stat().st_size / 1e6:.2f} MB"
-    )
+    screen.print(f"{entry.method}: {len(entry.episodes)} episodes of {runs}, {out.stat().st_size / 1e6:.2f} MB")
     if unsaid:
         screen.print(f"the card does not say: {', '.join(unsaid)} (--card)")
     screen.print(out, soft_wrap=True)
