@@ -26,6 +26,8 @@ from magical_mj.variants import VARIANTS, Axis
 ROOT: Final = Path(__file__).parent.parent
 COMPARED: Final = ("BC (ST)", "BC (MT)", "GAIL (ST)", "GAIL (MT)", "WGAIL-GP (ST)", "AL (ST)")
 """The paper's methods with its default settings, beside which ours stand."""
+ABLATIONS: Final = ("BC (ST)", "BC (ST, no trans./rot. aug.)", "BC (ST, no aug.)", "BC (ST, allo.)")
+"""The paper's BC, and the same with less; ours, with --quick, are called so too."""
 
 AXES: Final[dict[Axis, str]] = {
     "jitter": f"small changes of every pose: ±{c.JITTER_POSITION} of the arena's 2 per axis, ±{c.JITTER_ANGLE:.3f} rad",
@@ -108,6 +110,18 @@ def agreement(learnt: Mapping[str, Standing], paper: Sequence[Standing]) -> str:
     return table(("", *COMPARED), rows)
 
 
+def ablations(learnt: Iterable[Standing], paper: Iterable[Standing]) -> str:
+    """Of BC and BC with less, mean scores over the tasks, and the paper's in brackets."""
+    theirs = {one.name: one for one in paper}
+    ours = {one.name.replace(", quick", ""): one for one in learnt if ", quick" in one.name}
+    rows = []
+    for name in ABLATIONS:
+        if name in ours:
+            pairs = ((_mean(ours[name], (variant,)), _mean(theirs[name], (variant,))) for variant in VARIANTS)
+            rows.append((name, *(f"{here:.2f} ({there:.2f})" for here, there in pairs)))
+    return table(("", *VARIANTS), rows)
+
+
 def environments(one: Standing) -> str:
     """A method's mean scores, and the standard deviations of its runs if there are several."""
     played = [task for task in TASKS if any(pair[0] == task for pair in one.means)]
@@ -135,14 +149,18 @@ def readme() -> dict[str, str]:
     return {
         "tasks": tasks(),
         "variants": variants(),
-        "results": overview({name: one for name, one in learnt.items() if one.everywhere}, paper),
+        "results": overview({name: one for name, one in learnt.items() if one.kind == "official"}, paper),
     }
 
 
 def results() -> dict[str, str]:
     """The tables of docs/results.md by name."""
     learnt, paper = _results()
-    return {"overview": overview(learnt, paper), "agreement": agreement(learnt, paper)}
+    return {
+        "overview": overview(learnt, paper),
+        "agreement": agreement(learnt, paper),
+        "ablations": ablations(learnt.values(), published()),
+    }
 
 
 def results_from_states() -> dict[str, str]:
