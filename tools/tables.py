@@ -111,15 +111,15 @@ def agreement(learnt: Mapping[str, Standing], paper: Sequence[Standing]) -> str:
 
 
 def ablations(learnt: Iterable[Standing], paper: Iterable[Standing]) -> str:
-    """Of BC and BC with less, mean scores over the tasks, and the paper's in brackets."""
+    """Of BC and BC with less: mean scores over the tasks, the paper's in brackets, and their rank correlation."""
     theirs = {one.name: one for one in paper}
     ours = {one.name.replace(", quick", ""): one for one in learnt if ", quick" in one.name}
     rows = []
     for name in ABLATIONS:
-        if name in ours:
-            pairs = ((_mean(ours[name], (variant,)), _mean(theirs[name], (variant,))) for variant in VARIANTS)
-            rows.append((name, *(f"{here:.2f} ({there:.2f})" for here, there in pairs)))
-    return table(("", *VARIANTS), rows)
+        pairs = ((_mean(ours[name], (variant,)), _mean(theirs[name], (variant,))) for variant in VARIANTS)
+        order = _number(rank_correlation(ours[name].means, theirs[name].means))
+        rows.append((name, *(f"{here:.2f} ({there:.2f})" for here, there in pairs), order))
+    return table(("", *VARIANTS, "Rank correlation"), rows)
 
 
 def environments(one: Standing) -> str:
