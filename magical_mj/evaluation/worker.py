@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
 import functools
 import os
-import queue
 import secrets
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -22,6 +20,7 @@ from magical_mj.evaluation.playing import Act, Copies, Envs, Outcome, play, play
 from magical_mj.evaluation.policies import BatchPolicy
 from magical_mj.evaluation.scores import Key, Score
 from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.evaluation.time_limit import TimeLimitedCaller, TimeLimitError
 from magical_mj.registration import env_id
 from magical_mj.registry import sample_scene, task_spec
 
@@ -29,8 +28,6 @@ T = TypeVar("T")
 
 SEEDS_PER_UNIT: Final = 10
 """Episodes in a unit. A few seconds of work: a killed run loses little, and the overhead per unit is small."""
-GRACE: Final = 1.0
-"""Seconds that a call has to end after it was stopped."""
 ENVIRONMENTS: Final = ("world", "vector")
 """What a player keeps and must close."""
 
@@ -235,65 +232,3 @@ def _score(unit: Unit, preset: str | None, episode: Episode, outcome: Outcome) -
         scene=sample_scene(unit.task, unit.variant, episode.seed).digest(),
         worlds=unit.settings.worlds,
     )
-
-
-class TimeLimitError(Exception):
-    """A call took too long."""
-
-
-class _Stop(BaseException):
-    """Raised inside a call that took too long; not an `Exception`, so that handlers in the call do not catch it."""
-
-
-class TimeLimitedCaller:
-    """A thread that makes calls one after another, with a time limit.
-
-    An alarm signal would need no thread, but works only in the main thread, which cluster workers may not use. A call
-    that runs Python code is stopped; one that is stuck outside Python is abandoned.
-
-    Attributes:
-        abandoned: whether a call may still be running whose result nobody waits for: then this object must not be used
-            again.
-    """
-
-    def __init__(self) -> None:
-        self.abandoned = False
-        self._calls: queue.SimpleQueue[Callable[[], Any]] = queue.SimpleQueue()
-        self._results: queue.SimpleQueue[tuple[Any, BaseException | None]] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._work, daemon=True, name="magical_mj episodes")
-        self._thread.start()
-
-    def call(self, function: Callable[[], T], seconds: float | None) -> T:
-        """Returns or raises what the function returns or raises.
-
-        Raises:
-            TimeLimitError: if it takes longer than `seconds`; None means no limit.
-        """
-        self._calls.put(function)
-        try:
-            result, error = self._results.get(timeout=seconds)
-        except queue.Empty:
-            self._stop()
-            raise TimeLimitError(f"no end within {seconds:g} s") from None
-        except BaseException:  # Ctrl-C, or a signal's handler raised something
-            self._stop()
-            raise
-        if error is not None:
-            raise error
-        return result
-
-    def _work(self) -> None:
-        while True:
-            try:
-                result = self._calls.get()(), None
-            except _Stop:
-                return
-            except BaseException as error:  # noqa: BLE001 the caller gets it
-                result = None, error
-            self._results.put(result)
-
-    def _stop(self) -> None:
-        self.abandoned = True
-        ident = self._thread.ident or 0
-        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(ident), ctypes.py_object(_Stop))
-        self._thread.join(GRACE)
