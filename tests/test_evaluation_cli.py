@@ -75,6 +75,10 @@ def test_a_replay_that_ends_otherwise_is_refused(shell: Shell, tmp_path: Path) -
     code, _, error = shell("report", "o", "--videos")
     assert code == 1
     assert "ends with 0.00 now, not 0.50" in error
+    path.write_text(path.read_text().replace('"worlds": "single"', '"worlds": "batched"'))
+    code, _, error = shell("report", "o", "--videos")
+    assert code == 2
+    assert "--videos replays episodes of single worlds only" in error
     assert not list(tmp_path.rglob("*.mp4"))
 
 

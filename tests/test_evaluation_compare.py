@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from evaluations import TEMPLATE, example, write
 
@@ -45,6 +46,16 @@ def test_comparison_averages_runs_first(tmp_path: Path) -> None:
     write(b, side(b, {("FindDupe", "Demo"): [0.5, 0.25]}))
     row = compare(a, b).iloc[0]
     assert (row["first"], row["second"], row["better"], row["worse"]) == (0.5, 0.375, 1, 0)
+
+
+def test_means_of_the_same_scores_are_equal(tmp_path: Path) -> None:
+    """Whatever the order of the runs does to their last digit."""
+    for name, order in (("a", (1 / 3, 1.0, 1.0)), ("b", (1.0, 1.0, 1 / 3))):
+        folder = tmp_path / name
+        runs = [side(folder, {("FindDupe", "Demo"): [score]}, run) for run, score in enumerate(order)]
+        write(folder, [one for run in runs for one in run])
+    assert np.mean([1 / 3, 1, 1]) != np.mean([1, 1, 1 / 3])
+    assert tuple(compare(tmp_path / "a", tmp_path / "b").iloc[0][["better", "worse"]]) == (0, 0)
 
 
 def test_equal_policies_do_not_differ(tmp_path: Path) -> None:

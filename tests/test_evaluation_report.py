@@ -210,6 +210,11 @@ def test_different_versions_are_noted(tmp_path: Path) -> None:
     )
 
 
+def test_links_are_links_whatever_the_name_of_the_file(tmp_path: Path) -> None:
+    page = report([write(tmp_path / "scores", example())], tmp_path / "out", links={"a video": "best-BC (ST).mp4"})
+    assert "- [a video](best-BC%20%28ST%29.mp4)" in page.read_text()
+
+
 def test_extremes_are_the_best_and_the_worst_of_each_task() -> None:
     chosen = [(which, score.policy, score.task, score.score) for which, score in extremes(example())]
     assert ("best", "noop", "MoveToCorner", 0.25) in chosen

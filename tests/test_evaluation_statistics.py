@@ -19,6 +19,7 @@ from magical_mj.evaluation.statistics import (
     by_variant,
     interquartile_mean,
     mean_interval,
+    rank_correlation,
     summarise,
 )
 
@@ -89,6 +90,27 @@ def test_summary_of_runs() -> None:
 
 def test_tasks_have_equal_weight_whatever_their_runs_and_episodes() -> None:
     assert summarise([[np.array([1.0] * 7)], [np.array([0.0]), np.array([0.0])]]).mean == 0.5
+
+
+def test_tasks_have_equal_weight_in_all_statistics_whatever_their_runs() -> None:
+    """Two tasks; a second run of one of them that is like its first must change nothing."""
+    once = summarise([[np.array([1.0, 0.5])], [np.array([0.0, 0.5])]])
+    more = summarise([[np.array([1.0, 0.5])] * 2, [np.array([0.0, 0.5])]])
+    assert (more.mean, more.iqm, more.std) == (once.mean, once.iqm, once.std) == (0.5, 0.5, 0.25)
+    many = summarise([[np.array([1.0])] * 9, *[[np.array([0.0])]] * 3])
+    assert many.iqm == 0.0  # one task of four is better than 0, and is left out
+
+
+def test_a_task_with_one_run_keeps_its_interval_beside_others() -> None:
+    """By hand: the runs' means are 0 and 1, and so are the only run's episodes; all four draws are as likely."""
+    found = summarise([[np.array([0.0]), np.array([1.0])], [np.array([0.0, 1.0])]])
+    assert (found.low, found.high, found.iqm_low, found.iqm_high) == (0.0, 1.0, 0.0, 1.0)
+
+
+def test_ranks_do_not_depend_on_the_last_digit() -> None:
+    forth, back = [0.1, 0.2, 0.3, 0.7, 0.6, 0.9], [0.9, 0.6, 0.7, 0.3, 0.2, 0.1]
+    assert np.mean(forth) != np.mean(back)
+    assert rank_correlation({"a": forth, "b": back, "c": 1.0}, {"a": 0.0, "b": 0.0, "c": 1.0}) == 1
 
 
 def test_one_run_has_no_spread_but_an_interval_over_its_episodes() -> None:

@@ -43,6 +43,28 @@ def test_official_entries_are_complete() -> None:
     assert standing(replace(whole(), episodes=one_task)).gaps == ("8 of 60 environments",)
 
 
+def test_a_run_that_is_another_one_again_is_no_training() -> None:
+    """Evaluated again under another number; the runs of somebody else who played one episode alike are fine."""
+    first = [episode for episode in whole().episodes if episode.run == 0]
+    found = standing(replace(whole(), episodes=[one._replace(run=run) for one in first for run in range(5)]))
+    assert found.kind == "partial"
+    assert found.gaps == tuple(f"run {run} has the same actions as run 0" for run in range(1, 5))
+    alike = [one._replace(actions="a") if one.seed == 0 else one for one in whole().episodes]
+    assert standing(replace(whole(), episodes=alike)).kind == "official"
+
+
+def test_further_runs_of_some_tasks_do_not_raise_the_score() -> None:
+    """A run of all tasks, and four more of the two that it can: each environment counts as much as the others."""
+    good = "MoveToCorner", "MoveToRegion"
+    entry = scored(whole(), lambda one: 0.9 if one.task in good else 0.1)
+    uneven = standing(replace(entry, episodes=[one for one in entry.episodes if one.run == 0 or one.task in good]))
+    alone = standing(replace(entry, episodes=[one for one in entry.episodes if one.run == 0]))
+    for name, figure in alone.scores.items():
+        assert uneven.scores[name].value == pytest.approx(figure.value)
+        assert not np.isnan(uneven.scores[name].low)
+    np.testing.assert_allclose(uneven.profile, alone.profile)
+
+
 def test_scores_are_interquartile_means_over_environments_and_runs() -> None:
     """By hand: a run scores 0, 0.25, ..., 1 everywhere; without the best and the worst quarter 0.25, 0.5, 0.75 stay."""
     found = standing(scored(whole(), lambda episode: episode.run / 4))
@@ -96,6 +118,8 @@ def test_probability_of_improvement() -> None:
     assert improvement(mixed, nothing).value == 1
     assert improvement(nothing, mixed).value == 0
     assert improvement(half, half).value == 0.5
+    nearly = replace(half, means={pair: values + 1e-15 for pair, values in half.means.items()})
+    assert improvement(nearly, half).value == 0.5
     assert np.isnan(improvement(half, replace(half, means={})).value)  # nothing in common
     strict = standing(replace(whole(runs=2), rules="released"))
     assert np.isnan(improvement(half, strict).value)
@@ -198,6 +222,7 @@ def test_the_commands_say_what_they_found(folder: Path, tmp_path: Path, capsys: 
     out = capsys.readouterr().out
     assert f"expert: {EPISODES} episodes of 1 run," in out
     assert "the card does not say: description, authors, links, hardware (--card)" in out
+    assert "a partial entry: 1 of 5 runs, 1 of 60 environments, 96 of 100 episodes missing" in out
     rewrite(folder, tampered_score)
     assert main(["verify", str(folder)]) == 1
     out, error = capsys.readouterr()

@@ -89,6 +89,7 @@ def content(path: Path) -> dict[str, Any]:
         ({"environments": {"FindDupe-All": [[0, 0, None, 2, "", None]]}}, r"at \$.environments.*2 is greater"),
         ({"environments": {"FindDupe-All": [[0, 1.0, None, 0, "", None]]}}, "in FindDupe-All that are not written as"),
         ({"observations": "\ud800"}, "entry.json.gz cannot be read: 'utf-8' codec"),
+        ({"observations": "State |\n| **Planner ★**"}, r"does not follow the schema at \$.observations"),
     ],
 )
 def test_what_is_no_entry_is_named(folder: Path, tmp_path: Path, change: dict[str, Any], problem: str) -> None:
@@ -127,13 +128,50 @@ def test_an_entry_with_a_proper_hash_is_still_replayed(
     assert problem in found.differing[-1]
 
 
+@pytest.mark.parametrize("method", ["BC\n", "BC (ST) ★", "BC (ST)†", "BC | 1.00", ""])
+def test_names_look_like_no_other_line_of_a_table(folder: Path, tmp_path: Path, method: str) -> None:
+    path = tmp_path / "entry.json.gz"
+    submit([folder], path)
+    entry = check_entry(path)[0]
+    path.write_bytes(packed(replace(entry, card={**entry.card, "method": method})))
+    with pytest.raises(EvaluationError, match=r"does not follow the schema at \$.card.method"):
+        check_entry(path)
+
+
+def test_numbers_that_are_too_large_are_named(folder: Path, tmp_path: Path) -> None:
+    path = tmp_path / "entry.json.gz"
+    submit([folder], path)
+    text = gzip.decompress(path.read_bytes()).replace(b'"hours":null', b'"hours":1e999')
+    path.write_bytes(gzip.compress(text))
+    with pytest.raises(EvaluationError, match="1e999 is not a finite number"):
+        check_entry(path)
+
+
+def test_a_policy_that_saw_the_simulation_is_another_kind(folder: Path, tmp_path: Path) -> None:
+    rewrite(folder, lambda rows: rows[0].update(preset="LoRes4E"))
+    with pytest.raises(EvaluationError, match="saw the simulation instead of pictures or states"):
+        submit([folder], tmp_path / "entry.json.gz")
+
+
+def test_episodes_that_do_not_count_hide_none_that_do(tmp_path: Path) -> None:
+    """A hundred lies among a hundred thousand failures in other scenes; one lie is seen without being played."""
+    lies = [Claim(0, "MoveToRegion", "Demo", seed, None, 0.7, "a" * 40, None) for seed in range(99)]
+    lies.append(Claim(0, "MoveToRegion", "Demo", 99, None, 0.7, "a", None))
+    padding = [Claim(0, "MoveToRegion", "Demo", seed, None, 0.0, "", "no") for seed in range(100, 100_000)]
+    (tmp_path / "entry.json.gz").write_bytes(packed(replace(whole(runs=1), episodes=[*lies, *padding])))
+    found = check_entry(tmp_path / "entry.json.gz")[1]
+    assert found.episodes == 10
+    assert len(found.differing) >= 10
+    assert "run 0, MoveToRegion Demo, seed 99: it has 1 actions, and episodes have 40" in found.differing
+
+
 def test_a_random_part_is_checked(tmp_path: Path) -> None:
-    """A tenth of 200 episodes that all lie; only who knows the seed can tell which."""
-    episodes = [Claim(0, "MoveToRegion", "Demo", seed, None, 0.7, "a" * 40, None) for seed in range(200)]
+    """A tenth of 100 episodes that all lie; only who knows the seed can tell which."""
+    episodes = [Claim(0, "MoveToRegion", "Demo", seed, None, 0.7, "a" * 40, None) for seed in range(100)]
     entry = replace(unpacked(packed(whole(runs=1))), episodes=episodes)
     (tmp_path / "entry.json.gz").write_bytes(packed(entry))
     found, again, *others = (check_entry(tmp_path / "entry.json.gz", seed=seed)[1] for seed in (0, 0, 1, None, None))
-    assert len(found.differing) == found.episodes == 20
+    assert len(found.differing) == found.episodes == 10
     assert found.differing == again.differing
     assert len({tuple(sorted(one.differing)) for one in (found, *others)}) == 4
 

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from magical_mj import ENVIRONMENTS, TASKS
 from magical_mj import constants as c
-from magical_mj.agents import AGENTS
 from magical_mj.evaluation.statistics import rank_correlation
 from magical_mj.leaderboard.sections import label
 from magical_mj.leaderboard.standings import Standing, own_standings, published
@@ -26,6 +25,8 @@ from magical_mj.variants import VARIANTS, Axis
 ROOT: Final = Path(__file__).parent.parent
 COMPARED: Final = ("BC (ST)", "BC (MT)", "GAIL (ST)", "GAIL (MT)", "WGAIL-GP (ST)", "AL (ST)")
 """The paper's methods with its default settings, beside which ours stand."""
+AGENTS: Final = {"noop": "Doing nothing (`noop`)", "random": "Random actions (`random`)"}
+"""What no learner should fall below, by the names of their entries."""
 ABLATIONS: Final = ("BC (ST)", "BC (ST, no trans./rot. aug.)", "BC (ST, no aug.)", "BC (ST, allo.)")
 """The paper's BC, and the same with less; ours, with --quick, are called so too."""
 
@@ -83,13 +84,14 @@ def _number(value: float) -> str:
     return "" if value != value else f"{value:.2f}"
 
 
-def overview(learnt: Mapping[str, Standing], paper: Iterable[Standing]) -> str:
-    """Of each method, ours and the paper's, the mean score over tasks in each variant; (m/n): of m of the n tasks."""
+def overview(found: Iterable[Standing]) -> str:
+    """Of each method the mean score over tasks in each variant; (m/n): of m of the n tasks."""
     rows = []
-    for one in (*learnt.values(), *paper):
+    for one in found:
+        name = AGENTS.get(one.name, label(one))
         looks_at = "pictures" if one.entry is None else one.entry.observations or "nothing"
         runs = "5" if one.entry is None else str(len(one.entry.runs))
-        rows.append((label(one), looks_at, runs, *(_over_tasks(one, variant) for variant in VARIANTS)))
+        rows.append((name, looks_at, runs, *(_over_tasks(one, variant) for variant in VARIANTS)))
     return table(("Method", "Looks at", "Runs", *VARIANTS), rows)
 
 
@@ -145,19 +147,16 @@ def _but(missing: Sequence[str]) -> str:
 
 def readme() -> dict[str, str]:
     """The tables of README.md by name."""
-    learnt, paper = _results()
-    return {
-        "tasks": tasks(),
-        "variants": variants(),
-        "results": overview({name: one for name, one in learnt.items() if one.kind == "official"}, paper),
-    }
+    learnt, agents, paper = _results()
+    official = [one for one in learnt.values() if one.kind == "official"]
+    return {"tasks": tasks(), "variants": variants(), "results": overview([*official, *agents, *paper])}
 
 
 def results() -> dict[str, str]:
     """The tables of docs/results.md by name."""
-    learnt, paper = _results()
+    learnt, agents, paper = _results()
     return {
-        "overview": overview(learnt, paper),
+        "overview": overview([*learnt.values(), *agents, *paper]),
         "agreement": agreement(learnt, paper),
         "ablations": ablations(learnt.values(), published()),
     }
@@ -182,12 +181,14 @@ def _place(one: Standing) -> tuple[bool, bool, float]:
     return one.kind != "official", not one.everywhere, -_mean(one, VARIANTS)
 
 
-def _results() -> tuple[dict[str, Standing], list[Standing]]:
-    """Of our own learners by the names of their files, the complete ones and the best first; and of the paper's."""
-    learnt = {name: one for name, one in own_standings(ROOT / "results").items() if one.name not in AGENTS}
+def _results() -> tuple[dict[str, Standing], list[Standing], list[Standing]]:
+    """Our own learners by the names of their files, the complete ones and the best first; the agents; the paper's."""
+    own = own_standings(ROOT / "results")
+    learnt = {name: one for name, one in own.items() if one.name not in AGENTS}
     paper = [one for one in published() if one.name in COMPARED]
     return (
         dict(sorted(learnt.items(), key=lambda item: _place(item[1]))),
+        [one for one in own.values() if one.name in AGENTS],
         sorted(paper, key=lambda one: COMPARED.index(one.name)),
     )
 

@@ -21,6 +21,7 @@ from magical_mj.constants import CONTROL_RATE
 from magical_mj.episodes import actions_of, play
 from magical_mj.errors import EvaluationError, check_name
 from magical_mj.evaluation.scores import Score
+from magical_mj.evaluation.statistics import SAME
 from magical_mj.extras import missing_extra
 from magical_mj.observations import CAMERAS
 from magical_mj.registry import check_rules, listed
@@ -36,7 +37,6 @@ PAPER: Final = (255, 255, 255)
 INK: Final = (60, 60, 60)
 TITLE_SHADE: Final = (255, 255, 255, 225)  # RGBA of the band behind a title
 SMALLEST_TEXT: Final = 8  # pixels
-SAME_SCORE: Final = 1e-9
 PAUSE: Final = 1  # seconds for which the first and the last frame of an episode are shown
 
 
@@ -182,7 +182,7 @@ def replay(made: Film, score: Score) -> None:
         found = env.score()
     finally:
         env.close()
-    if score.failure is None and abs(found - score.score) > SAME_SCORE:
+    if score.failure is None and abs(found - score.score) > SAME:
         raise EvaluationError(
             f"{title} ends with {found:.2f} now, not {score.score:.2f}: "
             f"it was played with magical_mj {score.version} and MuJoCo {score.mujoco}"

@@ -16,19 +16,19 @@ from magical_mj.cli.console import LABEL, Jobs, check_fits, claim_folder, compla
 from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.scores import read
 from magical_mj.leaderboard import Findings, check_entry, submit, verify
-from magical_mj.leaderboard.check import entries
+from magical_mj.leaderboard.check import MOST, entries
 from magical_mj.leaderboard.claims import Checked
 from magical_mj.leaderboard.page import check_free, write_pages
-from magical_mj.leaderboard.standings import standings
+from magical_mj.leaderboard.standings import gaps, standings
 
 SHOWN: Final = 20
 """The largest number of problems that are printed; the others are counted."""
 
 Entries = Annotated[Path, typer.Argument(help="The folder with the entries (*.json.gz).", show_default=False)]
 Pages = Annotated[Path | None, typer.Option("--out", help="The folder for the pages.", show_default="FOLDER")]
-All = Annotated[bool, typer.Option("--all", help="Replay all episodes of each entry, not only a random tenth.")]
+All = Annotated[bool, typer.Option("--all", help="Replay all episodes of each entry, not only a random part.")]
 Sample = Annotated[
-    int | None, typer.Option("--seed", min=0, help="Chooses the tenth.", show_default="another each time")
+    int | None, typer.Option("--seed", min=0, help="Chooses the part.", show_default="another each time")
 ]
 Folder = Annotated[Path, typer.Argument(help="The folder of an evaluation.", show_default=False)]
 Folders = Annotated[list[Path], typer.Argument(help="Folders of evaluations of one method.", show_default=False)]
@@ -63,6 +63,9 @@ def make_entry(folders: Folders, out: Out, card: Card = None, policy: Name = Non
     screen.print(f"{entry.method}: {len(entry.episodes)} episodes of {runs}, {out.stat().st_size / 1e6:.2f} MB")
     if unsaid:
         screen.print(f"the card does not say: {', '.join(unsaid)} (--card)")
+    missing = gaps(entry)
+    if missing:
+        screen.print(f"a partial entry: {', '.join(missing)}", soft_wrap=True)
     screen.print(out, soft_wrap=True)
 
 
@@ -81,7 +84,7 @@ def make_leaderboard(
     screen = console()
     if not everything:
         seed = secrets.randbits(32) if seed is None else seed
-        screen.print(f"a tenth of each entry's episodes is replayed; --seed {seed} chooses the same again")
+        screen.print(f"replaying a tenth of each entry, {MOST} episodes at most; --seed {seed} chooses the same again")
     good, bad = [], 0
     for path in paths:
         with _bar(screen, f"checking {path.name}", None) as watch:

@@ -11,10 +11,12 @@ from rich.table import Table
 
 from magical_mj.cli.console import claim_folder, console
 from magical_mj.cli.film import film, replay
+from magical_mj.errors import SettingsError
 from magical_mj.evaluation.compare import choose, compare
 from magical_mj.evaluation.report import extremes, report
 from magical_mj.evaluation.results import gather
 from magical_mj.evaluation.scores import Score
+from magical_mj.evaluation.settings import UNOFFICIAL
 
 FILM_SIZE = 192  # pixels
 FILM_SPEED = 4  # times real time
@@ -43,6 +45,8 @@ def make_report(
     """Write a report of one or several evaluations: tables (Markdown, CSV, LaTeX), figures and videos."""
     screen = console()
     scores = gather(folders, mixed_presets)  # raises errors before anything is written
+    if videos and any(score.worlds != "single" for score in scores):
+        raise SettingsError(f"--videos replays episodes of single worlds only, not of batched ones: {UNOFFICIAL}")
     out = claim_folder(out or folders[0] / "report")
     links = film_episodes(extremes(scores), out) if videos else {}
     page = report(folders, out, with_published=published, mixed_presets=mixed_presets, links=links)

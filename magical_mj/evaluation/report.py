@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
+from urllib.parse import quote
 
 from magical_mj import files
 from magical_mj.evaluation.figures import bars, heat_map
@@ -73,7 +74,7 @@ def report(
         "![Mean scores](heat_map.png)",
         *map(markdown, tables[2:]),
         "## Files",
-        "\n".join(f"- [{text}]({name})" for text, name in {**links, **FILES}.items()),
+        "\n".join(f"- [{text}]({quote(name)})" for text, name in {**links, **FILES}.items()),
     ]
     page = out / PAGE
     files.write(page, "\n\n".join(part.strip() for part in parts) + "\n", overwrite=True)

@@ -198,7 +198,8 @@ def _notes(scores: pd.DataFrame, variants: pd.DataFrame, with_published: bool) -
     runs = scores.groupby(["policy", "task", "variant"], sort=False)["run"].nunique().groupby("policy", sort=False)
     for policy, numbers in runs:
         if numbers.nunique() > 1:
-            yield f"{policy}: between {numbers.min()} and {numbers.max()} runs, depending on the environment."
+            lone = "; where there is one only, its episodes are resampled for intervals" if numbers.min() == 1 else ""
+            yield f"{policy}: between {numbers.min()} and {numbers.max()} runs, depending on the environment{lone}."
     if (runs.max() == 1).any():
         names = ", ".join(runs.max()[runs.max() == 1].index)
         yield f"One run only of {names}: its intervals are over episodes and say nothing about training."

@@ -4,9 +4,11 @@ The unit of the paper's statistics is the mean score of one run (one trained pol
 are standard deviations of such run means (ddof = 0), within an environment over runs, and within a variant over tasks
 and runs. The interquartile mean leaves out the lowest and the highest quarter of the run means.
 
-Intervals come from a stratified bootstrap (Agarwal et al., NeurIPS 2021): the runs of each task are resampled. If each
+Intervals come from a stratified bootstrap (Agarwal et al., NeurIPS 2021): the runs of each task are resampled. If a
 task has only one run, its episodes are resampled instead; that interval covers the randomness of the episodes but not
 that of training.
+
+All tasks have equal weight. If some have more runs than others, the interquartile mean is taken of the tasks' means.
 """
 
 from __future__ import annotations
@@ -24,6 +26,9 @@ Floats = NDArray[np.float64]
 
 RESAMPLES: Final = 2000
 CONFIDENCE: Final = 0.95
+
+SAME: Final = 1e-9
+"""Scores that differ by less than this are equal."""
 
 COLUMNS: Final = ("mean", "std", "low", "high", "iqm", "iqm_low", "iqm_high")
 """The statistics; `low` and `high` bound the mean."""
@@ -55,20 +60,19 @@ def summarise(tasks: Sequence[Sequence[Floats]]) -> Summary:
         tasks: for each task, for each run, the scores of its episodes.
     """
     means = [np.array([scores.mean() for scores in runs]) for runs in tasks]
-    pooled = np.concatenate(means)
-    if all(len(runs) == 1 for runs in tasks):
-        strata = [runs[0] for runs in tasks]
-        low, high = mean_interval(strata)
-        iqm_low, iqm_high = bootstrap(strata, _iqm_of_means)
-    else:
-        low, high = mean_interval(means)
-        iqm_low, iqm_high = bootstrap(means, _iqm_of_values)
+    strata = [values if len(values) > 1 else runs[0] for values, runs in zip(means, tasks, strict=True)]
+    counts = {len(runs) for runs in tasks}
+    iqm = _iqm_of_means if 1 in counts or len(counts) > 1 else _iqm_of_values
+    low, high = mean_interval(strata)
+    iqm_low, iqm_high = bootstrap(strata, iqm)
+    mean = float(_mean_of_means(*means))
+    variance = np.mean([np.square(values - mean).mean() for values in means])
     return Summary(
-        mean=float(np.mean([values.mean() for values in means])),
-        std=float(pooled.std()) if len(pooled) > 1 else np.nan,
+        mean=mean,
+        std=float(np.sqrt(variance)) if sum(map(len, means)) > 1 else np.nan,
         low=low,
         high=high,
-        iqm=float(interquartile_mean(pooled)),
+        iqm=float(iqm(*means)),
         iqm_low=iqm_low,
         iqm_high=iqm_high,
     )
@@ -131,7 +135,8 @@ def rank_correlation(first: Mapping[Any, Any], second: Mapping[Any, Any]) -> flo
     """
     from scipy.stats import spearmanr
 
-    means = np.array([(np.mean(first[key]), np.mean(second[key])) for key in first if key in second])
+    pairs = [(np.mean(first[key]), np.mean(second[key])) for key in first if key in second]
+    means = np.round(pairs, 9)  # so that means of the same scores in another order are equal
     if len(means) < 2 or (np.ptp(means, axis=0) == 0).any():
         return float("nan")
     return float(spearmanr(means[:, 0], means[:, 1]).statistic)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import secrets
 import time
@@ -15,11 +16,11 @@ from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.scores import read
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.extras import check_extra
-from magical_mj.leaderboard.claims import SEEDS, Checked, Claim, check_claims, claim_of, missing
+from magical_mj.leaderboard.claims import SEEDS, Checked, Claim, check_claims, claim_of, contradiction, missing
 from magical_mj.leaderboard.entry import Entry, unpacked
 from magical_mj.leaderboard.record import Plan, disagreements, recorded
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
-from magical_mj.registry import TASKS, check_rules
+from magical_mj.registry import TASKS, check_rules, task_spec
 from magical_mj.tasks.spec import Rules
 
 SHARE: Final = 0.1
@@ -119,8 +120,9 @@ def check_entry(
     jobs: int | None = None,
     watch: Watch = lambda _: None,
 ) -> tuple[Entry, Findings]:
-    """Reads an entry, and replays a random part of its episodes.
+    """Reads an entry, and replays a random part of the episodes that count.
 
+    All of these are checked for what is seen without playing them: their length, and that failures have the score 0.
     The choice of episodes does not depend on the file, whose author could otherwise alter it until the choice is good.
 
     Args:
@@ -139,16 +141,22 @@ def check_entry(
     except OSError as error:
         raise EvaluationError(f"{path} cannot be read: {error.strerror}") from error
     entry = unpacked(data, path)
-    chosen = entry.episodes if everything else _sample(entry.episodes, seed)
     findings = Findings(unfit=[] if entry.protocol == PROTOCOL else ["no protocol's number was recorded"])
-    if all(episode.seed >= SEEDS for episode in entry.episodes):
+    if not entry.counted:
         findings.unfit.append(f"none of its episodes starts in the scenes of seeds 0 to {SEEDS - 1}")
-    findings.replay(chosen, entry.rules, jobs, watch)
+    if everything:
+        findings.replay(entry.episodes, entry.rules, jobs, watch)
+        return entry, findings
+    for episode in entry.counted:
+        problem = contradiction(episode, task_spec(episode.task).horizon(entry.rules))
+        findings.differing += [] if problem is None else [f"{episode}: {problem}"]
+    whole = [episode for episode in entry.counted if episode.failure is None]
+    findings.replay(_sample(whole, seed), entry.rules, jobs, watch)
     return entry, findings
 
 
 def _sample(episodes: Sequence[Claim], seed: int | None) -> list[Claim]:
-    count = min(MOST, max(1, round(SHARE * len(episodes))))
+    count = min(MOST, math.ceil(SHARE * len(episodes)))
     return random.Random(secrets.randbits(64) if seed is None else seed).sample(episodes, count)  # noqa: S311
 
 

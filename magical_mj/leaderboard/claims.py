@@ -9,6 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from magical_mj.episodes import LETTERS, actions_of, play
+from magical_mj.evaluation.statistics import SAME
 from magical_mj.parallel import spread
 from magical_mj.registry import ENVIRONMENTS, sample_scene
 from magical_mj.tasks.spec import Rules
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
 
 SEEDS: Final = 100
 """The number of episodes in each environment that the protocol requires."""
-SAME: Final = 1e-9
-"""Scores that differ by less than this are equal."""
 CHUNK: Final = 50
 """The number of episodes that a worker replays before it reports."""
 
@@ -113,17 +112,30 @@ def check_claim(claim: Claim, env: Environment) -> str | None:
     digest = sample_scene(claim.task, claim.variant, claim.seed).digest()
     if claim.scene is not None and claim.scene != digest:
         return f"it was played in the scene {claim.scene}, and the seed's scene is {digest}"
-    if claim.failure is not None:
-        return None if claim.score == 0 else f"the policy failed, and its score is {claim.score:g} instead of 0"
-    if set(claim.actions) - set(LETTERS):
-        return "its actions are not all among the 18"
-    if len(claim.actions) != env.horizon:
-        return f"it has {len(claim.actions)} actions, and episodes have {env.horizon}"
+    wrong = contradiction(claim, env.horizon)
+    if wrong is not None or claim.failure is not None:
+        return wrong
     env.reset(seed=claim.seed)
     for _ in play(env, actions_of(claim.actions)):
         pass
     if abs(env.score() - claim.score) > SAME:
         return f"the score is {claim.score:g}, and its actions lead to {env.score():g}"
+    return None
+
+
+def contradiction(claim: Claim, horizon: int | None) -> str | None:
+    """A sentence about what is wrong with an episode without playing it; None if nothing is.
+
+    Args:
+        claim: the claim.
+        horizon: the number of steps of its task.
+    """
+    if claim.failure is not None:
+        return None if claim.score == 0 else f"the policy failed, and its score is {claim.score:g} instead of 0"
+    if set(claim.actions) - set(LETTERS):
+        return "its actions are not all among the 18"
+    if len(claim.actions) != horizon:
+        return f"it has {len(claim.actions)} actions, and episodes have {horizon}"
     return None
 
 

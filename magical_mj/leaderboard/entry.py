@@ -6,14 +6,15 @@ import gzip
 import hashlib
 import io
 import json
+import math
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files as resources
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 from magical_mj.errors import EvaluationError
-from magical_mj.leaderboard.claims import Claim
+from magical_mj.leaderboard.claims import SEEDS, Claim
 from magical_mj.protocol import PROTOCOL
 from magical_mj.registry import ENVIRONMENTS
 from magical_mj.tasks.spec import Rules
@@ -53,6 +54,11 @@ class Entry:
     def runs(self) -> list[int]:
         """The numbers of its runs."""
         return sorted({episode.run for episode in self.episodes})
+
+    @property
+    def counted(self) -> list[Claim]:
+        """The episodes that count: those in the scenes that the protocol requires."""
+        return [episode for episode in self.episodes if episode.seed < SEEDS]
 
 
 def packed(entry: Entry) -> bytes:
@@ -120,16 +126,22 @@ def _content(data: bytes, name: object) -> dict[str, Any]:
             text = file.read(MOST_BYTES + 1)
         if len(text) > MOST_BYTES:
             raise ValueError("it is too large")
-        content = json.loads(text, parse_constant=_no_number)
+        content = json.loads(text, parse_constant=_no_number, parse_float=_finite)
         _text(content).encode()  # raises an error for half a character, which JSON can name and UTF-8 cannot hold
     except (OSError, EOFError, ValueError, RecursionError, zlib.error) as error:
         raise EvaluationError(f"{name} cannot be read: {error}") from error
     return content
 
 
-def _no_number(name: str) -> None:
+def _no_number(name: str) -> NoReturn:
     """For NaN and infinities, which JSON does not have, but Python's parser reads."""
-    raise ValueError(f"{name} is not JSON")
+    raise ValueError(f"{name} is not a finite number")
+
+
+def _finite(digits: str) -> float:
+    """A number; those like 1e999 are too large for Python's, and would be infinite."""
+    number = float(digits)
+    return number if math.isfinite(number) else _no_number(digits)
 
 
 def schema() -> dict[str, Any]:

@@ -69,12 +69,13 @@ def _markdown(made: Sequence[Table]) -> str:
 
 
 def _escaped(table: Table) -> Table:
-    """The table with HTML escaped for Markdown: names and devices are untrusted text."""
-    groups = tuple(
-        (heading, tuple(tuple(escape(cell, quote=False) for cell in row) for row in rows))
-        for heading, rows in table.groups
-    )
-    return Table(table.name, table.caption, table.header, groups, tuple(escape(note) for note in table.notes))
+    """The table with HTML and links escaped for Markdown: names and devices are untrusted text."""
+    groups = tuple((heading, tuple(tuple(map(_plain, row)) for row in rows)) for heading, rows in table.groups)
+    return Table(table.name, table.caption, table.header, groups, tuple(map(_plain, table.notes)))
+
+
+def _plain(text: str) -> str:
+    return escape(text, quote=False).replace("](", "]\\(")
 
 
 def _html(found: Sequence[Standing], made: Sequence[Table]) -> str:

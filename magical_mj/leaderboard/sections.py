@@ -57,7 +57,7 @@ def _scores(found: Sequence[Standing]) -> Table:
 def _looks_at(one: Standing) -> str:
     if one.entry is None:
         return "pictures"
-    return one.entry.observations or "the simulation"
+    return "the simulation" if one.entry.observations is None else one.entry.observations or "both views"
 
 
 def _drops(found: Sequence[Standing]) -> Table:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -11,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.evaluation.results import PUBLISHED_RULES, published_results
-from magical_mj.evaluation.statistics import bootstrap, interquartile_mean, mean_interval, summarise
-from magical_mj.leaderboard.claims import SAME, SEEDS, Claim
+from magical_mj.evaluation.statistics import SAME, bootstrap, interquartile_mean, mean_interval, summarise
+from magical_mj.leaderboard.claims import SEEDS, Claim
 from magical_mj.leaderboard.entry import SUFFIX, Entry, unpacked
 from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS
 
@@ -69,8 +70,8 @@ class Standing:
     @property
     def profile(self) -> Floats:
         """The share of environments and runs with a mean score of at least each of the `THRESHOLDS`."""
-        values = np.concatenate(list(self.means.values()))
-        return (values[:, None] >= THRESHOLDS - SAME).mean(axis=0)
+        shares = [(values[:, None] >= THRESHOLDS - SAME).mean(axis=0) for values in self.means.values()]
+        return np.mean(shares, axis=0)
 
 
 def standing(entry: Entry) -> Standing:
@@ -81,15 +82,15 @@ def standing(entry: Entry) -> Standing:
         for (task, variant), group in episodes.groupby(["task", "variant"], sort=False)
     }
     means = {pair: np.array([scores.mean() for scores in runs[pair]]) for pair in ENVIRONMENTS if pair in runs}
-    gaps = tuple(_gaps(entry))
+    missing = tuple(gaps(entry))
     scores = {}
     for variant in (OVERALL, *VARIANTS):
         mine = [runs[pair] for pair in means if variant in (OVERALL, pair[1])]
         if mine:
             found = summarise(mine)
             scores[variant] = Estimate(found.iqm, found.iqm_low, found.iqm_high)
-    kind: Kind = "partial" if gaps else "official"
-    return Standing(entry.method, kind, entry, gaps, means, scores, _drops(means))
+    kind: Kind = "partial" if missing else "official"
+    return Standing(entry.method, kind, entry, missing, means, scores, _drops(means))
 
 
 def own_standings(folder: Path) -> dict[str, Standing]:
@@ -106,22 +107,35 @@ def frame(entry: Entry) -> pd.DataFrame:
     """A frame with a row for each episode that the protocol requires."""
     import pandas as pd
 
-    counted = [episode for episode in entry.episodes if episode.seed < SEEDS]
-    return pd.DataFrame(counted, columns=list(Claim._fields))
+    return pd.DataFrame(entry.counted, columns=list(Claim._fields))
 
 
-def _gaps(entry: Entry) -> list[str]:
-    gaps = []
+def gaps(entry: Entry) -> list[str]:
+    """What keeps an entry from being official, if anything does."""
+    found = []
     if len(entry.runs) < LEAST_RUNS:
-        gaps.append(f"{len(entry.runs)} of {LEAST_RUNS} runs")
+        found.append(f"{len(entry.runs)} of {LEAST_RUNS} runs")
     there = {(episode.task, episode.variant) for episode in entry.episodes}
     if len(there) < len(ENVIRONMENTS):
-        gaps.append(f"{len(there)} of {len(ENVIRONMENTS)} environments")
+        found.append(f"{len(there)} of {len(ENVIRONMENTS)} environments")
     wanted = len(there) * SEEDS * len(entry.runs)
-    absent = wanted - sum(episode.seed < SEEDS for episode in entry.episodes)
+    absent = wanted - len(entry.counted)
     if absent:
-        gaps.append(f"{absent} of {wanted} episodes missing")
-    return gaps
+        found.append(f"{absent} of {wanted} episodes missing")
+    return [*found, *_repeated(entry)]
+
+
+def _repeated(entry: Entry) -> Iterator[str]:
+    """A phrase for each run that is another one once more: the same model evaluated again is not another training."""
+    played: dict[int, dict[tuple[str, str, int], str]] = defaultdict(dict)
+    for episode in entry.counted:
+        played[episode.run][episode.task, episode.variant, episode.seed] = episode.actions
+    for later in entry.runs[1:]:
+        for earlier in entry.runs[: entry.runs.index(later)]:
+            both = played[earlier].keys() & played[later].keys()
+            if both and all(played[earlier][key] == played[later][key] for key in both):
+                yield f"run {later} has the same actions as run {earlier}"
+                break
 
 
 def published() -> list[Standing]:
@@ -175,7 +189,7 @@ def improvement(first: Standing, second: Standing) -> Estimate:
 def _better(first: Floats, second: Floats) -> Any:
     """Shapes (..., n) and (..., m) -> (...): the share of pairs in which the first is larger than the second."""
     difference = first[..., :, None] - second[..., None, :]
-    return ((difference > 0) + 0.5 * (difference == 0)).mean(axis=(-1, -2))
+    return ((difference > SAME) + 0.5 * (np.abs(difference) <= SAME)).mean(axis=(-1, -2))
 
 
 def standings(found: Sequence[Entry]) -> list[Standing]:

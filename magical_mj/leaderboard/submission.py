@@ -91,6 +91,12 @@ def _entry(card: dict[str, Any], found: Sequence[tuple[Score, Path]], protocol: 
         raise EvaluationError(f"{batched} was played in batched worlds, and cannot be an entry: {UNOFFICIAL}")
     for what in ("rules", "preset"):
         check_same(found, what, "an entry is of one kind")
+    seen = {score.preset is None: folder for score, folder in found}
+    if len(seen) > 1:
+        raise EvaluationError(
+            f"the policy in {seen[True]} saw the simulation instead of pictures or states, unlike that in "
+            f"{seen[False]}; an entry is of one kind"
+        )
     others = {f"{score.task}-{score.variant}" for score, _ in found if (score.task, score.variant) not in ENVIRONMENTS}
     if others:
         raise EvaluationError(
