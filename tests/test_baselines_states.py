@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ from magical_mj.baselines.states import (
     histories,
 )
 from magical_mj.constants import COLOURS, SHAPES
-from magical_mj.errors import SettingsError, UnknownNameError
+from magical_mj.errors import DemonstrationError, SettingsError, UnknownNameError
 from magical_mj.observations import MAX_BLOCKS, STATE_NAMES
 
 NAMES = len(STATE_NAMES)
@@ -164,6 +165,36 @@ def test_demonstrations_at_hand_are_those_of_the_package() -> None:
     weights = [torch.cat([w.flatten() for w in policy._actor.parameters()]) for policy in policies]
     assert torch.equal(weights[0], weights[1])
     assert torch.equal(weights[0], weights[2])
+
+
+EPISODE = demos.transitions(demos.load("MoveToRegion")[:1], "State", drop_noop=False)
+STEPS = len(EPISODE.actions)
+
+
+@pytest.mark.parametrize(
+    ("given", "problem"),
+    [
+        ({"FixColour": [EPISODE]}, "no demonstrations of MoveToRegion are given, but of: FixColour"),
+        ({"MoveToRegion": EPISODE}, "must be a list"),
+        (
+            {"MoveToRegion": demos.load("FindDupe")[:2]},
+            "one of the demonstrations given for MoveToRegion is of FindDupe",
+        ),
+        ({"MoveToRegion": [EPISODE]}, "2 demonstrations of MoveToRegion are asked for, and there are 1"),
+        ({"MoveToRegion": [EPISODE._replace(actions=EPISODE.actions[1:])] * 2}, "the observation before each action"),
+        (
+            {"MoveToRegion": [EPISODE._replace(observations=np.zeros((STEPS, 4, 7)))] * 2},
+            "needs the observation before",
+        ),
+        ({"MoveToRegion": [EPISODE._replace(actions=EPISODE.actions + 18)] * 2}, "integers from 0 to 17"),
+        ({"MoveToRegion": [EPISODE._replace(actions=EPISODE.actions * 1.0)] * 2}, "integers from 0 to 17"),
+        ({"MoveToRegion": [EPISODE._replace(actions=EPISODE.actions * 0)] * 2}, "nothing to learn from"),
+        ({"MoveToRegion": [demos.Transitions(EPISODE.observations[:0], EPISODE.actions[:0])] * 2}, "nothing to learn"),
+    ],
+)
+def test_demonstrations_that_do_not_fit_are_explained(given: Any, problem: str) -> None:
+    with pytest.raises(DemonstrationError, match=problem):
+        clone(tiny(preset="State", demonstrations=2), given)
 
 
 @pytest.mark.parametrize("method", ["gail", "wgail-gp", "al"])

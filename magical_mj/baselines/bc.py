@@ -107,6 +107,9 @@ def clone(settings: TrainingSettings, demonstrations: Demonstrations | None = No
     Args:
         settings: the settings; their number of demonstrations of each task is chosen at random by the seed.
         demonstrations: task -> demonstrations to choose from, instead of the shipped ones.
+
+    Raises:
+        DemonstrationError: if they are too few, or do not fit the settings.
     """
     with threads_for(settings):
         learner = BehaviouralCloning(settings, demonstrations)

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical_mj import demos
-from magical_mj.actions import NOOP
+from magical_mj.actions import ACTIONS, NOOP
+from magical_mj.baselines.network import SHAPE
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.baselines.states import histories
 from magical_mj.demos import Demonstration, Transitions
 from magical_mj.errors import DemonstrationError
+from magical_mj.observations import STATE_NAMES
 
 Demonstrations = Mapping[str, Sequence[Demonstration | Transitions]]
 """Task -> the transitions of each demonstration, no-ops included, with the observations of the run's preset."""
@@ -49,12 +51,37 @@ def shares(size: int, tasks: int, generator: torch.Generator) -> list[int]:
     return found
 
 
+def _found(task: str, demonstrations: Demonstrations | None) -> Sequence[Demonstration | Transitions]:
+    """The demonstrations of a task to choose from."""
+    if demonstrations is None:
+        return demos.load(task)
+    if task not in demonstrations:
+        raise DemonstrationError(
+            f"no demonstrations of {task} are given, but of: {', '.join(demonstrations) or 'none'}"
+        )
+    if isinstance(demonstrations[task], Demonstration | Transitions):
+        raise DemonstrationError(f"the demonstrations of {task} must be a list, and this is a single one")
+    return demonstrations[task]
+
+
 def _episode(
-    demonstration: Demonstration | Transitions, settings: TrainingSettings, drop_noop: bool
+    task: str, demonstration: Demonstration | Transitions, settings: TrainingSettings, drop_noop: bool
 ) -> tuple[NDArray[Any], NDArray[np.uint8]]:
     if isinstance(demonstration, Demonstration):
+        if demonstration.task != task:
+            raise DemonstrationError(f"one of the demonstrations given for {task} is of {demonstration.task}")
         demonstration = demos.transitions([demonstration], settings.preset, drop_noop=False)
-    seen, actions = np.asarray(demonstration.observations), demonstration.actions
+    seen, actions = np.asarray(demonstration.observations), np.asarray(demonstration.actions)
+    needed = (len(actions), len(STATE_NAMES)) if settings.states else (len(actions), *SHAPE)
+    if actions.ndim != 1 or seen.shape != needed:
+        raise DemonstrationError(
+            f"a demonstration of {task} for the preset {settings.preset} needs the observation before each action, "
+            f"{needed}, and it has observations {seen.shape} and actions {actions.shape}"
+        )
+    if actions.dtype.kind not in "iu" or not np.isin(actions, range(len(ACTIONS))).all():
+        raise DemonstrationError(
+            f"actions are integers from 0 to {len(ACTIONS) - 1}; a demonstration of {task} has others"
+        )
     seen = histories(seen) if settings.states else seen
     return (seen[actions != NOOP], actions[actions != NOOP]) if drop_noop else (seen, actions)
 
@@ -66,6 +93,9 @@ class Dataset:
         settings: the settings; tasks, seed, preset and number of demonstrations are used.
         drop_noop: leave out the transitions with the no-op action.
         demonstrations: task -> demonstrations to choose from, instead of the shipped ones.
+
+    Raises:
+        DemonstrationError: if a task has too few demonstrations, or one of them does not fit the task or the preset.
     """
 
     def __init__(
@@ -74,11 +104,13 @@ class Dataset:
         self._observations: list[NDArray[Any]] = []
         self._actions: list[Tensor] = []
         for task in settings.tasks:
-            found = demos.load(task) if demonstrations is None else demonstrations[task]
+            found = _found(task, demonstrations)
             chosen = [found[number] for number in drawn(task, settings.seed, settings.demonstrations, len(found))]
-            seen, actions = zip(*[_episode(one, settings, drop_noop) for one in chosen], strict=True)
+            seen, actions = zip(*[_episode(task, one, settings, drop_noop) for one in chosen], strict=True)
             self._observations.append(np.concatenate(seen))
             self._actions.append(torch.as_tensor(np.concatenate(actions).astype(np.int64)))
+            if not self.sizes[-1]:
+                raise DemonstrationError(f"the demonstrations of {task} hold nothing to learn from, at most no-ops")
 
     @property
     def sizes(self) -> list[int]:
