@@ -150,7 +150,7 @@ def test_the_autoencoder_is_its_own_mirror(network: Network) -> None:
     coder = Autoencoder(network, 32)
     stacks, actions = torch.rand(2, 12, 96, 96), torch.tensor([0, 17])
     assert coder.encoder(stacks, actions).shape == (2, 32)
-    assert coder(stacks, actions)[0].shape == stacks.shape
+    assert coder(stacks, actions).shape == stacks.shape
     inwards = [layer.weight.shape for layer in coder.encoder.convolutions if isinstance(layer, torch.nn.Conv2d)]
     outwards = [layer.weight.shape for layer in coder.decoder if isinstance(layer, torch.nn.ConvTranspose2d)]
     assert inwards == outwards[::-1]  # a transposed convolution's weights are those of the convolution it mirrors

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from magical_mj.baselines.data import Rollout
 from magical_mj.baselines.learner import restore_optimizer, seeded
-from magical_mj.baselines.network import ONE_HOT, SHAPE, Torso, convolutions
+from magical_mj.baselines.network import SHAPE, Torso, convolutions
 from magical_mj.baselines.reinforced import RewardLearner
 from magical_mj.baselines.settings import Network, TrainingSettings
 from magical_mj.baselines.states import HISTORY, StateTorso
@@ -22,8 +22,8 @@ FIGURES: Final[tuple[str, ...]] = ("reconstruction", "distance", "reward", "scor
 
 CHUNK: Final = 64
 """Samples at a time: the output of the paper's first layer takes 2.4 MB for each."""
-ACTION_WEIGHT: Final = 0.1
-"""The weight of the actions' log loss relative to the observations' squared error, which is much smaller."""
+RECONSTRUCTED: Final = [number for number, name in enumerate(STATE_NAMES) if "velocity" not in name]
+"""The columns of states that the autoencoder reconstructs: those that it gets."""
 RESTART: Final = 100
 """Batches of the autoencoder between two searches for features that are always 0."""
 
@@ -122,8 +122,8 @@ class Autoencoder(nn.Module):
 
     The paper removes the layer of logits and narrows the one before it; that one keeps its ReLU, since the paper does
     not say otherwise. The decoder of pictures mirrors the encoder, with transposed convolutions and a final sigmoid, as
-    pixels are in [0, 1]; the decoder of states has two linear layers. The paper reconstructs pictures only. Here
-    actions are reconstructed too: otherwise features need not depend on actions, and could not reward them.
+    pixels are in [0, 1]; the decoder of states has two linear layers. As in the paper, actions are not reconstructed.
+    If they are, features are mostly about actions, and matching these leads nowhere (docs/state-track.md).
 
     Args:
         network: the layers' sizes.
@@ -139,23 +139,21 @@ class Autoencoder(nn.Module):
             else Torso(network, batch_norm=True, actions=True, features=size)
         )
         self.encoder = made
-        self.action = nn.Linear(size, ONE_HOT)
+        self.columns = RECONSTRUCTED if states else slice(None)
         inner: list[nn.Module] = [nn.Linear(size, network.hidden), nn.ReLU()]
         if isinstance(made, Torso):
             inner += mirror(network, made.flat)
         else:
-            inner += [nn.Linear(network.hidden, HISTORY * len(STATE_NAMES)), nn.Unflatten(1, (HISTORY, -1))]
+            inner += [nn.Linear(network.hidden, HISTORY * len(RECONSTRUCTED)), nn.Unflatten(1, (HISTORY, -1))]
         self.decoder = nn.Sequential(*inner)
 
-    def forward(self, observations: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
-        """The reconstructed observations, and logits of the actions (n, 18)."""
-        features = self.encoder(observations, actions)
-        return self.decoder(features), self.action(features)
+    def forward(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """The reconstructed pictures, as of `as_input`, or columns of states (n, HISTORY, len(RECONSTRUCTED))."""
+        return self.decoder(self.encoder(observations, actions))
 
     def loss(self, observations: Tensor, actions: Tensor) -> Tensor:
-        """Mean squared error of the observations, and the actions' log loss with the weight ACTION_WEIGHT."""
-        seen, logits = self(observations, actions)
-        return nn.functional.mse_loss(seen, observations) + ACTION_WEIGHT * nn.functional.cross_entropy(logits, actions)
+        """Mean squared error of what is reconstructed."""
+        return nn.functional.mse_loss(self(observations, actions), observations[..., self.columns])
 
     @torch.no_grad()
     def features(self, observations: Tensor, actions: Tensor) -> Tensor:

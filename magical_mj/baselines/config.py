@@ -84,6 +84,11 @@ STATE_TRACK: Final[Mapping[str, Any]] = MappingProxyType(
 )
 """The changes for the preset State, which the paper does not have."""
 
+SLOW: Final[Mapping[str, Any]] = MappingProxyType(
+    {"ppo.learning_rate": 6e-5, "ppo.entropy": 1e-5, "ppo.clip": 0.01, "features.samples": 4096}
+)
+"""The paper's PPO in short trainings of AL, whose rewards change more than others' from one update to the next."""
+
 T = TypeVar("T")
 
 
@@ -102,7 +107,7 @@ def load_settings(
     if isinstance(chosen := changes.get("preset"), str) and chosen == STATE:
         if quick:
             raise SettingsError("quick is for pictures: learning from states is quick as it is")
-        changes = {**STATE_TRACK, **changes}
+        changes = {**STATE_TRACK, **(SLOW if method == "al" else {}), **changes}
     return changed(TrainingSettings(method, tasks), {**(QUICK if quick else {}), **changes})
 
 
