@@ -121,19 +121,16 @@ def test_al_weighs_the_features_of_both_sides() -> None:
     learner = Apprenticeship(playing(tasks="MoveToRegion,FixColour", **{"features.samples": 40}))
     first, second = learner._ppo.collect(), learner._ppo.collect()
     learner.study(first)
-    generator = torch.Generator()
-    generator.set_state(learner.state()["draw"])
     figures = learner.study(second)
-    batch = learner._expert.sample(40, generator)
-    assert batch.tasks.tolist() == 20 * [0] + 20 * [1]
-    expert = learner._coder.features(*learner.on_device(batch)[:2])
+    everything = learner._expert.rows([torch.arange(size) for size in learner._expert.sizes])
+    expert = learner._coder.features(*learner.on_device(everything)[:2])
     novice = [
         learner._coder.features(*learner.on_device(part)[:2]) for part in (*first.batches(16), *second.batches(16))
     ]
     novice = torch.cat(novice).reshape(8, 2, 2, -1)  # steps, tasks, copies of each
     assert [len(one) for one in learner._latest] == [16, 16]  # of the 20 that are asked for
     for task in (0, 1):
-        mean = expert[batch.tasks == task].mean(0) - novice[:, task].flatten(0, 1).mean(0)
+        mean = expert[everything.tasks == task].mean(0) - novice[:, task].flatten(0, 1).mean(0)
         torch.testing.assert_close(learner._weights[task], mean / mean.norm(), rtol=1e-3, atol=1e-5)
     assert figures["distance"] > 0
     third = learner._ppo.collect()

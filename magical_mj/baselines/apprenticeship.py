@@ -36,7 +36,8 @@ class Apprenticeship(RewardLearner):
     closed form, and PPO's reward is w . Phi(s, a). (The paper's ball has radius 2, which has no effect, since rewards
     are normalised.) With several tasks, which the paper did not try, each has its own w.
 
-    If a rollout has fewer than `features.samples` samples, the latest samples of several rollouts are used.
+    If a rollout has fewer than `features.samples` samples, the latest samples of several rollouts are used. The paper
+    draws as many from the demonstrations; here these count with all their steps.
     """
 
     def __init__(self, settings: TrainingSettings) -> None:
@@ -48,6 +49,7 @@ class Apprenticeship(RewardLearner):
         self._optimizer = torch.optim.Adam(self._coder.parameters(), settings.features.learning_rate, fused=True)
         self._batches = 0
         self._figures: dict[str, float] = dict.fromkeys(FIGURES, 0.0)
+        self._demonstrated: Tensor | None = None
         self._weights = torch.zeros(tasks, size, device=self.device)
         self._latest = torch.zeros(tasks, 0, size, device=self.device)
 
@@ -64,14 +66,14 @@ class Apprenticeship(RewardLearner):
         """Computes new weights; returns the difference of mean features, w . (E_demonstrations Phi - E_policy Phi)."""
         tasks = len(self._weights)
         each = self.settings.features.samples // tasks
-        observations, actions, _ = self.on_device(self._expert.sample(each * tasks, self._draw))
-        expert = self._coder.features(observations, actions).reshape(tasks, each, -1)
+        if self._demonstrated is None:
+            self._demonstrated = self._demonstrated_means()
         played = (self.on_device(batch) for batch in rollout.batches(self.settings.ppo.minibatch))
         novice = torch.cat([self._coder.features(observations, actions) for observations, actions, _ in played])
         novice = novice.reshape(len(rollout.actions), tasks, -1, novice.shape[1]).transpose(0, 1).flatten(1, 2)
         order = torch.randperm(novice.shape[1], generator=self._draw)  # so that any part of the rollout may be left out
         self._latest = torch.cat([self._latest, novice[:, order]], dim=1)[:, -each:]
-        difference = expert.mean(1) - self._latest.mean(1)
+        difference = self._demonstrated - self._latest.mean(1)
         self._weights = best_weights(difference)
         return {"distance": (self._weights * difference).sum(1).mean().item()}
 
@@ -97,6 +99,14 @@ class Apprenticeship(RewardLearner):
         restore_optimizer(self._optimizer, state["coder optimizer"])
         self._batches, self._figures = state["batches"], dict(state["figures"])
         self._latest = state["latest"].to(self.device)
+
+    def _demonstrated_means(self) -> Tensor:
+        """The mean features of each task's demonstrations, shape (tasks, features); they are learnt by then."""
+        sums = torch.zeros_like(self._weights)
+        for batch in self._expert.batches(CHUNK):
+            observations, actions, tasks = self.on_device(batch)
+            sums.index_add_(0, tasks, self._coder.features(observations, actions))
+        return sums / torch.tensor(self._expert.sizes, device=self.device)[:, None]
 
     def _reconstruct(self) -> float:
         batch = self._expert.sample(self.settings.features.batch_size, self._draw)

@@ -104,11 +104,12 @@ def load_settings(
         changes: by field; those of parts with dots, as in ``**{"ppo.clip": 0.02}``.
     """
     tasks = tuple(task_name(task) for task in listed(tasks, TASKS))
+    slow = SLOW if method == "al" else {}
     if isinstance(chosen := changes.get("preset"), str) and chosen == STATE:
         if quick:
             raise SettingsError("quick is for pictures: learning from states is quick as it is")
-        changes = {**STATE_TRACK, **(SLOW if method == "al" else {}), **changes}
-    return changed(TrainingSettings(method, tasks), {**(QUICK if quick else {}), **changes})
+        changes = {**STATE_TRACK, **slow, **changes}
+    return changed(TrainingSettings(method, tasks), {**({**QUICK, **slow} if quick else {}), **changes})
 
 
 def check_changes(changes: Iterable[str], given: Collection[str]) -> None:

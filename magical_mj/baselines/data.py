@@ -122,6 +122,12 @@ class Dataset:
         draws = zip(self.sizes, shares(size, len(self.sizes), generator), strict=True)
         return self.rows([torch.randint(total, (share,), generator=generator) for total, share in draws])
 
+    def batches(self, size: int) -> Iterator[Batch]:
+        """All transitions in order, at most so many at a time, each batch of one task."""
+        for task, total in enumerate(self.sizes):
+            for rows in torch.arange(total).split(size):
+                yield self.rows([rows if other == task else rows[:0] for other in range(len(self.sizes))])
+
     def rows(self, numbers: Sequence[Tensor]) -> Batch:
         """The rows with these numbers, given for each task; one task after the other."""
         return Batch(

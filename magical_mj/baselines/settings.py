@@ -90,7 +90,7 @@ class Features:
     batch_size: int = 24
     learning_rate: float = 1e-4  # of Adam; the paper does not say
     size: int = 32
-    samples: int = 512  # of each side, for the weight vector
+    samples: int = 512  # the latest of the policy, for the weight vector
 
 
 @dataclass(frozen=True)
