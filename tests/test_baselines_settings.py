@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from learners import tiny
 
 from magical_mj import TASKS
 from magical_mj.baselines import load_settings
-from magical_mj.baselines.config import QUICK, changed, from_toml, names, to_toml
+from magical_mj.baselines.config import QUICK, changed, flattened, from_toml, names, to_toml
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.errors import SettingsError, UnknownNameError
 
@@ -35,6 +36,17 @@ def test_quick_changes_only_what_it_says() -> None:
     full, quick = load_settings("bc", "all"), load_settings("bc", "all", quick=True)
     assert quick == changed(full, QUICK) != full
     assert quick.tasks == TASKS
+
+
+@pytest.mark.parametrize("short", [{"quick": True}, {"preset": "State"}])
+def test_al_learns_as_slowly_as_the_paper_s_in_short_trainings_too(short: dict[str, Any]) -> None:
+    for name in ("ppo.learning_rate", "ppo.clip", "ppo.entropy"):
+        paper, al, gail = (
+            flattened(asdict(load_settings(method, "FindDupe", **given)))[name]
+            for method, given in (("al", {}), ("al", short), ("gail", short))
+        )
+        assert al == paper != gail
+    assert load_settings("al", "FindDupe", **short, **{"ppo.clip": 0.5}).ppo.clip == 0.5
 
 
 @pytest.mark.parametrize(
