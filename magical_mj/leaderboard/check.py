@@ -147,11 +147,14 @@ def check_entry(
     if everything:
         findings.replay(entry.episodes, entry.rules, jobs, watch)
         return entry, findings
+    playable = []
     for episode in entry.counted:
         problem = contradiction(episode, task_spec(episode.task).horizon(entry.rules))
-        findings.differing += [] if problem is None else [f"{episode}: {problem}"]
-    whole = [episode for episode in entry.counted if episode.failure is None]
-    findings.replay(_sample(whole, seed), entry.rules, jobs, watch)
+        if problem is not None:
+            findings.differing.append(f"{episode}: {problem}")
+        elif episode.failure is None:
+            playable.append(episode)
+    findings.replay(_sample(playable, seed), entry.rules, jobs, watch)
     return entry, findings
 
 
