@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from learners import tiny
 
@@ -149,3 +150,8 @@ def test_files_that_are_no_settings_are_refused(text: str, tmp_path: Path) -> No
     path.write_text(text, "latin-1")
     with pytest.raises((SettingsError, UnknownNameError)):
         from_toml(path)
+
+
+def test_a_method_is_a_name() -> None:
+    with pytest.raises(SettingsError, match="the method must be a name"):
+        load_settings(np.ones(3), "MoveToRegion")  # pyright: ignore[reportArgumentType]

@@ -104,7 +104,7 @@ def load_settings(
         changes: by field; those of parts with dots, as in ``**{"ppo.clip": 0.02}``.
     """
     tasks = tuple(task_name(task) for task in listed(tasks, TASKS))
-    slow = SLOW if method == "al" else {}
+    slow = SLOW if isinstance(method, str) and method == "al" else {}
     if isinstance(chosen := changes.get("preset"), str) and chosen == STATE:
         if quick:
             raise SettingsError("quick is for pictures: learning from states is quick as it is")
