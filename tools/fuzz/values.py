@@ -67,7 +67,7 @@ def spoilt_tree(tree: Any, rng: random.Random) -> Any:
             return tree
         holder, key = rng.choice(places)
         old, how = holder[key], rng.random()
-        if isinstance(old, float | int) and how < 0.5:
+        if isinstance(old, float | int) and abs(old) < 1e300 and how < 0.5:  # greater ones are no floats
             holder[key] = rng.choice(
                 (old * 10 ** rng.randint(-9, 9), -old, old + rng.gauss(0, 1), round(old, 1), old + 1)
             )
