@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from io import StringIO
 from pathlib import Path
 
 import pytest
 from learners import TINY
+from rich.console import Console
+from rich.progress import Progress as Bars
 
 import magical_mj
-from magical_mj.baselines import conduct, runs
+from magical_mj.baselines import Progress, commands, conduct, runs
 from magical_mj.baselines.experiment import agreement
 from magical_mj.baselines.policy import POLICY
 from magical_mj.cli.app import run
@@ -177,3 +180,16 @@ def test_the_packages_experiments_can_be_run(file: Path, tmp_path: Path) -> None
     tasks = magical_mj.TASKS if table["tasks"] == "all" else table["tasks"]
     groups = 1 if table.get("multi_task") else len(tasks)
     assert len({run.name for run in planned}) == len(planned) == len(table["methods"]) * groups * len(table["seeds"])
+
+
+@pytest.mark.parametrize(("updates", "left"), [(10, "0:00:0"), (10**30, "?"), (10**400, "?")])
+def test_the_line_of_each_minute_counts_any_number_of_updates(
+    updates: int, left: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(commands, "MINUTE", 0)
+    screen = Console(file=StringIO())
+    watch = commands.Watch(screen, Bars(console=screen), "bc")
+    for update in (1, 2):
+        watch(Progress(update, updates, {}, {}))
+    assert f"2/{updates} updates" in screen.file.getvalue()
+    assert f", {left}" in screen.file.getvalue().splitlines()[-1]

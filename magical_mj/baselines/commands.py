@@ -174,7 +174,8 @@ class Watch:
     def _tell(self, trained: Trained) -> None:
         self._told = time.monotonic()
         rate = (trained.update - self._first) / (self._told - self._started)
-        left = timedelta(seconds=round((trained.updates - trained.update) / rate)) if rate else "?"
+        more = trained.updates - trained.update
+        left = timedelta(seconds=round(more / rate)) if more < rate * timedelta.max.total_seconds() else "?"
         done = f"{trained.update}/{trained.updates} updates, {rate:.2g}/s, {left} left"
         self._say(f"{done}  {self._figures}")
 
