@@ -107,7 +107,7 @@ class Simulation(UnindexedPhysics):
         Raises:
             StateError: if it is not a state of this model.
         """
-        model, data = self.model.ptr, self.data.ptr
+        model = self.model.ptr
         size = mujoco.mj_stateSize(model, _INTEGRATION)
         whole = isinstance(saved, np.ndarray) and saved.dtype == np.float64 and saved.shape == (size + model.ntree,)
         if not whole or not (np.abs(saved) <= MAX_NUMBER).all():  # beyond, MuJoCo starts again without a word
@@ -120,10 +120,20 @@ class Simulation(UnindexedPhysics):
         together = np.array_equal(np.sort(asleep[sleeping]), np.flatnonzero(sleeping))
         if not together or asleep.min() < _LEAST or (asleep % 1).any():
             raise StateError("the state is damaged: the entries about sleeping bodies are inconsistent")
+        before = self.save()
+        try:
+            self._put(saved)
+        except mujoco.FatalError as error:
+            self._put(before)
+            raise StateError(f"the state is damaged: MuJoCo cannot continue from it ({error})") from error
+
+    def _put(self, saved: NDArray[np.float64]) -> None:
+        model, data = self.model.ptr, self.data.ptr
+        size = mujoco.mj_stateSize(model, _INTEGRATION)
         mujoco.mj_resetData(model, data)
         mujoco.mj_setState(model, data, saved[:size], _INTEGRATION)
         mujoco.mj_fwdPosition(model, data)  # with everything awake, since MuJoCo does not update sleeping bodies
-        data.tree_asleep[:] = asleep
+        data.tree_asleep[:] = saved[size:]
         _update_sleep(model, data)
         mujoco.mj_step1(model, data)
 
