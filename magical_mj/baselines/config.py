@@ -104,12 +104,14 @@ def load_settings(
         changes: by field; those of parts with dots, as in ``**{"ppo.clip": 0.02}``.
     """
     tasks = tuple(task_name(task) for task in listed(tasks, TASKS))
-    slow = SLOW if isinstance(method, str) and method == "al" else {}
+    settings, short = TrainingSettings(method, tasks), QUICK if quick else {}
     if isinstance(chosen := changes.get("preset"), str) and chosen == STATE:
         if quick:
             raise SettingsError("quick is for pictures: learning from states is quick as it is")
-        changes = {**STATE_TRACK, **slow, **changes}
-    return changed(TrainingSettings(method, tasks), {**({**QUICK, **slow} if quick else {}), **changes})
+        short = STATE_TRACK
+    if short and method == "al":
+        short = {**short, **SLOW}
+    return changed(settings, {**short, **changes})
 
 
 def check_changes(changes: Iterable[str], given: Collection[str]) -> None:
