@@ -6,7 +6,6 @@ import copy
 import itertools
 import pickle
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -277,26 +276,3 @@ def test_an_unstable_simulation_can_be_left() -> None:
     env.set_state(state)
     assert env.get_state() == state
     assert env.step(4).mid()
-
-
-def test_heaps_in_which_some_bodies_sleep_are_restored_or_refused() -> None:
-    """MuJoCo stops at some of them; then the world is as it was before."""
-    env = magical_mj.load("ClusterShape", seed=0, observations=())
-    env.reset()
-    env.step(0)
-    state, rng, refused = env.get_state(), np.random.default_rng(0), []
-    positions, trees = env.physics.model.nq, env.physics.model.ntree
-    for _ in range(300):
-        heap = state.simulation.copy()
-        heap[1 : 1 + positions] = rng.uniform(-0.3, 0.3, positions)  # after the time
-        heap[-trees:] = np.where(rng.random(trees) < 0.5, np.arange(trees), -1)
-        before = env.get_state()
-        try:
-            env.set_state(replace(state, simulation=heap))
-        except StateError as error:
-            refused.append(str(error))
-        else:
-            continue
-        assert env.get_state() == before
-    assert 0 < len(refused) < 300
-    assert all("MuJoCo cannot continue from it" in problem for problem in refused)
