@@ -9,7 +9,7 @@ from typing import Final, Literal, get_args
 from magical_mj.errors import InvalidSceneError, SettingsError, check_name, shown
 from magical_mj.geometry import check_scene
 from magical_mj.observations import OBSERVATIONS, VIEWS, StateEncoder
-from magical_mj.registry import check_rules, environment_axes, sample_scene, task_spec
+from magical_mj.registry import check_rules, environment_axes, sample_scene, task_spec, variant_name
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene, check_scene_type
 from magical_mj.tasks.spec import Rules
@@ -38,6 +38,7 @@ class EnvironmentSettings:
     def __post_init__(self) -> None:
         """Checks every setting."""
         if self.task is not None:
+            object.__setattr__(self, "variant", variant_name(self.variant))
             environment_axes(self.task, self.variant)
         check_rules(self.rules)
         check_name("reward", self.reward, REWARDS)
@@ -76,7 +77,7 @@ class EnvironmentSettings:
         """
         if self.task is None:
             raise InvalidSceneError("a plain scene has no score; load a task, or use magical_mj.score(task, ...)")
-        return task_spec(self.task).score(initial, final, self.rules)
+        return task_spec(self.task).checked_score(initial, final, self.rules)
 
 
 def check_observations(names: Sequence[str]) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from magical_mj.announced import announced, load_spec
+from magical_mj.announced import announced, check_drawn, load_spec
 from magical_mj.errors import InvalidSceneError, SettingsError, shown, unknown_name
 from magical_mj.references import is_reference
 from magical_mj.scene import Scene, check_scene_type
@@ -148,9 +148,14 @@ def sample_scene(task: str, variant: str, seed: int) -> Scene:
     Raises:
         UnknownNameError: if there is no such task or variant, or the task does not have this variant.
         InvalidSeedError: if the seed is not an integer, or negative; any size will do.
-        PlacementError: if no legal placement was found (not known to happen).
+        PlacementError: if no legal placement was found (not known to happen in the benchmark).
+        TaskError: if the task of another package draws a scene in which it cannot start.
     """
-    return vary(task_spec(task), variant_name(variant), seed)
+    spec, variant = task_spec(task), variant_name(variant)
+    scene = vary(spec, variant, seed)
+    if spec.name not in SPECS:  # those of the benchmark are known to be right
+        check_drawn(spec, variant, seed, scene)
+    return scene
 
 
 def score(task: str, initial: Scene, final: Scene, rules: Rules = "paper") -> float:
@@ -165,6 +170,7 @@ def score(task: str, initial: Scene, final: Scene, rules: Rules = "paper") -> fl
     Raises:
         UnknownNameError: if there is no such task or set of rules.
         InvalidSceneError: if `initial` is not a scene of the task, or `final` has other blocks or regions.
+        TaskError: if the task of another package returns anything but a number in [0, 1].
     """
     spec = task_spec(task)
     rules = check_rules(rules)
@@ -172,7 +178,7 @@ def score(task: str, initial: Scene, final: Scene, rules: Rules = "paper") -> fl
         check_scene_type(scene)
     spec.check(initial)
     _check_same(initial, final)
-    return spec.score(initial, final, rules)
+    return spec.checked_score(initial, final, rules)
 
 
 def _check_same(initial: Scene, final: Scene) -> None:

@@ -12,6 +12,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+from magical_mj import load
 from magical_mj.errors import SettingsError, TaskError, UnknownNameError
 from magical_mj.registration import env_id
 from magical_mj.registry import ENVIRONMENTS, environments, sample_scene, score, task_name, task_spec
@@ -63,6 +64,16 @@ OUTSIDE = replace(GOOD, demo=replace(DEMO, robot=Robot(2.0, 0.0, 0.0)))
 NOT_ITS_OWN = replace(GOOD, demo=replace(DEMO, regions=()))
 TWO = replace(GOOD, score=lambda initial, final, rules: 2.0)
 TEXT = replace(GOOD, score=lambda initial, final, rules: "all")
+NO_RULES = replace(GOOD, score=lambda initial, final: 0.0)
+YES = replace(GOOD, check=lambda scene: True)
+WRONG_ERROR = replace(GOOD, check=lambda scene: 1 / 0)
+NO_SCENE = replace(GOOD, colour=lambda rng, scene: None)
+MOVED = replace(GOOD, colour=lambda rng, scene: scene.moved(blocks=[(0, 0, 0)] * len(scene.blocks)))
+LATER = replace(GOOD, score=lambda initial, final, rules: 2.0 if final.robot != initial.robot else 0.0)
+RARELY = replace(GOOD, colour=lambda rng, scene: replace(scene, regions=()) if rng.random() < 0.1 else scene)
+(REGION,) = DEMO.regions
+STUCK = replace(GOOD, demo=DEMO.moved(robot=(REGION.x_min - 0.05, REGION.y_max - 0.3, 0.0)))
+INSIDE = replace(GOOD, demo=DEMO.moved(robot=(*REGION.centre, 0.0)))
 """
 
 
@@ -95,16 +106,42 @@ def test_tasks_of_ones_own_are_played_by_reference(mine: str) -> None:
     [
         ("DEMO", r"is not a magical_mj\.tasks\.TaskSpec but Scene\("),
         ("TAKEN", "is called 'MatchRegions', as a task of the benchmark is"),
-        ("OUTSIDE", "no episode of .*:OUTSIDE can start in its own demo scene: robot at"),
+        ("OUTSIDE", "no episode of Mine can start in its own demo scene: robot at"),
         ("NOT_ITS_OWN", "no episode of .* can start in its own demo scene: this is not a scene of MatchRegions"),
-        ("TWO", r"the score of .* must be in \[0, 1\]; in its demo scene it is 2.0"),
-        ("TEXT", r"the score of .* must be in \[0, 1\]; in its demo scene it is 'all'"),
+        ("TWO", r"Mine.score must return a number in \[0, 1\], and returned 2.0"),
+        ("TEXT", r"Mine.score must return a number in \[0, 1\], and returned 'all'"),
+        ("NO_RULES", r"mine.*:NO_RULES cannot be played: TypeError: .*takes 2 positional arguments but 3 were given"),
+        ("YES", "Mine.check must raise InvalidSceneError or return None, not True"),
+        ("WRONG_ERROR", r"cannot be played: ZeroDivisionError: division by zero \(.*mine_.*, line \d+\)"),
+        ("NO_SCENE", "Mine.colour must return a magical_mj.Scene, not None"),
+        ("MOVED", "no episode of Mine can start in the scene of Colour that seed 0 draws: block 0 and block 1 overlap"),
+        ("STUCK", "cannot be played: found no room for Robot.*let nothing stick out into a region in which its centre"),
     ],
 )
 def test_tasks_that_cannot_be_played_are_refused(mine: str, name: str, message: str) -> None:
     sample_scene(f"{mine}:GOOD", "Demo", 0)
     with pytest.raises(TaskError, match=message):
         sample_scene(f"{mine}:{name}", "Demo", 0)
+
+
+def test_later_scores_and_scenes_of_ones_own_are_checked_too(mine: str) -> None:
+    env = load(f"{mine}:LATER", observations=(), seed=0)
+    env.reset()
+    assert env.score() == 0.0
+    env.step(2)
+    with pytest.raises(TaskError, match=r"Mine.score must return a number in \[0, 1\], and returned 2.0"):
+        env.score()
+    with pytest.raises(
+        TaskError, match=r"no episode of Mine can start in the scene of Colour that seed \d+ draws: this"
+    ):
+        [sample_scene(f"{mine}:RARELY", "Colour", seed) for seed in range(100)]
+
+
+def test_a_robot_that_belongs_in_a_region_stays_there(mine: str) -> None:
+    for variant in ("Jitter", "Layout", "All"):
+        for seed in range(5):
+            scene = sample_scene(f"{mine}:INSIDE", variant, seed)
+            assert scene.regions[0].contains(scene.robot)
 
 
 @pytest.mark.parametrize(
@@ -135,6 +172,8 @@ def test_what_is_no_task_is_refused(task: Any, message: str) -> None:
         ({"region_size": (0.0, 0.0)}, "region_size must be the least and greatest side"),
         ({"region_size": (0.8, 0.5)}, "region_size must be the least and greatest side"),
         ({"region_size": 0.5}, "region_size must be the least and greatest side"),
+        ({"region_size": (0.5, 0.7)}, r"region_size is \(0.5, 0.7\); the sides in its demo must be within: 0.67, 0.72"),
+        ({"layout": False}, "FindDupe.count needs layouts, which place the blocks that it adds"),
         ({"inner_margin": 0.25}, "inner_margin must be 0, or less than half of the least side"),
         ({"layout": "no"}, "FindDupe.layout must be a bool, not 'no'"),
         ({"score": None}, "FindDupe.score must be a function"),

@@ -147,6 +147,6 @@ def test_what_does_not_exist_is_refused_with_what_does(task: str, variant: Any, 
 
 
 def test_a_placement_that_cannot_be_gives_up_and_names_remedies() -> None:
-    crowded = replace(task_spec("FixColour"), region_size=(1.2, 1.3))
+    crowded = replace(task_spec("FixColour"), region_size=(0.4, 1.9))
     with pytest.raises(PlacementError, match=r"found no room for GoalRegion.*Use fewer blocks, fewer or smaller reg"):
         vary(crowded, "Layout", 0)

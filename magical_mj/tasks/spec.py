@@ -18,6 +18,8 @@ Rules = Literal["paper", "released"]
 """Which scores and horizons: those of the paper's appendix, or of the original's released code where it differs."""
 RULES: Final[tuple[Rules, ...]] = get_args(Rules)
 
+_ROUNDING: Final = 1e-9
+
 Plan = Callable[[Scene, Scene, Noise], Iterable[Subgoal]]
 """(initial scene, present scene, noise) -> the remaining subgoals; called only if the task is not solved. An expert
 calls it again whenever a block is not where it was expected. The noise selects one of several good plans."""
@@ -28,8 +30,8 @@ ScoreFunction = Callable[[Scene, Scene, Rules], float]
 AxisRule = Callable[[np.random.Generator, Scene], Scene]
 """Draws one attribute of a scene: its colours, its shapes or its counts.
 
-The result must be a scene of the task (`TaskSpec.check`) with unchanged poses. Blocks that a count rule adds may have
-any pose, since they are placed afterwards; but a block that belongs in a goal region must be in it.
+The result must be a scene of the task (`TaskSpec.check`). Poses usually stay as they are. Blocks that a count rule adds
+may have any pose, since they are placed afterwards; but a block that belongs in a goal region must be in it.
 """
 
 
@@ -86,6 +88,12 @@ class TaskSpec:
         low, high = self.region_size if _are_numbers(self.region_size, 2) else (1.0, 0.0)
         if not 0 <= low <= high <= 2 * ARENA_HALF_WIDTH or (self.demo.regions and not low):
             raise TaskError(f"{self.name}.region_size must be the least and greatest side of its goal regions, above 0")
+        sides = [side for region in self.demo.regions for side in (region.height, region.width)]
+        if not all(low - _ROUNDING <= side <= high + _ROUNDING for side in sides):
+            found = ", ".join(f"{side:g}" for side in sides)
+            raise TaskError(f"{self.name}.region_size is {(low, high)}; the sides in its demo must be within: {found}")
+        if self.count is not None and not self.layout:
+            raise TaskError(f"{self.name}.count needs layouts, which place the blocks that it adds: omit layout=False")
         if not _are_numbers((self.inner_margin,), 1) or not (self.inner_margin == 0 or 0 < self.inner_margin < low / 2):
             raise TaskError(f"{self.name}.inner_margin must be 0, or less than half of the least side of its regions")
         for part in ("score", "check"):
@@ -101,6 +109,17 @@ class TaskSpec:
             return self.released_steps
         return self.steps
 
+    def checked_score(self, initial: Scene, final: Scene, rules: Rules) -> float:
+        """What `score` returns, which must be a number in [0, 1].
+
+        Raises:
+            TaskError: if it is anything else.
+        """
+        score: Any = self.score(initial, final, rules)
+        if not isinstance(score, int | float | np.number) or not 0.0 <= score <= 1.0:
+            raise TaskError(f"{self.name}.score must return a number in [0, 1], and returned {shown(score)}")
+        return float(score)
+
     def subgoals(self, initial: Scene, now: Scene, noise: Noise) -> tuple[Subgoal, ...]:
         """The remaining subgoals; none if the task is solved.
 
@@ -108,7 +127,7 @@ class TaskSpec:
             TaskError: if the task has no plan.
         """
         plan = self.check_plan()
-        return () if self.score(initial, now, "paper") >= 1.0 else tuple(plan(initial, now, noise))
+        return () if self.checked_score(initial, now, "paper") == 1.0 else tuple(plan(initial, now, noise))
 
     def check_plan(self) -> Plan:
         """The plan; raises `TaskError` if there is none."""

@@ -2,9 +2,9 @@
 
 Things are placed one after the other: the goal regions, the robot with its open fingers, the blocks that
 start outside the regions, and last the blocks that belong in one. A draw is rejected if it touches a wall
-or anything placed before. For the robot and the outer blocks every region is an obstacle. A block that
-belongs in a region avoids the other regions, has its centre in its own, and may stick out of it.
-So each pose is uniform given those placed before, as in the original.
+or anything placed before. For the robot and the outer blocks every region is an obstacle. What belongs in
+a region (a block, or the robot in a task of one's own) avoids the other regions, has its centre in its own,
+and may stick out of it. So each pose is uniform given those placed before, as in the original.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from magical_mj import constants as c
 from magical_mj.errors import PlacementError
-from magical_mj.geometry import Solid, block_solid, inside_walls, region_solid, robot_solid, touch
+from magical_mj.geometry import Solid, block_solid, inside_walls, region_solid, robot_solid, solids, touch
 from magical_mj.scene import Block, GoalRegion, Pose, Robot, Scene
 from magical_mj.tasks.spec import TaskSpec
 
@@ -86,15 +86,18 @@ def layout(spec: TaskSpec, scene: Scene, rng: np.random.Generator) -> Scene:
     return _place(scene, regions, anywhere, rng)
 
 
-def fits(scene: Scene) -> bool:
-    """Whether placement would accept all poses: inside the walls, and touching nothing that must be avoided."""
-    areas = [region_solid(region) for region in scene.regions]
-    bodies = [_solid(thing, thing.pose) for thing in (scene.robot, *scene.blocks)]
-    homes = [None, *(_home(block, scene.regions) for block in scene.blocks)]
-    pairs = [*itertools.combinations(areas, 2), *itertools.combinations(bodies, 2)]
-    for body, home in zip(bodies, homes, strict=True):
-        pairs += [(body, area) for number, area in enumerate(areas) if number != home]
-    return all(map(inside_walls, areas + bodies)) and not any(touch(one, other) for one, other in pairs)
+def contact(scene: Scene) -> str | None:
+    """What placement would reject about the scene's poses, such as "block 1 touches a wall"; None: nothing."""
+    areas = {f"region {number}": region_solid(region) for number, region in enumerate(scene.regions)}
+    bodies = solids(scene)
+    for name, solid in (areas | bodies).items():
+        if not inside_walls(solid):
+            return f"{name} touches a wall"
+    pairs = [*itertools.combinations(areas.items(), 2), *itertools.combinations(bodies.items(), 2)]
+    for thing, body in zip((scene.robot, *scene.blocks), bodies.items(), strict=True):
+        home = _home(thing, scene.regions)
+        pairs += [(body, area) for number, area in enumerate(areas.items()) if number != home]
+    return next((f"{name} touches {other}" for (name, a), (other, b) in pairs if touch(a, b)), None)
 
 
 def _between(rng: np.random.Generator, low: float, high: float) -> float:
@@ -126,7 +129,8 @@ def _place(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: np.ra
             stuck = error
     raise PlacementError(
         f"found no room for {stuck} among {len(scene.blocks)} blocks and {len(regions)} goal regions, after placing "
-        f"everything {MAX_ROUNDS} times. Use fewer blocks, fewer or smaller regions, or another seed"
+        f"everything {MAX_ROUNDS} times. Use fewer blocks, fewer or smaller regions, or another seed; and let nothing "
+        "stick out into a region in which its centre is not"
     )
 
 
@@ -139,24 +143,23 @@ def _place_once(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: 
         placed_regions.append(_at(region, pose))
         areas.append(area)
 
-    robot, solid = _find(scene.robot, boxes(scene.robot.pose, None), areas, rng)
-    solids = [solid]
-
-    homes = [_home(block, scene.regions) for block in scene.blocks]
-    poses = [block.pose for block in scene.blocks]
-    for index in sorted(range(len(homes)), key=lambda index: homes[index] is not None):  # outer blocks first
-        block, home = scene.blocks[index], homes[index]
+    things = (scene.robot, *scene.blocks)
+    homes = [_home(thing, scene.regions) for thing in things]
+    poses = [thing.pose for thing in things]
+    placed: list[Solid] = []
+    for index in sorted(range(len(things)), key=lambda index: index > 0 and homes[index] is not None):
+        thing, home = things[index], homes[index]
         own_region = None if home is None else placed_regions[home]
-        obstacles = solids + [area for number, area in enumerate(areas) if number != home]
-        poses[index], solid = _find(block, boxes(block.pose, own_region), obstacles, rng)
-        solids.append(solid)
+        obstacles = placed + [area for number, area in enumerate(areas) if number != home]
+        poses[index], solid = _find(thing, boxes(thing.pose, own_region), obstacles, rng)
+        placed.append(solid)
 
-    return replace(scene.moved(robot, poses), regions=tuple(placed_regions))
+    return replace(scene.moved(poses[0], poses[1:]), regions=tuple(placed_regions))
 
 
-def _home(block: Block, regions: Sequence[GoalRegion]) -> int | None:
-    """Index of the region in which the block lies and so belongs, or None."""
-    return next((number for number, region in enumerate(regions) if region.contains(block)), None)
+def _home(thing: Robot | Block, regions: Sequence[GoalRegion]) -> int | None:
+    """Index of the region in which the thing's centre lies, so that it belongs there; or None."""
+    return next((number for number, region in enumerate(regions) if region.contains(thing)), None)
 
 
 def _at(region: GoalRegion, pose: Pose) -> GoalRegion:

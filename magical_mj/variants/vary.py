@@ -9,12 +9,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from magical_mj.errors import InvalidSeedError, PlacementError, shown
+from magical_mj.errors import InvalidSeedError, PlacementError, TaskError, shown
 from magical_mj.scene import Scene
-from magical_mj.tasks.spec import AxisRule, TaskSpec
+from magical_mj.tasks.spec import TaskSpec
 from magical_mj.variants.axes import AXES, Axis, varied_axes
 from magical_mj.variants.dynamics import draw_dynamics
-from magical_mj.variants.placement import fits, jitter, layout
+from magical_mj.variants.placement import contact, jitter, layout
 
 MAX_SHAPE_DRAWS: Final = 1_000
 
@@ -29,19 +29,18 @@ def vary(spec: TaskSpec, variant: str, seed: int) -> Scene:
         UnknownNameError: if the task has no such variant.
         InvalidSeedError: if the seed is not an integer, or negative.
         PlacementError: if no legal placement was found.
+        TaskError: if a rule of the task does not return a scene.
     """
     seed = check_seed(seed)
     rngs = {axis: _generator(spec.name, axis, seed) for axis in varied_axes(spec, variant)}
     scene = spec.demo
-    if spec.count is not None and "count" in rngs:
-        scene = spec.count(rngs["count"], scene)
-    if spec.colour is not None and "colour" in rngs:
-        scene = spec.colour(rngs["colour"], scene)
-    if spec.shape is not None and "shape" in rngs:
-        if "jitter" in rngs or "layout" in rngs:
-            scene = spec.shape(rngs["shape"], scene)
-        else:
-            scene = _fitting_shapes(spec.shape, rngs["shape"], scene)
+    if "count" in rngs:
+        scene = _draw(spec, "count", rngs["count"], scene)
+    if "colour" in rngs:
+        scene = _draw(spec, "colour", rngs["colour"], scene)
+    if "shape" in rngs:
+        draw_shapes = _draw if "jitter" in rngs or "layout" in rngs else _draw_until_it_fits
+        scene = draw_shapes(spec, "shape", rngs["shape"], scene)
     if "dynamics" in rngs:
         scene = replace(scene, dynamics=draw_dynamics(rngs["dynamics"]))
     if "jitter" in rngs:
@@ -51,19 +50,29 @@ def vary(spec: TaskSpec, variant: str, seed: int) -> Scene:
     return scene
 
 
-def _fitting_shapes(rule: AxisRule, rng: np.random.Generator, scene: Scene) -> Scene:
+def _draw(spec: TaskSpec, axis: Axis, rng: np.random.Generator, scene: Scene) -> Scene:
+    """The scene with what the task's rule for this axis draws."""
+    drawn: Any = getattr(spec, axis)(rng, scene)
+    if not isinstance(drawn, Scene):
+        raise TaskError(f"{spec.name}.{axis} must return a magical_mj.Scene, not {shown(drawn)}")
+    return drawn
+
+
+def _draw_until_it_fits(spec: TaskSpec, axis: Axis, rng: np.random.Generator, scene: Scene) -> Scene:
     """The scene with shapes drawn by the rule, repeatedly until all fit at the blocks' poses.
 
     If poses stay as in the demo, some shapes would overlap a neighbour or a wall: in ClusterColour, two
     stars side by side do. So the shapes are uniform over those that fit.
     """
+    found: str | None = None
     for _ in range(MAX_SHAPE_DRAWS):
-        drawn = rule(rng, scene)
-        if fits(drawn):
+        drawn = _draw(spec, axis, rng, scene)
+        found = contact(drawn)
+        if found is None:
             return drawn
     raise PlacementError(
-        f"none of {MAX_SHAPE_DRAWS} draws of shapes fits the poses of the demo scene. "
-        "Move its blocks further from each other and from the walls"
+        f"none of {MAX_SHAPE_DRAWS} draws of shapes fits the poses of the demo scene; in the last, {found}. "
+        "Move these further apart in it"
     )
 
 
