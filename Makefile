@@ -45,8 +45,8 @@ docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the READ
 	$(BIN)/python tools/tables.py
 
 site: $(VENV)/.installed-dev | node  ## the documentation and the page to play on, complete in out/site
-	$(BIN)/python site/docs.py out/site
-	$(BIN)/python site/play.py out/site/play
+	$(BIN)/python site/docs.py
+	$(BIN)/python site/play.py
 
 site-test: site | chromium  ## the site in headless Chromium, and its simulation and scores beside Python's
 	$(BIN)/python site/fetch.py

@@ -1,7 +1,7 @@
 """Scenes and running environments as MJCF files that plain MuJoCo loads, and that people can read.
 
 A program needs only such a file to show, play and score an episode: besides the model it holds, under `<custom>`, the
-scene, the task, the horizon and the values of `ctrl` for each of the 18 actions.
+scene, the task and its rules, the horizon and the values of `ctrl` for each of the 18 actions.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def export_mjcf(source: Scene | Environment, path: str | os.PathLike[str], *, ov
 
     Args:
         source: a scene, or an environment at any point of an episode. For an environment, the file also holds task,
-            variant and horizon, and the seed if the scene was drawn from one.
+            rules and horizon, and variant and seed if the scene was drawn from a seed.
         path: the file to write; its folder is made if missing.
         overwrite: whether an existing file may be replaced.
 
@@ -87,8 +87,9 @@ def export_mjcf(source: Scene | Environment, path: str | os.PathLike[str], *, ov
                 "dm_control.mjcf.export_with_assets(env.task.root_entity.mjcf_model, folder), or export its scene"
             )
         settings = source.task.settings
-        about |= {"task": settings.task, "variant": settings.task and settings.variant, "seed": source.task.seed}
-        about["horizon"] = source.horizon
+        drawn = source.task.seed is not None  # else the scene may be of no variant, or of another one
+        about |= {"task": settings.task, "variant": settings.variant if drawn else None, "seed": source.task.seed}
+        about |= {"rules": settings.rules if settings.task else None, "horizon": source.horizon}
     about = {name: value for name, value in about.items() if value is not None}
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Writes the documentation site: python site/docs.py FOLDER. What README and docs/ say is taken from there."""
+"""Writes the documentation site, out/site. What README and docs/ say is taken from there."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from magical_mj.web.look import look
 ROOT: Final = Path(__file__).parent.parent
 PAGES: Final = ROOT / "site" / "pages"
 SOURCES: Final = ROOT / "out" / "site-sources"
+FOLDER: Final = ROOT / "out" / "site"
 PLACEHOLDER: Final = re.compile(r"^<!-- (README|file|actions|others): ?(.*?) -->$", re.MULTILINE)
 LINK: Final = re.compile(r"\[([^]]*)\]\((?!https?:|#)([\w./-]+)(#[\w-]*)?\)")
 REPOSITORY_FILES: Final = {
@@ -29,7 +30,8 @@ REPOSITORY_FILES: Final = {
 def write_docs(folder: Path) -> None:
     """Gather all sources in one flat folder, and have Sphinx make the pages; warnings are errors."""
     for old in (SOURCES, folder):
-        shutil.rmtree(old, ignore_errors=True)
+        if old.exists():
+            shutil.rmtree(old)
     media = SOURCES / "extra" / "media"
     media.mkdir(parents=True)
     for path in (ROOT / "docs").glob("*"):
@@ -112,4 +114,4 @@ def _logo() -> str:
 
 
 if __name__ == "__main__":
-    write_docs(Path(sys.argv[1]))
+    write_docs(FOLDER)

@@ -1,12 +1,11 @@
-"""Writes the page on which all environments can be played, without a server: python site/play.py FOLDER."""
+"""Writes the page on which all environments can be played, without a server: out/site/play."""
 
 from __future__ import annotations
 
 import json
 import shutil
-import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from fetch import MUJOCO, fetched
 
@@ -15,10 +14,13 @@ from magical_mj.web import PAGE
 from magical_mj.web.catalogue import catalogue
 from magical_mj.web.scenes import environment_scenes, exported, with_models
 
+FOLDER: Final = Path(__file__).parent.parent / "out" / "site" / "play"
+
 
 def write_play(folder: Path) -> int:
-    """Write the page, its scenes and MuJoCo's WebAssembly build; returns the number of bytes."""
-    shutil.rmtree(folder, ignore_errors=True)
+    """Write the page, its scenes and MuJoCo's WebAssembly build anew; returns the number of bytes."""
+    if folder.exists():
+        shutil.rmtree(folder)
     shutil.copytree(PAGE, folder)
     for task, variant in magical_mj.ENVIRONMENTS:
         data = environment_scenes(task, variant)
@@ -42,5 +44,4 @@ def _write(path: Path, data: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    target = Path(sys.argv[1])
-    print(f"{target}: {write_play(target) / 1e6:.1f} MB")
+    print(f"{FOLDER}: {write_play(FOLDER) / 1e6:.1f} MB")

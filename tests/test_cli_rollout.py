@@ -71,6 +71,15 @@ def test_films_say_what_is_shown() -> None:
     assert np.array_equal(second, last)
 
 
+def test_long_titles_fit() -> None:
+    frames: list[np.ndarray] = []
+    made = Film(frames.append, size=192, views=("allo",), pause=1)
+    made.begin("FindDupe CountPlus, seed 3: expert", np.zeros((192, 192, 3), np.uint8), 0.0)
+    band = frames[0][86:106]
+    assert len(np.unique(band)) > 1
+    assert len(np.unique(band[:, [0, 1, 2, -3, -2, -1]])) == 1  # no letter is cut at the sides
+
+
 @pytest.mark.parametrize(
     ("action", "words"), [(0, "nothing"), (1, "forward"), (5, "back, left"), (9, "grip"), (16, "forward, right, grip")]
 )

@@ -109,7 +109,7 @@ def test_files_say_what_they_hold(task: str, variant: str, seed: int, tmp_path: 
     model, _ = exported(env, tmp_path)
     said = texts(model)
     assert Scene.from_json(said.pop("scene")) == env.initial_scene
-    assert said == {"task": task, "variant": variant, "seed": str(seed)}
+    assert said == {"task": task, "variant": variant, "seed": str(seed), "rules": "paper"}
     np.testing.assert_array_equal(numeric(model, "controls").reshape(18, 6), controls())
     for name, value in {"horizon": env.horizon, "substeps": SUBSTEPS, "protocol": PROTOCOL}.items():
         assert numeric(model, name).tolist() == [value]
@@ -133,6 +133,10 @@ def test_scenes_that_were_given_have_no_seed(tmp_path: Path) -> None:
     env = magical_mj.load("FindDupe", seed=5, observations=())
     env.reset()
     assert texts(exported(env, tmp_path)[0])["seed"] == "5"  # of the first episode
+    given = magical_mj.load("FindDupe", scene=magical_mj.sample_scene("FindDupe", "All", 3), rules="released")
+    given.reset()
+    assert texts(exported(given, tmp_path)[0]).keys() == {"scene", "task", "rules"}, "nor a variant"
+    assert texts(exported(given, tmp_path)[0])["rules"] == "released"
     env.reset(scene=magical_mj.sample_scene("FindDupe", "Demo", 4))
     assert "seed" not in texts(exported(env, tmp_path)[0])
     env.reset()

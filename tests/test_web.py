@@ -181,12 +181,21 @@ def test_an_ipv6_address_is_played_at() -> None:
         (["--web", "--tasks", "Tetris"], "Tetris"),
         (["--web", "--wanted", "3"], "--wanted needs --collect"),
         (["FindDupe", "--web", "--tasks", "MakeLine"], "not among"),
+        (["FindDupe", "--web", "--seed", str(2**53)], "seeds in a browser are at most 9007199254740991"),
+        (["FindDupe", "--web", "--collect", "study"], "the server chooses what is played"),
+        (["--web", "--seed", "5"], "--seed has an effect only with TASK"),
+        (["--web", "--origin", "https://[bad"], "such as https://study.example.org"),
         (["--web", "--port", "99999"], "port"),
     ],
 )
 def test_wrong_options_are_said(options: list[str], complaint: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["play", *options]) == 2
     assert complaint in capsys.readouterr().err
+
+
+def test_a_host_that_cannot_be_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["play", "--web", "--host", "127..0.0.1"]) == 1
+    assert "give another --host" in capsys.readouterr().err
 
 
 def test_a_taken_port_is_said_with_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:

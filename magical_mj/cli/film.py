@@ -54,7 +54,7 @@ class Film:
         self._send, self.size, self.views, self._pause = send, size, views, pause
         text = max(SMALLEST_TEXT, size // 24)
         self._line = round(1.4 * text)
-        self._font, self._title_font = ImageFont.load_default(text), ImageFont.load_default(2 * text)
+        self._font, self._title_size = ImageFont.load_default(text), 2 * text
         self._title = ""
 
     @property
@@ -74,7 +74,10 @@ class Film:
         frame = self._last.copy()
         band = Image.new("RGBA", (self.width, 4 * self._line), TITLE_SHADE)
         pen = ImageDraw.Draw(band)
-        pen.text((self.width / 2, 2 * self._line), title, INK, self._title_font, anchor="mm")
+        size = self._title_size
+        while size > SMALLEST_TEXT and pen.textlength(title, ImageFont.load_default(size)) > self.width - self._line:
+            size -= 1
+        pen.text((self.width / 2, 2 * self._line), title, INK, ImageFont.load_default(size), anchor="mm")
         frame.paste(band, (0, (self.size - band.height) // 2), band)
         self._repeat(frame, self._pause)
 

@@ -47,12 +47,13 @@ def play(
 ) -> None:
     """Drive the robot yourself: arrows, space to grip, R to start again, N for the next scene, Esc to quit.
 
-    With --record, finished episodes are saved as demonstrations; D discards the last one.
+    With --record, finished episodes are saved as demonstrations; D discards one at its end.
 
     With --web, and any of the options below it, in a browser: on this machine, or on another one through ssh -L.
     """
     check_fits(context, not web, "in a window, that is, without --web", "record", "size", "speed")
     check_fits(context, web, "with --web", "tasks", "variants", "collect", "wanted", "host", "port", "origin")
+    check_fits(context, task is not None, "with TASK", "seed")
     if web:
         first = None if task is None else (task_spec(task).name, variant_name(variant), seed)
         serve_page(first, environments(tasks, variants), collect, wanted, host, port, origin)

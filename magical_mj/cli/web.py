@@ -6,18 +6,21 @@ import asyncio
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 from urllib.parse import urlsplit
 
 import typer
 
 from magical_mj.cli.console import claim_folder, console
-from magical_mj.errors import SettingsError
+from magical_mj.errors import SettingsError, shown
 from magical_mj.extras import missing_extra
-from magical_mj.registry import ENVIRONMENTS
+from magical_mj.registry import ENVIRONMENTS, TASKS
 
 if TYPE_CHECKING:
     from magical_mj.web.server import PlayServer
+
+LARGEST_SEED: Final = 2**53 - 1
+"""The largest integer that JavaScript counts exactly."""
 
 PANEL = "In a browser (--web)"
 Tasks = Annotated[str, typer.Option(help="Names with commas between.", rich_help_panel=PANEL)]
@@ -57,7 +60,13 @@ def serve_page(
     if not set(environments) <= set(ENVIRONMENTS):
         raise SettingsError("the page knows the scores of the benchmark's own tasks only: play others in a window")
     if first is not None and first[:2] not in environments:
-        raise SettingsError(f"{first[0]}-{first[1]} is not among the environments that are to be played")
+        own = first[0] not in TASKS
+        reason = "not a task of the benchmark, whose scores alone the page knows: play it in a window"
+        raise SettingsError(f"{first[0]}-{first[1]} is {reason if own else 'not among --tasks and --variants'}")
+    if first is not None and first[2] > LARGEST_SEED:
+        raise SettingsError(f"seeds in a browser are at most {LARGEST_SEED}, not {shown(first[2])}")
+    if first is not None and collect is not None:
+        raise SettingsError("with --collect the server chooses what is played: give --tasks and --variants, not TASK")
     if wanted is not None and collect is None:
         raise SettingsError("--wanted needs --collect")
     if origin is not None:
@@ -77,7 +86,10 @@ def serve_page(
 
 def _checked(origin: str) -> str:
     """An origin as browsers send it, without a slash at its end; they compare it letter by letter."""
-    parts = urlsplit(origin)
+    try:
+        parts = urlsplit(origin)
+    except ValueError:  # half of a bracket
+        parts = urlsplit("")
     if parts.scheme not in ("http", "https") or not parts.netloc or parts.path.strip("/") or parts.query:
         raise SettingsError(
             f"--origin takes an address such as https://study.example.org, without a path; not {origin!r}"
@@ -88,7 +100,7 @@ def _checked(origin: str) -> str:
 async def _serve(server: PlayServer, place: str) -> None:
     try:
         started = await server.start()
-    except OSError as error:
+    except (OSError, UnicodeError) as error:  # the latter for names that no host can have
         raise OSError(
             f"cannot listen there ({error}); give another --host or --port; --port 0 is a free one"
         ) from error

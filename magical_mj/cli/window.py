@@ -83,7 +83,6 @@ class Window:
             pygame.K_r: "reset",
             pygame.K_n: "next",
             pygame.K_d: "discard",
-            pygame.K_q: "quit",
             pygame.K_ESCAPE: "quit",
         }
         found: list[Wish] = []

@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from importlib.metadata import version
 from inspect import cleandoc
 from textwrap import dedent
 from typing import Any, Literal
 
 from magical_mj import demos
-from magical_mj._version import __version__
 from magical_mj.protocol import PROTOCOL
 from magical_mj.registry import task_spec
 from magical_mj.scene import Scene
@@ -45,8 +43,6 @@ def catalogue(environments: Sequence[tuple[str, str]], simulation: Simulation) -
     tasks = list(dict.fromkeys(task for task, _ in environments))
     return {
         "protocol": PROTOCOL,
-        "package": __version__,
-        "mujoco": version("mujoco"),
         "simulation": simulation,
         "look": look(),
         "tasks": {task: _task(task) for task in tasks},
@@ -59,7 +55,6 @@ def _task(task: str) -> dict[str, Any]:
     return {
         "summary": spec.summary,
         "goal": " ".join(sections(task)["Goal"].split()),
-        "score": sections(task)["Score"],
         "horizon": spec.horizon("paper"),
         "solved": scene_data(demos.load(task)[0].scenes()[-1]),
     }

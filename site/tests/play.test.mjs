@@ -116,13 +116,28 @@ test("nothing starts by itself, whatever was pressed or stands in the address", 
   await page.selectOption("#task", "FixColour");
   await untilStatus("Press");
   await moreFrames(20);
-  assert.equal(await status(), "Press a key to start");
+  assert.equal(await status(), "Press a key or button to start");
   for (const wrong of ["FindDupe-All-abc", "FindDupe-All--3", "FindDupe-All-1e30", "FindDupe-Nothing", "Nothing-All-0"]) {
     await page.evaluate((hash) => { location.hash = hash; }, wrong);
     await page.waitForFunction((wrong) => location.hash !== `#${wrong}`, wrong);
     await untilStatus("Press");
     assert.match(await page.evaluate("location.hash"), /^#[A-Z]\w+-[A-Z]\w+-0$/);
   }
+  assert.deepEqual(complaints, []);
+});
+
+test("impatient keys before the first scene do no harm", async () => {
+  await page.route("**/scenes/*.json", async (route) => {
+    await new Promise((resolve) => setTimeout(resolve, 500));
+    await route.continue();
+  });
+  await page.goto("about:blank");
+  await page.goto(`${site.address}play/#MoveToRegion-All-3`);
+  await untilStatus("Loading");
+  for (const key of ["r", "n", "h"]) await page.keyboard.press(key);
+  await untilStatus("Press");
+  assert.equal(await page.evaluate("location.hash"), "#MoveToRegion-All-3");
+  await page.unroute("**/scenes/*.json");
   assert.deepEqual(complaints, []);
 });
 

@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
 import { mkdtemp, readdir } from "node:fs/promises";
+import { once } from "node:events";
 import { createInterface } from "node:readline";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
@@ -14,11 +15,14 @@ const PYTHON = fileURLToPath(new URL("../../.venv/bin/python", import.meta.url))
 
 test("people play at the server and send what they did", async () => {
   const folder = await mkdtemp(join(tmpdir(), "magical-study-"));
-  const server = spawn(PYTHON, ["-m", "magical_mj", "play", "--web", "--port", "0", "--collect", folder,
-    "--tasks", "MoveToRegion", "--variants", "Demo,Layout", "--wanted", "1"]);
+  const serve = (/** @type {string} */ port) => spawn(PYTHON, ["-m", "magical_mj", "play", "--web", "--port", port,
+    "--collect", folder, "--tasks", "MoveToRegion", "--variants", "Demo,Layout", "--wanted", "1"]);
+  const addressOf = async (/** @type {import("node:child_process").ChildProcessByStdio<any, any, any>} */ server) =>
+    (await createInterface(server.stdout)[Symbol.asyncIterator]().next()).value;
+  let server = serve("0");
   const browser = await launch();
   try {
-    const { value: address } = await createInterface(server.stdout)[Symbol.asyncIterator]().next();
+    const address = await addressOf(server);
     const page = await browser.context.newPage();
     /** @type {string[]} */
     const complaints = [];
@@ -26,6 +30,9 @@ test("people play at the server and send what they did", async () => {
     page.on("pageerror", (error) => complaints.push(error.message));
     const untilStatus = (/** @type {string} */ text) => page.waitForFunction(
       (text) => document.getElementById("status")?.textContent?.includes(text), text, { timeout: 20000 });
+    /** @type {string[]} */
+    const questions = [];
+    page.on("dialog", (dialog) => { questions.push(dialog.message()); dialog.dismiss(); });
     await page.goto(`${address}?speed=10`);
     for (const variant of ["Demo", "Layout"]) {
       await untilStatus("ress a key");
@@ -33,9 +40,20 @@ test("people play at the server and send what they did", async () => {
       await page.keyboard.down("ArrowUp");
       await untilStatus("Over");
       await page.keyboard.up("ArrowUp");
+      await page.keyboard.press("n");  // it asks before it throws away what was not sent
+      await untilStatus("Over");
+      if (variant === "Layout") {
+        server.kill();
+        await once(server, "exit");
+        await page.click("#save");
+        await untilStatus("no connection to the server: try again");
+        server = serve(new URL(address).port);
+        assert.equal(await addressOf(server), address);
+      }
       await page.click("#save");
       await untilStatus("Kept");
     }
+    assert.deepEqual(questions, Array(2).fill("This episode was not sent. Leave it?"));
     assert.match(await page.textContent("#status") ?? "", /everything/);
     await page.fill("#seed", "12345");
     await page.press("#seed", "Enter");
@@ -44,7 +62,7 @@ test("people play at the server and send what they did", async () => {
     assert.match(participant, /^[0-9a-f]{16}$/);
     assert.deepEqual(others, ["token"]);
     assert.equal((await readdir(join(folder, participant))).length, 2);
-    assert.deepEqual(complaints, []);
+    assert.deepEqual(complaints.filter((text) => !text.includes("ERR_CONNECTION_REFUSED")), []);
   } finally {
     await browser.close();
     server.kill();

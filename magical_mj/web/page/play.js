@@ -26,7 +26,7 @@ const open = seat?.open ?? inBrowser();
 
 /** What is on the page now. */
 const shown = {
-  task: "", variant: "", seed: -1, watching: false, sending: false, note: "",
+  task: "", variant: "", seed: -1, watching: false, sending: false, sent: false, note: "",
   /** @type {import("./scenes.js").Environment} */ environment: { scenes: [], demonstrations: [] },
   /** @type {Game | null} */ game: null,
   /** @type {(() => void) | null} draws it again */ again: null,
@@ -41,6 +41,7 @@ let choices = 0;  // the last one wins, whatever was loaded in between
  * @param {string | null} script  actions to watch; null: the player's
  */
 async function choose(task, variant, seed, script = null) {
+  if (unsent() && !confirm("This episode was not sent. Leave it?")) return showNames();
   const choice = ++choices;
   const isOther = task !== shown.task || variant !== shown.variant;
   const environment = isOther ? await loadEnvironment(task, variant).catch(complain) : shown.environment;
@@ -48,8 +49,7 @@ async function choose(task, variant, seed, script = null) {
   if (!environment) return shown.task ? showNames() : undefined;
   const known = environment.scenes.find((entry) => entry.seed === seed);
   const entry = known ?? (seat ? { seed, expert: "", scene: null } : environment.scenes[0]);
-  Object.assign(shown, { task, variant, seed: entry.seed, environment, watching: script !== null, note: "" });
-  history.replaceState(null, "", `#${task}-${variant}-${entry.seed}`);
+  Object.assign(shown, { task, variant, seed: entry.seed, environment, watching: script !== null, sent: false, note: "" });
   showChoice(isOther);
   shown.game?.episode.close();
   shown.game = shown.again = null;
@@ -72,9 +72,15 @@ async function choose(task, variant, seed, script = null) {
   shown.game = game;
 }
 
-/** Selects say which environment is shown. */
+/** Whether a finished episode would be lost that the collection may want. */
+function unsent() {
+  return catalogue.collects && shown.game?.over && !shown.watching && !shown.sent;
+}
+
+/** Selects and the address say which environment is shown. */
 function showNames() {
-  const { task, variant } = shown;
+  const { task, variant, seed } = shown;
+  history.replaceState(null, "", `#${task}-${variant}-${seed}`);
   element("task").value = task;
   const variants = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);
   element("variant").replaceChildren(...variants.map((/** @type {Name} */ { variant }) => new Option(variant)));
@@ -89,7 +95,7 @@ function showChoice(isOther) {
   element("summary").textContent = `${summary[0].toUpperCase()}${summary.slice(1)}.`;
   element("words").textContent = goal;
   element("seed").value = seed;
-  element("expert").disabled = !environment.scenes.find((entry) => entry.seed === seed)?.expert;
+  element("expert").disabled = !expertActions();
   element("demo").disabled = variant !== "Demo" || !environment.demonstrations.length;
   if (isOther) {
     draw(element("solved"), catalogue.look, solved, "allo");
@@ -130,7 +136,7 @@ function show(initial, scene) {
   element("save").disabled = !game?.over || watching || sending;
   if (game?.failure) complain(game.failure);
   const status = shown.note ? shown.note : !game ? "Loading MuJoCo …" : game.over ? `Over: score ${now.toFixed(2)}`
-    : watching ? "Watching" : done ? "Playing" : "Press a key to start";
+    : watching ? "Watching" : done ? "Playing" : "Press a key or button to start";
   if (element("status").textContent !== status) element("status").textContent = status;
 }
 
@@ -153,16 +159,22 @@ function frame(time) {
 /** Plays this scene of the present environment, from its start. @param {number} seed @param {string | null} script */
 function play(seed, script = null) {
   arena.focus({ preventScroll: true });
+  if (!shown.task) return start();  // the first scene could not be loaded, or not yet
   return choose(shown.task, shown.variant, seed, script);
 }
 
 function next() {
   const seeds = shown.environment.scenes.map(({ seed }) => seed);
-  return play(seat ? shown.seed + 1 : seeds[(seeds.indexOf(shown.seed) + 1) % seeds.length]);
+  return play(seat && shown.variant !== "Demo" ? shown.seed + 1 : seeds[(seeds.indexOf(shown.seed) + 1) % seeds.length]);
+}
+
+/** What the expert does in this scene, as letters, if that is known. All seeds of Demo have the same scene. */
+function expertActions() {
+  return shown.environment.scenes.find(({ seed }) => seed === shown.seed || shown.variant === "Demo")?.expert;
 }
 
 const again = () => play(shown.seed);
-const expert = () => play(shown.seed, shown.environment.scenes.find(({ seed }) => seed === shown.seed)?.expert);
+const expert = () => play(shown.seed, expertActions());
 
 let demonstration = 0;  // they are shown one after the other
 function demo() {
@@ -175,6 +187,7 @@ async function send() {
   shown.sending = element("save").disabled = true;
   try {
     const { score, next } = await /** @type {Seat} */ (seat).ask({ keep: recording(shown, catalogue.protocol) });
+    shown.sent = true;
     await chooseWanted(next);
     complain(`Kept, with score ${score.toFixed(2)}. Thank you! ${next ? "Press a key to go on" : "That was everything"}`);
   } catch (error) {
@@ -219,6 +232,11 @@ function chooseByAddress() {
   return choose(known, variants.includes(variant) ? variant : variants[0], seedIn(seed));
 }
 
+/** The first scene. */
+function start() {
+  return seat && catalogue.collects ? arrive(seat).catch(complain) : chooseByAddress();
+}
+
 /** @type {Record<string, string>} the buttons that keys press */
 const SHORTCUTS = { KeyR: "again", KeyN: "next", KeyH: "expert" };
 
@@ -244,6 +262,7 @@ addEventListener("keydown", (event) => {
   if (SHORTCUTS[event.code]) element(SHORTCUTS[event.code]).click();
 });
 addEventListener("hashchange", chooseByAddress);
+addEventListener("beforeunload", (event) => { if (unsent()) event.preventDefault(); });
 
 /** Canvases have as many pixels as the screen. A new size clears them. */
 const resized = new ResizeObserver((entries) => {
@@ -265,8 +284,6 @@ element("task").replaceChildren(...Object.keys(catalogue.tasks).map((name) => ne
 element("seed-label").hidden = !seat;
 if (seat) element("home").removeAttribute("href");
 requestAnimationFrame(frame);
-if (seat && catalogue.collects) {
-  element("save").textContent = "Send";
-  await arrive(seat).catch(complain);
-} else await chooseByAddress();
+if (catalogue.collects) element("save").textContent = "Send";
+await start();
 

@@ -5,35 +5,59 @@
  */
 import { moved } from "./scene.js";
 
+const GONE = "There is no connection to the server: try again";
+const REFUSED = "The server refuses this address: open the link that it printed; see also its option --origin";
+
 export class Seat {
+  /** @type {string | null} who sits here, if the server collects */
+  #participant = null;
+  #connected = false;  // whether it ever was
+
   constructor() {
+    this.#connect();
+  }
+
+  #connect() {
     const address = new URL("socket", document.baseURI);
     address.protocol = address.protocol.replace("http", "ws");
-    this.socket = new WebSocket(address);
     /** @type {{resolve: (reply: any) => void, reject: (error: Error) => void}[]} */
-    this.waiting = [];
+    const waiting = [];
+    this.waiting = waiting;
+    this.socket = new WebSocket(address);
     this.opened = new Promise((resolve, reject) => {
-      this.socket.addEventListener("open", resolve);
-      this.socket.addEventListener("close", () => {
-        reject(new Error("The server refuses this address: open the link that it printed; see also its option --origin"));
+      this.socket.addEventListener("open", () => {
+        this.#connected = true;
+        resolve(null);
       });
+      this.socket.addEventListener("close", () => reject(new Error(this.#connected ? GONE : REFUSED)));
     });
     this.opened.catch(() => {});  // whoever asks is told
     this.socket.addEventListener("message", ({ data }) => {
-      const reply = JSON.parse(data), asked = this.waiting.shift();
+      const reply = JSON.parse(data), asked = waiting.shift();
       if (reply.error) asked?.reject(new Error(reply.error));
       else asked?.resolve(reply);
     });
     this.socket.addEventListener("close", () => {
-      for (const { reject } of this.waiting.splice(0)) reject(new Error("The server is gone: reload the page"));
+      for (const { reject } of waiting.splice(0)) reject(new Error(GONE));
     });
   }
 
-  /** @param {object} question @returns {Promise<any>} */
+  /** Asks, over a new connection if the last one broke. @param {object} question @returns {Promise<any>} */
   async ask(question) {
+    if (this.socket.readyState > WebSocket.OPEN) {
+      this.#connect();
+      if (this.#participant) await this.#send({ arrive: this.#participant });
+    }
+    const reply = await this.#send(question);
+    this.#participant = reply.participant ?? this.#participant;
+    return reply;
+  }
+
+  /** @param {object} question @returns {Promise<any>} */
+  async #send(question) {
     await this.opened;
     return new Promise((resolve, reject) => {
-      if (this.socket.readyState !== WebSocket.OPEN) return reject(new Error("The server is gone: reload the page"));
+      if (this.socket.readyState !== WebSocket.OPEN) return reject(new Error(GONE));
       this.waiting.push({ resolve, reject });
       this.socket.send(JSON.stringify(question));
     });
