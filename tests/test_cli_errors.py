@@ -132,17 +132,18 @@ def test_missing_extra_is_one_line(extra: str, tmp_path: Path) -> None:
     assert result.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("backend", ["glfw", "osmesa"])
+@pytest.mark.parametrize("backend", ["glfw", "osmesa", "mesa"])
 def test_no_opengl_is_one_line(backend: str, tmp_path: Path) -> None:
-    """Backends that do not work: GLFW without a display, OSMesa where its library is not installed."""
+    """Backends that do not work: GLFW without a display, OSMesa where it is not installed, one that nobody knows."""
     if backend == "osmesa" and osmesa_works():
         pytest.skip("OSMesa works here")
-    variables = {"MUJOCO_GL": backend, "DISPLAY": "", "WAYLAND_DISPLAY": ""}
+    variables = {"MUJOCO_GL": backend, "DISPLAY": "", "WAYLAND_DISPLAY": "", "PYOPENGL_PLATFORM": ""}
     result = process("view", "FindDupe", "--out", str(tmp_path / "a.png"), **variables)
     assert result.returncode == 1
     assert "MUJOCO_GL" in result.stderr
     assert result.stderr.count("\n") == 1
     assert process("list", **variables).stderr == ""
+    assert process("evaluate", "--help", **variables).stderr == ""
 
 
 def test_mujoco_may_be_imported_first(tmp_path: Path) -> None:

@@ -25,6 +25,13 @@ def test_rollout_writes_a_video(shell: Shell, tmp_path: Path) -> None:
     assert seconds == pytest.approx(frames / 8, abs=0.2)
 
 
+def test_rollout_takes_one_environment(shell: Shell) -> None:
+    for arguments in (("MoveToRegion", "all"), ("all", "Demo"), ("MoveToRegion,MakeLine", "Demo")):
+        code, _, error = shell("rollout", *arguments, "--policy", "noop")
+        assert code == 2
+        assert "unknown" in error
+
+
 def test_rollouts_repeat(shell: Shell) -> None:
     arguments = ("rollout", "MoveToRegion", "All", "--episodes", 3, "--seed", 5)
     assert shell(*arguments) == shell(*arguments)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,15 @@ def test_minari_export_is_lossless_and_its_environment_replays(demo: Demonstrati
         assert info["eval_score"] == 1.0
         assert rewards == episode.rewards.tolist()
         env.close()
+
+
+def test_minari_sets_name_everybody_who_made_them(demo: Demonstration, minari: Any) -> None:
+    played = replace(demo, demonstrator="human", package="0.0.9")
+    name = demos.to_minari([demo, played])
+    assert name == f"magical-mj/FixColour/Demo-expert-human-State-p{PROTOCOL}-v0"
+    metadata = minari.load_dataset(name).storage.metadata
+    assert metadata["description"] == "2 demonstrations of FixColour-Demo by the expert and human of magical_mj"
+    assert not metadata.get("requirements"), "of two versions, neither is required"
 
 
 def test_minari_sets_of_other_presets_and_variants_stand_side_by_side(demo: Demonstration, minari: Any) -> None:

@@ -155,6 +155,18 @@ def test_latex_compiles(which: str, request: pytest.FixtureRequest) -> None:
     assert "Overfull" not in result.stdout
 
 
+def test_other_peoples_files_are_not_replaced(tmp_path: Path) -> None:
+    scores = write(tmp_path / "scores", example())
+    for name in ("report.md", "bars.png", "variants.tex"):
+        out = tmp_path / name.partition(".")[0]
+        out.mkdir()
+        (out / name).write_text("mine")
+        with pytest.raises(EvaluationError, match=rf"{name} is not of an earlier report: move it"):
+            report([scores], out)
+        assert [path.read_text() for path in out.iterdir()] == ["mine"]
+    assert report([scores], tmp_path / "out") == report([scores], tmp_path / "out")
+
+
 # what does not go together
 
 

@@ -230,6 +230,12 @@ def test_a_hopeless_scene_is_played_to_its_end() -> None:
     assert env.score() == expert.expected_score
 
 
+def test_it_plans_by_the_rules_of_its_environment() -> None:
+    """By the paper's rules, it would be content with an end that is not by the released code's."""
+    env = magical_mj.load("ClusterShape", "All", rules="released", observations=(), seed=2)
+    assert run_episode(env, "ClusterShape", 2, 2) == 1.0
+
+
 def test_plain_scenes_have_no_expert() -> None:
     env = magical_mj.load_scene(Scene(Robot(0, 0, 0)), observations=())
     env.reset()

@@ -72,6 +72,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
         command = context.command_path if context else "magical-mj"
         complain(f"{error.format_message().rstrip('.')}; see {command} --help")
         return error.exit_code
+    except SystemExit as ending:  # what typer makes of a closed pipe while it prints itself
+        if not isinstance(ending.__context__, BrokenPipeError):
+            raise
+        return 0
     except typer.Abort:
         return 130
     except MagicalError as error:

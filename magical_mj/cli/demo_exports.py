@@ -56,6 +56,8 @@ def export(
         preset = "LoRes4E" if preset is None else preset
         path = Path(out or f"{names[0] if len(names) == 1 else 'demonstrations'}-{preset or 'views'}{SUFFIX}")
         check_suffix(path, SUFFIX)
+        if path.resolve().parent in {folder.resolve() for folder in paths or () if folder.is_dir()}:
+            raise typer.BadParameter(f"{path} would lie among the demonstrations; give --out in another folder.")
         magical_mj.demos.to_npz(demos, claim(path, force), preset, drop_noop=drop_noop, overwrite=force)
         screen.print(path, soft_wrap=True)
         return

@@ -167,6 +167,8 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
     files = _files(paths)
     checked = with_bar(screen, "verifying", spread(partial(check, wanted), files, jobs), len(files))
     found = [(path, verdict) for path, verdict in checked if verdict]
+    if not found:
+        raise DemonstrationError(f"none of these {len(files)} demonstrations are of these tasks and variants")
     verdicts = [verdict for _, verdict in found if not isinstance(verdict, str)]
     good, exact, alike = (sum(getattr(verdict, name) for verdict in verdicts) for name in ("good", "exact", "pictures"))
     screen.print(
@@ -176,6 +178,8 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
     for path, verdict in sorted(found, key=str):
         if isinstance(verdict, str):
             complain(verdict)
+        elif not verdict.scene:
+            complain(f"{path} does not start in the scene that its variant and seed have in this version of the world")
         elif not verdict.good:
             complain(f"{path} does not replay to its score in this version of the world")
     if good < len(found):
@@ -237,17 +241,18 @@ def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str) -> list
 
 
 def _files(paths: Sequence[Path] | None) -> list[Path]:
-    found: list[Path] = []
+    """The files, each once, even if it is given in several ways."""
+    found: dict[Path, Path] = {}
     for path in paths or [magical_mj.demos.SHIPPED]:
         if path.is_dir():
-            inside = magical_mj.demos.files_in(path)
+            inside = magical_mj.demos.files_in_or_below(path)
             if not inside:
                 raise DemonstrationError(f"there are no demonstrations in {path}")
-            found += inside
+            found |= {file.resolve(): file for file in inside}
         elif path.exists():
-            found.append(path)
+            found[path.resolve()] = path
         else:
             raise DemonstrationError(
                 f"there is no {path}; for those of a task that come with the package: --tasks TASK"
             )
-    return found
+    return list(found.values())

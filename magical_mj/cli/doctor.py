@@ -18,7 +18,7 @@ from rich.text import Text
 
 import magical_mj
 from magical_mj.cli.console import console
-from magical_mj.rendering.backend import REMEDY
+from magical_mj.rendering.backend import REMEDY, wanted_backend
 
 CORE: Final = ("magical-mj", "mujoco", "dm_control", "dm-env", "gymnasium", "numpy", "shapely", "pillow")
 EXTRAS: Final = {
@@ -45,14 +45,15 @@ def doctor() -> None:
     _print_versions(out)
     found = {backend: _probe(backend) for backend in BACKENDS}
     _print_backends(out, found)
-    if not any("renderer" in facts for facts in found.values()):
+    working = [backend for backend, facts in found.items() if "renderer" in facts]
+    if not working:
         out.print(f"\nNothing can be drawn here; physics and states work without. {REMEDY}", style="bold red")
         raise typer.Exit(1)
-    wanted = os.environ.get("MUJOCO_GL", "").lower()
-    if wanted in found and "renderer" not in found[wanted]:
-        working = next(backend for backend, facts in found.items() if "renderer" in facts)
+    wanted = wanted_backend()
+    if wanted and "renderer" not in (found.get(wanted) or _probe(wanted)):
         out.print(
-            f"\nMUJOCO_GL={wanted} is set but does not work; unset it, or set MUJOCO_GL={working}", style="bold red"
+            f"\nMUJOCO_GL={wanted} is set, and nothing can be drawn with it; unset it, or set MUJOCO_GL={working[0]}",
+            style="bold red",
         )
         raise typer.Exit(1)
 

@@ -36,7 +36,7 @@ from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES, Score
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.evaluation.worker import Unit, player
-from magical_mj.registry import task_spec
+from magical_mj.registry import task_name, task_spec, variant_name
 
 _POLICIES = (
     "expert, random, noop, module:object, the folder of a training, or a file (.zip of stable-baselines3, .onnx); "
@@ -101,8 +101,8 @@ def rollout(
     check_fits(context, video is not None, "with --video", "size", "camera", "force")
     check_suffix(video, ".mp4")
     views = views_of(camera)
-    settings = EvaluationSettings(tasks=[task], variants=[variant], preset=preset, trust=trust)
-    (pair,) = settings.environments
+    pair = task_name(task), variant_name(variant)  # not lists of names, nor "all"
+    settings = EvaluationSettings(tasks=[pair[0]], variants=[pair[1]], preset=preset, trust=trust)
     listed = sources(policy, trust=trust)
     for source in listed:
         check_fit(source.load(), [pair], preset)

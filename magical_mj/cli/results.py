@@ -13,7 +13,7 @@ from magical_mj.cli.console import claim_folder, console
 from magical_mj.cli.film import film, replay
 from magical_mj.errors import SettingsError
 from magical_mj.evaluation.compare import choose, compare
-from magical_mj.evaluation.report import extremes, report
+from magical_mj.evaluation.report import check_free, extremes, report
 from magical_mj.evaluation.results import gather
 from magical_mj.evaluation.scores import Score
 from magical_mj.evaluation.settings import UNOFFICIAL
@@ -48,6 +48,7 @@ def make_report(
     if videos and any(score.worlds != "single" for score in scores):
         raise SettingsError(f"--videos replays episodes of single worlds only, not of batched ones: {UNOFFICIAL}")
     out = claim_folder(out or folders[0] / "report")
+    check_free(out)
     links = film_episodes(extremes(scores), out) if videos else {}
     page = report(folders, out, with_published=published, mixed_presets=mixed_presets, links=links)
     screen.print(page, soft_wrap=True)

@@ -12,7 +12,7 @@ from typing import Final
 
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.export import to_minari, to_npz
-from magical_mj.demos.files import files_in, keep, kept, read, write
+from magical_mj.demos.files import files_in, files_in_or_below, keep, kept, read, write
 from magical_mj.demos.importing import MAX_BYTES, Imported, from_recording
 from magical_mj.demos.learning import Transitions, observations, stream, transitions
 from magical_mj.demos.recording import Recorder, demonstrate
@@ -32,6 +32,7 @@ __all__ = [
     "demonstrate",
     "diversity",
     "files_in",
+    "files_in_or_below",
     "from_recording",
     "keep",
     "kept",
@@ -54,13 +55,15 @@ SHIPPED: Final = Path(__file__).parent / "data"
 def load(task: str, folder: Path | str | None = None) -> list[Demonstration]:
     """The demonstrations that come with a task, or those in a folder: its files ``<Task>-<anything>.npz``.
 
+    If the folder itself has none, those in its subfolders.
+
     Raises:
         UnknownNameError: if there is no such task.
         DemonstrationError: if there are none, or a file is damaged.
     """
     task, spec = task_name(task), task_spec(task)
     folder = Path(folder or spec.demonstrations or SHIPPED)
-    paths = files_in(folder, f"{spec.name}-")
+    paths = files_in_or_below(folder, f"{spec.name}-")
     if not paths:
         raise DemonstrationError(
             f"there are no demonstrations of {task} in {folder}; to make some: "

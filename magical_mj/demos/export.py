@@ -76,14 +76,17 @@ def to_npz(
             np.savez_compressed(file, allow_pickle=False, **joined)
 
 
-def minari_name(demo: Demonstration, preset: str) -> str:
-    """The id of a Minari data set of such demonstrations, such as ``magical-mj/FindDupe/Demo-expert-State-p1-v0``.
+def minari_name(demos: Sequence[Demonstration], preset: str) -> str:
+    """The id of a Minari data set of demonstrations, such as ``magical-mj/FindDupe/Demo-expert-State-p1-v0``.
 
-    It names the preset of the observations and the number of the protocol, here 1.
+    It names all demonstrators, the preset of the observations and the number of the protocol, here 1.
     """
-    return (
-        f"magical-mj/{task_spec(demo.task).name}/{demo.variant}-{demo.demonstrator}-{preset or 'views'}-p{PROTOCOL}-v0"
-    )
+    task, variant = task_spec(demos[0].task).name, demos[0].variant
+    return f"magical-mj/{task}/{variant}-{'-'.join(_demonstrators(demos))}-{preset or 'views'}-p{PROTOCOL}-v0"
+
+
+def _demonstrators(demos: Sequence[Demonstration]) -> list[str]:
+    return sorted({demo.demonstrator for demo in demos})
 
 
 def to_minari(
@@ -123,7 +126,9 @@ def to_minari(
     except ModuleNotFoundError:
         raise missing_extra("exporting to Minari", "minari") from None
     environment, first = only_environment(demos), demos[0]
-    name = minari_name(first, preset) if name is None else name
+    name = minari_name(demos, preset) if name is None else name
+    demonstrators = " and ".join(_demonstrators(demos))
+    versions = {f"magical-mj=={demo.package}" for demo in demos} | {f"mujoco=={demo.mujoco}" for demo in demos}
     try:
         parse_dataset_id(name)
     except (TypeError, ValueError) as error:  # TypeError if the version is missing
@@ -140,10 +145,10 @@ def to_minari(
             buffer=[EpisodeBuffer(**episode) for episode in episodes],
             env=env,
             eval_env=env,
-            algorithm_name=f"magical_mj {first.demonstrator}",
+            algorithm_name=f"magical_mj {demonstrators}",
             author=author,
-            description=f"{len(demos)} demonstrations of {environment} by the {first.demonstrator} of magical_mj",
-            requirements=[f"magical-mj=={first.package}", f"mujoco=={first.mujoco}"],
+            description=f"{len(demos)} demonstrations of {environment} by the {demonstrators} of magical_mj",
+            requirements=sorted(versions) if len(versions) == 2 else [],
             jpeg_encoding=False,
         )
     return name

@@ -61,6 +61,12 @@ def files_in(folder: Path | str, beginning: str = "") -> list[Path]:
     return sorted(path for path in Path(folder).glob(f"{beginning}*{SUFFIX}") if not path.name.startswith("."))
 
 
+def files_in_or_below(folder: Path | str, beginning: str = "") -> list[Path]:
+    """The same; if there are none, those in its subfolders, such as one for each person who made some."""
+    below = (found for inner in sorted(Path(folder).glob("*/")) for found in files_in(inner, beginning))
+    return files_in(folder, beginning) or list(below)
+
+
 def kept(demo: Demonstration, folder: Path | str) -> Path | None:
     """The file in which `keep` saved the same episode in this folder; None if there is none."""
     for path in files_in(folder, _beginning(demo)):

@@ -39,8 +39,8 @@ class Verdict(NamedTuple):
 
     @property
     def good(self) -> bool:
-        """Whether the demonstration can be used."""
-        return self.score and self.replay
+        """Whether the demonstration is what it says it is."""
+        return self.scene and self.score and self.replay
 
 
 def verify(demo: Demonstration) -> Verdict:

@@ -18,6 +18,7 @@ import gymnasium
 import numpy as np
 from gymnasium.vector.utils import iterate
 
+import magical_mj
 from magical_mj.actions import action_number
 from magical_mj.episodes import LETTERS, Episode, begin, is_blind
 from magical_mj.episodes import play as play_actions
@@ -60,9 +61,7 @@ def world_for(policy: Act, task: str, variant: str, preset: str, rules: Rules) -
     The Gymnasium environment has no wrappers of `gymnasium.make`, whose checks at each step would only take time.
     """
     if is_blind(policy):
-        from magical_mj.environment import load  # imported late: it loads the simulator
-
-        return load(task, variant, seed=0, observations=(), rules=rules)
+        return magical_mj.load(task, variant, seed=0, observations=(), rules=rules)
     return gymnasium.make(env_id(task, variant, preset), rules=rules).unwrapped
 
 

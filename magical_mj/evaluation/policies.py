@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
+import magical_mj
 from magical_mj.episodes import Episode, is_blind
 from magical_mj.errors import SettingsError
 from magical_mj.presets import PRESETS
@@ -57,9 +58,7 @@ def _check_shape(wanted: Sequence[Shape], task: str, preset: str) -> None:
 
 def _shape(task: str, preset: str) -> tuple[int, ...] | None:
     """The shape of the preset's observations; None if they are dicts."""
-    from magical_mj.gym_env import MagicalEnv  # imported late: it loads the simulator
-
-    env = MagicalEnv(task, preset=preset)
+    env = magical_mj.MagicalEnv(task, preset=preset)
     env.close()
     return env.observation_space.shape
 

@@ -9,6 +9,7 @@ from typing import Final
 from urllib.parse import quote
 
 from magical_mj import files
+from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.figures import bars, heat_map
 from magical_mj.evaluation.results import APPROXIMATE, Results, results
 from magical_mj.evaluation.scores import Score
@@ -16,7 +17,9 @@ from magical_mj.evaluation.tables import csv, latex, markdown, result_tables
 from magical_mj.extras import check_extra
 
 PAGE: Final = "report.md"
+TITLE: Final = "# Evaluation"
 DPI: Final = 150
+FIGURES: Final = ("bars.png", "heat_map.png")
 FILES: Final = {
     "Means over tasks as CSV": "variants.csv",
     "All environments as CSV": "environments.csv",
@@ -26,6 +29,16 @@ FILES: Final = {
     "Bars as PDF": "bars.pdf",
     "Heat map as PDF": "heat_map.pdf",
 }
+
+
+def check_free(out: Path) -> None:
+    """Raises an `EvaluationError` if files in this folder, which are not of an earlier report, have names of ours."""
+    page = out / PAGE
+    if page.is_file() and page.read_bytes().startswith(TITLE.encode()):
+        return
+    for name in (PAGE, *FIGURES, *FILES.values()):
+        if (out / name).exists():
+            raise EvaluationError(f"{out / name} is not of an earlier report: move it, or choose another folder")
 
 
 def report(
@@ -49,11 +62,14 @@ def report(
         The path of the page, in Markdown.
 
     Raises:
-        EvaluationError: if a folder is not an evaluation, two of them cannot be combined, or an extra is missing.
+        EvaluationError: if a folder is not an evaluation, two of them cannot be combined, or `out` holds files with
+            the names of the report's that are not of an earlier one.
+        MissingExtraError: if an extra is missing.
     """
     check_extra("reports", "eval")
     found = results([Path(folder) for folder in folders], with_published, mixed_presets)
     out = Path(out)
+    check_free(out)
     out.mkdir(parents=True, exist_ok=True)
     tables = result_tables(found)
     texts = {"variants.csv": csv(found.variants), "environments.csv": csv(found.environments)}
@@ -64,7 +80,7 @@ def report(
             with files.new_file(out / f"{name}.{suffix}", overwrite=True) as path:
                 figure.savefig(path, dpi=DPI, metadata=None if suffix == "png" else {"CreationDate": None})
     parts = [
-        "# Evaluation",
+        TITLE,
         *(f"**{note}**" for note in found.notes if note.startswith(APPROXIMATE)),
         _settings(found),
         "## Variants",

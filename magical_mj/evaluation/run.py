@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import cloudpickle
-import mujoco
 
 from magical_mj._version import __version__
 from magical_mj.episodes import is_blind
@@ -19,7 +18,7 @@ from magical_mj.evaluation.loading import Source, sources
 from magical_mj.evaluation.playing import reason
 from magical_mj.evaluation.policies import check_fit
 from magical_mj.evaluation.scores import SCORES, Score, ScoreFile, frame, prepare, read
-from magical_mj.evaluation.settings import EvaluationSettings, described, settings_from
+from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings, described, settings_from
 from magical_mj.evaluation.worker import Unit, plan, play_unit, player
 from magical_mj.extras import check_extra
 from magical_mj.parallel import cores, spread
@@ -189,8 +188,8 @@ def _hopeless(scores: list[Score]) -> EvaluationError:
 def _check_versions(scores: Iterable[Score]) -> None:
     """Raises an `EvaluationError` if a worker has other versions than this process."""
     for score in scores:
-        if (score.version, score.mujoco) != (__version__, mujoco.__version__):
+        if (score.version, score.mujoco) != (__version__, MUJOCO_VERSION):
             raise EvaluationError(
                 f"a worker has magical_mj {score.version} and mujoco {score.mujoco}, "
-                f"and this process {__version__} and {mujoco.__version__}: install the same everywhere"
+                f"and this process {__version__} and {MUJOCO_VERSION}: install the same everywhere"
             )

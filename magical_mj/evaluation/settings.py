@@ -6,11 +6,10 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from importlib.metadata import version
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
-
-import mujoco
 
 from magical_mj._version import __version__
 from magical_mj.errors import SettingsError, check_name, shown, unknown_name
@@ -28,6 +27,8 @@ UNOFFICIAL: Final = (
     "calculate in single precision, and their scores are approximate"
 )
 
+MUJOCO_VERSION: Final = version("mujoco")
+"""Read from its package's metadata: importing it may fail where there is no OpenGL, and takes a while."""
 MOST: Final = 1e9
 """The greatest number that a setting may be: more episodes, workers or seconds than anybody waits for."""
 SHOWN: Final = 300
@@ -113,7 +114,7 @@ class EvaluationSettings:
             "protocol": PROTOCOL,
             "demonstrations": DEMONSTRATIONS,
             "version": __version__,
-            "mujoco": mujoco.__version__,
+            "mujoco": MUJOCO_VERSION,
             "gl": os.environ.get("MUJOCO_GL", ""),
         }
 

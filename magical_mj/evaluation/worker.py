@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 
 import gymnasium
-import mujoco
 
 from magical_mj._version import __version__
 from magical_mj.episodes import Episode, is_blind
@@ -19,7 +18,7 @@ from magical_mj.evaluation.loading import Source
 from magical_mj.evaluation.playing import Act, Copies, Envs, Outcome, play, play_side_by_side, reason, world_for
 from magical_mj.evaluation.policies import BatchPolicy
 from magical_mj.evaluation.scores import Key, Score
-from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
 from magical_mj.evaluation.time_limit import TimeLimitedCaller, TimeLimitError
 from magical_mj.registration import env_id
 from magical_mj.registry import sample_scene, task_spec
@@ -225,7 +224,7 @@ def _score(unit: Unit, preset: str | None, episode: Episode, outcome: Outcome) -
         rules=unit.settings.rules,
         preset=preset,
         version=__version__,
-        mujoco=mujoco.__version__,
+        mujoco=MUJOCO_VERSION,
         gl=os.environ.get("MUJOCO_GL", ""),
         actions=outcome.actions,
         failure=outcome.failure,

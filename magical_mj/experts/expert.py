@@ -92,7 +92,7 @@ class Expert(PlanFollower):
         def planner() -> Planner:
             initial = env.initial_scene
             return Planner(
-                lambda scene: spec.score(initial, scene, "paper"),
+                lambda scene: spec.checked_score(initial, scene, env.task.settings.rules),
                 lambda scene, noise, _: spec.subgoals(initial, scene, noise),
                 Lookahead(env),
             )

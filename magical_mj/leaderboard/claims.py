@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import magical_mj
 from magical_mj.episodes import LETTERS, actions_of, play
 from magical_mj.evaluation.statistics import SAME
 from magical_mj.parallel import spread
@@ -92,9 +93,7 @@ def check_claims(episodes: Iterable[Claim], rules: Rules, jobs: int | None = Non
 def check_chunk(episodes: Sequence[Claim], rules: Rules) -> Checked:
     """The work of one process: checks some episodes of one environment."""
     first = episodes[0]
-    from magical_mj.environment import load  # which loads the simulator
-
-    env = load(first.task, first.variant, seed=0, observations=(), rules=rules)
+    env = magical_mj.load(first.task, first.variant, seed=0, observations=(), rules=rules)
     try:
         problems = [f"{episode}: {problem}" for episode in episodes if (problem := check_claim(episode, env))]
     finally:

@@ -32,7 +32,10 @@ def choose_backend() -> None:
     os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's software OpenGL is faster without worker threads
     os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")  # else pygame's windows have an OpenGL context;
     # alternating between it and ours makes X11 end the process
-    if sys.platform != "linux" or wanted_backend():
+    if wanted_backend():
+        os.environ["MUJOCO_GL"] = wanted_backend()  # dm_control knows small letters only
+        return
+    if sys.platform != "linux":
         return
     found = next((name for name, works in PROBES.items() if works()), None)
     if found:
