@@ -21,14 +21,7 @@ from magical_mj.batched import physics as physics_module
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter, View
 from magical_mj.batched.scenes import Capacity, SceneArrays
-from magical_mj.errors import (
-    ClosedError,
-    InvalidActionError,
-    InvalidSeedError,
-    SettingsError,
-    StateError,
-    UnknownNameError,
-)
+from magical_mj.errors import InvalidSeedError, SettingsError
 from magical_mj.presets import PRESETS
 from magical_mj.scene import Scene
 
@@ -143,6 +136,7 @@ def test_episodes_are_those_of_the_single_environments(env: Any) -> None:
         assert torch.equal(rewards.double(), info["eval_score"])
         if truncated.any():
             ends.append((step + 1, truncated.tolist(), info["eval_score"].tolist()))
+            assert info["is_success"].tolist() == [score == 1.0 for score in ends[-1][2]]
         if step < 40:
             wanted, *_ = single.step(actions[0])
         if step == 39:
@@ -152,6 +146,37 @@ def test_episodes_are_those_of_the_single_environments(env: Any) -> None:
             wanted, *_ = single.step(actions[0])
     assert ends == [(40, [True, False, True], [1.0, 0.0, 1.0]), (60, [False, True, False], [0.0, 1.0, 0.0])]
     single.close()
+
+
+@pytest.mark.parametrize("preset", ["State", "LoRes3EA", "LoResStack"])
+def test_observations_stay_alike_while_other_worlds_begin_anew(preset: str) -> None:
+    made = batched.make("FixColour", "Demo", 2, device="cpu", preset=preset)
+    single = gymnasium.make(magical_mj.env_id("FixColour", "Demo", preset))
+    made.reset(seed=0)
+    single.reset(seed=0)
+    made._steps[1] = 57  # nearly over
+    for step, action in enumerate((1, 4, 13, 10, 1)):
+        seen, _, _, ended, _ = made.step([action, action])
+        assert ended.tolist() == [False, step == 2]
+        wanted = single.step(action)[0]
+        parts = [(seen[name], wanted[name]) for name in wanted] if isinstance(wanted, dict) else [(seen, wanted)]
+        for one, other in parts:
+            apart = np.abs(one[0].numpy().astype(float) - other)
+            assert apart.max() < 1e-3 if preset == "State" else apart.mean() < 0.05
+    made.close()
+    single.close()
+
+
+def test_other_rules_have_other_horizons_and_scores() -> None:
+    """In ClusterShape's demo, doing nothing scores a quarter by the paper's rules, and nothing by the others."""
+    for rules, steps, score in (("paper", 320, 0.25), ("released", 240, 0.0)):
+        made = batched.make("ClusterShape", "Demo", 1, device="cpu", preset="State", rules=rules)
+        made.reset(seed=0)
+        made._steps[0] = steps - 2
+        assert made.step([0])[3].tolist() == [False]
+        *_, ended, info = made.step([0])
+        assert (ended.tolist(), info["eval_score"].tolist(), info["is_success"].tolist()) == ([True], [score], [False])
+        made.close()
 
 
 def test_what_is_not_finite_stays_in_its_world(env: Any) -> None:
@@ -164,13 +189,6 @@ def test_what_is_not_finite_stays_in_its_world(env: Any) -> None:
     assert not info["broken"].any()
     assert env._physics.poses.isfinite().all()
     assert observations[1].float().std() > 1
-
-
-@pytest.mark.parametrize("actions", [[1, 2], [0, 1, 18], [0.5, 1.0, 2.0], [-1, 0, 0], None, "abc", [2**70, 0, 0]])
-def test_wrong_actions_are_refused(env: Any, actions: Any) -> None:
-    env.reset(seed=0)
-    with pytest.raises(InvalidActionError, match="3 integers"):
-        env.step(actions)
 
 
 def test_actions_of_any_integer_type_are_taken(env: Any) -> None:
@@ -213,7 +231,7 @@ def test_without_autoreset_worlds_wait_for_a_mask() -> None:
     for mask in ([0, 1], [True], "01", [[True, False]]):
         with pytest.raises(SettingsError, match="reset_mask must hold 2 bools"):
             made.reset(options={"reset_mask": mask})
-    for seed in (-1, 1.5, [1, None], "12"):
+    for seed in (-1, 1.5, [1, None], "12", [[1], [2, 3]]):
         with pytest.raises(InvalidSeedError, match="is not a seed"):
             made.reset(seed=seed)
     with pytest.warns(UserWarning, match="reset ignores the options 'scene'"):
@@ -245,19 +263,6 @@ def test_what_users_do_to_observations_changes_none_of_the_later_ones() -> None:
         one.close()
 
 
-def test_states_of_other_worlds_and_closed_environments_are_refused() -> None:
-    made = batched.make("MoveToRegion", "Demo", 2, device="cpu", preset="State")
-    other = batched.make("MoveToRegion", "Demo", 1, device="cpu", preset="State")
-    for wrong in (None, {}, other.get_state()):
-        with pytest.raises(StateError, match="of 2 worlds"):
-            made.set_state(wrong)
-    for one in (made, other):
-        one.close()
-    for use in (made.reset, made.get_state, lambda: made.step([0, 0]), lambda: made.set_state({})):
-        with pytest.raises(ClosedError, match="make another one"):
-            use()
-
-
 def test_scenes_do_not_depend_on_who_draws_them() -> None:
     """Those of an episode follow from the seed, the world and the episode, whoever ends when."""
     from magical_mj.batched.drawing import SceneDrawer
@@ -281,16 +286,3 @@ def test_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(code, "batched.md", "exec"), {})
     printed = capsys.readouterr().out.splitlines()[-1]
     assert printed == f"{torch.zeros(4, dtype=torch.float64)} {torch.zeros(4, dtype=torch.bool)}"
-
-
-def test_wrong_settings_are_named() -> None:
-    with pytest.raises(SettingsError, match="no device 'cuda:7'"):
-        batched.make("MoveToRegion", num_envs=1, device="cuda:7")
-    with pytest.raises(SettingsError, match="at least 1"):
-        batched.make("MoveToRegion", num_envs=0, device="cpu")
-    with pytest.raises(SettingsError, match="workers must be an integer of at least 0"):
-        batched.make("MoveToRegion", num_envs=1, device="cpu", workers=-1)
-    with pytest.raises(UnknownNameError, match="preset"):
-        batched.make("MoveToRegion", num_envs=1, device="cpu", preset="HiRes")
-    with pytest.raises(SettingsError, match="SAME_STEP or DISABLED"):
-        batched.make("MoveToRegion", num_envs=1, device="cpu", autoreset_mode=AutoresetMode.NEXT_STEP)

@@ -137,6 +137,10 @@ def main() -> None:
     chosen.out.mkdir(parents=True, exist_ok=True)
     for name in [chosen.only] if chosen.only else every:
         done, start = chosen.out / f"{name}.txt", time.perf_counter()
+        training = name.removesuffix("-score")
+        if training != name and not (chosen.out / f"{training}.txt").exists():
+            print(f"{name}: waits for the end of {training}", flush=True)
+            continue
         ended = "done before" if done.exists() else run(every[name], done)
         print(f"{name}: {ended}, {time.perf_counter() - start:.0f} s", flush=True)
 

@@ -47,7 +47,7 @@ def make(
     Args:
         task: a task, or several (as a sequence or separated by commas) for batches of several tasks.
         variant: a variant, or several; the worlds take turns among all pairs that exist.
-        num_envs: how many worlds.
+        num_envs: how many worlds, at least one for each pair.
         preset: of the observations; one of `magical_mj.presets.PRESETS`.
         device: "cuda", "cuda:1" or "cpu" (slow; for tests).
         seed: of the scenes that are drawn when `reset` is given no seed.
@@ -70,6 +70,8 @@ def make(
         if not isinstance(value, Integral) or value < least:
             raise SettingsError(f"{name} must be an integer of at least {least}, not {shown(value)}")
     pairs = environments(task, variant)
+    if num_envs < len(pairs):
+        raise SettingsError(f"these are {len(pairs)} environments, for which num_envs={num_envs} is too few")
     return BatchedEnv(
         [pairs[world % len(pairs)] for world in range(num_envs)],
         preset=preset,

@@ -33,7 +33,7 @@ from magical_mj.tasks.spec import Rules
 from magical_mj.variants import check_seed, varied_axes
 
 MODES: Final = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
-STATE: Final = {"scenes", "drawer", "physics", "observer", "steps", "running"}
+STATE: Final = {"kind", "scenes", "drawer", "physics", "observer", "steps", "running"}
 """What a state of the environment consists of."""
 
 OVERFLOW: Final = (
@@ -88,10 +88,11 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._start = Start.of(self._scenes, device)
         self._physics = Physics(self._scenes, device)
         made = preset_named(preset)
+        size = made.image_size if image_size is None else check_size(image_size)
+        self._kind = {"environments": [f"{task}-{variant}" for task, variant in pairs], "preset": preset, "size": size}
         if made.layout == "state":
             self._observer: States | Frames = States(self.num_envs, device)
         else:
-            size = made.image_size if image_size is None else check_size(image_size)
             self._observer = Frames(made, size, self._scenes, device)
         self.single_observation_space = self._observer.space
         self.observation_space = gymnasium.vector.utils.batch_space(self._observer.space, self.num_envs)
@@ -127,8 +128,9 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         chosen = self._masked(options.get("reset_mask"))
         seeds = None
         if seed is not None:
-            if isinstance(seed, Sequence | np.ndarray | Tensor) and np.ndim(seed) > 0:
-                each: list[Any] = list(seed)
+            each: list[Any]
+            if isinstance(seed, list | tuple | range) or (isinstance(seed, np.ndarray | Tensor) and seed.ndim > 0):
+                each = list(seed)
             else:
                 each = [check_seed(seed) + world for world in range(self.num_envs)]
                 if options.get("reset_mask") is None:
@@ -171,6 +173,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """The present state of all worlds, the pictures in the stacks included: tensors, arrays and plain values."""
         self._check_open()
         return {
+            "kind": self._kind,
             "scenes": asdict(self._scenes),
             "drawer": self._drawer.get_state(),
             "physics": self._physics.get_state(),
@@ -186,12 +189,15 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         follows is as near as any two runs are there: contacts are taken down in the order in which threads find them.
 
         Raises:
-            StateError: if it is not a state of so many worlds.
+            StateError: if it is not a state of such worlds with such observations; then nothing is changed.
             ClosedError: if the environment is closed.
         """
         self._check_open()
-        if not isinstance(state, Mapping) or set(state) != STATE or len(state["steps"]) != self.num_envs:
-            raise StateError(f"set_state() takes what get_state() of {self.num_envs} worlds gave, not {shown(state)}")
+        if not isinstance(state, Mapping) or set(state) != STATE:
+            raise StateError(f"set_state() takes what get_state() gave, not {shown(state)}")
+        for name, value in self._kind.items():
+            if state["kind"][name] != value:
+                raise StateError(f"the state's {name} are {shown(state['kind'][name])}, and here {shown(value)}")
         self._put(SceneArrays(**state["scenes"]), torch.arange(self.num_envs, device=self.device))
         self._drawer.set_state(state["drawer"])
         self._physics.set_state(state["physics"])

@@ -51,7 +51,7 @@ def check_device(name: str) -> str:
         SettingsError: if it is not.
     """
     try:
-        return str(wp.get_device(name).alias)
+        return str(wp.get_device(str(name)).alias)
     except (RuntimeError, ValueError) as error:
         devices = ", ".join(str(device.alias) for device in wp.get_devices())
         raise SettingsError(f"there is no device {name!r} here; there is {devices}") from error
