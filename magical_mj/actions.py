@@ -1,7 +1,8 @@
 """The 18 discrete actions: gripper (open, close) x turn (none, left, right) x drive (none, forward, back).
 
 The number of an action is ``9 * gripper + 3 * turn + drive``, as in the original (Toyer et al. 2020,
-section 3 "Action space"). For learners of continuous actions, the same 18 are vectors (drive, turn, grip).
+appendix "Action and observation space"). For learners of continuous actions, the same 18 are vectors
+(drive, turn, grip).
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """The constants of the world: sizes, masses, speeds, force caps and score thresholds.
 
 Units are world units (the workspace is 2 x 2), seconds, radians and mass units. The values are those of
-the original benchmark (Toyer et al. 2020, appendix "Additional environment details", and measurements on
-its released simulation); where the two differ, the paper's are used.
+the original benchmark (Toyer et al. 2020, appendix "Additional benchmark details", and measurements on
+its released simulation); where the two differ, the paper's are used. Only of Jitter the paper says too
+little ("up to 5% of the maximum possible range"): its values are those of the released code.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ FINGER_TORQUE: Final = 4.0
 BLOCK_FRICTION_FORCE: Final = 1.5
 BLOCK_FRICTION_TORQUE: Final = 0.1
 
-# What the variants draw from (reference: variants.md; the paper's appendix "Test variants")
+# What the variants draw from (reference: variants.md; the paper's section 2.2, "Test variants")
 JITTER_POSITION: Final = 0.025  # per axis, +-
 JITTER_ANGLE: Final = 0.05 * math.pi  # +- rad
 JITTER_REGION_SIZE: Final = 0.0075  # height and width, +-

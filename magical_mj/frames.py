@@ -76,7 +76,9 @@ class FrameStack:
 
 
 class Stacks:
-    """All stacks of a preset: by view in the layout "dict", none for the state vector, else one under the name "all".
+    """All stacks of a preset by name: one for each view in the layout "dict", none for the state vector, else one.
+
+    The name of that one says what it holds, such as "allo1+ego3", since stacks of other presets may have its shape.
 
     Args:
         made: the preset.
@@ -88,7 +90,8 @@ class Stacks:
         if made.layout == "dict":
             self._stacks = {view: FrameStack(((view, count),), size) for view, count in made.frames}
         elif made.layout != "state":
-            self._stacks = {"all": FrameStack(made.frames, size, channels_first=made.layout == "chw")}
+            name = "+".join(f"{view}{count}" for view, count in made.frames)
+            self._stacks = {name: FrameStack(made.frames, size, channels_first=made.layout == "chw")}
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:

@@ -242,7 +242,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             return seen["state"]
         if self._preset.fingers:
             return {**stacks, "fingers": seen["state"][FINGERS]}
-        return stacks if self._preset.layout == "dict" else stacks["all"]
+        return stacks if self._preset.layout == "dict" else next(iter(stacks.values()))
 
 
 def fingers_space() -> spaces.Space[NDArray[np.float32]]:
@@ -257,7 +257,7 @@ def _space(made: Preset, shapes: Mapping[str, tuple[int, ...]]) -> spaces.Space[
     boxes: dict[str, spaces.Space[Any]] = {name: spaces.Box(0, 255, shape, np.uint8) for name, shape in shapes.items()}
     if made.fingers:
         boxes["fingers"] = fingers_space()
-    return spaces.Dict(boxes) if made.layout == "dict" else boxes["all"]
+    return spaces.Dict(boxes) if made.layout == "dict" else next(iter(boxes.values()))
 
 
 def _scene_option(options: Mapping[str, Any]) -> Scene | None:

@@ -153,6 +153,19 @@ def test_gymnasium_states_hold_the_frames(preset: str) -> None:
     assert_same(env.get_state().frames, gymnasium_frames(env, seed=3))
 
 
+@pytest.mark.parametrize(("one", "other"), list(itertools.permutations(("LoRes4E", "LoRes4A", "LoRes3EA"), 2)))
+def test_frames_of_another_preset_are_not_taken_for_its_own(one: str, other: str) -> None:
+    """They have the same shape; the present pictures fill the stacks instead."""
+    first, second = (gymnasium.make(magical_mj.env_id("FindDupe", "Demo", preset)).unwrapped for preset in (one, other))
+    first.reset(seed=0)
+    for action in actions(1, 6):
+        first.step(action)
+    seen, _ = second.reset(options={"state": first.get_state()})
+    now = second._env.render("allo" if other == "LoRes4A" else "ego", 96)
+    for count in range(2, 4):
+        np.testing.assert_array_equal(seen[..., 3 * count : 3 * count + 3], now)
+
+
 def gymnasium_frames(env: Any, seed: int) -> Any:
     env.reset(seed=seed)
     return env.get_state().frames

@@ -31,7 +31,8 @@ ABLATIONS: Final = ("BC (ST)", "BC (ST, no trans./rot. aug.)", "BC (ST, no aug.)
 """The paper's BC, and the same with less; ours, with --quick, are called so too."""
 
 AXES: Final[dict[Axis, str]] = {
-    "jitter": f"small changes of every pose: ±{c.JITTER_POSITION} of the arena's 2 per axis, ±{c.JITTER_ANGLE:.3f} rad",
+    "jitter": f"small changes of all poses: ±{c.JITTER_POSITION} of the arena's 2 per axis, ±{c.JITTER_ANGLE:.3f} rad, "
+    f"and ±{c.JITTER_REGION_SIZE} of the regions' sides",
     "layout": "all poses, and the sizes of goal regions",
     "colour": "colours",
     "shape": "shapes",
