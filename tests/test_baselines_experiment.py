@@ -66,6 +66,11 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
         (["train", "bc", "--tasks", "FindDupe", "--preset", "LoResCHW4E"], "one stack of frames"),
         (["train", "bc", "--tasks", "FindDupe", "--device", "abacus"], "no device 'abacus' here"),
         (["train", "bc", "--tasks", "FindDupe", "--device", "meta"], "'meta' holds no numbers"),
+        (
+            ["train", "bc", "--tasks", "FindDupe", "--set", "ppo.clip=0.1"],
+            "bc has no use for ppo.clip, a setting of gail",
+        ),
+        (["train", "bc", "--tasks", "FindDupe", "--worlds", "batched"], "bc learns without playing"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "method=gail"], "method is given by itself"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "demonstrations=26"], "there are 25"),
     ],

@@ -21,7 +21,7 @@ from rich.table import Column
 from rich.text import Text
 
 from magical_mj import baselines
-from magical_mj.baselines.config import check_changes
+from magical_mj.baselines.config import check_changes, check_used
 from magical_mj.cli.console import LABEL, console
 from magical_mj.errors import SettingsError, unknown_name
 from magical_mj.parallel import Backend
@@ -99,7 +99,9 @@ def train(
     if method not in baselines.METHODS:  # which also says what to install, if something is missing
         raise unknown_name("method", method, baselines.METHODS)
     given = {"seed": seed, "augment": augment, "preset": preset, "device": device, "ppo.worlds": worlds}
-    changes = given | dict(_change(text) for text in change or [])
+    others = dict(_change(text) for text in change or [])
+    check_used(others, [method])
+    changes = given | others
     check_changes(changes, ("method", "tasks", "quick"))
     settings = baselines.load_settings(method, tasks, quick=quick, **changes)
     if len(settings.tasks) > 1 and not multi_task:

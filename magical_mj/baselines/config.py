@@ -26,6 +26,7 @@ PARTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     }
 )
 """Method -> the parts of the settings that it uses; methods that are not listed may use all parts."""
+_EVERY_PART: Final = frozenset(part for parts in PARTS.values() for part in parts)
 
 _SHORT: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -119,6 +120,15 @@ def check_changes(changes: Iterable[str], given: Collection[str]) -> None:
     for name in changes:
         if name in given:
             raise SettingsError(f"{name} is given by itself, and not among the settings that are changed")
+
+
+def check_used(changes: Iterable[str], methods: Collection[str]) -> None:
+    """Raises a `SettingsError` if one of the changes is of a part that none of the methods uses."""
+    for name in changes:
+        part, dot, _ = name.partition(".")
+        if dot and part in _EVERY_PART and all(part not in PARTS.get(method, _EVERY_PART) for method in methods):
+            users = [method for method, parts in PARTS.items() if part in parts]
+            raise SettingsError(f"{' and '.join(methods)} has no use for {name}, a setting of {', '.join(users)}")
 
 
 def changed(settings: TrainingSettings, changes: Mapping[str, Any]) -> TrainingSettings:

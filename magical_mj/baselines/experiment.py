@@ -9,7 +9,7 @@ from operator import methodcaller
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.baselines.config import check_changes, flattened, load_settings
+from magical_mj.baselines.config import check_changes, check_used, flattened, load_settings
 from magical_mj.baselines.learner import keep_freed_memory
 from magical_mj.baselines.run import METHODS, Progress, train
 from magical_mj.baselines.settings import TrainingSettings
@@ -155,6 +155,7 @@ def runs(file: Path, out: Path) -> list[Run]:
     groups = [tuple(tasks)] if table.get("multi_task", False) else [(task,) for task in tasks]
     quick, changes = table.get("quick", False), flattened(table.get("settings", {}))
     check_changes(changes, ("method", "tasks", "quick", "seed"))
+    check_used(changes, table["methods"])
     found = []
     for seed in table["seeds"]:
         for method in table["methods"]:

@@ -77,7 +77,7 @@ class BatchedWorlds(VecEnv):
         for world in np.flatnonzero(ended):
             infos[world] = {
                 "terminal_observation": {SEEN: last[world], TASK: self._one_hot[world]},
-                "TimeLimit.truncated": True,
+                "TimeLimit.truncated": not info["broken"][world],  # nothing comes after a broken state
                 "eval_score": float(info["eval_score"][world]),
             }
         self._restart(ended, observations)
