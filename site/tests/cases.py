@@ -20,6 +20,7 @@ from magical_mj.web.scenes import exported
 ROUGH: Final = 200
 GLANCES: Final = (1, 20, 100)  # steps after which states are compared; and the last one
 SCORED: Final = 10  # every so many states of the demonstrations are scored
+GATHERED: Final = 30  # scored states of each environment
 PICTURES: Final = 192  # pixels
 EVERY: Final = 4  # environments from one whose pictures are compared to the next
 
@@ -62,7 +63,7 @@ def _played(name: str, task: str, scene: Scene, actions: list[int]) -> dict[str,
 
 
 def scores() -> Iterator[dict[str, Any]]:
-    """States of the demonstrations, and the reference's, with their scores."""
+    """States of the demonstrations, the reference's, and many of every environment, with their scores."""
     for task in magical_mj.TASKS:
         for demo in magical_mj.demos.load(task):
             for final in demo.scenes()[::SCORED]:
@@ -74,6 +75,20 @@ def scores() -> Iterator[dict[str, Any]]:
             for case in cases:
                 scored = _scored(task, demo_scene, demo_scene.moved(case["robot"], case["blocks"]))
                 yield {**scored, "reference": case["score"]}  # rounded to 9 digits
+
+    rng = np.random.default_rng(0)
+    for task, variant in magical_mj.ENVIRONMENTS:
+        for seed in range(GATHERED):
+            scene = magical_mj.sample_scene(task, variant, seed)
+            yield _scored(task, scene, _gathered(scene, rng))
+
+
+def _gathered(scene: Scene, rng: np.random.Generator) -> Scene:
+    """The scene with its things around a few places, so that scores between 0 and 1 occur, too."""
+    places = [*(region.centre for region in scene.regions), *rng.uniform(-0.8, 0.8, (2, 2))]
+    x, y = places[rng.integers(len(places))]
+    blocks = [(*(places[rng.integers(len(places))] + rng.normal(0, 0.1, 2)), 0.0) for _ in scene.blocks]
+    return scene.moved((x, y, 0.0), blocks)
 
 
 def _scored(task: str, initial: Scene, final: Scene) -> dict[str, Any]:
