@@ -24,21 +24,22 @@ def test_wrong_actions_are_refused(actions: Any) -> None:
 
 
 def test_states_of_other_worlds_and_closed_environments_are_refused() -> None:
-    made = batched.make("MoveToRegion", "Demo", 2, device="cpu", preset="State")
+    made = batched.make("MoveToRegion", "Demo", 2, device="cpu", image_size=32)
     for wrong in (None, {}):
         with pytest.raises(StateError, match="takes what get_state"):
             made.set_state(wrong)
     made.reset(seed=0)
-    for variant, count, preset, size, name in (
-        ("Demo", 1, "State", 96, "environments"),
-        ("Jitter", 2, "State", 96, "environments"),
-        ("Demo", 2, "LoRes4E", 96, "preset"),
-        ("Demo", 2, "State", 32, "size"),
+    for name, variant, count, changes in (
+        ("environments", "Demo", 1, {}),
+        ("environments", "Jitter", 2, {}),
+        ("rules", "Demo", 2, {"rules": "released"}),
+        ("preset", "Demo", 2, {"preset": "LoRes4A"}),
+        ("image_size", "Demo", 2, {"image_size": 16}),
     ):
-        other = batched.make("MoveToRegion", variant, count, device="cpu", preset=preset, image_size=size)
+        other = batched.make("MoveToRegion", variant, count, device="cpu", **{"image_size": 32, **changes})
         other.reset(seed=0)
         other.step([1] * count)
-        with pytest.raises(StateError, match=f"the state's {name} are .*, and here"):
+        with pytest.raises(StateError, match=f"the state has {name} .*, and these worlds"):
             made.set_state(other.get_state())
         assert made._steps.tolist() == [0, 0], "nothing is changed"
         other.close()

@@ -181,3 +181,17 @@ def test_the_command_imports_each_file_once(
     assert main(["demos", "import", *files, "--out", str(made)]) == 0
     assert sorted(path.name for path in made.iterdir()) == names
     assert main(["demos", "verify", str(made), "--jobs", "1"]) == 0
+
+
+def test_folders_of_several_people_are_read_and_no_file_twice(
+    saved: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    demo = demos.from_recording(json.dumps(saved)).demonstration
+    for person in ("one", "two"):
+        path = demos.keep(demo, tmp_path / person)
+    (tmp_path / "token").write_text("secret")
+    assert len(demos.load("FindDupe", tmp_path)) == 2
+    assert main(["demos", "verify", str(tmp_path), str(path), str(path.parent), "--jobs", "1"]) == 0
+    assert "2 of 2 replay" in capsys.readouterr().out
+    assert main(["demos", "export", str(tmp_path), "--out", str(path.with_name("x.npz")), "--preset", "State"]) == 2
+    assert "would lie among the demonstrations" in capsys.readouterr().err

@@ -164,7 +164,22 @@ def test_other_peoples_files_are_not_replaced(tmp_path: Path) -> None:
         with pytest.raises(EvaluationError, match=rf"{name} is not of an earlier report: move it"):
             report([scores], out)
         assert [path.read_text() for path in out.iterdir()] == ["mine"]
-    assert report([scores], tmp_path / "out") == report([scores], tmp_path / "out")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "report.md").write_text("# Evaluation of my own\n")
+    with pytest.raises(EvaluationError, match=r"report.md is not of an earlier report"):
+        report([scores], tmp_path / "out")
+
+
+def test_a_report_that_was_interrupted_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = write(tmp_path / "scores", example())
+    with monkeypatch.context() as patch:
+        patch.setattr("magical_mj.evaluation.report.heat_map", lambda _: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            report([scores], tmp_path / "out")
+    assert "Not finished" in (tmp_path / "out" / "report.md").read_text()
+    page = report([scores], tmp_path / "out")
+    assert "Not finished" not in page.read_text()
+    assert report([scores], tmp_path / "out") == page
 
 
 # what does not go together

@@ -35,6 +35,12 @@ def test_the_subgoals_solve_the_task(task: str, variant: str) -> None:
         assert all(max(map(abs, subgoal.target)) < 0.9 for subgoal in todo)
 
 
+def test_what_is_solved_by_one_set_of_rules_may_not_be_by_the_other() -> None:
+    half = replace(task_spec("FindDupe"), score=lambda initial, final, rules: 1.0 if rules == "paper" else 0.5)
+    assert half.subgoals(half.demo, half.demo, noise()) == ()
+    assert half.subgoals(half.demo, half.demo, noise(), "released") != ()
+
+
 def test_a_plan_without_room_says_so() -> None:
     scene = magical_mj.sample_scene("MatchRegions", "Demo", 0)
     everywhere = replace(scene, regions=(replace(scene.regions[0], x_min=-0.9, y_min=-0.9, x_max=0.9, y_max=0.9),))

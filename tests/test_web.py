@@ -246,6 +246,9 @@ def test_an_episode_at_the_server_is_pythons_and_outlives_a_kill(server: tuple[A
         wrong = {**mine, "final": {**poses, "robot": [0.0, 0.0, 0.0]}}
         assert "away from what was played" in ask(seat, {"keep": wrong})["error"]
         assert ask(seat, {"keep": mine})["score"] == env.score()
+        with sit(address) as other:
+            assert ask(other, {"return": arrived["participant"]}) == {"participant": arrived["participant"]}
+            assert ask(other, {"keep": mine})["score"] == env.score(), "the same episode, which counts once"
         process.send_signal(signal.SIGKILL)
     process.wait()
     (path,) = folder.rglob("*.npz")

@@ -128,7 +128,7 @@ def check_used(changes: Iterable[str], methods: Collection[str]) -> None:
         part, dot, _ = name.partition(".")
         if dot and part in _EVERY_PART and all(part not in PARTS.get(method, _EVERY_PART) for method in methods):
             users = [method for method, parts in PARTS.items() if part in parts]
-            raise SettingsError(f"{' and '.join(methods)} has no use for {name}, a setting of {', '.join(users)}")
+            raise SettingsError(f"{name} is for {', '.join(users)}, and of no use to {' or '.join(methods)}")
 
 
 def changed(settings: TrainingSettings, changes: Mapping[str, Any]) -> TrainingSettings:

@@ -89,7 +89,12 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._physics = Physics(self._scenes, device)
         made = preset_named(preset)
         size = made.image_size if image_size is None else check_size(image_size)
-        self._kind = {"environments": [f"{task}-{variant}" for task, variant in pairs], "preset": preset, "size": size}
+        self._kind = {
+            "environments": [f"{task}-{variant}" for task, variant in pairs],
+            "rules": rules,
+            "preset": preset,
+            "image_size": None if made.layout == "state" else size,
+        }
         if made.layout == "state":
             self._observer: States | Frames = States(self.num_envs, device)
         else:
@@ -197,7 +202,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             raise StateError(f"set_state() takes what get_state() gave, not {shown(state)}")
         for name, value in self._kind.items():
             if state["kind"][name] != value:
-                raise StateError(f"the state's {name} are {shown(state['kind'][name])}, and here {shown(value)}")
+                raise StateError(f"the state has {name} {shown(state['kind'][name])}, and these worlds {shown(value)}")
         self._put(SceneArrays(**state["scenes"]), torch.arange(self.num_envs, device=self.device))
         self._drawer.set_state(state["drawer"])
         self._physics.set_state(state["physics"])

@@ -27,7 +27,7 @@ from magical_mj.errors import SettingsError
 wp.config.log_level = wp.LOG_ERROR  # or it tells of every kernel that it compiles
 
 CONTACTS: Final = 64
-"""Room for contacts in each world; more are reported as an overflow."""
+"""Room for contacts in each world on average: all share one pool. More are reported as an overflow."""
 ROWS: Final = 224
 """Room for constraints in each world: contacts, dry friction, limits."""
 

@@ -9,7 +9,7 @@ import typer
 
 import magical_mj
 from magical_mj.cli.console import Force, Tasks, Variants, check_fits, check_suffix, claim, claim_folder, console
-from magical_mj.cli.demos import SUFFIX, Paths, read_chosen
+from magical_mj.cli.demos import SUFFIX, Paths, files_of, read_chosen
 from magical_mj.errors import SettingsError
 
 VIEWS: Final = {"LoRes4E": "ego", "LoRes4A": "allo", "LoResStack": "both", "State": "state"}
@@ -56,7 +56,7 @@ def export(
         preset = "LoRes4E" if preset is None else preset
         path = Path(out or f"{names[0] if len(names) == 1 else 'demonstrations'}-{preset or 'views'}{SUFFIX}")
         check_suffix(path, SUFFIX)
-        if path.resolve().parent in {folder.resolve() for folder in paths or () if folder.is_dir()}:
+        if path.resolve().parent in {file.resolve().parent for file in files_of(paths)}:
             raise typer.BadParameter(f"{path} would lie among the demonstrations; give --out in another folder.")
         magical_mj.demos.to_npz(demos, claim(path, force), preset, drop_noop=drop_noop, overwrite=force)
         screen.print(path, soft_wrap=True)

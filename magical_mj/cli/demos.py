@@ -164,15 +164,15 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
     """Check digests, replay all actions, and compare pictures; exit code 1 if anything is wrong."""
     screen = console()
     wanted = environments(tasks, variants) if (tasks, variants) != ("all", "all") else None
-    files = _files(paths)
+    files = files_of(paths)
     checked = with_bar(screen, "verifying", spread(partial(check, wanted), files, jobs), len(files))
     found = [(path, verdict) for path, verdict in checked if verdict]
     if not found:
-        raise DemonstrationError(f"none of these {len(files)} demonstrations are of these tasks and variants")
+        raise DemonstrationError(f"none of the {len(files)} files is of these tasks and variants")
     verdicts = [verdict for _, verdict in found if not isinstance(verdict, str)]
-    good, exact, alike = (sum(getattr(verdict, name) for verdict in verdicts) for name in ("good", "exact", "pictures"))
+    exact, alike = (sum(getattr(verdict, name) for verdict in verdicts) for name in ("exact", "pictures"))
     screen.print(
-        f"{good} of {len(found)} replay to the same score, "
+        f"{sum(verdict.score and verdict.replay for verdict in verdicts)} of {len(found)} replay to the same score, "
         f"{exact} through the same states, {alike} with the same pictures"
     )
     for path, verdict in sorted(found, key=str):
@@ -182,7 +182,7 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
             complain(f"{path} does not start in the scene that its variant and seed have in this version of the world")
         elif not verdict.good:
             complain(f"{path} does not replay to its score in this version of the world")
-    if good < len(found):
+    if sum(verdict.good for verdict in verdicts) < len(found):
         raise typer.Exit(1)
 
 
@@ -229,7 +229,7 @@ def video(
 
 def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str) -> list[Demonstration]:
     """The demonstrations of these tasks and variants in files and folders, by default the shipped ones."""
-    demos = [magical_mj.demos.read(path) for path in _files(paths)]
+    demos = [magical_mj.demos.read(path) for path in files_of(paths)]
     if (tasks, variants) == ("all", "all"):
         return demos
     pairs = environments(tasks, variants)
@@ -240,7 +240,7 @@ def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str) -> list
     return chosen
 
 
-def _files(paths: Sequence[Path] | None) -> list[Path]:
+def files_of(paths: Sequence[Path] | None) -> list[Path]:
     """The files, each once, even if it is given in several ways."""
     found: dict[Path, Path] = {}
     for path in paths or [magical_mj.demos.SHIPPED]:

@@ -62,7 +62,7 @@ def files_in(folder: Path | str, beginning: str = "") -> list[Path]:
 
 
 def files_in_or_below(folder: Path | str, beginning: str = "") -> list[Path]:
-    """The same; if there are none, those in its subfolders, such as one for each person who made some."""
+    """What `files_in` finds, or if that is nothing, what it finds in the subfolders, such as one for each player."""
     below = (found for inner in sorted(Path(folder).glob("*/")) for found in files_in(inner, beginning))
     return files_in(folder, beginning) or list(below)
 

@@ -34,7 +34,7 @@ FILES: Final = {
 def check_free(out: Path) -> None:
     """Raises an `EvaluationError` if files in this folder, which are not of an earlier report, have names of ours."""
     page = out / PAGE
-    if page.is_file() and page.read_bytes().startswith(TITLE.encode()):
+    if page.is_file() and page.read_bytes().startswith(f"{TITLE}\n\n".encode()):
         return
     for name in (PAGE, *FIGURES, *FILES.values()):
         if (out / name).exists():
@@ -71,6 +71,8 @@ def report(
     out = Path(out)
     check_free(out)
     out.mkdir(parents=True, exist_ok=True)
+    page = out / PAGE
+    files.write(page, f"{TITLE}\n\nNot finished: make it again.\n", overwrite=True)  # first, so that we know ours again
     tables = result_tables(found)
     texts = {"variants.csv": csv(found.variants), "environments.csv": csv(found.environments)}
     for name, text in {**texts, **{f"{table.name}.tex": latex(table) for table in tables}}.items():
@@ -92,7 +94,6 @@ def report(
         "## Files",
         "\n".join(f"- [{text}]({quote(name)})" for text, name in {**links, **FILES}.items()),
     ]
-    page = out / PAGE
     files.write(page, "\n\n".join(part.strip() for part in parts) + "\n", overwrite=True)
     return page
 

@@ -90,10 +90,10 @@ class Expert(PlanFollower):
         seed = check_seed(seed)
 
         def planner() -> Planner:
-            initial = env.initial_scene
+            initial, rules = env.initial_scene, env.task.settings.rules
             return Planner(
-                lambda scene: spec.checked_score(initial, scene, env.task.settings.rules),
-                lambda scene, noise, _: spec.subgoals(initial, scene, noise),
+                lambda scene: spec.checked_score(initial, scene, rules),
+                lambda scene, noise, _: spec.subgoals(initial, scene, noise, rules),
                 Lookahead(env),
             )
 

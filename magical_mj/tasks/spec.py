@@ -70,7 +70,7 @@ class TaskSpec:
     region_size: tuple[float, float] = (0.0, 0.0)
     """Least and greatest height and width of the goal regions, in world units."""
     inner_margin: float = 0.0
-    """For a block that belongs in a region: the least distance (world units) that a layout keeps between its
+    """For what belongs in a region: the least distance (world units) that a layout keeps between its
     centre and the sides of the largest square around the region's centre."""
 
     def __post_init__(self) -> None:
@@ -120,14 +120,14 @@ class TaskSpec:
             raise TaskError(f"{self.name}.score must return a number in [0, 1], and returned {shown(score)}")
         return float(score)
 
-    def subgoals(self, initial: Scene, now: Scene, noise: Noise) -> tuple[Subgoal, ...]:
-        """The remaining subgoals; none if the task is solved.
+    def subgoals(self, initial: Scene, now: Scene, noise: Noise, rules: Rules = "paper") -> tuple[Subgoal, ...]:
+        """The remaining subgoals; none if the task is solved by these rules.
 
         Raises:
             TaskError: if the task has no plan.
         """
         plan = self.check_plan()
-        return () if self.checked_score(initial, now, "paper") == 1.0 else tuple(plan(initial, now, noise))
+        return () if self.checked_score(initial, now, rules) == 1.0 else tuple(plan(initial, now, noise))
 
     def check_plan(self) -> Plan:
         """The plan; raises `TaskError` if there is none."""

@@ -7,10 +7,11 @@ Messages are JSON objects, each answered by one:
 | `{"open": {"task": ..., "variant": ..., "seed": ...}}` | `{"scene": ...}`, the scene of a new episode |
 | `{"act": 0..17}` | `{"poses": {"robot": [x, y, angle], "fingers": [left, right], "blocks": [[x, y, angle], ...]}}` |
 | `{"arrive": id or null}` | `{"participant": id, "next": {"task": ..., "variant": ..., "seed": ...} or null}` |
+| `{"return": id}`, after a connection broke | `{"participant": id}` |
 | `{"keep": recording}` | `{"score": ..., "next": ...}`, once the recording is a file |
 | anything else, or a mistake | `{"error": "what is wrong"}` |
 
-The last two need a collection; `magical_mj.demos` describes recordings.
+The last three need a collection; `magical_mj.demos` describes recordings.
 """
 
 from __future__ import annotations
@@ -48,7 +49,13 @@ class Seat:
             if not isinstance(message, dict) or len(message) != 1:
                 raise MagicalError("a message must be a JSON object with one key")
             ((kind, content),) = message.items()
-            answers = {"open": self._open, "act": self._act, "arrive": self._arrive, "keep": self._keep}
+            answers = {
+                "open": self._open,
+                "act": self._act,
+                "arrive": self._arrive,
+                "return": self._return,
+                "keep": self._keep,
+            }
             if kind not in answers:
                 raise MagicalError(f"a message must be one of {', '.join(answers)}")
             reply = answers[kind](content)
@@ -86,6 +93,10 @@ class Seat:
         collection = self._collecting()
         self._participant = collection.participant(name)
         return {"participant": self._participant, "next": collection.next()}
+
+    def _return(self, name: Any) -> dict[str, Any]:
+        self._participant = self._collecting().participant(name)
+        return {"participant": self._participant}
 
     def _keep(self, recording: Any) -> dict[str, Any]:
         collection = self._collecting()

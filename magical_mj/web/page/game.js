@@ -29,6 +29,7 @@ export class Game {
     this.busy = false;
     /** @type {Error | null} */
     this.failure = null;
+    this.sent = false;  // to the server that collects
   }
 
   /** How long is left to act, in seconds. */

@@ -26,7 +26,7 @@ const open = seat?.open ?? inBrowser();
 
 /** What is on the page now. */
 const shown = {
-  task: "", variant: "", seed: -1, watching: false, sending: false, sent: false, note: "",
+  task: "", variant: "", seed: -1, watching: false, sending: false, note: "",
   /** @type {import("./scenes.js").Environment} */ environment: { scenes: [], demonstrations: [] },
   /** @type {Game | null} */ game: null,
   /** @type {(() => void) | null} draws it again */ again: null,
@@ -49,7 +49,7 @@ async function choose(task, variant, seed, script = null) {
   if (!environment) return shown.task ? showNames() : undefined;
   const known = environment.scenes.find((entry) => entry.seed === seed);
   const entry = known ?? (seat ? { seed, expert: "", scene: null } : environment.scenes[0]);
-  Object.assign(shown, { task, variant, seed: entry.seed, environment, watching: script !== null, sent: false, note: "" });
+  Object.assign(shown, { task, variant, seed: entry.seed, environment, watching: script !== null, note: "" });
   showChoice(isOther);
   shown.game?.episode.close();
   shown.game = shown.again = null;
@@ -74,13 +74,14 @@ async function choose(task, variant, seed, script = null) {
 
 /** Whether a finished episode would be lost that the collection may want. */
 function unsent() {
-  return catalogue.collects && shown.game?.over && !shown.watching && !shown.sent;
+  return catalogue.collects && shown.game?.over && !shown.watching && !shown.sending && !shown.game.sent;
 }
 
 /** Selects and the address say which environment is shown. */
 function showNames() {
   const { task, variant, seed } = shown;
   history.replaceState(null, "", `#${task}-${variant}-${seed}`);
+  element("seed").value = seed;
   element("task").value = task;
   const variants = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);
   element("variant").replaceChildren(...variants.map((/** @type {Name} */ { variant }) => new Option(variant)));
@@ -94,7 +95,6 @@ function showChoice(isOther) {
   showNames();
   element("summary").textContent = `${summary[0].toUpperCase()}${summary.slice(1)}.`;
   element("words").textContent = goal;
-  element("seed").value = seed;
   element("expert").disabled = !expertActions();
   element("demo").disabled = variant !== "Demo" || !environment.demonstrations.length;
   if (isOther) {
@@ -184,10 +184,11 @@ function demo() {
 
 /** Gives the server what was played; it says what to play next. */
 async function send() {
+  const game = /** @type {Game} */ (shown.game);
   shown.sending = element("save").disabled = true;
   try {
     const { score, next } = await /** @type {Seat} */ (seat).ask({ keep: recording(shown, catalogue.protocol) });
-    shown.sent = true;
+    game.sent = true;
     await chooseWanted(next);
     complain(`Kept, with score ${score.toFixed(2)}. Thank you! ${next ? "Press a key to go on" : "That was everything"}`);
   } catch (error) {
@@ -232,9 +233,14 @@ function chooseByAddress() {
   return choose(known, variants.includes(variant) ? variant : variants[0], seedIn(seed));
 }
 
-/** The first scene. */
+/** @type {Promise<void> | null} */
+let starting = null;
+
+/** Shows the first scene; whoever is impatient waits for the same one. */
 function start() {
-  return seat && catalogue.collects ? arrive(seat).catch(complain) : chooseByAddress();
+  starting ??= (seat && catalogue.collects ? arrive(seat).catch(complain) : chooseByAddress())
+    .finally(() => { starting = null; });
+  return starting;
 }
 
 /** @type {Record<string, string>} the buttons that keys press */

@@ -6,6 +6,7 @@
 import { moved } from "./scene.js";
 
 const GONE = "There is no connection to the server: try again";
+const LOST = "The connection to the server was lost: play this scene again (R)";
 const REFUSED = "The server refuses this address: open the link that it printed; see also its option --origin";
 
 export class Seat {
@@ -46,7 +47,7 @@ export class Seat {
   async ask(question) {
     if (this.socket.readyState > WebSocket.OPEN) {
       this.#connect();
-      if (this.#participant) await this.#send({ arrive: this.#participant });
+      if (this.#participant) await this.#send({ return: this.#participant });
     }
     const reply = await this.#send(question);
     this.#participant = reply.participant ?? this.#participant;
@@ -66,7 +67,11 @@ export class Seat {
   /** @type {Opener} */
   open = async (_environment, { seed }, task, variant) => {
     const { scene } = await this.ask({ open: { task, variant, seed } });
-    const act = async (/** @type {number} */ action) => moved(scene, (await this.ask({ act: action })).poses);
+    const { socket } = this;  // whose other end simulates this episode
+    const act = async (/** @type {number} */ action) => {
+      if (this.socket !== socket || socket.readyState !== WebSocket.OPEN) throw new Error(LOST);
+      return moved(scene, (await this.#send({ act: action })).poses);
+    };
     return { scene, act, close: () => {} };
   };
 }
