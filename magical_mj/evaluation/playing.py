@@ -18,13 +18,13 @@ import gymnasium
 import numpy as np
 from gymnasium.vector.utils import iterate
 
-import magical_mj
 from magical_mj.actions import action_number
 from magical_mj.episodes import LETTERS, Episode, begin, is_blind
 from magical_mj.episodes import play as play_actions
 from magical_mj.errors import EvaluationError, RenderingError, SettingsError
 from magical_mj.evaluation.policies import BatchPolicy
 from magical_mj.registration import env_id
+from magical_mj.rendering.backend import check_backend
 from magical_mj.tasks.spec import Rules
 
 if TYPE_CHECKING:
@@ -61,7 +61,10 @@ def world_for(policy: Act, task: str, variant: str, preset: str, rules: Rules) -
     The Gymnasium environment has no wrappers of `gymnasium.make`, whose checks at each step would only take time.
     """
     if is_blind(policy):
-        return magical_mj.load(task, variant, seed=0, observations=(), rules=rules)
+        check_backend()
+        from magical_mj.environment import load  # imported late: it loads the simulator
+
+        return load(task, variant, seed=0, observations=(), rules=rules)
     return gymnasium.make(env_id(task, variant, preset), rules=rules).unwrapped
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
-import magical_mj
 from magical_mj.episodes import Episode, is_blind
 from magical_mj.errors import SettingsError
 from magical_mj.presets import PRESETS
+from magical_mj.rendering.backend import check_backend
 
 Shape = tuple[int | None, ...]
 """The shape of an observation; None stands for any size."""
@@ -58,7 +58,10 @@ def _check_shape(wanted: Sequence[Shape], task: str, preset: str) -> None:
 
 def _shape(task: str, preset: str) -> tuple[int, ...] | None:
     """The shape of the preset's observations; None if they are dicts."""
-    env = magical_mj.MagicalEnv(task, preset=preset)
+    check_backend()
+    from magical_mj.gym_env import MagicalEnv  # imported late: it loads the simulator
+
+    env = MagicalEnv(task, preset=preset)
     env.close()
     return env.observation_space.shape
 
