@@ -71,16 +71,7 @@ def report(
     out = Path(out)
     check_free(out)
     out.mkdir(parents=True, exist_ok=True)
-    page = out / PAGE
-    files.write(page, f"{TITLE}\n\nNot finished: make it again.\n", overwrite=True)  # first, so that we know ours again
     tables = result_tables(found)
-    texts = {"variants.csv": csv(found.variants), "environments.csv": csv(found.environments)}
-    for name, text in {**texts, **{f"{table.name}.tex": latex(table) for table in tables}}.items():
-        files.write(out / name, text, overwrite=True)
-    for name, figure in {"bars": bars(found), "heat_map": heat_map(found)}.items():
-        for suffix in ("png", "pdf"):
-            with files.new_file(out / f"{name}.{suffix}", overwrite=True) as path:
-                figure.savefig(path, dpi=DPI, metadata=None if suffix == "png" else {"CreationDate": None})
     parts = [
         TITLE,
         *(f"**{note}**" for note in found.notes if note.startswith(APPROXIMATE)),
@@ -94,7 +85,15 @@ def report(
         "## Files",
         "\n".join(f"- [{text}]({quote(name)})" for text, name in {**links, **FILES}.items()),
     ]
+    page = out / PAGE  # written first: by it, the files of a report that was interrupted are known as ours
     files.write(page, "\n\n".join(part.strip() for part in parts) + "\n", overwrite=True)
+    texts = {"variants.csv": csv(found.variants), "environments.csv": csv(found.environments)}
+    for name, text in {**texts, **{f"{table.name}.tex": latex(table) for table in tables}}.items():
+        files.write(out / name, text, overwrite=True)
+    for name, figure in {"bars": bars(found), "heat_map": heat_map(found)}.items():
+        for suffix in ("png", "pdf"):
+            with files.new_file(out / f"{name}.{suffix}", overwrite=True) as path:
+                figure.savefig(path, dpi=DPI, metadata=None if suffix == "png" else {"CreationDate": None})
     return page
 
 
