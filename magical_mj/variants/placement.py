@@ -147,6 +147,7 @@ def _place_once(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: 
     homes = [_home(thing, scene.regions) for thing in things]
     poses = [thing.pose for thing in things]
     placed: list[Solid] = []
+    # the robot first, then the outer blocks, then those that belong in a region
     for index in sorted(range(len(things)), key=lambda index: index > 0 and homes[index] is not None):
         thing, home = things[index], homes[index]
         own_region = None if home is None else placed_regions[home]
