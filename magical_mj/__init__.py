@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from magical_mj._version import __version__
 from magical_mj.registration import env_id, register_all
 from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS, sample_scene, score
-from magical_mj.rendering.backend import check_backend, choose_backend
+from magical_mj.rendering.backend import check_opengl, choose_backend
 from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    check_backend()
+    check_opengl()
     if name in _LAZY_MODULES:
         return import_module(f"{__name__}.{name}")
     return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)

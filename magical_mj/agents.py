@@ -47,11 +47,11 @@ class ExpertAgent:
 
     def reset(self, episode: Episode) -> None:
         """Makes an expert for this episode."""
-        from magical_mj.experts import make_expert
+        from magical_mj.experts import Expert
 
         if episode.env is None:
             raise SettingsError("the expert needs the simulation itself; it cannot play in vector environments")
-        self._next = make_expert(episode.env, episode.task, episode.run)
+        self._next = Expert(episode.env, episode.task, episode.run)
 
     def __call__(self, observation: Any) -> int:
         """An action; the observation does not matter."""

@@ -59,7 +59,7 @@ FINGER_TORQUE: Final = 4.0
 BLOCK_FRICTION_FORCE: Final = 1.5
 BLOCK_FRICTION_TORQUE: Final = 0.1
 
-# What the variants draw from (reference: variants.md; the paper's section 2.2, "Test variants")
+# What the variants draw from (the paper's section 2.2, "Test variants")
 JITTER_POSITION: Final = 0.025  # per axis, +-
 JITTER_ANGLE: Final = 0.05 * math.pi  # +- rad
 JITTER_REGION_SIZE: Final = 0.0075  # height and width, +-

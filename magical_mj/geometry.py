@@ -53,12 +53,16 @@ def regular_polygon(corners: int, radius: float) -> Outline:
     return radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
+def square(half: float) -> Outline:
+    """The square with this half side around the origin. Shape (4, 2)."""
+    return half * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+
+
 @cache
 def block_outline(shape: Shape) -> Outline:
     """Corners of a block in its own frame, as drawn. Shape (n, 2); the circle is a 100-gon."""
     if shape == "square":
-        half = c.SQUARE_SIDE / 2
-        outline = half * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+        outline = square(c.SQUARE_SIDE / 2)
     elif shape == "pentagon":
         outline = regular_polygon(5, c.PENTAGON_RADIUS)
     elif shape == "star":

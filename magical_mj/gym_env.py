@@ -21,8 +21,7 @@ from magical_mj.environment import Environment, load
 from magical_mj.errors import InvalidSceneError, SettingsError, check_name, shown
 from magical_mj.frames import Images, Stacks
 from magical_mj.observations import CAMERAS, FINGERS, STATE_NAMES, VIEWS
-from magical_mj.presets import Preset
-from magical_mj.presets import preset as preset_named
+from magical_mj.presets import Preset, preset_named
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
 from magical_mj.state import State

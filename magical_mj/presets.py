@@ -50,7 +50,7 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
 """The presets by name; the empty name is used when an environment is made without a preset."""
 
 
-def preset(name: str) -> Preset:
+def preset_named(name: str) -> Preset:
     """The preset with this name; raises `UnknownNameError` if there is none."""
     if not isinstance(name, str) or name:
         check_name("preset", name, filter(None, PRESETS))

@@ -12,10 +12,9 @@ import itertools
 import gymnasium
 from gymnasium.envs.registration import WrapperSpec
 
-from magical_mj import presets
 from magical_mj.announced import announced
 from magical_mj.errors import TaskError
-from magical_mj.presets import PRESETS
+from magical_mj.presets import PRESETS, preset_named
 from magical_mj.registry import ENVIRONMENTS, VARIANTS, environment_axes, task_name, task_spec, variant_name
 
 
@@ -32,7 +31,7 @@ def env_id(task: str, variant: str = "Demo", preset: str = "") -> str:
         TaskError: if it is an invalid task of another package, or another task has its name.
     """
     environment_axes(task, variant)
-    presets.preset(preset)
+    preset_named(preset)
     task = task_name(task)
     return _register(task, task_spec(task).name, variant_name(variant), preset, task_spec(task).horizon())
 

@@ -11,6 +11,7 @@ from magical_mj.episodes import LETTERS
 from magical_mj.evaluation.scores import SCORES
 from magical_mj.leaderboard import Entry
 from magical_mj.leaderboard.claims import Claim
+from magical_mj.leaderboard.submission import CARD
 from magical_mj.registry import ENVIRONMENTS
 
 EPISODES = 4
@@ -67,8 +68,6 @@ def whole(runs: int = 5) -> Entry:
         for task, variant in ENVIRONMENTS
         for seed in range(100)
     ]
-    card = {"method": "Nobody", "description": None, "authors": None, "links": None, "hardware": None}
-    card |= {"demonstrations": {"set": None, "per_task": None, "other": None}}
-    card |= {"training": {"hours": None, "device": None, "steps": None}}
+    card = {**CARD, "method": "Nobody"}
     versions = {"version": ["0.1.0"], "mujoco": ["3.17.0"], "gl": ["egl"]}
     return Entry(card, "LoRes4E", "paper", 1, versions, episodes)

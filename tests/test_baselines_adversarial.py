@@ -257,10 +257,11 @@ def test_equal_seeds_give_equal_weights(method: str) -> None:
     assert not torch.equal(first, trained(1))
 
 
+@pytest.mark.parametrize("changes", [{}, {"tasks": "MoveToRegion,FixColour", "preset": "State"}])
 @pytest.mark.parametrize("method", PLAYERS)
-def test_what_is_resumed_ends_as_what_was_not_broken(method: str, tmp_path: Path) -> None:
+def test_what_is_resumed_ends_as_what_was_not_broken(method: str, changes: dict[str, str], tmp_path: Path) -> None:
     """By way of a file, at a moment when the episodes are in their middle."""
-    make: Callable[[], Learner] = lambda: METHODS[method](playing(method))  # noqa: E731
+    make: Callable[[], Learner] = lambda: METHODS[method](playing(method, **changes))  # noqa: E731
     whole = make()
     for _ in range(whole.updates - 2):
         whole.update()
@@ -268,7 +269,9 @@ def test_what_is_resumed_ends_as_what_was_not_broken(method: str, tmp_path: Path
     resumed = make()
     resumed.restore(checkpoint.read(tmp_path / "kept.safetensors"))
     for _ in range(2):
-        assert whole.update() == resumed.update()
+        figures = whole.update()
+        assert figures == resumed.update()
+        assert all(map(math.isfinite, figures.values()))
     assert torch.equal(weights(whole), weights(resumed))
     checkpoint.write(tmp_path / "whole.safetensors", whole.state())
     checkpoint.write(tmp_path / "resumed.safetensors", resumed.state())

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import magical_mj
 from magical_mj import demos
-from magical_mj.baselines import METHODS, checkpoint, load_policy, load_settings, train
+from magical_mj.baselines import load_policy, load_settings, train
 from magical_mj.baselines.adversarial import GAIL
 from magical_mj.baselines.bc import clone
 from magical_mj.baselines.settings import Network
@@ -195,24 +195,6 @@ STEPS = len(EPISODE.actions)
 def test_demonstrations_that_do_not_fit_are_explained(given: Any, problem: str) -> None:
     with pytest.raises(DemonstrationError, match=problem):
         clone(tiny(preset="State", demonstrations=2), given)
-
-
-@pytest.mark.parametrize("method", ["gail", "wgail-gp", "al"])
-def test_players_look_at_states_too(method: str, tmp_path: Path) -> None:
-    """They are resumed in mid-episode, from a file, and go on as if there had been no break."""
-    settings = playing(method, tasks="MoveToRegion,FixColour", preset="State")
-    whole, resumed = METHODS[method](settings), METHODS[method](settings)
-    for _ in range(whole.updates - 2):
-        whole.update()
-    checkpoint.write(tmp_path / "kept.safetensors", whole.state())
-    resumed.restore(checkpoint.read(tmp_path / "kept.safetensors"))
-    for _ in range(2):
-        figures = whole.update()
-        assert figures == resumed.update()
-        assert all(math.isfinite(value) for value in figures.values())
-    assert all(map(torch.equal, whole.actor.parameters(), resumed.actor.parameters()))
-    whole.close()
-    resumed.close()
 
 
 def test_the_average_of_the_policies_is_what_plays_and_is_saved(tmp_path: Path) -> None:

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-
 import mujoco
 import pytest
 from commands import process
@@ -14,8 +10,7 @@ from magical_mj.rendering.backend import osmesa_works
 
 
 def test_doctor_finds_a_backend() -> None:
-    command = [sys.executable, "-m", "magical_mj", "doctor"]
-    result = subprocess.run(command, env=os.environ | {"MUJOCO_GL": ""}, capture_output=True, text=True, check=False)
+    result = process("doctor", MUJOCO_GL="")
     assert result.returncode == 0, result.stdout
     assert "works" in result.stdout
     assert mujoco.__version__ in result.stdout

@@ -12,7 +12,6 @@ from commands import COMMANDS, process
 
 from magical_mj.cli import main
 from magical_mj.registry import ENVIRONMENTS
-from magical_mj.speed.yardstick import Yardstick
 
 
 @pytest.mark.parametrize(
@@ -145,13 +144,3 @@ def test_without_dm_control_it_says_what_to_install(command: str) -> None:
     assert result.returncode == 1
     assert "pip install --no-deps dm_control" in said
     assert "Traceback" not in said
-
-
-def test_a_broken_gym_pusht_spoils_no_measurement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Installed, but a package that it needs is missing."""
-    (tmp_path / "gym_pusht.py").write_text("import a_package_that_is_not_there\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    yardstick = Yardstick()
-    yardstick.run()
-    assert yardstick.rate is None
-    assert "a_package_that_is_not_there" in str(yardstick.problem)

@@ -232,7 +232,7 @@ def test_different_versions_are_noted(tmp_path: Path) -> None:
     scores = example()
     scores[0] = replace(scores[0], mujoco="3.18.0")
     assert (
-        "different settings of mujoco: 3.17.0, 3.18.0" in report([write(tmp_path, scores)], tmp_path / "o").read_text()
+        "different versions of MuJoCo: 3.17.0, 3.18.0" in report([write(tmp_path, scores)], tmp_path / "o").read_text()
     )
 
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import Shell
 
 from magical_mj.cli import main
 from magical_mj.gym_env import MagicalEnv
-from magical_mj.presets import preset
+from magical_mj.presets import preset_named
 from magical_mj.speed.bare import BareLoop
 from magical_mj.speed.measure import RESETS, measure
 from magical_mj.speed.yardstick import Yardstick
@@ -42,12 +44,22 @@ def test_resets_are_split_by_what_they_do(task: str, variant: str, cause: str) -
 def test_the_bare_loop_takes_the_same_steps(name: str) -> None:
     env = MagicalEnv("MatchRegions", "All", name)
     env.reset(seed=1)
-    bare = BareLoop(env.scene, preset(name))
+    bare = BareLoop(env.scene, preset_named(name))
     for action in (1, 1, 4, 13):
         bare.run([action])
         env.step(action)
     np.testing.assert_allclose(bare.simulation.data.qpos, env.dm_env.physics.data.qpos, atol=1e-9)
     bare.close()
+
+
+def test_a_broken_gym_pusht_spoils_no_measurement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Installed, but a package that it needs is missing."""
+    (tmp_path / "gym_pusht.py").write_text("import a_package_that_is_not_there\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    yardstick = Yardstick()
+    yardstick.run()
+    assert yardstick.rate is None
+    assert "a_package_that_is_not_there" in str(yardstick.problem)
 
 
 def test_without_gym_pusht_there_is_no_yardstick(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,9 +103,5 @@ def test_bench_prints_a_profile() -> None:
 
 
 @pytest.mark.parametrize(("option", "name"), [("--tasks", "FindDup"), ("--variants", "Al"), ("--presets", "LoRes5E")])
-def test_bench_names_what_it_does_not_know(option: str, name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", option, name]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("magical-mj: ")
-    assert name in error
-    assert error.count("\n") == 1
+def test_bench_names_what_it_does_not_know(option: str, name: str, shell: Shell) -> None:
+    assert name in shell.fails(2, "bench", option, name)

@@ -9,13 +9,13 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 import magical_mj
+from magical_mj.cli.film import INK
 
 PICTURE: Final = Path(__file__).parent.parent / "docs" / "experts.png"
 SIZE: Final = 112  # pixels, of a frame
 FRAMES: Final = 8
 GAP: Final = 4  # pixels
 LINE: Final = 24  # pixels, of a task's name
-INK: Final = (60, 60, 60)
 
 
 def strip(demo: magical_mj.demos.Demonstration) -> np.ndarray:

@@ -14,7 +14,7 @@ from magical_mj.assets.meshes import Points, inset
 from magical_mj.assets.mjcf import comment, move_body, numbers, planar_body
 from magical_mj.assets.style import BLOCK_FILL, BLOCK_OUTLINE
 from magical_mj.constants import Shape
-from magical_mj.geometry import block_outline, regular_polygon
+from magical_mj.geometry import block_outline, regular_polygon, square
 from magical_mj.scene import Block, Dynamics
 
 INERTIA: Final[dict[Shape, float]] = {
@@ -70,8 +70,7 @@ def collision_geoms(shape: Shape, settings: PhysicsSettings = SETTINGS) -> str:
         core = c.SQUARE_SIDE / 2 - settings.block_overlap
         half = core + c.SQUARE_MARGIN
         box = f'<geom class="edge" type="box" size="{numbers(half, half, 0.1)}"/>'
-        corners = ((core * x, core * y) for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1)))
-        return box + "".join(vertex(x, y, c.SQUARE_MARGIN) for x, y in corners)
+        return box + "".join(vertex(x, y, c.SQUARE_MARGIN) for x, y in square(core))
     outline = inset(block_outline(shape), settings.block_overlap)
     if shape == "star":
         radius = settings.star_tip_radius

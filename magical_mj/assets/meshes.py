@@ -19,7 +19,7 @@ from magical_mj import constants as c
 from magical_mj.assets import style
 from magical_mj.assets.mjcf import single
 from magical_mj.constants import SHAPES, Shape
-from magical_mj.geometry import block_outline, finger_outlines, mirrored, regular_polygon
+from magical_mj.geometry import block_outline, finger_outlines, mirrored, regular_polygon, square
 
 Points = NDArray[np.float64]
 """Shape (n, 2), world units, counter-clockwise."""
@@ -36,11 +36,6 @@ SURROUND_HALF = 3.2  # world units: larger than what the ego camera sees from an
 def disc(sides: int, radius: float) -> Points:
     """A regular polygon with the area of a circle of this radius. Shape (sides, 2)."""
     return regular_polygon(sides, radius * float(np.sqrt(2 * np.pi / sides / np.sin(2 * np.pi / sides))))
-
-
-def square(half: float) -> Points:
-    """Corners of the square with this half side, counter-clockwise. Shape (4, 2)."""
-    return half * np.array([[1.0, 1], [-1, 1], [-1, -1], [1, -1]])
 
 
 def inset(outline: Points, depth: float) -> Points:
@@ -104,6 +99,20 @@ def together(parts: Iterable[Mesh]) -> Mesh:
         faces.append(triangles + count)
         count += len(points)
     return np.vstack(vertices), np.vstack(faces)
+
+
+def loops(faces: Faces) -> list[list[int]]:
+    """The outlines of a flat mesh: the edges that only one triangle has, chained into closed loops of vertices."""
+    edges = {(int(face[k]), int(face[(k + 1) % 3])) for face in faces for k in range(3)}
+    after = {start: end for start, end in edges if (end, start) not in edges}
+    found = []
+    while after:
+        start = min(after)
+        loop = [start]
+        while (end := after.pop(loop[-1])) != start:
+            loop.append(end)
+        found.append(loop)
+    return found
 
 
 def _block(shape: Shape, depth: float, z: float) -> Mesh:

@@ -28,7 +28,6 @@ _LAZY = {  # loaded at first use: the command line knows these commands before a
     "METHODS": "run",
     "Learner": "learner",
     "Progress": "run",
-    "TrainingSettings": "settings",
     "TrainedPolicy": "policy",
     "clone": "bc",
     "conduct": "experiment",

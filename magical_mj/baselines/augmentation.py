@@ -20,7 +20,7 @@ from torch import Tensor
 
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.baselines.states import StateAugmentation
-from magical_mj.errors import unknown_name
+from magical_mj.errors import check_name
 
 Part = Literal["translation", "rotation", "colour", "noise"]
 
@@ -65,8 +65,7 @@ class Augmentation:
 
     def __init__(self, preset: str = "all") -> None:
         """Takes the name of one of the `AUGMENTATIONS`; any other raises UnknownNameError."""
-        if preset not in AUGMENTATIONS:
-            raise unknown_name("augmentation", preset, AUGMENTATIONS)
+        check_name("augmentation", preset, AUGMENTATIONS)
         self.parts: tuple[Part, ...] = AUGMENTATIONS[preset]
 
     @torch.no_grad()

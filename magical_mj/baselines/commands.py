@@ -23,7 +23,7 @@ from rich.text import Text
 from magical_mj import baselines
 from magical_mj.baselines.config import check_changes, check_used
 from magical_mj.cli.console import LABEL, console
-from magical_mj.errors import SettingsError, unknown_name
+from magical_mj.errors import SettingsError, check_name
 from magical_mj.parallel import Backend
 
 if TYPE_CHECKING:
@@ -96,8 +96,7 @@ def train(
     resume: Resume = False,
 ) -> None:
     """Train a policy. OUT then holds the policy, for `magical-mj evaluate --policy OUT`, with settings and metrics."""
-    if method not in baselines.METHODS:  # which also says what to install, if something is missing
-        raise unknown_name("method", method, baselines.METHODS)
+    check_name("method", method, baselines.METHODS)  # which also says what to install, if something is missing
     given = {"seed": seed, "augment": augment, "preset": preset, "device": device, "ppo.worlds": worlds}
     others = dict(_change(text) for text in change or [])
     check_used(others, [method])

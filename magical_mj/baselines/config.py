@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any, Final, TypeVar, get_type_hints
 
 from magical_mj.baselines.settings import STATE, TrainingSettings
-from magical_mj.errors import SettingsError, shown, unknown_name
+from magical_mj.errors import SettingsError, check_name, shown
 from magical_mj.files import read_toml
 from magical_mj.registry import TASKS, listed, task_name
 
@@ -140,8 +140,7 @@ def changed(settings: TrainingSettings, changes: Mapping[str, Any]) -> TrainingS
     """
     known = names(settings)
     for name in changes:
-        if name not in known:
-            raise unknown_name("setting", name, known)
+        check_name("setting", name, known)
     return _changed(settings, changes, "")
 
 

@@ -14,7 +14,7 @@ from magical_mj.baselines.learner import keep_freed_memory
 from magical_mj.baselines.run import METHODS, Progress, train
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.episodes import is_blind
-from magical_mj.errors import SettingsError, check_name, unknown_name
+from magical_mj.errors import SettingsError, check_name
 from magical_mj.evaluation.report import report
 from magical_mj.evaluation.results import gather, published_results
 from magical_mj.evaluation.run import evaluate
@@ -215,5 +215,4 @@ def agreement(planned: list[Run]) -> Iterator[str]:
 
 def _check(kind: str, names: Any, allowed: Any) -> None:
     for name in names:
-        if name not in allowed:
-            raise unknown_name(kind, name, allowed)
+        check_name(kind, name, allowed)

@@ -15,7 +15,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-import mujoco
 import torch
 
 from magical_mj import files
@@ -30,9 +29,9 @@ from magical_mj.baselines.learner import Method, threads_for
 from magical_mj.baselines.metrics import Metrics
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.episodes import Policy
-from magical_mj.errors import TrainingError, unknown_name
+from magical_mj.errors import TrainingError, check_name
 from magical_mj.evaluation.run import evaluate
-from magical_mj.evaluation.settings import check_unchanged
+from magical_mj.evaluation.settings import MUJOCO_VERSION, check_unchanged
 from magical_mj.files import read_toml
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 
@@ -84,8 +83,8 @@ def train(
         TrainingError: if the folder or its checkpoint cannot be used, or a loss becomes NaN or infinite.
     """
     folder = Path(out)
-    if learner is None and settings.method not in METHODS:
-        raise unknown_name("method", settings.method, METHODS)
+    if learner is None:
+        check_name("method", settings.method, METHODS)
     _check(folder, settings, resume)
     with threads_for(settings):
         made = (learner or METHODS[settings.method])(settings)
@@ -135,7 +134,7 @@ def _circumstances() -> str:
         "magical_mj": __version__,
         "protocol": PROTOCOL,
         "demonstrations": DEMONSTRATIONS,
-        "mujoco": mujoco.__version__,
+        "mujoco": MUJOCO_VERSION,
         "torch": torch.__version__,
         "python": platform.python_version(),
     }

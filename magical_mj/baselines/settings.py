@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from magical_mj.errors import SettingsError, check_name, shown
 from magical_mj.evaluation.settings import WORLDS
-from magical_mj.presets import PRESETS, preset
+from magical_mj.presets import PRESETS, preset_named
 from magical_mj.registry import task_spec
 
 STATE: Final = "State"
@@ -137,7 +137,7 @@ class TrainingSettings:
             task_spec(task)  # or its error
         if not self.tasks or len(set(self.tasks)) < len(self.tasks):
             raise SettingsError(f"give one or several different tasks, not {list(self.tasks)}")
-        preset(self.preset)
+        preset_named(self.preset)
         if self.preset not in LEARNABLE:
             raise SettingsError(
                 f"learners look at one stack of frames or at states: preset must be one of {', '.join(LEARNABLE)}"

@@ -19,15 +19,14 @@ from torch import Tensor, nn
 
 from magical_mj.actions import ACTIONS
 from magical_mj.baselines.settings import HEADS, Network
-from magical_mj.errors import unknown_name
-from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
+from magical_mj.errors import check_name
+from magical_mj.observations import FINGERS, MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
 
 HISTORY: Final = 4
 """States in an observation, as many as there are frames in the paper's pictures."""
 
 _ROBOT: Final = sum(name.startswith("robot.") for name in STATE_NAMES)
 _BLOCKS: Final = sum(name.startswith("block") for name in STATE_NAMES)
-_FINGERS: Final = slice(STATE_NAMES.index("robot.left_finger"), STATE_NAMES.index("robot.right_finger") + 1)
 _MOVEMENT: Final = 0.1
 """Units or radians that count as 1 in movements between two states; positions and angles count as they are.
 
@@ -148,8 +147,8 @@ def described(histories: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         moved = (poses[:, -1:] - poses[:, :-1]) / _MOVEMENT
         return torch.cat([ahead(moved[..., :2]), moved[..., 2:]], -1).movedim(1, -2).flatten(-2)
 
-    fingers = (now[:, None] - histories[:, :-1])[..., _FINGERS].flatten(1) / _MOVEMENT
-    robot = [now[:, :2], sin[:, None], cos[:, None], now[:, _FINGERS], movements(histories[..., :3]), fingers]
+    fingers = (now[:, None] - histories[:, :-1])[..., FINGERS].flatten(1) / _MOVEMENT
+    robot = [now[:, :2], sin[:, None], cos[:, None], now[:, FINGERS], movements(histories[..., :3]), fingers]
 
     blocks = histories[..., _ROBOT : _ROBOT + _BLOCKS].unflatten(2, (MAX_BLOCKS, -1))
     blocks = blocks[:, :, blocks[:, -1, :, 0].any(0)]  # present, x, y, angle, three velocities, shapes, colours
@@ -184,8 +183,7 @@ class StateAugmentation:
 
     def __init__(self, preset: str = "all") -> None:
         """Takes the name of one of the `AUGMENTATIONS`; any other raises UnknownNameError."""
-        if preset not in AUGMENTATIONS:
-            raise unknown_name("augmentation", preset, AUGMENTATIONS)
+        check_name("augmentation", preset, AUGMENTATIONS)
         self.parts: tuple[Part, ...] = AUGMENTATIONS[preset]
 
     @torch.no_grad()
@@ -208,7 +206,7 @@ class StateAugmentation:
 def _noisy(histories: Tensor) -> Tensor:
     """1 for the entries that get noise: poses of what is present, and fingers."""
     mask = torch.zeros_like(histories)
-    mask[..., :3] = mask[..., _FINGERS] = 1
+    mask[..., :3] = mask[..., FINGERS] = 1
     blocks = mask[..., _ROBOT : _ROBOT + _BLOCKS].unflatten(-1, (MAX_BLOCKS, -1))
     blocks[..., 1:4] = histories[..., _ROBOT : _ROBOT + _BLOCKS].unflatten(-1, (MAX_BLOCKS, -1))[..., :1]
     return mask

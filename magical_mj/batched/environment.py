@@ -26,7 +26,7 @@ from magical_mj.batched.scores import SCORES, Start, score
 from magical_mj.env_settings import REWARDS, Reward
 from magical_mj.errors import ClosedError, InvalidActionError, SettingsError, StateError, check_name, shown
 from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS
-from magical_mj.presets import preset as preset_named
+from magical_mj.presets import preset_named
 from magical_mj.registry import check_rules, sample_scene, task_spec
 from magical_mj.rendering.renderer import check_size
 from magical_mj.tasks.spec import Rules

@@ -58,6 +58,8 @@ class Outlines:
     """Likewise of loops. First the layers of the robot, then outline and fill of each block shape."""
     reach: wp.array(dtype=float)
     """Squared distance of each part's furthest point from its origin."""
+    frames: wp.array(dtype=int)
+    """What each of the robot's layers moves with, as in ROBOT_LAYERS."""
     colours: wp.array(dtype=int)
     """Of the robot's layers."""
     palette: wp.array2d(dtype=int)
@@ -109,7 +111,7 @@ def robot_colour(world: int, x: float, y: float, worlds: Worlds, outlines: Outli
     py = place[2] * dy - place[3] * dx
     for layer in range(_LAYERS):
         qx, qy = px, py
-        frame = _frame(layer)
+        frame = outlines.frames[layer]
         if frame > 0:
             turn = worlds.fingers[world, frame - 1]
             fx = px + _ROOT_X
@@ -121,15 +123,6 @@ def robot_colour(world: int, x: float, y: float, worlds: Worlds, outlines: Outli
         if covers(layer, qx, qy, outlines):
             return outlines.colours[layer]
     return _NOTHING
-
-
-@wp.func
-def _frame(layer: int) -> int:
-    if layer >= 6:
-        return 1
-    if layer >= 4:
-        return 2
-    return 0
 
 
 @wp.func

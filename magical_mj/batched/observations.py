@@ -82,11 +82,11 @@ class Frames:
         self._preset, worlds = preset, len(scenes.shapes)
         groups = {view: ((view, count),) for view, count in preset.frames}
         self._groups = groups if preset.layout == "dict" else {"all": preset.frames}
+        channels = {name: 3 * sum(count for _, count in frames) for name, frames in self._groups.items()}
         self._stacks = {
-            name: torch.zeros((worlds, size, size, 3 * sum(count for _, count in frames)), dtype=torch.uint8)
-            for name, frames in self._groups.items()
+            name: torch.zeros((worlds, size, size, count), dtype=torch.uint8, device=device)
+            for name, count in channels.items()
         }
-        self._stacks = {name: stack.to(device) for name, stack in self._stacks.items()}
         boxes: dict[str, spaces.Space[Any]] = {
             name: spaces.Box(0, 255, self._shaped(one[:1])[0].shape, np.uint8) for name, one in self._stacks.items()
         }

@@ -11,29 +11,12 @@ from torch import Tensor
 
 from magical_mj import constants as c
 from magical_mj.assets import style
-from magical_mj.assets.meshes import Mesh, meshes
+from magical_mj.assets.meshes import loops, meshes
 from magical_mj.batched.kernels import ROBOT_LAYERS, Outlines, Worlds, packed, paint
 from magical_mj.batched.scenes import SceneArrays
 from magical_mj.constants import COLOURS, SHAPES
 
 View = Literal["ego", "allo"]
-
-
-def loops(mesh: Mesh) -> list[np.ndarray]:
-    """The outlines of a flat mesh, seen from above, shape (n, 2) each: its edges that only one triangle has."""
-    vertices, faces = mesh
-    edges = {(int(a), int(b)) for face in faces for a, b in zip(face, np.roll(face, -1), strict=True)}
-    after = {a: b for a, b in edges if (b, a) not in edges}
-    found = []
-    while after:
-        start, here = next(iter(after.items()))
-        loop = [start]
-        del after[start]
-        while here != start:
-            loop.append(here)
-            here = after.pop(here)
-        found.append(np.asarray(vertices)[loop, :2])
-    return found
 
 
 def _outlines(device: str) -> Any:
@@ -43,7 +26,8 @@ def _outlines(device: str) -> Any:
     points, ends, parts, reach = [], [], [], []
     for name in names:
         first = len(ends)
-        for loop in loops(library[name]):
+        vertices, faces = library[name]
+        for loop in (vertices[loop, :2] for loop in loops(faces)):
             begin = sum(map(len, points))
             points.append(loop)
             ends.append((begin, begin + len(loop)))
@@ -55,6 +39,7 @@ def _outlines(device: str) -> Any:
     made.loops = wp.array(np.array(ends, np.int32), dtype=wp.vec2i, device=device)
     made.parts = wp.array(np.array(parts, np.int32), dtype=wp.vec2i, device=device)
     made.reach = wp.array(np.array(reach, np.float32), dtype=float, device=device)
+    made.frames = wp.array([frame for _, frame, _ in ROBOT_LAYERS], dtype=int, device=device)
     made.colours = wp.array([packed(rgb) for _, _, rgb in ROBOT_LAYERS], dtype=int, device=device)
     table = np.array([[packed(palette[colour]) for colour in COLOURS] for palette in palettes], np.int32)
     made.palette = wp.array(table, dtype=int, device=device)

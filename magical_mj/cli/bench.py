@@ -22,9 +22,9 @@ from rich.table import Table
 from magical_mj._version import __version__
 from magical_mj.cli.console import Tasks, Variants, check_fits, complain, console, some_of
 from magical_mj.extras import check_extra
-from magical_mj.presets import PRESETS, preset
+from magical_mj.presets import PRESETS, preset_named
 from magical_mj.registry import environments, listed
-from magical_mj.rendering.backend import check_backend
+from magical_mj.rendering.backend import check_opengl
 
 if TYPE_CHECKING:
     from magical_mj.speed.batched import BatchedMeasurement
@@ -74,10 +74,10 @@ def bench(
         raise typer.BadParameter("give one of --json, --markdown and --profile.")
     check_fits(context, batched, "with --batched", "worlds", "device")
     check_fits(context, not batched, "without --batched", "steps", "as_json", "markdown")
-    check_backend()  # before the simulator is imported, whose error would not help
+    check_opengl()  # before the simulator is imported, whose error would not help
     names = listed(presets, PRESETS)
     for name in names:
-        preset(name)  # raises if it is unknown
+        preset_named(name)  # raises if it is unknown
     chosen = [(*pair, name) for name in names for pair in environments(tasks, variants)]
     if batched:
         _print_batched(chosen, _counts(worlds), device, profile)

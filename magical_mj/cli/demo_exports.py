@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -11,9 +11,6 @@ import magical_mj
 from magical_mj.cli.console import Force, Tasks, Variants, check_fits, check_suffix, claim, claim_folder, console
 from magical_mj.cli.demos import SUFFIX, Paths, files_of, read_chosen
 from magical_mj.errors import SettingsError
-
-VIEWS: Final = {"LoRes4E": "ego", "LoRes4A": "allo", "LoResStack": "both", "State": "state"}
-"""By preset: what policies of LeRobot and robomimic see, which stack frames themselves if they want any."""
 
 Target = Annotated[
     Literal["npz", "minari", "lerobot", "robomimic"],
@@ -86,6 +83,10 @@ def export(
 
 
 def _views(preset: str) -> str:
-    if preset not in VIEWS:
-        raise SettingsError(f"data sets of LeRobot and robomimic are of the presets {', '.join(VIEWS)}, not {preset}")
-    return VIEWS[preset]
+    """What policies of LeRobot and robomimic see, which stack frames themselves if they want any."""
+    from magical_mj.demos.lerobot import PRESETS  # which loads the simulator
+
+    views = {name: views for views, name in PRESETS.items()}
+    if preset not in views:
+        raise SettingsError(f"data sets of LeRobot and robomimic are of the presets {', '.join(views)}, not {preset}")
+    return views[preset]

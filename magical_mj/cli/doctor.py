@@ -109,6 +109,8 @@ def _print_backends(out: Console, found: dict[str, dict[str, str | float]]) -> N
 
 def probe() -> None:
     """Draws a few frames and prints JSON: the renderer, and the milliseconds of the first and of a typical frame."""
+    from magical_mj.rendering.canvas import opengl_name
+
     env = magical_mj.load("FindDupe", observations=())
     env.reset()
     times = []
@@ -117,16 +119,7 @@ def probe() -> None:
         env.render("ego", SIZE)
         times.append(1000 * (time.perf_counter() - start))
     env.close()
-
-    import mujoco
-
-    context = mujoco.GLContext(SIZE, SIZE)
-    context.make_current()
-    from OpenGL import GL
-
-    renderer = GL.glGetString(GL.GL_RENDERER)
-    context.free()
-    facts = {"renderer": renderer.decode(), "first": times[0], "typical": sorted(times)[FRAMES // 2]}
+    facts = {"renderer": opengl_name(), "first": times[0], "typical": sorted(times)[FRAMES // 2]}
     sys.stdout.write(json.dumps(facts))
 
 

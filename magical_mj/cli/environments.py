@@ -26,15 +26,13 @@ from magical_mj.cli.console import (
     console,
     file_name,
 )
-from magical_mj.cli.film import side_by_side, views_of
+from magical_mj.cli.film import INK, PAPER, side_by_side, views_of
 from magical_mj.errors import MagicalError
 from magical_mj.registry import environment_axes, environments, task_spec
 
 GAP: Final = 6  # pixels between the cells of the contact sheet
 MARGIN: Final = 28  # pixels above and left of the cells, for the labels
 TEXT_SIZE: Final = 15  # pixels
-INK: Final = (60, 60, 60)
-PAPER: Final = (255, 255, 255)
 ABSENT: Final = (242, 242, 242)  # a cell whose task does not have the variant
 
 Ids = Annotated[bool, typer.Option("--ids", help="Print only the Gymnasium ids, one per line.")]

@@ -16,8 +16,9 @@ from magical_mj.cli.console import LABEL, Jobs, check_fits, claim_folder, compla
 from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.scores import read
 from magical_mj.leaderboard import Findings, check_entry, submit, verify
-from magical_mj.leaderboard.check import MOST, entries
+from magical_mj.leaderboard.check import MOST, SHARE
 from magical_mj.leaderboard.claims import Checked
+from magical_mj.leaderboard.entry import entries
 from magical_mj.leaderboard.page import check_free, write_pages
 from magical_mj.leaderboard.standings import gaps, standings
 
@@ -79,12 +80,14 @@ def make_leaderboard(
 ) -> None:
     """Check all entries in a folder, and write the leaderboard: leaderboard.html and leaderboard.md."""
     check_fits(context, not everything, "without --all", "seed")
-    paths, pages = list(entries(folder)), out or folder
+    paths, pages = entries(folder), out or folder
     check_free(claim_folder(pages))
     screen = console()
     if not everything:
         seed = secrets.randbits(32) if seed is None else seed
-        screen.print(f"replaying a tenth of each entry, {MOST} episodes at most; --seed {seed} chooses the same again")
+        screen.print(
+            f"replaying {SHARE:.0%} of each entry, {MOST} episodes at most; --seed {seed} chooses the same again"
+        )
     good, bad = [], 0
     for path in paths:
         with _bar(screen, f"checking {path.name}", None) as watch:

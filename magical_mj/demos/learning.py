@@ -15,7 +15,7 @@ from magical_mj.demos.replay import see
 from magical_mj.errors import DemonstrationError
 from magical_mj.frames import FrameStack, seen
 from magical_mj.observations import StateEncoder
-from magical_mj.presets import Preset, preset
+from magical_mj.presets import Preset, preset_named
 
 Observations = NDArray[Any] | dict[str, NDArray[np.uint8]]
 """One array with a row for each time; for presets with the layout "dict" one for each name in it."""
@@ -66,7 +66,7 @@ def stream(demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop_noop
 
 def observations(demo: Demonstration, preset: str = "LoRes4E") -> Observations:
     """The observations of the preset at the start and after each action: steps + 1 rows."""
-    made = _preset(preset)
+    made = preset_named(preset)
     if made.layout == "state":
         world, encode = World(demo.scene), StateEncoder(demo.scene)
         states = zip(demo.qpos, demo.qvel, strict=True)
@@ -78,9 +78,6 @@ def observations(demo: Demonstration, preset: str = "LoRes4E") -> Observations:
             rows["fingers"] = np.array([world.fingers(qpos) for qpos in demo.qpos], np.float32)
         return rows
     return _stacked(demo, made, made.frames)
-
-
-_preset = preset  # the functions' argument of this name hides it
 
 
 def _stacked(demo: Demonstration, made: Preset, frames: tuple[tuple[str, int], ...]) -> NDArray[np.uint8]:

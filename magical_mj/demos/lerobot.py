@@ -35,6 +35,10 @@ VIEWS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {"ego": ("ego",), "allo": ("allo",), "both": ("ego", "allo"), "state": ()}
 )
 """The pictures that a policy sees, by the word that options use; instead of none, it sees the state vector."""
+PRESETS: Final[Mapping[str, str]] = MappingProxyType(
+    {"ego": "LoRes4E", "allo": "LoRes4A", "both": "LoResStack", "state": "State"}
+)
+"""By the same words, the preset with these pictures, of whose stacks the newest count, or with the state vector."""
 
 
 def missing_lerobot() -> MagicalError:

@@ -17,14 +17,15 @@ import dm_env
 import gymnasium
 import numpy as np
 from gymnasium.vector.utils import iterate
+from numpy.typing import NDArray
 
 from magical_mj.actions import action_number
-from magical_mj.episodes import LETTERS, Episode, begin, is_blind
+from magical_mj.episodes import Episode, begin, is_blind, word_of
 from magical_mj.episodes import play as play_actions
 from magical_mj.errors import EvaluationError, RenderingError, SettingsError
 from magical_mj.evaluation.policies import BatchPolicy
 from magical_mj.registration import env_id
-from magical_mj.rendering.backend import check_backend
+from magical_mj.rendering.backend import check_opengl
 from magical_mj.tasks.spec import Rules
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ class Outcome:
 
     Attributes:
         score: in [0, 1]; 0 if the policy failed.
-        actions: the actions, as one of `LETTERS` for each step.
+        actions: the actions, as a word with a letter for each step.
         seconds: the duration of the episode, wall clock.
         failure: why the policy failed; None if it did not.
     """
@@ -61,7 +62,7 @@ def world_for(policy: Act, task: str, variant: str, preset: str, rules: Rules) -
     The Gymnasium environment has no wrappers of `gymnasium.make`, whose checks at each step would only take time.
     """
     if is_blind(policy):
-        check_backend()
+        check_opengl()
         from magical_mj.environment import load  # imported late: it loads the simulator
 
         return load(task, variant, seed=0, observations=(), rules=rules)
@@ -85,7 +86,7 @@ def play(world: World, policy: Act, episode: Episode) -> Outcome:
         RenderingError: if no pictures can be drawn on this machine, which is not the policy's fault.
     """
     start = time.perf_counter()
-    word: list[str] = []
+    actions: list[int] = []
     score, failure = 0.0, None
     try:
         observation = _observation(world.reset(seed=episode.seed))
@@ -96,14 +97,14 @@ def play(world: World, policy: Act, episode: Episode) -> Outcome:
                 yield action_number(policy(observation))
 
         for action, result in play_actions(world, answers()):
-            word.append(LETTERS[action])
+            actions.append(action)
             observation = _observation(result)
         score = simulation(world).score()
     except RenderingError:
         raise
     except (Exception, SystemExit) as error:  # noqa: BLE001 a policy may raise anything
         failure = reason(error)
-    return Outcome(score, "".join(word), time.perf_counter() - start, failure)
+    return Outcome(score, word_of(actions), time.perf_counter() - start, failure)
 
 
 def _observation(result: Any) -> Any:
@@ -171,7 +172,7 @@ def play_side_by_side(envs: Envs, policy: BatchPolicy, episodes: Sequence[Episod
     start = time.perf_counter()
     count = len(episodes)
     padded = [*episodes, *[episodes[-1]] * (envs.num_envs - count)]
-    words: list[str] = [""] * count
+    taken: list[NDArray[np.int64]] = []
     scores, failure = np.zeros(count), None
     try:
         seeds: Any = [episode.seed for episode in padded]  # the base class is annotated for one seed
@@ -183,7 +184,7 @@ def play_side_by_side(envs: Envs, policy: BatchPolicy, episodes: Sequence[Episod
                 yield np.array([action_number(action) for action in policy.act_batch(observations)])
 
         for actions, result in play_actions(envs, answers()):
-            words = [word + LETTERS[action] for word, action in zip(words, actions, strict=False)]
+            taken.append(actions)
             observations, _, _, ended, info = result
             if np.any(info.get("broken", False)):  # of batched worlds
                 raise FloatingPointError("the state of a simulation is not finite any more")
@@ -195,4 +196,5 @@ def play_side_by_side(envs: Envs, policy: BatchPolicy, episodes: Sequence[Episod
     except (Exception, SystemExit) as error:  # noqa: BLE001 a policy may raise anything
         failure, scores = reason(error), np.zeros(count)
     seconds = (time.perf_counter() - start) / count
+    words = [word_of(actions[place] for actions in taken) for place in range(count)]
     return [Outcome(float(score), word, seconds, failure) for score, word in zip(scores, words, strict=False)]

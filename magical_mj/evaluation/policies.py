@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 from magical_mj.episodes import Episode, is_blind
 from magical_mj.errors import SettingsError
 from magical_mj.presets import PRESETS
-from magical_mj.rendering.backend import check_backend
+from magical_mj.rendering.backend import check_opengl
 
 Shape = tuple[int | None, ...]
 """The shape of an observation; None stands for any size."""
@@ -58,7 +58,7 @@ def _check_shape(wanted: Sequence[Shape], task: str, preset: str) -> None:
 
 def _shape(task: str, preset: str) -> tuple[int, ...] | None:
     """The shape of the preset's observations; None if they are dicts."""
-    check_backend()
+    check_opengl()
     from magical_mj.gym_env import MagicalEnv  # imported late: it loads the simulator
 
     env = MagicalEnv(task, preset=preset)

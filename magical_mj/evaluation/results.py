@@ -206,9 +206,13 @@ def _notes(scores: pd.DataFrame, variants: pd.DataFrame, with_published: bool) -
     failed = scores[scores["failure"].notna()]
     for policy, group in failed.groupby("policy", sort=False):
         yield f"{policy}: failed episodes, which count as 0: {len(group)}; the first reason: {group['failure'].iloc[0]}"
-    for what in ("version", "mujoco", "gl"):
+    for what, name in (
+        ("version", "versions of magical_mj"),
+        ("mujoco", "versions of MuJoCo"),
+        ("gl", "OpenGL backends"),
+    ):
         if scores[what].nunique() > 1:
-            yield f"Played with different settings of {what}: {', '.join(sorted(scores[what].unique()))}."
+            yield f"Played with different {name}: {', '.join(sorted(scores[what].unique()))}."
     if with_published:
         rules = str(scores["rules"].iloc[0])
         others = "" if rules == PUBLISHED_RULES else f", and all others by the rules {rules!r}"

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from magical_mj._version import __version__
-from magical_mj.errors import SettingsError, check_name, shown, unknown_name
+from magical_mj.errors import SettingsError, check_name, shown
 from magical_mj.parallel import Backend, check_backend
-from magical_mj.presets import preset as check_preset
+from magical_mj.presets import preset_named
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.registry import Names, environments
 from magical_mj.tasks.spec import Rules
@@ -89,7 +89,7 @@ class EvaluationSettings:
         for name, (kind, about) in described(type(self)).items():
             object.__setattr__(self, name, _fitting(name, getattr(self, name), kind, about))
         _ = self.environments
-        check_preset(self.preset)
+        preset_named(self.preset)
         check_backend(self.backend, self.jobs, self.address)
         if self.batched and not self.approximate:
             raise SettingsError(f"{UNOFFICIAL}: --approximate (approximate=True) plays in them, and marks the scores")
@@ -156,8 +156,7 @@ def settings_from(arguments: Mapping[str, Any]) -> EvaluationSettings:
     """
     known = described(EvaluationSettings)
     for name in arguments:
-        if name not in known:
-            raise unknown_name("setting", name, known)
+        check_name("setting", name, known)
     return EvaluationSettings(**arguments)
 
 

@@ -44,11 +44,6 @@ class PlanFollower:
         self._plan = Plan(0.0, 0, [], [])
         self._step = 0
 
-    @property
-    def expected_score(self) -> float:
-        """The score that the present plan reaches; 0 before there is a plan."""
-        return self._plan.score
-
     def __call__(self) -> int:
         """The action for the present state."""
         left = self._horizon - self._env.task.steps

@@ -7,7 +7,7 @@ import random
 import secrets
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -161,15 +161,3 @@ def check_entry(
 def _sample(episodes: Sequence[Claim], seed: int | None) -> list[Claim]:
     count = min(MOST, math.ceil(SHARE * len(episodes)))
     return random.Random(secrets.randbits(64) if seed is None else seed).sample(episodes, count)  # noqa: S311
-
-
-def entries(folder: Path | str) -> Iterator[Path]:
-    """The files of entries (*.json.gz) in a folder, sorted by name.
-
-    Raises:
-        EvaluationError: if there are none.
-    """
-    found = sorted(Path(folder).glob("*.json.gz"))
-    if not found:
-        raise EvaluationError(f"{folder} holds no entries (*.json.gz); magical-mj submit makes them")
-    yield from found

@@ -12,7 +12,7 @@ from magical_mj.episodes import LETTERS, actions_of, play
 from magical_mj.evaluation.statistics import SAME
 from magical_mj.parallel import spread
 from magical_mj.registry import ENVIRONMENTS, sample_scene
-from magical_mj.rendering.backend import check_backend
+from magical_mj.rendering.backend import check_opengl
 from magical_mj.tasks.spec import Rules
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def check_claims(episodes: Iterable[Claim], rules: Rules, jobs: int | None = Non
 def check_chunk(episodes: Sequence[Claim], rules: Rules) -> Checked:
     """The work of one process: checks some episodes of one environment."""
     first = episodes[0]
-    check_backend()
+    check_opengl()
     from magical_mj.environment import load  # which loads the simulator
 
     env = load(first.task, first.variant, seed=0, observations=(), rules=rules)

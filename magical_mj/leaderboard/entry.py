@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files as resources
+from pathlib import Path
 from typing import Any, Final, NoReturn
 
 from magical_mj.errors import EvaluationError
@@ -23,6 +24,18 @@ FORMAT: Final = 1
 SUFFIX: Final = ".json.gz"
 MOST_BYTES: Final = 500_000_000
 """The largest size of an unpacked entry in bytes: a small file may expand to a huge one."""
+
+
+def entries(folder: Path | str) -> list[Path]:
+    """The files of entries in a folder, sorted by name.
+
+    Raises:
+        EvaluationError: if there are none.
+    """
+    found = sorted(Path(folder).glob(f"*{SUFFIX}"))
+    if not found:
+        raise EvaluationError(f"{folder} holds no entries (*{SUFFIX}); magical-mj submit makes them")
+    return found
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from magical_mj.evaluation.results import PUBLISHED_RULES, published_results
 from magical_mj.evaluation.statistics import SAME, bootstrap, interquartile_mean, mean_interval, summarise
 from magical_mj.leaderboard.claims import SEEDS, Claim
-from magical_mj.leaderboard.entry import SUFFIX, Entry, unpacked
+from magical_mj.leaderboard.entry import SUFFIX, Entry, entries, unpacked
 from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS
 
 if TYPE_CHECKING:
@@ -97,10 +97,9 @@ def own_standings(folder: Path) -> dict[str, Standing]:
     """File name -> standing, for the entries in a folder. They are not replayed; `check_entry` does that.
 
     Raises:
-        EvaluationError: if a file is not an entry.
+        EvaluationError: if there are none, or a file is not an entry.
     """
-    paths = sorted(folder.glob(f"*{SUFFIX}"))
-    return {path.name.removesuffix(SUFFIX): standing(unpacked(path.read_bytes(), path)) for path in paths}
+    return {path.name.removesuffix(SUFFIX): standing(unpacked(path.read_bytes(), path)) for path in entries(folder)}
 
 
 def frame(entry: Entry) -> pd.DataFrame:

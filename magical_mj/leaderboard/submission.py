@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from magical_mj import files
-from magical_mj.errors import EvaluationError, SettingsError, shown, unknown_name
+from magical_mj.errors import EvaluationError, SettingsError, check_name, shown
 from magical_mj.evaluation.results import check_same
 from magical_mj.evaluation.scores import Score, read
 from magical_mj.evaluation.settings import UNOFFICIAL
@@ -63,8 +63,8 @@ def submit(
     said = _card({} if card is None else files.read_toml(Path(card)), card)
     found = [(score, folder) for folder in map(Path, folders) for score in read(folder)]
     names = list(dict.fromkeys(score.policy for score, _ in found))
-    if policy is not None and policy not in names:
-        raise unknown_name("policy", policy, names)
+    if policy is not None:
+        check_name("policy", policy, names)
     if policy is None and len(names) > 1:
         raise SettingsError(f"the folders hold {', '.join(names)}: say which is meant (--policy NAME)")
     found = [(score, folder) for score, folder in found if score.policy == (policy or names[0])]
@@ -143,8 +143,7 @@ def _protocol(folders: Sequence[Path | str]) -> int | None:
 def _card(said: dict[str, Any], where: object, known: dict[str, Any] = CARD) -> dict[str, Any]:
     """All fields of a card, with the values that are given."""
     for name in said:
-        if name not in known:
-            raise unknown_name(f"entry of {where}", name, known)
+        check_name(f"entry of {where}", name, known)
     whole = dict(known)
     for name, value in said.items():
         if isinstance(known[name], dict) and not isinstance(value, dict):

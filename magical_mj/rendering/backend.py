@@ -47,7 +47,7 @@ def wanted_backend() -> str:
     return os.environ.get("MUJOCO_GL", "").strip().lower()
 
 
-def check_backend() -> None:
+def check_opengl() -> None:
     """Raises a helpful error where importing mujoco or dm_control would fail without an explanation.
 
     Raises:

@@ -149,7 +149,6 @@ class Canvas(threading.local):
             gl.make_current(self.others)
 
     def _start(self) -> None:
-        os.environ.setdefault("LP_NUM_THREADS", "0")
         library = mujoco.MjModel.from_xml_string(world_mjcf(_LIBRARY))
         try:
             made = new_gl_context()

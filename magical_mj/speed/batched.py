@@ -18,7 +18,8 @@ from magical_mj import batched
 from magical_mj.actions import ACTIONS
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.batched.environment import BatchedEnv
-from magical_mj.presets import Preset, preset
+from magical_mj.gym_env import MagicalEnv
+from magical_mj.presets import Preset, preset_named
 from magical_mj.registry import task_spec
 from magical_mj.speed.launches import Kernel, recorded_launches
 from magical_mj.speed.measure import episode, plans
@@ -64,21 +65,21 @@ class BatchedMeasurement:
         return self.worlds / step_seconds(self.work, self.worlds)
 
 
-def measure_batched(task: str, variant: str, worlds: int, preset_name: str, device: str) -> BatchedMeasurement:
+def measure_batched(task: str, variant: str, worlds: int, preset: str, device: str) -> BatchedMeasurement:
     """Measures one episode of random actions in all worlds, with the reset after it, and then each part separately."""
-    env = batched.make(task, variant, worlds, preset=preset_name, device=device, workers=_workers(worlds))
+    env = batched.make(task, variant, worlds, preset=preset, device=device, workers=_workers(worlds))
     generator = torch.Generator().manual_seed(0)
     actions = torch.randint(len(ACTIONS), (task_spec(task).horizon(), worlds), generator=generator).to(device)
     env.reset(seed=0)
     for step in range(WARM_UP):
         env.step(actions[step])
-    kernels, work = _work(env, preset(preset_name), device)
+    kernels, work = _work(env, preset_named(preset), device)
     env.reset()
     seconds = _seconds(device, lambda: [env.step(row) for row in actions])
     measured = BatchedMeasurement(
         task=task,
         variant=variant,
-        preset=preset_name,
+        preset=preset,
         worlds=worlds,
         rate=worlds * len(actions) / seconds,
         physics_seconds=_seconds(device, lambda: env._physics.step(actions[0])),
@@ -129,22 +130,20 @@ def _bytes(data: Any, worlds: int) -> int:
     return total // worlds
 
 
-def single_rate(task: str, variant: str, preset_name: str) -> float:
+def single_rate(task: str, variant: str, preset: str) -> float:
     """Steps per second of the single environments, one process on each core, all at once."""
     cores = os.cpu_count() or 1
     with ProcessPoolExecutor(cores, mp_context=multiprocessing.get_context("spawn")) as pool:
-        jobs = [pool.submit(_single, task, variant, preset_name) for _ in range(cores)]
+        jobs = [pool.submit(_single, task, variant, preset) for _ in range(cores)]
         return sum(job.result() for job in jobs)
 
 
-def _single(task: str, variant: str, preset_name: str) -> float:
-    from magical_mj.gym_env import MagicalEnv
-
-    env = MagicalEnv(task, variant, preset_name)
+def _single(task: str, variant: str, preset: str) -> float:
+    env = MagicalEnv(task, variant, preset)
     env.reset(seed=0)
     steps, seconds = 0, 0.0
     for seed, plan in zip(range(SINGLE_EPISODES), plans(env), strict=False):
-        seconds += episode(env, seed, plan, preset(preset_name))[0]
+        seconds += episode(env, seed, plan, preset_named(preset))[0]
         steps += len(plan)
     env.close()
     return steps / seconds

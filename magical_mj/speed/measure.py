@@ -11,7 +11,7 @@ import numpy as np
 
 from magical_mj.actions import ACTIONS
 from magical_mj.gym_env import MagicalEnv
-from magical_mj.presets import Preset, preset
+from magical_mj.presets import Preset, preset_named
 from magical_mj.speed.bare import BareLoop
 
 Cause = Literal["rewritten", "compiled"]
@@ -62,21 +62,21 @@ class Measurement:
         return float(np.quantile(self.resets[cause], share)) if self.resets[cause] else None
 
 
-def measure(task: str, variant: str, preset_name: str, steps: int) -> Measurement:
+def measure(task: str, variant: str, preset: str, steps: int) -> Measurement:
     """Plays random episodes in the scenes of seeds 0, 1, 2... until at least `steps` steps are done."""
-    env = MagicalEnv(task, variant, preset_name)
+    env = MagicalEnv(task, variant, preset)
     env.reset(seed=0)  # the first frame starts OpenGL
     done, seconds, bare_seconds = 0, 0.0, 0.0
     for seed, plan in enumerate(plans(env)):
         if done >= steps:
             break
-        taken, bare_taken = episode(env, seed, plan, preset(preset_name))
+        taken, bare_taken = episode(env, seed, plan, preset_named(preset))
         seconds += taken
         bare_seconds += bare_taken
         done += len(plan)
-    resets = reset_times(task, variant, preset_name)
+    resets = reset_times(task, variant, preset)
     env.close()
-    return Measurement(task, variant, preset_name, done, seconds, bare_seconds, resets)
+    return Measurement(task, variant, preset, done, seconds, bare_seconds, resets)
 
 
 def episode(env: MagicalEnv, seed: int, plan: list[int], shown: Preset) -> tuple[float, float]:
@@ -116,9 +116,9 @@ def plans(env: MagicalEnv) -> Iterator[list[int]]:
         yield rng.integers(len(ACTIONS), size=env.dm_env.horizon).tolist()
 
 
-def reset_times(task: str, variant: str, preset_name: str) -> dict[Cause, list[float]]:
+def reset_times(task: str, variant: str, preset: str) -> dict[Cause, list[float]]:
     """Seconds of each reset, with the first picture, in the scenes of seeds 0, 1, 2..."""
-    env = MagicalEnv(task, variant, preset_name)
+    env = MagicalEnv(task, variant, preset)
     times: dict[Cause, list[float]] = {"rewritten": [], "compiled": []}
     for seed in range(RESETS):
         before, start = env.dm_env.task.world.structure, perf_counter()

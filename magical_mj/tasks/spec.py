@@ -59,7 +59,7 @@ class TaskSpec:
 
     plan: Plan | None = None
     """The plan of the scripted expert. Without one, everything except the expert works."""
-    demonstrations: Path | None = None
+    demonstrations: Path | str | None = None
     """The folder of the demonstrations that another package ships for its task; learners are trained on them."""
 
     colour: AxisRule | None = None

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final, Literal, get_args
 
-from magical_mj.errors import UnknownNameError, unknown_name
+from magical_mj.errors import UnknownNameError, check_name
 from magical_mj.tasks.spec import TaskSpec
 
 Axis = Literal["jitter", "layout", "colour", "shape", "count", "dynamics"]
@@ -53,8 +53,7 @@ def varied_axes(spec: TaskSpec, variant: str) -> tuple[Axis, ...]:
     Raises:
         UnknownNameError: if there is no such variant, or this task does not have it.
     """
-    if variant not in VARIANTS:
-        raise unknown_name("variant", variant, VARIANTS)
+    check_name("variant", variant, VARIANTS)
     supported = supported_axes(spec)
     if variant == "All":
         left_out = "jitter" if "layout" in supported else None

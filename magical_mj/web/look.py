@@ -6,10 +6,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from magical_mj import constants as c
 from magical_mj.assets import style
+from magical_mj.assets.meshes import loops
 from magical_mj.assets.robot import SIGN
 from magical_mj.assets.world import world_mjcf
 from magical_mj.constants import COLOURS, SHAPES
@@ -64,28 +64,13 @@ def _layer(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
     mesh = model.mesh(model.geom_dataid[geom])
     first, count = mesh.vertadr[0], mesh.vertnum[0]
     turned = np.empty(9)
-    mujoco.mju_quat2Mat(
-        turned, model.geom_quat[geom]
-    )  # the compiler moves meshes to their centre of mass and turns them
+    # the compiler moves meshes to their centre of mass and turns them
+    mujoco.mju_quat2Mat(turned, model.geom_quat[geom])
     vertices = model.mesh_vert[first : first + count] @ turned.reshape(3, 3).T + model.geom_pos[geom]
     faces = model.mesh_face[mesh.faceadr[0] : mesh.faceadr[0] + mesh.facenum[0]]
     red, green, blue = (round(255 * float(level)) for level in model.geom_rgba[geom, :3])
     return {
         "part": model.body(model.geom_bodyid[geom]).name,
         "colour": css((red, green, blue)),
-        "loops": [np.round(vertices[loop, :2], DECIMALS).ravel().tolist() for loop in _loops(faces)],
+        "loops": [np.round(vertices[loop, :2], DECIMALS).ravel().tolist() for loop in loops(faces)],
     }
-
-
-def _loops(faces: NDArray[np.int32]) -> list[list[int]]:
-    """The edges that belong to one triangle only, chained into closed loops of vertices."""
-    edges = {(int(face[k]), int(face[(k + 1) % 3])) for face in faces for k in range(3)}
-    after = {start: end for start, end in edges if (end, start) not in edges}
-    loops = []
-    while after:
-        start = min(after)
-        loop = [start]
-        while (end := after.pop(loop[-1])) != start:
-            loop.append(end)
-        loops.append(loop)
-    return loops

@@ -17,10 +17,7 @@ from magical_mj.registry import sample_scene
 from magical_mj.web.catalogue import scene_data
 
 EXPERT: Final = Path(__file__).parent / "expert.json"
-"""Task-Variant -> an expert's actions in seeds 0, 1, ..., as letters; of some, the last seeds are missing.
-
-``tools/experts.py`` writes it.
-"""
+"""Task-Variant -> an expert's actions in seeds 0, 1, ..., as letters. ``tools/experts.py`` writes it."""
 SCENES: Final = 20
 """The number of scenes that the page offers of each environment; of Demo there is only one."""
 DEMONSTRATIONS: Final = 5
@@ -34,7 +31,6 @@ def environment_scenes(task: str, variant: str) -> dict[str, Any]:
     demonstrations = [word_of(demo.actions) for demo in shipped]
     expert: list[str] = demonstrations[:1] or json.loads(EXPERT.read_text(encoding="utf-8"))[f"{task}-{variant}"]
     seeds = range(1 if variant == "Demo" else SCENES)
-    expert += [""] * (len(seeds) - len(expert))
     return {
         "demonstrations": demonstrations,
         "scenes": [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from magical_mj.demos.lerobot import (
     FINGERS,
     IMAGE_SIZE,
     NO_STATE,
+    PRESETS,
     STATE_VECTOR,
     VIEWS,
     image_keys,
@@ -35,9 +36,6 @@ try:
 except ImportError:
     raise missing_lerobot() from None
 
-_PRESETS: Final = {"ego": "LoRes4E", "allo": "LoRes4A", "both": "LoResStack", "state": "State"}
-"""The preset whose newest frames are the views that a checkpoint sees, or whose vector is the state."""
-
 
 class LeRobotPolicy:
     """A LeRobot checkpoint as `magical_mj.evaluate` plays policies; action chunks start anew with each episode.
@@ -56,7 +54,7 @@ class LeRobotPolicy:
             config, str(folder), preprocessor_overrides={"device_processor": {"device": "cpu"}}
         )
         with_fingers = self._fingers and self._views != "state"
-        self.preset = "LoResFingers" if with_fingers else _PRESETS[self._views]
+        self.preset = "LoResFingers" if with_fingers else PRESETS[self._views]
         self._sentence = ""
         self._noise = torch.Generator().get_state()
 
