@@ -5,8 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from magical_mj.baselines import TrainingSettings, checkpoint, load_settings
+import pytest
+
+from magical_mj.baselines import Progress, TrainingSettings, checkpoint, load_settings, train
 from magical_mj.baselines.policy import POLICY
+from magical_mj.baselines.run import CHECKPOINT
 
 TINY = {
     "network.first_stride": 4,
@@ -48,7 +51,18 @@ def playing(method: str = "gail", tasks: str = "MoveToRegion", **changes: Any) -
 
 def is_done(folder: Path) -> bool:
     """Whether the training in this folder has come to its end."""
-    if not (folder / POLICY).is_file():
+    if not (folder / POLICY).is_file() or not (folder / CHECKPOINT).is_file():
         return False
-    update, updates = checkpoint.read(folder / POLICY)["progress"]
-    return update == updates
+    kept = checkpoint.read(folder / CHECKPOINT)
+    return kept["update"] == kept["updates"]
+
+
+def stopped(folder: Path, settings: TrainingSettings | None = None) -> None:
+    """Leaves a training, tiny unless told otherwise, that was stopped after its third update."""
+
+    def stop(progress: Progress) -> None:
+        if progress.update == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(settings or tiny(), folder, watch=stop)

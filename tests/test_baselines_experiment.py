@@ -23,8 +23,8 @@ from magical_mj.evaluation.results import published_results
 from magical_mj.files import read_toml
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
-SET = [part for name, value in {**TINY, "bc.batches": 8}.items() for part in ("--set", f"{name}={value}")]
-TRAIN = ["train", "bc", "--tasks", "MoveToRegion", "--quick", *SET]
+SET = [f"--set={name}={value}" for name, value in {**TINY, "bc.batches": 8}.items() if name != "device"]
+TRAIN = ["train", "bc", "--tasks", "MoveToRegion", "--quick", "--device", "cpu", *SET]
 EXPERIMENT = """
 methods = ["bc"]
 tasks = ["MoveToRegion", "FixColour"]
@@ -42,16 +42,16 @@ episodes = 2
 
 
 def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    out = str(tmp_path / "run")
+    out = str(tmp_path / "a run, or b=c")
     assert run([*TRAIN, "--out", out]) == 0
-    assert f"magical-mj evaluate --policy {out} --tasks MoveToRegion" in capfd.readouterr().out
+    assert f"magical-mj evaluate --policy '{out}' --tasks MoveToRegion" in capfd.readouterr().out
     assert run([*TRAIN, "--out", out]) == 1
     assert "holds a training already; --resume continues it" in capfd.readouterr().err
     assert run([*TRAIN, "--out", out, "--resume"]) == 0
     scores = ["--episodes", "2", "--jobs", "1", "--out", str(tmp_path / "scores")]
     assert run(["evaluate", "--policy", out, "--tasks", "MoveToRegion", "--variants", "Demo", *scores]) == 0
-    assert "run: mean score" in capfd.readouterr().out
-    (tmp_path / "run" / POLICY).unlink()
+    assert "a run, or b=c: mean score" in capfd.readouterr().out
+    (Path(out) / POLICY).unlink()
     assert run(["evaluate", "--policy", out, "--out", str(tmp_path / "none")]) == 2
     assert "holds no policy: no goals.json or policy.safetensors" in capfd.readouterr().err
 
@@ -70,7 +70,10 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
             ["train", "bc", "--tasks", "FindDupe", "--set", "ppo.clip=0.1"],
             "ppo.clip is for gail, wgail-gp, al, and of no use to bc",
         ),
+        (["train", "gail", "--tasks", "FindDupe", "--set", "precision=bfloat16"], "precision is for bc, and of no use"),
+        (["train", "al", "--tasks", "FindDupe", "--augment", "none"], "--augment has an effect only with bc, gail, wg"),
         (["train", "bc", "--tasks", "FindDupe", "--worlds", "batched"], "bc learns without playing"),
+        (["train", "bc", "--tasks", "FindDupe", "--set", "seed=5"], "seed is given by itself"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "method=gail"], "method is given by itself"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "demonstrations=26"], "there are 25"),
     ],
@@ -98,7 +101,7 @@ def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
     """Two processes; done again, with one run damaged, only that is trained anew."""
     file = tmp_path / "experiment.toml"
     file.write_text(EXPERIMENT)
-    out = tmp_path / "out"
+    out = tmp_path / "lr=0.1, twice"
     lines = list(conduct(runs(file, out), out, jobs=2))
     assert len(lines) == 5
     assert sorted(line.partition(":")[0] for line in lines[:4]) == [

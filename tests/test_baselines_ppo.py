@@ -171,7 +171,7 @@ def test_the_saved_policy_has_the_logits_of_the_one_that_plays(tmp_path: Path, m
     ppo.collect()
     ppo.improve(np.random.default_rng(0).normal(size=(4, 4)).astype(np.float32))
     seen = ppo.env.reset()
-    save_policy(tmp_path, ppo.policy_kwargs["actor"], settings, (1, 4))
+    save_policy(tmp_path, ppo.policy_kwargs["actor"], settings)
     saved = load_policy(tmp_path)
     with torch.inference_mode():
         logits = ppo.policy.get_distribution(obs_as_tensor(seen, CPU)).distribution.logits

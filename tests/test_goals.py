@@ -195,7 +195,12 @@ def test_from_training_to_scores(tmp_path: Path) -> None:
     train(settings, tmp_path / "run")
     table = json.loads((tmp_path / "run" / GOALS).read_text())
     assert table["MoveToRegion"]["goal"] == "the robot is in a region"
+    before = (tmp_path / "run" / GOALS).read_bytes()
     train(settings, tmp_path / "run", resume=True)  # there is nothing left to do
+    assert (tmp_path / "run" / GOALS).read_bytes() == before
+    (tmp_path / "run" / GOALS).unlink()
+    train(settings, tmp_path / "run", resume=True)  # with what the checkpoint holds
+    assert (tmp_path / "run" / GOALS).read_bytes() == before
     asked = {"tasks": "MoveToRegion,FixColour", "variants": "Layout", "episodes": 3, "preset": "State", "jobs": 1}
     first = magical_mj.evaluate(str(tmp_path / "run"), **asked)
     assert (first["score"] == 1.0).all()

@@ -14,6 +14,7 @@ from magical_mj.baselines.learner import Learner, restore_optimizer, seeded, thr
 from magical_mj.baselines.network import Actor, as_input
 from magical_mj.baselines.policy import TrainedPolicy
 from magical_mj.baselines.settings import Cloning, TrainingSettings
+from magical_mj.errors import SettingsError
 
 CALIBRATION: Final = 20
 """Batches over which batch norm's averages are taken."""
@@ -105,12 +106,15 @@ def clone(settings: TrainingSettings, demonstrations: Demonstrations | None = No
     """Trains a policy by behavioural cloning in memory: nothing is saved.
 
     Args:
-        settings: the settings; their number of demonstrations of each task is chosen at random by the seed.
+        settings: of "bc"; as many demonstrations of each task as they say, 10 unless told, are chosen by the seed.
         demonstrations: task -> demonstrations to choose from, instead of the shipped ones.
 
     Raises:
         DemonstrationError: if they are too few, or do not fit the settings.
+        SettingsError: if the settings are of another method.
     """
+    if settings.method != "bc":
+        raise SettingsError(f"clone does behavioural cloning, and these settings are of {settings.method}: see train")
     with threads_for(settings):
         learner = BehaviouralCloning(settings, demonstrations)
         for _ in range(learner.updates):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from datetime import timedelta
 from pathlib import Path
@@ -21,8 +22,9 @@ from rich.table import Column
 from rich.text import Text
 
 from magical_mj import baselines
-from magical_mj.baselines.config import check_changes, check_used
-from magical_mj.cli.console import LABEL, console
+from magical_mj.agents import AGENTS
+from magical_mj.baselines.config import check_changes, check_used, users, uses
+from magical_mj.cli.console import LABEL, check_fits, console
 from magical_mj.errors import SettingsError, check_name
 from magical_mj.parallel import Backend
 
@@ -82,6 +84,7 @@ def experiment(file: File, out: Folder, jobs: Jobs = 1, backend: Where = "local"
 
 
 def train(
+    context: typer.Context,
     method: Method,
     tasks: Tasks,
     out: Out,
@@ -99,10 +102,10 @@ def train(
     check_name("method", method, baselines.METHODS)  # which also says what to install, if something is missing
     given = {"seed": seed, "augment": augment, "preset": preset, "device": device, "ppo.worlds": worlds}
     others = dict(_change(text) for text in change or [])
+    check_changes(others, ("method", "tasks", "quick", *given))
     check_used(others, [method])
-    changes = given | others
-    check_changes(changes, ("method", "tasks", "quick"))
-    settings = baselines.load_settings(method, tasks, quick=quick, **changes)
+    check_fits(context, uses(method, "augment"), f"with {', '.join(users('augment'))}", "augment")
+    settings = baselines.load_settings(method, tasks, quick=quick, **given, **others)
     if len(settings.tasks) > 1 and not multi_task:
         raise SettingsError(
             "one policy for several tasks needs --multi-task; magical-mj experiment trains one for each"
@@ -117,10 +120,9 @@ def train(
     except KeyboardInterrupt:
         screen.print("stopped; the same command with --resume continues")
         raise
-    again = (
-        f"magical-mj evaluate --policy {out} --tasks {','.join(settings.tasks)} --preset {settings.preset} --out ..."
-    )
-    screen.print(f"the policy is in {out}; to evaluate it: {again}", soft_wrap=True)
+    folder = shlex.quote(f"./{out}" if str(out) in AGENTS else str(out))
+    again = f"magical-mj evaluate --policy {folder} --tasks {','.join(settings.tasks)} --preset {settings.preset}"
+    screen.print(f"the policy is in {out}; to evaluate it: {again} --out ...", soft_wrap=True)
 
 
 def _change(text: str) -> tuple[str, str]:

@@ -26,7 +26,14 @@ PARTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     }
 )
 """Method -> the parts of the settings that it uses; methods that are not listed may use all parts."""
-_EVERY_PART: Final = frozenset(part for parts in PARTS.values() for part in parts)
+_USERS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "augment": ("bc", "gail", "wgail-gp"),
+        "precision": ("bc",),
+        "discriminator.gradient_penalty": ("wgail-gp",),
+    }
+)
+"""Setting -> the methods that use it, where these are not all that use its part."""
 
 _SHORT: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -122,13 +129,22 @@ def check_changes(changes: Iterable[str], given: Collection[str]) -> None:
             raise SettingsError(f"{name} is given by itself, and not among the settings that are changed")
 
 
+def users(name: str) -> tuple[str, ...]:
+    """The methods of this package that use a setting."""
+    part, dot, _ = name.partition(".")
+    return _USERS.get(name) or tuple(method for method, parts in PARTS.items() if not dot or part in parts)
+
+
+def uses(method: str, name: str) -> bool:
+    """Whether a method may use a setting; those of a user's own may use all."""
+    return method not in PARTS or method in users(name)
+
+
 def check_used(changes: Iterable[str], methods: Collection[str]) -> None:
-    """Raises a `SettingsError` if one of the changes is of a part that none of the methods uses."""
+    """Raises a `SettingsError` if one of the changes is of a setting that none of the methods uses."""
     for name in changes:
-        part, dot, _ = name.partition(".")
-        if dot and part in _EVERY_PART and all(part not in PARTS.get(method, _EVERY_PART) for method in methods):
-            users = [method for method, parts in PARTS.items() if part in parts]
-            raise SettingsError(f"{name} is for {', '.join(users)}, and of no use to {' or '.join(methods)}")
+        if users(name) and not any(uses(method, name) for method in methods):
+            raise SettingsError(f"{name} is for {', '.join(users(name))}, and of no use to {' or '.join(methods)}")
 
 
 def changed(settings: TrainingSettings, changes: Mapping[str, Any]) -> TrainingSettings:

@@ -17,7 +17,7 @@ from magical_mj.baselines.network import SHAPE
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.baselines.states import histories
 from magical_mj.demos import Demonstration, Transitions
-from magical_mj.errors import DemonstrationError
+from magical_mj.errors import DemonstrationError, shown
 from magical_mj.observations import STATE_NAMES
 
 Demonstrations = Mapping[str, Sequence[Demonstration | Transitions]]
@@ -38,7 +38,9 @@ class Batch(NamedTuple):
 def drawn(task: str, seed: int, count: int, of: int) -> list[int]:
     """The numbers of the task's demonstrations that a run uses: the same for all methods with this seed."""
     if count > of:
-        raise DemonstrationError(f"{count} demonstrations of {task} are asked for, and there are {of}")
+        raise DemonstrationError(
+            f"{count} demonstrations of {task} are asked for (setting demonstrations), and there are {of}"
+        )
     rng = np.random.default_rng([seed, zlib.crc32(task.encode())])
     return sorted(rng.choice(of, count, replace=False).tolist())
 
@@ -55,6 +57,8 @@ def _found(task: str, demonstrations: Demonstrations | None) -> Sequence[Demonst
     """The demonstrations of a task to choose from."""
     if demonstrations is None:
         return demos.load(task)
+    if not isinstance(demonstrations, Mapping):
+        raise DemonstrationError(f"give demonstrations by task, as {{{task!r}: [...]}}, not {shown(demonstrations)}")
     if task not in demonstrations:
         raise DemonstrationError(
             f"no demonstrations of {task} are given, but of: {', '.join(demonstrations) or 'none'}"

@@ -9,7 +9,7 @@ from operator import methodcaller
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.baselines.config import check_changes, check_used, flattened, load_settings
+from magical_mj.baselines.config import check_changes, check_used, flattened, load_settings, uses
 from magical_mj.baselines.learner import keep_freed_memory
 from magical_mj.baselines.run import METHODS, Progress, train
 from magical_mj.baselines.settings import TrainingSettings
@@ -74,18 +74,19 @@ class Run:
 
     @property
     def method(self) -> str:
-        """The method's name in tables, formed as the paper's are; runs of the same name are averaged."""
-        settings = self.settings
-        kind = "ST" if len(settings.tasks) == 1 else "MT"
-        preset = {"LoRes4E": "", "LoRes4A": ", allo."}.get(settings.preset, f", {settings.preset}")
-        name = f"{settings.method.upper()} ({kind}{preset}{ABLATIONS[settings.augment]})"
-        changed = "".join(f", {name} {value}" for name, value in self.changes.items() if name not in NAMED)
-        return f"{name}, ours{', quick' if self.quick else ''}{changed}"
+        """The method's name in tables; runs of the same name are averaged."""
+        used = {name: value for name, value in self.changes.items() if uses(self.settings.method, name)}
+        changed = "".join(f", {name} {value}" for name, value in used.items() if name not in NAMED)
+        return f"{self.counterparts[0]}, ours{', quick' if self.quick else ''}{changed}"
 
     @property
-    def counterpart(self) -> str:
-        """The paper's row for the method, if it has one: with ego pictures and all augmentations."""
-        return f"{self.settings.method.upper()} ({'ST' if len(self.settings.tasks) == 1 else 'MT'})"
+    def counterparts(self) -> tuple[str, str]:
+        """The paper's row for the method, and the one with its ego pictures and all augmentations; if it has them."""
+        settings = self.settings
+        method, kind = settings.method.upper(), "ST" if len(settings.tasks) == 1 else "MT"
+        preset = {"LoRes4E": "", "LoRes4A": ", allo."}.get(settings.preset, f", {settings.preset}")
+        ablation = ABLATIONS[settings.augment] if uses(settings.method, "augment") else ""
+        return f"{method} ({kind}{preset}{ablation})", f"{method} ({kind})"
 
     @property
     def scores(self) -> Path:
@@ -106,7 +107,7 @@ class Run:
 
         policy = train(self.settings, trained, resume=True, watch=count)
         frame = evaluate(
-            {self.method: str(trained)},
+            {self.method: trained},
             tasks=self.settings.tasks,
             preset=self.settings.preset,
             run=self.settings.seed,
@@ -201,7 +202,9 @@ def agreement(planned: list[Run]) -> Iterator[str]:
     """The rank correlation of each finished method's mean scores with the paper's over environments, a line each."""
     ours = by_environment(frame(gather([run.scores for run in planned])))
     paper = published_results()
-    for method, counterpart in {run.method: run.counterpart for run in planned}.items():
+    published = set(paper["policy"])
+    for method, rows in {run.method: run.counterparts for run in planned}.items():
+        counterpart = rows[0] if rows[0] in published else rows[1]
         first = ours[ours["policy"] == method].set_index(["task", "variant"])["mean"]
         second = paper[paper["policy"] == counterpart].set_index(["task", "variant"])["mean"]
         shared = first.index.intersection(second.index)

@@ -46,8 +46,8 @@ class Method(ABC):
         """What plays; it stays up to date."""
 
     @abstractmethod
-    def save_policy(self, folder: Path, update: int) -> None:
-        """Writes the policy as it is after so many updates into a run's folder, where evaluations find it."""
+    def save_policy(self, folder: Path) -> None:
+        """Writes the policy as it is now into a run's folder, where evaluations find it."""
 
     @abstractmethod
     def state(self) -> dict[str, Any]:
@@ -88,9 +88,9 @@ class Learner(Method):
         """Draws from what the network holds probable."""
         return TrainedPolicy(self.actor, self.settings.tasks, self.settings.preset)
 
-    def save_policy(self, folder: Path, update: int) -> None:
+    def save_policy(self, folder: Path) -> None:
         """Writes the network."""
-        save_policy(folder, self.actor, self.settings, (update, self.updates))
+        save_policy(folder, self.actor, self.settings)
 
     def fault(self) -> str | None:
         """Whether a weight, or an average of batch norm, is not finite."""

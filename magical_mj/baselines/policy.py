@@ -86,14 +86,13 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def save_policy(folder: Path, actor: Actor, settings: TrainingSettings, progress: tuple[int, int]) -> None:
+def save_policy(folder: Path, actor: Actor, settings: TrainingSettings) -> None:
     """Writes the policy into a run's folder, with everything that is needed to use it.
 
     Args:
         folder: the run's folder.
         actor: the network.
         settings: the settings of the run.
-        progress: the number of updates so far, and of a whole training.
     """
     kept = {
         "weights": actor.state_dict(),
@@ -101,7 +100,6 @@ def save_policy(folder: Path, actor: Actor, settings: TrainingSettings, progress
         "network": asdict(settings.network),
         "tasks": list(settings.tasks),
         "preset": settings.preset,
-        "progress": list(progress),
     }
     checkpoint.write(folder / POLICY, kept)
 

@@ -25,11 +25,12 @@ from magical_mj.baselines.apprenticeship import Apprenticeship
 from magical_mj.baselines.bc import BehaviouralCloning
 from magical_mj.baselines.config import MADE, from_toml, recorded, to_toml
 from magical_mj.baselines.goals.method import GoalInference
-from magical_mj.baselines.learner import Method, threads_for
+from magical_mj.baselines.learner import Method, device, threads_for
 from magical_mj.baselines.metrics import Metrics
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.episodes import Policy
-from magical_mj.errors import TrainingError, check_name
+from magical_mj.errors import SettingsError, TrainingError, check_name
+from magical_mj.evaluation.loading import sources
 from magical_mj.evaluation.run import evaluate
 from magical_mj.evaluation.settings import MUJOCO_VERSION, check_unchanged
 from magical_mj.files import read_toml
@@ -86,6 +87,9 @@ def train(
     if learner is None:
         check_name("method", settings.method, METHODS)
     _check(folder, settings, resume)
+    finished = _finished(folder)
+    if finished is not None:
+        return finished
     with threads_for(settings):
         made = (learner or METHODS[settings.method])(settings)
         try:
@@ -117,20 +121,34 @@ def _check(folder: Path, settings: TrainingSettings, resume: bool) -> None:
             )
 
 
+def _finished(folder: Path) -> Policy | None:
+    """The policy of a training that has come to its end; None if it has not, or if its policy was lost."""
+    if not (folder / CHECKPOINT).exists():
+        return None
+    kept = checkpoint.read(folder / CHECKPOINT)
+    if kept.get("update") != kept.get("updates", 0):
+        return None
+    try:
+        return sources(folder)[0].load()  # pyright: ignore[reportReturnType]  (a folder of a training holds a whole policy)
+    except SettingsError:
+        return None
+
+
 def _start(folder: Path, settings: TrainingSettings) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if not (folder / CONFIG).exists():
-            files.write(folder / CONFIG, f"{to_toml(settings)}\n[{MADE}]\n{_circumstances()}")
+            files.write(folder / CONFIG, f"{to_toml(settings)}\n[{MADE}]\n{_circumstances(settings)}")
     except OSError as error:
         raise TrainingError(f"cannot write into {folder}: {error.strerror}") from error
 
 
-def _circumstances() -> str:
-    """The time, command and versions with which a run is started, as TOML."""
+def _circumstances(settings: TrainingSettings) -> str:
+    """The time, command, device and versions with which a run is started, as TOML."""
     made = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": shlex.join(sys.argv),
+        "device": device(settings.device).type,
         "magical_mj": __version__,
         "protocol": PROTOCOL,
         "demonstrations": DEMONSTRATIONS,
@@ -146,6 +164,7 @@ class _Run:
         self._folder, self._settings, self._learner = folder, settings, learner
         self._update, self._seconds = 0, 0.0
         if (folder / CHECKPOINT).exists():
+            _check_device(folder, settings)
             kept = checkpoint.read(folder / CHECKPOINT)
             try:
                 self._update, self._seconds = kept["update"], kept["seconds"]
@@ -161,7 +180,7 @@ class _Run:
         updates, settings = self._learner.updates, self._settings
         policy = self._learner.policy()
         if self._update == updates:
-            self._learner.save_policy(self._folder, updates)  # in case somebody has lost it
+            self._learner.save_policy(self._folder)  # which was lost
         started = time.monotonic() - self._seconds
         with Metrics(self._folder, self._update) as metrics:
             while self._update < updates:
@@ -173,6 +192,9 @@ class _Run:
                 evaluation = _due(self._update, updates, settings.evaluations)
                 if evaluation or save:
                     self._learner.recalibrate()
+                    fault = self._learner.fault()
+                    if fault is not None:
+                        self._give_up(fault)
                 scores = self._scores(policy) if evaluation else {}
                 means: Mapping[str, float] = {}
                 if save or scores or _due(self._update, updates, ROWS):
@@ -203,17 +225,30 @@ class _Run:
             self._give_up(f"{wrong[0]} is {figures[wrong[0]]}")
 
     def _save(self) -> None:
-        fault = self._learner.fault()
-        if fault is not None:
-            self._give_up(fault)
-        kept: dict[str, Any] = {"update": self._update, "seconds": self._seconds, "learner": self._learner.state()}
-        self._learner.save_policy(self._folder, self._update)  # first: a run with the last checkpoint is finished
+        kept: dict[str, Any] = {
+            "update": self._update,
+            "updates": self._learner.updates,
+            "seconds": self._seconds,
+            "learner": self._learner.state(),
+        }
+        self._learner.save_policy(self._folder)  # first: a run with the last checkpoint is finished
         checkpoint.write(self._folder / CHECKPOINT, kept)
         self._saved = self._update
 
     def _give_up(self, reason: str) -> None:
         kept = f"the checkpoint of update {self._saved} is kept" if self._saved else "there is no checkpoint yet"
         raise TrainingError(f"{reason} at update {self._update}; {kept} in {self._folder}; try a lower learning rate")
+
+
+def _check_device(folder: Path, settings: TrainingSettings) -> None:
+    """Raises an error unless the training was begun on this kind of device: on another, it would go on otherwise."""
+    here = device(settings.device).type
+    begun = read_toml(folder / CONFIG).get(MADE, {}).get("device", here)
+    if begun != here:
+        raise TrainingError(
+            f"{folder} was begun on {begun}, and this is {here}: continue where there is {begun}, or train anew in "
+            f"another folder; magical-mj evaluate --policy {shlex.quote(str(folder))} plays what it has learnt so far"
+        )
 
 
 def _due(update: int, updates: int, times: int) -> bool:

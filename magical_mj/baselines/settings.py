@@ -163,8 +163,8 @@ class TrainingSettings:
                 f"learning rates fall: bc.final_learning_rate={self.bc.final_learning_rate} must be at most "
                 f"bc.learning_rate={self.bc.learning_rate}; set both"
             )
-        if self.method == "bc" and self.ppo.worlds != "single":
-            raise SettingsError("bc learns without playing: worlds are chosen for gail, wgail-gp and al")
+        if self.method in ("bc", "goals") and self.ppo.worlds != "single":
+            raise SettingsError(f"{self.method} learns without playing: worlds are chosen for gail, wgail-gp and al")
         if self.method not in ("bc", "goals"):
             self._check_reinforcement()
 

@@ -102,6 +102,8 @@ def _each(policies: Any) -> Iterator[Source]:
     if isinstance(policies, os.PathLike):
         path = os.fspath(policies)
         yield Source(_short(path), 0, path)
+    elif isinstance(policies, str) and os.path.exists(policies):  # noqa: PTH110  (Path's raises errors)
+        yield Source(_short(policies), 0, policies)
     elif isinstance(policies, str):
         for text in filter(None, (part.strip() for part in policies.split(","))):
             name, equals, origin = text.partition("=")

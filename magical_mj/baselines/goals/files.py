@@ -69,9 +69,9 @@ def load_goals(folder: Path | str) -> GoalPolicy:
         raise TrainingError(f"cannot read {path}: {error}") from error
 
 
-def save_goals(folder: Path, found: Mapping[str, Sequence[Goal]]) -> None:
-    """Writes the file, in place of the one that may be there."""
-    files.write(folder / GOALS, to_json(found), overwrite=True)
+def save_goals(folder: Path, written: str) -> None:
+    """Writes the file with what `to_json` made, in place of the one that may be there."""
+    files.write(folder / GOALS, written, overwrite=True)
 
 
 def _goal(entry: Mapping[str, Any]) -> Goal:

@@ -9,7 +9,7 @@ from typing import Any
 from magical_mj import demos
 from magical_mj.baselines.data import drawn
 from magical_mj.baselines.goals.files import from_json, save_goals, to_json
-from magical_mj.baselines.goals.inference import Goal, infer
+from magical_mj.baselines.goals.inference import infer
 from magical_mj.baselines.goals.policy import GoalPolicy
 from magical_mj.baselines.learner import Method
 from magical_mj.baselines.settings import STATE, TrainingSettings
@@ -26,39 +26,39 @@ class GoalInference(Method):
         if not settings.states:
             raise SettingsError(f"goals are inferred from states, not from pictures: give --preset {STATE}")
         self.updates = 1
-        self._found: dict[str, list[Goal]] = {}
+        self._written = to_json({})
         self._policy = GoalPolicy({}, settings.tasks)
 
     def update(self) -> Mapping[str, float]:
         """Infers all goals. Returns the fewest bits saved by any, and the smallest lead over an alternative."""
+        found = {}
         for task in self.settings.tasks:
             shipped = demos.load(task)
             chosen = drawn(task, self.settings.seed, self.settings.demonstrations, len(shipped))
-            self._found[task] = infer([ends(shipped[number]) for number in chosen])
-        self._pursue()
-        saved = [[*(goal.saved for goal in goals), 0.0] for goals in self._found.values()]
+            found[task] = infer([ends(shipped[number]) for number in chosen])
+        self._pursue(to_json(found))
+        saved = [[*(goal.saved for goal in goals), 0.0] for goals in found.values()]
         return {"saved_bits": min(bits[0] for bits in saved), "ahead_bits": min(bits[0] - bits[1] for bits in saved)}
 
     def policy(self) -> GoalPolicy:
         """Plans to reach the best goal of each task."""
         return self._policy
 
-    def save_policy(self, folder: Path, update: int) -> None:
+    def save_policy(self, folder: Path) -> None:
         """Writes goals.json."""
-        del update
-        save_goals(folder, self._found)
+        save_goals(folder, self._written)
 
     def state(self) -> dict[str, Any]:
-        """The goals."""
-        return {"goals": to_json(self._found)}
+        """The text of goals.json."""
+        return {"goals": self._written}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restores inferred goals."""
-        self._found = {task: [goal] for task, goal in from_json(state["goals"]).items()}
-        self._pursue()
+        self._pursue(state["goals"])
 
-    def _pursue(self) -> None:
-        self._policy.goals.update({task: goals[0] for task, goals in self._found.items()})
+    def _pursue(self, written: str) -> None:
+        self._written = written
+        self._policy.goals.update(from_json(written))
 
 
 def ends(demonstration: Demonstration) -> tuple[Scene, Scene]:
