@@ -32,3 +32,9 @@ def resolve(reference: str) -> Any:
             raise ImportError(f"{reference!r} does not exist: there is no {part!r} in {module}")
         found = getattr(found, part)
     return found
+
+
+def source_of(reference: str) -> Path | None:
+    """The file of the module that a reference names, if the module was imported and has one."""
+    file = getattr(sys.modules.get(reference.partition(":")[0]), "__file__", None)
+    return Path(file) if file else None

@@ -53,7 +53,7 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
     assert "a run, or b=c: mean score" in capfd.readouterr().out
     (Path(out) / POLICY).unlink()
     assert run(["evaluate", "--policy", out, "--out", str(tmp_path / "none")]) == 2
-    assert "holds no policy: no goals.json or policy.safetensors" in capfd.readouterr().err
+    assert "holds no policy: no goals.json or model.safetensors or policy.safetensors" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(

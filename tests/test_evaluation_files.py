@@ -51,6 +51,16 @@ def test_resume_does_only_what_is_left(tmp_path: Path) -> None:
     assert len(played) == 3
 
 
+def test_a_policy_whose_code_has_changed_is_another_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    Path("still.py").write_text("def policy(observation):\n    return 0\n")
+    magical_mj.evaluate("still:policy", out="scores", **SMALL)
+    Path("still.py").write_text("def policy(observation):\n    return 1\n")
+    with pytest.raises(SettingsError, match="was started with other settings: policies was"):
+        magical_mj.evaluate("still:policy", out="scores", resume=True, **SMALL)
+
+
 class Misnamed:
     """Misses a file in the scene of seed 1, whose name is not UTF-8: so Python shows the bytes of such names."""
 

@@ -42,7 +42,7 @@ def test_the_experiment_can_be_read(tmp_path: Path) -> None:
     planned = runs(file, tmp_path)
     assert len({run.name for run in planned}) == len(planned) == 2 * 2 * 5
     assert {run.method for run in planned} == {
-        "BC (ST), ours, quick, ppo.clip 0.2",
+        "BC (ST), ours, quick",
         "GAIL (ST), ours, quick, ppo.clip 0.2",
     }
     assert {run.settings.ppo.clip for run in planned} == {0.2}

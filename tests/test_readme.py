@@ -20,8 +20,8 @@ from magical_mj.cli.app import app
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "README.md").read_text("utf-8")
-PAGE = (ROOT / "docs" / "environments.md").read_text("utf-8")
-PYTHON = re.findall(r"```python\n(.*?)```", TEXT + PAGE, re.DOTALL)
+PAGES = "".join((ROOT / "docs" / f"{name}.md").read_text("utf-8") for name in ("environments", "demonstrations"))
+PYTHON = re.findall(r"```python\n(.*?)```", TEXT + PAGES, re.DOTALL)
 COMMANDS = re.findall(r"^\$ magical-mj (.*?)(?: #.*)?$", TEXT, re.MULTILINE)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -71,7 +72,10 @@ def variants() -> str:
 
 def presets() -> str:
     """Each preset of the Gymnasium ids and what it observes."""
-    rows = [(f"`-{name}`" if name else "none", _sentence(entry.summary)) for name, entry in PRESETS.items()]
+    rows = [
+        (f"`-{name}`" if name else '(the empty name, `""`)', _sentence(entry.summary))
+        for name, entry in PRESETS.items()
+    ]
     return table(("Preset", "Observation"), rows)
 
 
@@ -182,6 +186,7 @@ def _place(one: Standing) -> tuple[bool, bool, float]:
     return one.kind != "official", not one.everywhere, -_mean(one, VARIANTS)
 
 
+@cache
 def _results() -> tuple[dict[str, Standing], list[Standing], list[Standing]]:
     """Our own learners by the names of their files, the complete ones and the best first; the agents; the paper's."""
     own = own_standings(ROOT / "results")

@@ -18,14 +18,15 @@ from magical_mj.evaluation.scores import read
 from magical_mj.leaderboard import Findings, check_entry, submit, verify
 from magical_mj.leaderboard.check import MOST, SHARE
 from magical_mj.leaderboard.claims import Checked
-from magical_mj.leaderboard.entry import entries
+from magical_mj.leaderboard.copies import copied
+from magical_mj.leaderboard.entry import Entry, entries
 from magical_mj.leaderboard.page import check_free, write_pages
 from magical_mj.leaderboard.standings import gaps, standings
 
 SHOWN: Final = 20
 """The largest number of problems that are printed; the others are counted."""
 
-Entries = Annotated[Path, typer.Argument(help="The folder with the entries (*.json.gz).", show_default=False)]
+Entries = Annotated[Path, typer.Argument(help="The folder with the entries (*.json.gz), or one.", show_default=False)]
 Pages = Annotated[Path | None, typer.Option("--out", help="The folder for the pages.", show_default="FOLDER")]
 All = Annotated[bool, typer.Option("--all", help="Replay all episodes of each entry, not only a random part.")]
 Sample = Annotated[
@@ -80,7 +81,7 @@ def make_leaderboard(
 ) -> None:
     """Check all entries in a folder, and write the leaderboard: leaderboard.html and leaderboard.md."""
     check_fits(context, not everything, "without --all", "seed")
-    paths, pages = entries(folder), out or folder
+    paths, pages = entries(folder), out or (folder.parent if folder.is_file() else folder)
     check_free(claim_folder(pages))
     screen = console()
     if not everything:
@@ -88,7 +89,7 @@ def make_leaderboard(
         screen.print(
             f"replaying {SHARE:.0%} of each entry, {MOST} episodes at most; --seed {seed} chooses the same again"
         )
-    good, bad = [], 0
+    good, bad = dict[str, Entry](), 0
     for path in paths:
         with _bar(screen, f"checking {path.name}", None) as watch:
             try:
@@ -101,8 +102,12 @@ def make_leaderboard(
         if _complained(path.name, found):
             bad += 1
         else:
-            good.append(entry)
-    for page in write_pages(standings(good), pages):
+            good[path.name] = entry
+    for name, problem in copied(good).items():
+        complain(f"{name} is not of its own: {problem}")
+        del good[name]
+        bad += 1
+    for page in write_pages(standings(list(good.values())), pages):
         screen.print(page, soft_wrap=True)
     if bad:
         raise EvaluationError(f"entries that are not what they claim, and are not on the page: {bad}")

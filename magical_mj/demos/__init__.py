@@ -19,7 +19,7 @@ from magical_mj.demos.recording import Recorder, demonstrate
 from magical_mj.demos.replay import Verdict, see, verify
 from magical_mj.demos.variety import Diversity, diversity
 from magical_mj.errors import DemonstrationError
-from magical_mj.registry import task_name, task_spec
+from magical_mj.registry import TASKS, task_name, task_spec
 
 __all__ = [
     "MAX_BYTES",
@@ -64,6 +64,11 @@ def load(task: str, folder: Path | str | None = None) -> list[Demonstration]:
     task, spec = task_name(task), task_spec(task)
     folder = Path(folder or spec.demonstrations or SHIPPED)
     paths = files_in_or_below(folder, f"{spec.name}-")
+    if not paths and spec.demonstrations is None and spec.name not in TASKS and folder == SHIPPED:
+        raise DemonstrationError(
+            f"{task} comes without demonstrations: name a folder in its TaskSpec (demonstrations=...), and fill it: "
+            f"magical-mj demos generate --tasks {task} --out FOLDER"
+        )
     if not paths:
         raise DemonstrationError(
             f"there are no demonstrations of {task} in {folder}; to make some: "

@@ -16,7 +16,7 @@ from magical_mj.agents import AGENTS
 from magical_mj.errors import SettingsError, shown, unknown_name
 from magical_mj.evaluation.models import LOADERS
 from magical_mj.evaluation.playing import Act, reason
-from magical_mj.references import resolve
+from magical_mj.references import resolve, source_of
 
 LEGEND: Final = f"{', '.join(AGENTS)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
 FOLDERS: Final = "magical_mj.policy_folders"
@@ -64,13 +64,14 @@ class Source:
         """The facts about the policy that must be the same when an evaluation is resumed."""
         origin = self.origin if isinstance(self.origin, str) else f"a Python object: {type(self.origin).__qualname__}"
         described = {"name": self.name, "run": self.run, "origin": origin}
-        file = self._file()
-        return described if file is None else {**described, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+        if not isinstance(self.origin, str) or self.origin in AGENTS:
+            return described
+        policy = self._file()
+        what, file = ("sha256", policy) if policy is not None else ("code", source_of(self.origin))
+        return described if file is None else {**described, what: hashlib.sha256(file.read_bytes()).hexdigest()}
 
     def _file(self) -> Path | None:
         """The file that holds the policy, if there is one."""
-        if not isinstance(self.origin, str) or self.origin in AGENTS:
-            return None
         path = Path(self.origin)
         if path.suffix in LOADERS:
             return path

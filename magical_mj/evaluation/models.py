@@ -25,6 +25,10 @@ from magical_mj.evaluation.playing import reason
 from magical_mj.evaluation.policies import Shape
 from magical_mj.extras import missing_extra
 
+OTHER_ACTIONS: Final = (
+    f"the environments take {len(ACTIONS)} numbers; for vectors, give a function that ends in "
+    "magical_mj.actions.to_discrete (docs/evaluation.md)"
+)
 TRUST: Final = "--trust (trust=True) loads it and runs the code that it contains: do that only with files of your own"
 
 
@@ -70,7 +74,7 @@ def load_sb3(path: Path, trust: bool = False) -> Model:
     except Exception as error:
         raise SettingsError(f"{path} does not say how its network is built: {reason(error)}") from error
     if not isinstance(policy.action_space, spaces.Discrete) or policy.action_space.n != len(ACTIONS):
-        raise SettingsError(f"{path} acts in {policy.action_space}, and the environments in Discrete({len(ACTIONS)})")
+        raise SettingsError(f"{path} acts in {policy.action_space}, and {OTHER_ACTIONS}")
     try:
         policy.load_state_dict(weights)
     except RuntimeError as error:
@@ -135,7 +139,7 @@ def _rebuilt(path: Path, data: dict[str, Any], weights: dict[str, Any]) -> Any:
     if not plain or "action_net.weight" not in weights or not seen.get("_shape"):
         raise SettingsError(f"{path} keeps how its network is built as a pickle; {TRUST}")
     if "n" not in acted or int(acted["n"]) != len(ACTIONS):
-        raise SettingsError(f"{path} was trained with other actions than the environments' Discrete({len(ACTIONS)})")
+        raise SettingsError(f"{path} was trained with other actions, and {OTHER_ACTIONS}")
     shape, pictures = tuple(int(n) for n in _plain(seen["_shape"])), seen.get("dtype") == "uint8"
     space = spaces.Box(0, 255, shape, np.uint8) if pictures else spaces.Box(-np.inf, np.inf, shape, np.float32)
     kind = ActorCriticCnnPolicy if any(name.startswith("features_extractor.cnn") for name in weights) else None

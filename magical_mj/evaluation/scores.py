@@ -112,6 +112,10 @@ def read(folder: Path) -> list[Score]:
     """
     path = folder / SCORES
     if not path.is_file():
+        if folder.is_file():
+            raise EvaluationError(
+                f"{folder} is a file, and not the folder of an evaluation; magical-mj leaderboard checks entries"
+            )
         raise EvaluationError(f"{folder} holds no {SCORES}; magical-mj evaluate --out {folder} makes one")
     found: list[Score] = []
     seen: dict[Key, int] = {}

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import Final
 
-from magical_mj.leaderboard.sections import label
+from magical_mj.leaderboard.sections import label, share
 from magical_mj.leaderboard.standings import OVERALL, THRESHOLDS, Standing
 
 WIDTH: Final = 860
@@ -26,7 +26,8 @@ def intervals(found: Sequence[Standing]) -> str:
     rows = _grid(height - ROW)
     for index, one in enumerate(found):
         score, y = one.scores[OVERALL], ROW * (index + 0.5)
-        rows += f'<text x="{NAMES - 10}" y="{y + 4:.0f}" text-anchor="end">{escape(label(one))}</text>'
+        name = f"{label(one)} {share(one)}".strip()
+        rows += f'<text x="{NAMES - 10}" y="{y + 4:.0f}" text-anchor="end">{escape(name)}</text>'
         if not math.isnan(score.low):
             rows += f'<line class="{one.kind}" x1="{_x(score.low)}" x2="{_x(score.high)}" y1="{y}" y2="{y}"/>'
         rows += f'<circle class="{one.kind}" cx="{_x(score.value)}" cy="{y}" r="5"/>'
@@ -34,7 +35,7 @@ def intervals(found: Sequence[Standing]) -> str:
 
 
 def profiles(found: Sequence[Standing]) -> str:
-    """Each method's performance profile as a line; the published ones are grey and dashed."""
+    """Each method's performance profile as a line; the published ones are grey and dotted."""
     rows = _grid(HEIGHT - ROW)
     for tick in (0.0, 0.5, 1.0):
         y = (1 - tick) * (HEIGHT - ROW)
@@ -43,12 +44,11 @@ def profiles(found: Sequence[Standing]) -> str:
         points = " ".join(
             f"{_x(x)},{(1 - y) * (HEIGHT - ROW):.1f}" for x, y in zip(THRESHOLDS, one.profile, strict=True)
         )
-        colour = "grey" if one.kind == "published" else f"c{index % COLOURS}"
-        rows += (
-            f'<polyline class="{colour} {one.kind}" points="{points}"><title>{escape(label(one))}</title></polyline>'
-        )
+        line = "published" if one.kind == "published" else f"c{index % COLOURS} d{index // COLOURS}"
+        rows += f'<polyline class="{line}" points="{points}"><title>{escape(label(one))}</title></polyline>'
         y = ROW * 0.75 * (index + 0.7)
-        rows += f'<text class="{colour}" x="{NAMES - 30}" y="{y:.0f}" text-anchor="end">{escape(label(one))}</text>'
+        rows += f'<text x="{NAMES - 65}" y="{y:.0f}" text-anchor="end">{escape(label(one))}</text>'
+        rows += f'<polyline class="{line}" points="{NAMES - 58},{y - 4:.0f} {NAMES - 28},{y - 4:.0f}"/>'
     height = max(HEIGHT, math.ceil(ROW * 0.75 * (len(found) + 1)))
     return _svg(height, rows, "Share of environments and runs with a mean score of at least so much")
 

@@ -22,17 +22,17 @@ from magical_mj.tasks.spec import Rules
 
 FORMAT: Final = 1
 SUFFIX: Final = ".json.gz"
-MOST_BYTES: Final = 500_000_000
+MOST_BYTES: Final = 60_000_000
 """The largest size of an unpacked entry in bytes: a small file may expand to a huge one."""
 
 
 def entries(folder: Path | str) -> list[Path]:
-    """The files of entries in a folder, sorted by name.
+    """The files of entries in a folder, sorted by name; or the one file that is given instead.
 
     Raises:
         EvaluationError: if there are none.
     """
-    found = sorted(Path(folder).glob(f"*{SUFFIX}"))
+    found = [Path(folder)] if Path(folder).is_file() else sorted(Path(folder).glob(f"*{SUFFIX}"))
     if not found:
         raise EvaluationError(f"{folder} holds no entries (*{SUFFIX}); magical-mj submit makes them")
     return found
@@ -164,16 +164,26 @@ def schema() -> dict[str, Any]:
 
 def _check_schema(content: Any, name: object) -> None:
     import jsonschema
-    from jsonschema.exceptions import best_match
 
-    wrong = best_match(jsonschema.Draft202012Validator(schema()).iter_errors(content))
+    wrong = next(jsonschema.Draft202012Validator(schema()).iter_errors(content), None)  # a file may have thousands
     if wrong is not None:
         raise EvaluationError(f"{name} does not follow the schema at {wrong.json_path}: {wrong.message[:200]}")
+    method = content["card"]["method"]
+    if not is_readable(method):
+        raise EvaluationError(f"{name} has a method whose name {method!r} {UNREADABLE}")
     for environment, rows in content["environments"].items():
         if tuple(environment.split("-", 1)) not in ENVIRONMENTS:
             raise EvaluationError(f"{name} has results in {environment}, which is no environment")
         if any(type(number) is not int for row in rows for number in row[:2]):  # to the schema, 1.0 is an integer
             raise EvaluationError(f"{name} has runs or seeds in {environment} that are not written as integers")
+
+
+UNREADABLE: Final = "holds signs that cannot be seen, or begins or ends with a space"
+
+
+def is_readable(name: str) -> bool:
+    """Whether the name of a method looks like what it is."""
+    return name.isprintable() and name == name.strip()
 
 
 def check_unique(episodes: Sequence[Claim], name: object) -> None:

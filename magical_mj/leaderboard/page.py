@@ -83,14 +83,15 @@ def _html(found: Sequence[Standing], made: Sequence[Table]) -> str:
     sections = "\n".join(
         _section(table.name, HEADINGS[table.name], drawn.get(table.name, "") + _table(table)) for table in made
     )
-    links = " ".join(f'<a href="#{name}">{heading}</a>' for name, heading in HEADINGS.items())
+    headings = {**HEADINGS, "entries": "Entries"}
+    links = " ".join(f'<a href="#{name}">{heading}</a>' for name, heading in headings.items())
     style = (resources("magical_mj.leaderboard") / "style.css").read_text(encoding="utf-8")
     return (
         f"{BEGINNINGS[HTML]}"
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<style>\n{style}</style></head>\n<body><header><h1>{TITLE}</h1><p>{INTRODUCTION}</p>\n"
         f"<nav>{links}</nav></header>\n{sections}\n"
-        f"{_section('entries', 'Entries', ''.join(_cards(found)))}</body></html>\n"
+        f"{_section('entries', headings['entries'], ''.join(_cards(found)))}</body></html>\n"
     )
 
 
@@ -115,13 +116,13 @@ def _table(table: Table) -> str:
 
 
 def _cell(text: str, shaded: bool) -> str:
-    """A table cell. A number's interval is shown below it, and the background shows how large it is."""
-    figure = re.fullmatch(r"(-?\d\.\d\d)( \[.*\])?", text)
+    """A table cell. Below a number stand its interval and its share of the environments; its shade shows its size."""
+    figure = re.fullmatch(r"(-?\d\.\d\d)( \[[\d., -]+\])?( \(\d+/\d+\))?", text)
     if figure is None:
         return f"<td>{escape(text)}</td>"
     share = round(60 * min(1.0, abs(float(figure[1])))) if shaded else 0
-    interval = f"<small>{figure[2]}</small>" if figure[2] else ""
-    return f'<td class="figure" style="--share: {share}%">{figure[1]}{interval}</td>'
+    below = "".join(f"<small>{part}</small>" for part in figure.groups()[1:] if part)
+    return f'<td class="figure" style="--share: {share}%">{figure[1]}{below}</td>'
 
 
 def _cards(found: Sequence[Standing]) -> Iterator[str]:

@@ -40,6 +40,15 @@ def protocol_of(folder: Path) -> int | None:
     return number
 
 
+def digests(folder: Path, method: str) -> list[tuple[int, str]]:
+    """The runs of a method and the hashes of their policies' files, as an evaluation recorded them, if it did."""
+    try:
+        played = [policy for policy in recorded(folder)["policies"] if policy["name"] == method]
+        return [(index(policy["run"]), str(policy["sha256"])) for policy in played if "sha256" in policy]
+    except (KeyError, TypeError):
+        return []
+
+
 @dataclass(frozen=True)
 class Plan:
     """What an evaluation was started to play.

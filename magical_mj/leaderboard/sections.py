@@ -45,41 +45,47 @@ def _scores(found: Sequence[Standing]) -> Table:
     columns = (OVERALL, *VARIANTS)
     return Table(
         "scores",
-        "Interquartile mean of the mean scores of runs in environments, with its 95 % interval (stratified bootstrap)",
+        "Interquartile mean of the mean scores of runs in environments, with its 95 % interval (stratified bootstrap), "
+        "and the number of environments if some are missing; of published methods, and of those with different "
+        "numbers of runs, it is taken of the mean scores over runs",
         ("Method", "rules", "looks at", *columns),
-        _grouped(
-            found, lambda one: (rules_of(one), _looks_at(one), *(_text(one.scores.get(name)) for name in columns))
-        ),
+        _grouped(found, lambda one: (rules_of(one), _looks_at(one), *(_score(one, name) for name in columns))),
         tuple(f"{one.name} is partial: {', '.join(one.gaps)}." for one in found if one.gaps),
     )
+
+
+def _score(one: Standing, variant: str) -> str:
+    return " ".join(filter(None, (_text(one.scores.get(variant)), share(one, variant))))
+
+
+def share(one: Standing, variant: str = OVERALL) -> str:
+    """How many of the variant's environments were played, such as "(14/60)"; empty for all of them and for none."""
+    every = [pair for pair in ENVIRONMENTS if variant in (OVERALL, pair[1])]
+    count = sum(pair in one.means for pair in every)
+    return f"({count}/{len(every)})" if 0 < count < len(every) else ""
 
 
 def _looks_at(one: Standing) -> str:
     if one.entry is None:
         return "pictures"
-    return "the simulation" if one.entry.observations is None else one.entry.observations or "both views"
+    return "no observations" if one.entry.observations is None else one.entry.observations or "both views"
 
 
 def _drops(found: Sequence[Standing]) -> Table:
     return Table(
         "drops",
-        "How far the mean score falls from Demo, on the tasks that have the variant",
+        "How far the mean score falls from Demo, on the tasks that have the variant; and the variant in which it falls "
+        "most on the tasks that have all of them",
         ("Method", "Demo", *VARIANTS[1:], "falls most in"),
         _grouped(
             found,
             lambda one: (
                 _text(_demo(one)),
                 *(_text(one.drops.get(name)) for name in VARIANTS[1:]),
-                _weakest(one),
+                one.weakest or NONE,
             ),
         ),
     )
-
-
-def _weakest(one: Standing) -> str:
-    """The variant (except All) with the largest drop of the score, if it drops in any."""
-    axes = [name for name in one.drops if name != "All" and one.drops[name].value > 0]
-    return max(axes, key=lambda name: one.drops[name].value, default=NONE)
 
 
 def _demo(one: Standing) -> Estimate | None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from magical_mj.evaluation.results import PUBLISHED_RULES, published_results
 from magical_mj.evaluation.statistics import SAME, bootstrap, interquartile_mean, mean_interval, summarise
 from magical_mj.leaderboard.claims import SEEDS, Claim
+from magical_mj.leaderboard.copies import copies
 from magical_mj.leaderboard.entry import SUFFIX, Entry, entries, unpacked
 from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS
 
@@ -66,6 +66,15 @@ class Standing:
     def everywhere(self) -> bool:
         """Whether it has results in all environments."""
         return len(self.means) == len(ENVIRONMENTS)
+
+    @property
+    def weakest(self) -> str | None:
+        """The variant (except All) in which the score falls most, over the tasks that were played in all of them."""
+        axes = [variant for variant in VARIANTS if variant != "All"]
+        tasks = [task for task in TASKS if all((task, axis) in self.means for axis in axes)]
+        totals = {axis: sum(self.means[task, axis].mean() for task in tasks) for axis in axes}
+        lowest = min(axes, key=lambda axis: totals[axis])
+        return lowest if totals[lowest] < totals["Demo"] - SAME else None
 
     @property
     def profile(self) -> Floats:
@@ -121,20 +130,8 @@ def gaps(entry: Entry) -> list[str]:
     absent = wanted - len(entry.counted)
     if absent:
         found.append(f"{absent} of {wanted} episodes missing")
-    return [*found, *_repeated(entry)]
-
-
-def _repeated(entry: Entry) -> Iterator[str]:
-    """A phrase for each run that is another one once more: the same model evaluated again is not another training."""
-    played: dict[int, dict[tuple[str, str, int], str]] = defaultdict(dict)
-    for episode in entry.counted:
-        played[episode.run][episode.task, episode.variant, episode.seed] = episode.actions
-    for later in entry.runs[1:]:
-        for earlier in entry.runs[: entry.runs.index(later)]:
-            both = played[earlier].keys() & played[later].keys()
-            if both and all(played[earlier][key] == played[later][key] for key in both):
-                yield f"run {later} has the same actions as run {earlier}"
-                break
+    runs = {run: [episode for episode in entry.counted if episode.run == run] for run in entry.runs}
+    return [*found, *(f"run {later} has the same actions as run {earlier}" for later, earlier in copies(runs))]
 
 
 def published() -> list[Standing]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -15,8 +16,8 @@ from magical_mj.evaluation.scores import Score, read
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.extras import check_extra
 from magical_mj.leaderboard.claims import claim_of
-from magical_mj.leaderboard.entry import SUFFIX, Entry, check_unique, packed, schema, unpacked
-from magical_mj.leaderboard.record import protocol_of
+from magical_mj.leaderboard.entry import SUFFIX, UNREADABLE, Entry, check_unique, is_readable, packed, schema, unpacked
+from magical_mj.leaderboard.record import digests, protocol_of
 from magical_mj.registry import ENVIRONMENTS, check_rules
 
 CARD: Final[dict[str, Any]] = {
@@ -68,6 +69,7 @@ def submit(
     if policy is None and len(names) > 1:
         raise SettingsError(f"the folders hold {', '.join(names)}: say which is meant (--policy NAME)")
     found = [(score, folder) for score, folder in found if score.policy == (policy or names[0])]
+    _check_trainings(folders, policy or names[0])
     described = {**said, "method": said["method"] or policy or names[0]}
     _check_card(described, card)
     entry = _entry(described, found, _protocol(folders))
@@ -128,6 +130,20 @@ def _extended(earlier: Entry, added: Entry, name: object, *, keep_card: bool) ->
     )
 
 
+def _check_trainings(folders: Sequence[Path | str], method: str) -> None:
+    """Raise an `EvaluationError` if two runs played with the same file: a run is a training of its own."""
+    runs: dict[str, set[int]] = defaultdict(set)
+    for folder in folders:
+        for run, digest in digests(Path(folder), method):
+            runs[digest].add(run)
+    for digest, same in runs.items():
+        if len(same) > 1:
+            raise EvaluationError(
+                f"the runs {', '.join(map(str, sorted(same)))} of {method} are one policy (sha256 {digest[:12]}...): "
+                "each run must be a training of its own"
+            )
+
+
 def _protocol(folders: Sequence[Path | str]) -> int | None:
     """The protocol's number that the evaluations recorded.
 
@@ -162,6 +178,8 @@ def _check_card(card: dict[str, Any], where: object) -> None:
     if wrong is not None:
         field = ".".join(map(str, wrong.path))
         raise SettingsError(f"the card's {field} is not valid{f' in {where}' if where else ''}: {wrong.message[:200]}")
+    if not is_readable(card["method"]):
+        raise SettingsError(f"the card's method {card['method']!r} {UNREADABLE}{f' in {where}' if where else ''}")
     hours = card["training"]["hours"]
     if isinstance(hours, float) and not math.isfinite(hours):
         raise SettingsError(f"the card's training.hours must be a finite number, and is {hours} in {where}")
