@@ -31,11 +31,11 @@ def animation(task: str, path: Path) -> None:
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=period, loop=0, quality=55, method=4)
 
 
-def picture(scene: Scene, path: Path, size: int, view: str = "allo") -> None:
-    """A scene as a small PNG."""
+def picture(scene: Scene, path: Path, size: int) -> None:
+    """A scene from above as a small PNG."""
     env = magical_mj.load_scene(scene, observations=())
     env.reset()
-    Image.fromarray(env.render(view, size)).quantize(64).save(path, optimize=True)
+    Image.fromarray(env.render("allo", size)).quantize(64).save(path, optimize=True)
     env.close()
 
 

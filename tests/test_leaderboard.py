@@ -206,6 +206,9 @@ def test_pages_need_nothing_from_elsewhere_and_trust_no_text(tmp_path: Path) -> 
     assert not re.findall(r"<(?:script|link|img|iframe)|url\(|@import", html)
     assert re.findall(r'href="(http[^"]*)"', html) == ["https://example.org/?a&amp;b"]
     assert html.count("<svg") == 2
+    legend = html[html.index('id="profiles"') :]
+    assert "Näme ★</text>" in legend
+    assert "the paper's methods†</text>" in legend
     parser = Balanced()
     parser.feed(html)
     assert parser.open == []

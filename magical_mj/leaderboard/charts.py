@@ -7,13 +7,16 @@ from collections.abc import Sequence
 from html import escape
 from typing import Final
 
+from magical_mj.evaluation.tables import DAGGER
 from magical_mj.leaderboard.sections import label, share
 from magical_mj.leaderboard.standings import OVERALL, THRESHOLDS, Standing
 
-WIDTH: Final = 860
-NAMES: Final = 260
+WIDTH: Final = 910
+NAMES: Final = 310
 """The width in pixels of the column with the methods' names."""
 ROW: Final = 26
+LEGEND: Final = 20
+"""The height in pixels of a line of the profiles' legend."""
 HEIGHT: Final = 320
 """Of the profiles."""
 COLOURS: Final = 10
@@ -35,22 +38,31 @@ def intervals(found: Sequence[Standing]) -> str:
 
 
 def profiles(found: Sequence[Standing]) -> str:
-    """Each method's performance profile as a line; the published ones are grey and dotted."""
+    """The performance profile of each method with results in all environments; the published ones are dotted."""
     rows = _grid(HEIGHT - ROW)
     for tick in (0.0, 0.5, 1.0):
         y = (1 - tick) * (HEIGHT - ROW)
         rows += f'<text x="{WIDTH - 15}" y="{y + 4:.0f}">{tick:g}</text>'
-    for index, one in enumerate(found):
+    whole = [one for one in found if one.everywhere]
+    names = [label(one) for one in whole if one.kind != "published"]
+    for index, one in enumerate(whole):
         points = " ".join(
             f"{_x(x)},{(1 - y) * (HEIGHT - ROW):.1f}" for x, y in zip(THRESHOLDS, one.profile, strict=True)
         )
-        line = "published" if one.kind == "published" else f"c{index % COLOURS} d{index // COLOURS}"
+        line = _line(index) if one.kind != "published" else "published"
         rows += f'<polyline class="{line}" points="{points}"><title>{escape(label(one))}</title></polyline>'
-        y = ROW * 0.75 * (index + 0.7)
-        rows += f'<text x="{NAMES - 65}" y="{y:.0f}" text-anchor="end">{escape(label(one))}</text>'
+    lines = [*map(_line, range(len(names))), "published"]
+    for index, (name, line) in enumerate(zip([*names, f"the paper's methods{DAGGER}"], lines, strict=True)):
+        y = LEGEND * (index + 0.7)
+        rows += f'<text x="{NAMES - 65}" y="{y:.0f}" text-anchor="end">{escape(name)}</text>'
         rows += f'<polyline class="{line}" points="{NAMES - 58},{y - 4:.0f} {NAMES - 28},{y - 4:.0f}"/>'
-    height = max(HEIGHT, math.ceil(ROW * 0.75 * (len(found) + 1)))
+    height = max(HEIGHT, math.ceil(LEGEND * (len(lines) + 1)))
     return _svg(height, rows, "Share of environments and runs with a mean score of at least so much")
+
+
+def _line(index: int) -> str:
+    """The colour and the dashes of a method's line, as classes of the style sheet."""
+    return f"c{index % COLOURS} d{index // COLOURS}"
 
 
 def _grid(height: float) -> str:
