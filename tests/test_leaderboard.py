@@ -208,7 +208,7 @@ def test_pages_need_nothing_from_elsewhere_and_trust_no_text(tmp_path: Path) -> 
     assert html.count("<svg") == 2
     legend = html[html.index('id="profiles"') :]
     assert "Näme ★</text>" in legend
-    assert "the paper's methods†</text>" in legend
+    assert "methods of the paper†</text>" in legend
     parser = Balanced()
     parser.feed(html)
     assert parser.open == []

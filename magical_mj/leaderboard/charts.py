@@ -52,7 +52,7 @@ def profiles(found: Sequence[Standing]) -> str:
         line = _line(index) if one.kind != "published" else "published"
         rows += f'<polyline class="{line}" points="{points}"><title>{escape(label(one))}</title></polyline>'
     lines = [*map(_line, range(len(names))), "published"]
-    for index, (name, line) in enumerate(zip([*names, f"the paper's methods{DAGGER}"], lines, strict=True)):
+    for index, (name, line) in enumerate(zip([*names, f"methods of the paper{DAGGER}"], lines, strict=True)):
         y = LEGEND * (index + 0.7)
         rows += f'<text x="{NAMES - 65}" y="{y:.0f}" text-anchor="end">{escape(name)}</text>'
         rows += f'<polyline class="{line}" points="{NAMES - 58},{y - 4:.0f} {NAMES - 28},{y - 4:.0f}"/>'
