@@ -47,7 +47,7 @@ sys.exit(main(sys.argv[1:]))
 """  # somebody who plays without end, at any speed
 TINY: Final = (
     *("network.first_stride=4", "network.first_channels=4", "network.channels=4", "network.hidden=8"),
-    *("network.entity=8", "demonstrations=2", "evaluations=2", "episodes=2", "checkpoints=16", "device=cpu"),
+    *("network.entity=8", "demonstrations=2", "evaluations=2", "episodes=2", "checkpoints=16"),
 )
 GAIL: Final = (
     *("ppo.environments=4", "ppo.steps=4", "ppo.minibatch=8", "ppo.epochs=2", "ppo.total_steps=512"),
@@ -149,7 +149,8 @@ def updates(out: Path) -> Found:
 def train(method: str, look: tuple[str, ...], *settings: str) -> Kind:
     """A training of a second or two, beside the time that the command takes to start."""
     words = [word for setting in (*TINY, *settings) for word in ("--set", setting)]
-    return Kind((*MAIN, "train", method, "--tasks", "MoveToRegion", "--resume", *look, *words), updates, training)
+    command = (*MAIN, "train", method, "--tasks", "MoveToRegion", "--device", "cpu", "--resume", *look, *words)
+    return Kind(command, updates, training)
 
 
 def kinds(scores: Path) -> dict[str, Kind]:
