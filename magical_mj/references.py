@@ -35,6 +35,6 @@ def resolve(reference: str) -> Any:
 
 
 def source_of(reference: str) -> Path | None:
-    """The file of the module that a reference names, if the module was imported and has one."""
+    """The file of the module that a reference names, if the module was imported from one."""
     file = getattr(sys.modules.get(reference.partition(":")[0]), "__file__", None)
-    return Path(file) if file else None
+    return Path(file) if file and Path(file).is_file() else None

@@ -112,6 +112,10 @@ def test_a_finished_run_resumes_to_itself(tmp_path: Path) -> None:
     before = {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()}
     train(tiny(), tmp_path / "run", resume=True, watch=lambda progress: pytest.fail("there is nothing left to do"))
     assert {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()} == before
+    for damaged in (b"", before[tmp_path / "run" / POLICY][:100]):
+        (tmp_path / "run" / POLICY).write_bytes(damaged)
+        train(tiny(), tmp_path / "run", resume=True)
+        assert (tmp_path / "run" / POLICY).read_bytes() == before[tmp_path / "run" / POLICY]
     (tmp_path / "run" / POLICY).unlink()
     train(tiny(), tmp_path / "run", resume=True)
     assert (tmp_path / "run" / POLICY).read_bytes() == before[tmp_path / "run" / POLICY]
@@ -122,11 +126,23 @@ def test_on_another_kind_of_device_a_run_does_not_go_on(tmp_path: Path) -> None:
     stopped(tmp_path / "begun")
     train(tiny(), tmp_path / "finished")
     for name in ("begun", "finished"):
-        config = tmp_path / name / CONFIG
-        config.write_text(config.read_text().replace('device = "cpu"\nmagical_mj', 'device = "cuda"\nmagical_mj'))
-    with pytest.raises(TrainingError, match="was begun on cuda, and this is cpu: continue where there is cuda"):
+        kept = checkpoint.read(tmp_path / name / CHECKPOINT)
+        checkpoint.write(tmp_path / name / CHECKPOINT, {**kept, "device": "cuda"})
+    with pytest.raises(TrainingError, match="was trained on cuda, and this is cpu: continue where there is cuda"):
         train(tiny(), tmp_path / "begun", resume=True)
     assert isinstance(train(tiny(), tmp_path / "finished", resume=True), TrainedPolicy)
+
+
+def test_runs_of_earlier_versions_stay_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their policies held more, and their checkpoints less. The folder's name is that of an agent."""
+    monkeypatch.chdir(tmp_path)
+    train(tiny(), "noop")
+    kept, policy = checkpoint.read(Path("noop", CHECKPOINT)), checkpoint.read(Path("noop", POLICY))
+    checkpoint.write(Path("noop", CHECKPOINT), {name: kept[name] for name in ("update", "seconds", "learner")})
+    checkpoint.write(Path("noop", POLICY), {**policy, "progress": [12, 12]})
+    before = Path("noop", POLICY).read_bytes()
+    assert isinstance(train(tiny(), "noop", resume=True), TrainedPolicy)
+    assert Path("noop", POLICY).read_bytes() == before
 
 
 def test_a_policy_that_is_saved_on_the_way_is_as_it_would_be_evaluated(tmp_path: Path) -> None:

@@ -141,7 +141,7 @@ class Other(gymnasium.Env[Any, Any]):
 def test_other_actions_are_refused(tmp_path: Path) -> None:
     ppo(tmp_path / "model.zip", "MlpPolicy", Other())
     for trust in (False, True):
-        with pytest.raises(SettingsError, match=r"the environments take 18 numbers; for vectors, .*to_discrete"):
+        with pytest.raises(SettingsError, match=r"each action is one of the numbers 0 to 17; .*to_discrete"):
             magical_mj.evaluate(str(tmp_path / "model.zip"), preset="State", trust=trust, **SMALL)
 
 

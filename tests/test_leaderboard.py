@@ -109,15 +109,15 @@ def test_drops_compare_the_tasks_that_have_the_variant() -> None:
 
 
 def test_the_weakest_variant_is_found_on_tasks_that_have_all() -> None:
-    """By hand: FixColour has no Shape, and what it loses in Colour must not outweigh what the others lose in Shape."""
+    """By hand: MoveToRegion has no Shape. What it loses in Colour must not outweigh what others lose in Shape."""
 
     def score(one: Claim) -> float:
-        if one.task == "MoveToCorner":
-            return 1.0
-        low = {"Shape": 0.5, "Colour": 0.0 if one.task == "MoveToRegion" else 0.75}
+        low = {"Shape": 0.75, "Colour": 0.0 if one.task == "MoveToRegion" else 0.8}
         return low.get(one.variant, 1.0)
 
-    assert standing(scored(whole(), score)).weakest == "Shape"
+    found = standing(scored(whole(), score))
+    assert found.weakest == "Shape"
+    assert found.drops["Colour"].value > found.drops["Shape"].value
     assert standing(scored(whole(), lambda one: 1.0)).weakest is None
     alone = [episode for episode in whole().episodes if episode.task == "MoveToRegion"]
     assert standing(replace(whole(), episodes=alone)).weakest is None

@@ -99,9 +99,7 @@ def test_what_somebody_else_played_is_no_entry(
     submit([folder], entries / "a.json.gz")
     submit([folder], entries / "b.json.gz", card=tmp_path / "card.toml")
     assert main(["leaderboard", str(entries)]) == 1
-    assert (
-        "b.json.gz is not of its own: its run 0 has the same actions as run 0 in a.json.gz" in capsys.readouterr().err
-    )
+    assert "b.json.gz is not shown: its run 0 has the same actions as run 0 in a.json.gz" in capsys.readouterr().err
     text = (entries / "leaderboard.md").read_text()
     assert "| expert | paper |" in text
     assert "My own" not in text
@@ -114,7 +112,7 @@ def test_one_training_is_one_run(folder: Path, tmp_path: Path) -> None:
     settings = json.loads((folder / "run.json").read_text())
     settings["policies"] = [{"name": "expert", "run": run, "origin": "a", "sha256": "c0ffee"} for run in (0, 1)]
     (folder / "run.json").write_text(json.dumps(settings))
-    with pytest.raises(EvaluationError, match=r"the runs 0, 1 of expert are one policy \(sha256 c0ffee"):
+    with pytest.raises(EvaluationError, match=r"the runs 0, 1 of expert played with equal policies \(sha256 c0ffee"):
         submit([folder], tmp_path / "entry.json.gz")
 
 

@@ -33,7 +33,11 @@ def test_there_is_something_to_test() -> None:
 @pytest.mark.parametrize("code", PYTHON, ids=range(len(PYTHON)))
 def test_python_block_runs(code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    exec(compile(code, "README.md", "exec"), {"__name__": "readme"})
+    if "__main__" in code:
+        Path("script.py").write_text(code)
+        subprocess.run([sys.executable, "script.py"], check=True)
+    else:
+        exec(compile(code, "README.md", "exec"), {"__name__": "readme"})
 
 
 @pytest.mark.parametrize("command", COMMANDS)

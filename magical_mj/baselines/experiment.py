@@ -81,7 +81,7 @@ class Run:
 
     @property
     def counterparts(self) -> tuple[str, str]:
-        """The paper's row for the method, and the one with its ego pictures and all augmentations; if it has them."""
+        """The paper's row with these observations and augmentations, and with its usual ones; either may not exist."""
         settings = self.settings
         method, kind = settings.method.upper(), "ST" if len(settings.tasks) == 1 else "MT"
         preset = {"LoRes4E": "", "LoRes4A": ", allo."}.get(settings.preset, f", {settings.preset}")

@@ -87,9 +87,9 @@ def train(
     if learner is None:
         check_name("method", settings.method, METHODS)
     _check(folder, settings, resume)
-    finished = _finished(folder)
-    if finished is not None:
-        return finished
+    policy = _policy(folder) if _is_finished(folder) else None
+    if policy is not None:
+        return policy
     with threads_for(settings):
         made = (learner or METHODS[settings.method])(settings)
         try:
@@ -121,16 +121,18 @@ def _check(folder: Path, settings: TrainingSettings, resume: bool) -> None:
             )
 
 
-def _finished(folder: Path) -> Policy | None:
-    """The policy of a training that has come to its end; None if it has not, or if its policy was lost."""
+def _is_finished(folder: Path) -> bool:
     if not (folder / CHECKPOINT).exists():
-        return None
+        return False
     kept = checkpoint.read(folder / CHECKPOINT)
-    if kept.get("update") != kept.get("updates", 0):
-        return None
+    return kept.get("update") == kept.get("updates", 0)
+
+
+def _policy(folder: Path) -> Any:
+    """The policy in a run's folder; None if it was lost or damaged, so that the checkpoint must make it again."""
     try:
-        return sources(folder)[0].load()  # pyright: ignore[reportReturnType]  (a folder of a training holds a whole policy)
-    except SettingsError:
+        return sources(folder.resolve())[0].load()
+    except (SettingsError, TrainingError):
         return None
 
 
@@ -138,17 +140,16 @@ def _start(folder: Path, settings: TrainingSettings) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if not (folder / CONFIG).exists():
-            files.write(folder / CONFIG, f"{to_toml(settings)}\n[{MADE}]\n{_circumstances(settings)}")
+            files.write(folder / CONFIG, f"{to_toml(settings)}\n[{MADE}]\n{_circumstances()}")
     except OSError as error:
         raise TrainingError(f"cannot write into {folder}: {error.strerror}") from error
 
 
-def _circumstances(settings: TrainingSettings) -> str:
-    """The time, command, device and versions with which a run is started, as TOML."""
+def _circumstances() -> str:
+    """The time, command and versions with which a run is started, as TOML."""
     made = {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": shlex.join(sys.argv),
-        "device": device(settings.device).type,
         "magical_mj": __version__,
         "protocol": PROTOCOL,
         "demonstrations": DEMONSTRATIONS,
@@ -163,9 +164,10 @@ class _Run:
     def __init__(self, folder: Path, settings: TrainingSettings, learner: Method) -> None:
         self._folder, self._settings, self._learner = folder, settings, learner
         self._update, self._seconds = 0, 0.0
+        self._device = device(settings.device).type
         if (folder / CHECKPOINT).exists():
-            _check_device(folder, settings)
             kept = checkpoint.read(folder / CHECKPOINT)
+            self._check_device(kept.get("device", self._device))
             try:
                 self._update, self._seconds = kept["update"], kept["seconds"]
                 learner.restore(kept["learner"])
@@ -176,11 +178,20 @@ class _Run:
                 ) from error
         self._saved = self._update
 
+    def _check_device(self, before: str) -> None:
+        """Raises an error unless the training comes from this kind of device: here, it would go on otherwise."""
+        if before != self._device:
+            raise TrainingError(
+                f"{self._folder} was trained on {before}, and this is {self._device}: continue where there is {before} "
+                f"or train anew in another folder; magical-mj evaluate --policy {shlex.quote(str(self._folder))} plays "
+                "what it has learnt so far"
+            )
+
     def play(self, watch: Callable[[Progress], None]) -> Policy:
         updates, settings = self._learner.updates, self._settings
         policy = self._learner.policy()
-        if self._update == updates:
-            self._learner.save_policy(self._folder)  # which was lost
+        if self._update == updates and _policy(self._folder) is None:
+            self._learner.save_policy(self._folder)
         started = time.monotonic() - self._seconds
         with Metrics(self._folder, self._update) as metrics:
             while self._update < updates:
@@ -229,6 +240,7 @@ class _Run:
             "update": self._update,
             "updates": self._learner.updates,
             "seconds": self._seconds,
+            "device": self._device,
             "learner": self._learner.state(),
         }
         self._learner.save_policy(self._folder)  # first: a run with the last checkpoint is finished
@@ -238,17 +250,6 @@ class _Run:
     def _give_up(self, reason: str) -> None:
         kept = f"the checkpoint of update {self._saved} is kept" if self._saved else "there is no checkpoint yet"
         raise TrainingError(f"{reason} at update {self._update}; {kept} in {self._folder}; try a lower learning rate")
-
-
-def _check_device(folder: Path, settings: TrainingSettings) -> None:
-    """Raises an error unless the training was begun on this kind of device: on another, it would go on otherwise."""
-    here = device(settings.device).type
-    begun = read_toml(folder / CONFIG).get(MADE, {}).get("device", here)
-    if begun != here:
-        raise TrainingError(
-            f"{folder} was begun on {begun}, and this is {here}: continue where there is {begun}, or train anew in "
-            f"another folder; magical-mj evaluate --policy {shlex.quote(str(folder))} plays what it has learnt so far"
-        )
 
 
 def _due(update: int, updates: int, times: int) -> bool:

@@ -104,7 +104,7 @@ def make_leaderboard(
         else:
             good[path.name] = entry
     for name, problem in copied(good).items():
-        complain(f"{name} is not of its own: {problem}")
+        complain(f"{name} is not shown: {problem}")
         del good[name]
         bad += 1
     for page in write_pages(standings(list(good.values())), pages):

@@ -26,8 +26,8 @@ from magical_mj.evaluation.policies import Shape
 from magical_mj.extras import missing_extra
 
 OTHER_ACTIONS: Final = (
-    f"the environments take {len(ACTIONS)} numbers; for vectors, give a function that ends in "
-    "magical_mj.actions.to_discrete (docs/evaluation.md)"
+    f"each action is one of the numbers 0 to {len(ACTIONS) - 1}; around a model with continuous actions, give a "
+    "function that ends in magical_mj.actions.to_discrete (docs/evaluation.md)"
 )
 TRUST: Final = "--trust (trust=True) loads it and runs the code that it contains: do that only with files of your own"
 

@@ -75,7 +75,11 @@ class Entry:
 
 
 def packed(entry: Entry) -> bytes:
-    """The bytes of the entry's file; equal entries have equal bytes."""
+    """The bytes of the entry's file; equal entries have equal bytes.
+
+    Raises:
+        EvaluationError: if they are so many that nobody would read them again.
+    """
     content = {
         "format": FORMAT,
         "card": entry.card,
@@ -86,7 +90,12 @@ def packed(entry: Entry) -> bytes:
         "runs": entry.runs,
         "environments": _environments(entry.episodes),
     }
-    return gzip.compress(_text({**content, "sha256": _hash(content)}).encode(), compresslevel=9, mtime=0)
+    text = _text({**content, "sha256": _hash(content)}).encode()
+    if len(text) > MOST_BYTES:
+        raise EvaluationError(
+            f"an entry has {MOST_BYTES / 1e6:.0f} MB at most, and this {len(text) / 1e6:.0f}: take fewer runs"
+        )
+    return gzip.compress(text, compresslevel=9, mtime=0)
 
 
 def _text(content: dict[str, Any]) -> str:

@@ -80,7 +80,7 @@ def _drops(found: Sequence[Standing]) -> Table:
         _grouped(
             found,
             lambda one: (
-                _text(_demo(one)),
+                f"{_text(_demo(one))} {share(one, 'Demo')}".strip(),
                 *(_text(one.drops.get(name)) for name in VARIANTS[1:]),
                 one.weakest or NONE,
             ),
@@ -114,9 +114,13 @@ def _profiles(found: Sequence[Standing]) -> Table:
     places = [int(np.abs(THRESHOLDS - threshold).argmin()) for threshold in SHOWN_THRESHOLDS]
     return Table(
         "profiles",
-        "Performance profiles: the share of environments and runs with a mean score of at least so much",
+        "Performance profiles: the share of environments and runs with a mean score of at least so much, of methods "
+        "with results in all environments",
         ("Method", *(f"{threshold:g}" for threshold in SHOWN_THRESHOLDS)),
-        _grouped(found, lambda one: tuple(f"{one.profile[place]:.2f}" for place in places)),
+        _grouped(
+            [one for one in found if one.everywhere],
+            lambda one: tuple(f"{one.profile[place]:.2f}" for place in places),
+        ),
     )
 
 
@@ -127,7 +131,7 @@ def _costs(found: Sequence[Standing]) -> Table:
             card = one.entry.card
             training, shown = card["training"], card["demonstrations"]
             facts = (shown["per_task"], shown["set"], training["hours"], training["device"], training["steps"])
-            rows.append((label(one), _text(one.scores[OVERALL]), *map(_said, facts), _said(card["hardware"])))
+            rows.append((label(one), _score(one, OVERALL), *map(_said, facts), _said(card["hardware"])))
     return Table(
         "costs",
         f"What a run cost ({NONE} where the entry does not say)",

@@ -139,8 +139,8 @@ def _check_trainings(folders: Sequence[Path | str], method: str) -> None:
     for digest, same in runs.items():
         if len(same) > 1:
             raise EvaluationError(
-                f"the runs {', '.join(map(str, sorted(same)))} of {method} are one policy (sha256 {digest[:12]}...): "
-                "each run must be a training of its own"
+                f"the runs {', '.join(map(str, sorted(same)))} of {method} played with equal policies (sha256 "
+                f"{digest[:12]}...), which count as one run: leave the others out"
             )
 
 
