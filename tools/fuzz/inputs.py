@@ -28,7 +28,7 @@ EXPERIMENT: Final = (
 TRAIN: Final = (
     *("train", "bc", "--tasks", "MoveToRegion", "--preset", "State", "--out", "run", "--set", "bc.batches=4"),
     *("--set", "network.hidden=8", "--set", "network.entity=8", "--set", "evaluations=0", "--set", "demonstrations=2"),
-    *("--set", "checkpoints=2", "--set", "device=cpu", "--resume"),
+    *("--set", "checkpoints=2", "--device", "cpu", "--resume"),
 )
 EVALUATE: Final = ("evaluate", "--policy", "noop", "--tasks", "MoveToRegion", "--variants", "Demo,Layout")
 SHORT: Final = (*EVALUATE, "--episodes", "2", "--jobs", "1", "--out", "scores", "--resume")
