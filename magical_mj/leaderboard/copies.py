@@ -43,7 +43,7 @@ def copies(runs: Mapping[Run, Sequence[Claim]]) -> Iterator[tuple[Run, Run]]:
 def copied(entries: Mapping[str, Entry]) -> dict[str, str]:
     """File -> a sentence, for each entry that repeats a run or the name of one before it, scored by the same rules."""
     found: dict[str, str] = {}
-    for rules in {entry.rules for entry in entries.values()}:
+    for rules in sorted({entry.rules for entry in entries.values()}):
         alike = {file: entry for file, entry in entries.items() if entry.rules == rules}
         runs = {
             (file, run): [episode for episode in entry.counted if episode.run == run]

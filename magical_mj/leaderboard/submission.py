@@ -131,7 +131,7 @@ def _extended(earlier: Entry, added: Entry, name: object, *, keep_card: bool) ->
 
 
 def _check_trainings(folders: Sequence[Path | str], method: str) -> None:
-    """Raise an `EvaluationError` if two runs played with the same file: a run is a training of its own."""
+    """Raise an `EvaluationError` if two runs played with equal policies: a run is a training of its own."""
     runs: dict[str, set[int]] = defaultdict(set)
     for folder in folders:
         for run, digest in digests(Path(folder), method):
