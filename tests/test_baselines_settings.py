@@ -141,6 +141,7 @@ def test_cloning_does_not_mind_what_playing_needs() -> None:
         "method = 'bc'\ntasks = ['Nope']",
         "method = 'bc'\ntasks = 3",
         "method = 3\ntasks = 'all'",
+        "method = 'bc'\ntasks = 'all'\nmade = 3",
         "\xff",
         f"a = {'[' * 10_000}",
     ],

@@ -228,7 +228,8 @@ def from_toml(path: Path) -> TrainingSettings:
         SettingsError, UnknownNameError: if it is not TOML, or holds invalid settings.
     """
     table = read_toml(path)
-    table.pop(MADE, None)
+    if not isinstance(table.pop(MADE, {}), dict):
+        raise SettingsError(f"{MADE} in {path} must be a table, as a training writes it; remove it")
     if "method" not in table or "tasks" not in table:
         raise SettingsError(f"{path} must give a method and tasks")
     method, tasks = table.pop("method"), tuple(listed(table.pop("tasks"), TASKS))
