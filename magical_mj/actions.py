@@ -75,7 +75,7 @@ def action_number(action: Any) -> int:
         InvalidActionError: for anything else, such as 18, 1.5 or None.
     """
     if isinstance(action, Action):
-        return action.number
+        action = int(action.number) if action in ACTIONS else action
     try:
         if isinstance(action, np.ndarray) and action.ndim == 0:
             action = action.item()

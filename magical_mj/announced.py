@@ -6,38 +6,56 @@ import warnings
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from sysconfig import get_path
 from traceback import extract_tb
 from types import MappingProxyType
 from typing import Any, Final
 
 from magical_mj.errors import InvalidSceneError, MagicalError, TaskError, UnknownNameError, shown
 from magical_mj.geometry import check_scene
-from magical_mj.references import resolve
+from magical_mj.references import is_reference, resolve
 from magical_mj.scene import Scene
 from magical_mj.tasks import RULES, SPECS, TaskSpec
+from magical_mj.tasks.spec import is_task_name
 from magical_mj.variants import variants_of, vary
 
 GROUP: Final = "magical_mj.tasks"
 """The entry-point group in which installed packages announce tasks, such as ``PushOut = "push_out:SPEC"``."""
+_PACKAGE: Final = str(Path(__file__).parent)
+_STANDARD_LIBRARY: Final = get_path("stdlib")
+_CHECKED: Final[dict[str, TaskSpec]] = {}
+"""The last task that was checked for each name and reference."""
 
 
 @cache
 def announced() -> Mapping[str, EntryPoint]:
-    """The entry points of announced tasks by the tasks' names; their modules are imported on first use."""
+    """The entry points of announced tasks by the tasks' names; their modules are imported on first use.
+
+    An invalid one is ignored with a warning, since it must not keep anybody from importing this package.
+    """
     found: dict[str, EntryPoint] = {}
     for point in sorted(entry_points(group=GROUP)):
-        if point.name in (*SPECS, *found) and found.get(point.name) != point:
-            warnings.warn(
-                f"the task {point.name!r} ({point.value}) is ignored: another task has that name", stacklevel=2
-            )
+        if point.name in SPECS or found.get(point.name, point) != point:
+            problem = "another task has that name"
+        elif not is_task_name(point.name):
+            problem = "the name of a task must be made of letters and digits"
+        elif not is_reference(_reference(point)):
+            problem = 'announce an object in a module, as in PushOut = "push_out:SPEC"'
         else:
             found[point.name] = point
+            continue
+        warnings.warn(f"the task {point.name!r} ({point.value}) is ignored: {problem}", stacklevel=2)
     return MappingProxyType(found)
 
 
-@cache
+def _reference(point: EntryPoint) -> str:
+    """Without the spaces that Python allows in entry points."""
+    return "".join(point.value.split())
+
+
 def load_spec(task: str) -> TaskSpec:
-    """The task with this announced name or reference; it is checked once.
+    """The task with this announced name or reference; it is checked when it is new, as after `importlib.reload`.
 
     Raises:
         UnknownNameError: if its module or the object in it does not exist.
@@ -45,21 +63,24 @@ def load_spec(task: str) -> TaskSpec:
     """
     point = announced().get(task)
     try:
-        spec = resolve(task if point is None else point.value)
+        spec = resolve(task if point is None else _reference(point))
     except ImportError as error:
         raise UnknownNameError(f"the task {shown(task)} cannot be imported: {error}") from error
     except (Exception, SystemExit) as error:
         raise TaskError(f"the task {shown(task)} cannot be imported: {_with_place(error)}") from error
+    if _CHECKED.get(task) is spec:
+        return spec
     check_spec(spec, task)
     if point is not None and spec.name != task:
         raise TaskError(f"{point.value} is announced as {task!r}, but its name is {spec.name!r}: they must be the same")
     if spec.name in SPECS and SPECS[spec.name] is not spec:
         raise TaskError(f"{task} is called {spec.name!r}, as a task of the benchmark is: give it a name of its own")
+    _CHECKED[task] = spec
     return spec
 
 
 def check_spec(spec: Any, task: str) -> None:
-    """Raise `TaskError` unless `spec` is a valid task: its demo scene is legal, and every variant can be drawn.
+    """Raise `TaskError` unless `spec` is a valid task: its demo scene is legal, and every variant can be drawn again.
 
     Args:
         spec: the object that was found.
@@ -75,11 +96,17 @@ def check_spec(spec: Any, task: str) -> None:
         for rules in RULES:
             spec.checked_score(spec.demo, spec.demo, rules)
         for variant in variants_of(spec):
-            check_drawn(spec, variant, 0, vary(spec, variant, 0))
+            drawn = vary(spec, variant, 0)
+            check_drawn(spec, variant, 0, drawn)
+            if vary(spec, variant, 0) != drawn:
+                raise TaskError(
+                    f"{spec.name}-{variant} draws different scenes for one seed: its rules must use no random numbers "
+                    "except those of the generator that they are given"
+                )
     except TaskError:
         raise
     except MagicalError as error:
-        raise TaskError(f"{task} cannot be played: {error}") from error
+        raise TaskError(f"{task} cannot be played: {error}{_place(error)}") from error
     except Exception as error:
         raise TaskError(f"{task} cannot be played: {_with_place(error)}") from error
 
@@ -95,7 +122,18 @@ def check_drawn(spec: TaskSpec, variant: str, seed: int, scene: Scene) -> None:
 
 
 def _with_place(error: BaseException) -> str:
-    """The error's type, message and place in the user's files."""
-    place = extract_tb(error.__traceback__)[-1]
-    where = "" if isinstance(error, SyntaxError) else f" ({place.filename}, line {place.lineno})"
+    """The error's type, message and place."""
+    where = "" if isinstance(error, SyntaxError) else _place(error)  # whose message names the place
     return f"{type(error).__name__}: {error}{where}"
+
+
+def _place(error: BaseException) -> str:
+    """The last place from which the error came that is neither in this package nor in Python, if there is one."""
+    frames = [frame for frame in extract_tb(error.__traceback__) if _is_theirs(frame.filename)]
+    return f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
+
+
+def _is_theirs(file: str) -> bool:
+    if file.startswith((_PACKAGE, "<")):
+        return False
+    return "site-packages" in Path(file).parts or not file.startswith(_STANDARD_LIBRARY)

@@ -62,7 +62,10 @@ class EnvironmentSettings:
             return self.scene
         if self.task is None:
             raise InvalidSceneError("without a task there must be a magical_mj.Scene")
-        return sample_scene(self.task, self.variant, seed)
+        scene = sample_scene(self.task, self.variant, seed)
+        if "state" in self.observations:
+            StateEncoder(scene)  # while the present episode can still go on
+        return scene
 
     @property
     def horizon(self) -> int | None:

@@ -38,7 +38,7 @@ def as_number(owner: object, name: str, value: Any) -> float:
 
 
 def as_tuple(value: Any, need: str, count: int | None = None) -> tuple[Any, ...]:
-    """`value` as a tuple. It may be any sequence except a string; mappings are not accepted.
+    """`value` as a tuple. It may be any sequence except a string; mappings and sets, which have no order, may not.
 
     Args:
         value: what was given.
@@ -49,7 +49,7 @@ def as_tuple(value: Any, need: str, count: int | None = None) -> tuple[Any, ...]
         InvalidSceneError: if it is not a sequence, or has another length.
     """
     try:
-        found = None if isinstance(value, str | bytes | Mapping) else tuple(value)
+        found = None if isinstance(value, str | bytes | Mapping | set | frozenset) else tuple(value)
     except TypeError:  # also raised by 0-d arrays, which look like sequences
         found = None
     if found is None or count not in (None, len(found)):

@@ -90,7 +90,7 @@ class Stacks:
         if made.layout == "dict":
             self._stacks = {view: FrameStack(((view, count),), size) for view, count in made.frames}
         elif made.layout != "state":
-            name = "+".join(f"{view}{count}" for view, count in made.frames)
+            name = "+".join(f"{view}{count}" for view, count in made.frames) + ("-chw" if made.layout == "chw" else "")
             self._stacks = {name: FrameStack(made.frames, size, channels_first=made.layout == "chw")}
 
     @property

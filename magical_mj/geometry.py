@@ -27,8 +27,8 @@ Outline = NDArray[np.float64]
 OVERLAP_TOLERANCE: Final = 0.04
 """How deep (world units) solid parts may overlap in a scene that a user gives: contacts are a little soft."""
 
-MAX_ANGLE: Final = 1e9
-"""The largest angle (rad) that a scene may hold. Angles of this size are still exact to 1e-7."""
+MAX_ANGLE: Final = 500.0
+"""The largest angle (rad) that a scene may hold: with what an episode adds, it stays within the bounds of states."""
 
 
 class Part(NamedTuple):

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from magical_mj.actions import ACTIONS, to_discrete, to_vector
 from magical_mj.errors import InvalidActionError, SettingsError
+from magical_mj.registry import task_spec
 
 
 def continuous_space() -> spaces.Space[NDArray[np.float32]]:
@@ -50,10 +51,6 @@ class ContinuousActions(gymnasium.ActionWrapper[Any, NDArray[np.float32], Any], 
     to_vector = staticmethod(to_vector)
 
 
-def _registered(spec: EnvSpec | None) -> EnvSpec | None:
-    return gymnasium.registry.get(spec.id) if spec else None
-
-
 class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
     """Reports the score at the last step, also if `max_episode_steps` ends episodes before the task's horizon.
 
@@ -72,8 +69,8 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         self._world: Any = getattr(self.unwrapped, "dm_env", None)
         if self._world is None:
             raise SettingsError(f"ScoreAtTheEnd wraps the environments of magical_mj, not {self.unwrapped}")
-        asked, registered = ((spec.max_episode_steps or 0) if spec else 0 for spec in (env.spec, _registered(env.spec)))
-        if asked > self._world.horizon and asked != registered:
+        asked = (env.spec.max_episode_steps or 0) if env.spec else 0
+        if asked > max(self._world.horizon, task_spec(self._world.task.settings.task).horizon()):
             raise SettingsError(
                 f"max_episode_steps={asked} is more than the {self._world.horizon} steps after which every episode of "
                 f"{self._world.task.settings.task} ends; give a smaller number, or none for the task's own"

@@ -40,7 +40,11 @@ def test_every_integer_type_and_the_triples_are_taken(action: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "action", [18, -1, 1.5, 1.0, None, "3", True, np.True_, [3], np.array([3, 4]), np.array(1.0), [10**5000]]
+    "action",
+    [
+        *(18, -1, 1.5, 1.0, None, "3", True, np.True_, [3], np.array([3, 4]), np.array(1.0), [10**5000]),
+        *(Action(*parts) for parts in ((0, 0, -1), (0, 2, 3), (1, 3, 0), (0, 0, None))),
+    ],
 )
 def test_anything_else_is_refused(action: Any) -> None:
     with pytest.raises(InvalidActionError, match=r"is not an action: actions are the integers 0\.\.17"):

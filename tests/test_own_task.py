@@ -169,5 +169,6 @@ def test_rules_can_be_exchanged_for_ones_own() -> None:
     from magical_mj.variants import vary
 
     spec = code["SPEC"]
-    assert vary(spec, "Shape", 0).dynamics.block_friction_force > 1.5  # type: ignore[arg-type]
+    for variant in ("Shape", "All"):  # in All after the dynamics were drawn
+        assert all(vary(spec, variant, seed).dynamics.block_friction_force > 1.5 for seed in range(6))  # type: ignore[arg-type]
     assert vary(spec, "Colour", 0).dynamics.block_friction_force == 1.5  # type: ignore[arg-type]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,7 +14,8 @@ import numpy as np
 import pytest
 
 from magical_mj import load
-from magical_mj.errors import SettingsError, TaskError, UnknownNameError
+from magical_mj.errors import InvalidSceneError, SettingsError, TaskError, UnknownNameError
+from magical_mj.planning import Noise
 from magical_mj.registration import env_id
 from magical_mj.registry import ENVIRONMENTS, environments, sample_scene, score, task_name, task_spec
 
@@ -53,6 +55,8 @@ def test_a_reference_to_a_task_with_a_name_is_that_task() -> None:
 
 MINE = """
 from dataclasses import replace
+import numpy as np
+from magical_mj.planning import Subgoal
 from magical_mj.scene import Robot
 from magical_mj.tasks.match_regions import SPEC as OURS
 
@@ -70,6 +74,14 @@ WRONG_ERROR = replace(GOOD, check=lambda scene: 1 / 0)
 NO_SCENE = replace(GOOD, colour=lambda rng, scene: None)
 MOVED = replace(GOOD, colour=lambda rng, scene: scene.moved(blocks=[(0, 0, 0)] * len(scene.blocks)))
 LATER = replace(GOOD, score=lambda initial, final, rules: 2.0 if final.robot != initial.robot else 0.0)
+ROUNDED = replace(GOOD, score=lambda initial, final, rules: 0.05 + 0.55 + 0.3 + 0.1)
+PURPLE = replace(GOOD, colour=lambda rng, scene: replace(scene, blocks=(replace(scene.blocks[0], colour="purple"),)))
+CHANCE = replace(GOOD, colour=lambda rng, scene: OURS.colour(np.random.default_rng(), scene))
+NOWHERE = replace(GOOD, plan=lambda initial, now, noise: None)
+PAIRS = replace(GOOD, plan=lambda initial, now, noise: [(0, (0.0, 0.0))])
+BEYOND = replace(GOOD, plan=lambda initial, now, noise: [Subgoal(99, (0.0, 0.0))])
+MANY = lambda rng, scene: replace(scene, blocks=scene.blocks[:1] * (20 - int(rng.integers(8, 13))))
+CROWDED = replace(GOOD, count=MANY)
 RARELY = replace(GOOD, colour=lambda rng, scene: replace(scene, regions=()) if rng.random() < 0.1 else scene)
 (REGION,) = DEMO.regions
 STUCK = replace(GOOD, demo=DEMO.moved(robot=(REGION.x_min - 0.05, REGION.y_max - 0.3, 0.0)))
@@ -113,6 +125,8 @@ def test_tasks_of_ones_own_are_played_by_reference(mine: str) -> None:
         ("NO_RULES", r"mine.*:NO_RULES cannot be played: TypeError: .*takes 2 positional arguments but 3 were given"),
         ("YES", "Mine.check must raise InvalidSceneError or return None, not True"),
         ("WRONG_ERROR", r"cannot be played: ZeroDivisionError: division by zero \(.*mine_.*, line \d+\)"),
+        ("PURPLE", r"Block.colour is 'purple'; it must be one of .* \(.*mine_.*, line \d+\)"),
+        ("CHANCE", "Mine-Colour draws different scenes for one seed: its rules must use no random numbers except"),
         ("NO_SCENE", "Mine.colour must return a magical_mj.Scene, not None"),
         ("MOVED", "no episode of Mine can start in the scene of Colour that seed 0 draws: block 0 and block 1 overlap"),
         ("STUCK", "cannot be played: found no room for Robot.*let nothing stick out into a region in which its centre"),
@@ -135,6 +149,45 @@ def test_later_scores_and_scenes_of_ones_own_are_checked_too(mine: str) -> None:
         TaskError, match=r"no episode of Mine can start in the scene of Colour that seed \d+ draws: this"
     ):
         [sample_scene(f"{mine}:RARELY", "Colour", seed) for seed in range(100)]
+
+
+def test_a_scene_that_does_not_fit_the_state_vector_ends_no_episode(mine: str) -> None:
+    env = gymnasium.make(env_id(f"{mine}:CROWDED", "CountPlus", "State"))
+    seeds = [seed for seed in range(8) if len(sample_scene(f"{mine}:CROWDED", "CountPlus", seed).blocks) > 10]
+    assert 0 < len(seeds) < 8
+    env.reset(seed=min(set(range(8)) - set(seeds)))
+    env.step(1)
+    with pytest.raises(InvalidSceneError, match="the state vector holds 10 blocks"):
+        env.reset(seed=seeds[0])
+    env.step(1)
+
+
+def test_rounding_makes_no_score_invalid(mine: str) -> None:
+    scene = sample_scene(f"{mine}:ROUNDED", "Demo", 0)
+    assert 0.05 + 0.55 + 0.3 + 0.1 > 1
+    assert score(f"{mine}:ROUNDED", scene, scene) == 1
+
+
+@pytest.mark.parametrize(("name", "returned"), [("NOWHERE", "None"), ("PAIRS", r"\(0, "), ("BEYOND", "Subgoal")])
+def test_plans_of_ones_own_are_checked(mine: str, name: str, returned: str) -> None:
+    spec = task_spec(f"{mine}:{name}")
+    with pytest.raises(
+        TaskError, match=rf"Mine.plan must return Subgoals of .* blocks 0 to \d, and returned {returned}"
+    ):
+        spec.subgoals(spec.demo, spec.demo, Noise(np.random.default_rng(0), 0.0))
+
+
+def test_a_task_that_was_edited_and_reloaded_is_the_new_one(mine: str) -> None:
+    good = f"{mine}:GOOD"
+    assert load(good).horizon == task_spec("MatchRegions").steps
+    file = Path(f"{mine}.py")
+    file.write_text(MINE.replace('name="Mine"', 'name="Mine", steps=17'))
+    importlib.reload(sys.modules[mine])
+    assert load(good).horizon == 17
+    file.write_text(MINE.replace('name="Mine"', 'name="Mine", score=lambda initial, final, rules: 2.0'))
+    importlib.reload(sys.modules[mine])
+    with pytest.raises(TaskError, match=r"and returned 2\.0"):
+        load(good)
 
 
 def test_a_robot_that_belongs_in_a_region_stays_there(mine: str) -> None:
@@ -170,7 +223,7 @@ def test_what_is_no_task_is_refused(task: Any, message: str) -> None:
         ({"steps": 0}, "must be an integer above 0, not 0"),
         ({"released_steps": 1.5}, "must be an integer above 0, not 1.5"),
         ({"region_size": (0.0, 0.0)}, "region_size must be the least and greatest side"),
-        ({"region_size": (0.8, 0.5)}, "region_size must be the least and greatest side"),
+        ({"region_size": (0.8, 0.5)}, r"region_size must be the least and greatest side .*, not \(0.8, 0.5\)"),
         ({"region_size": 0.5}, "region_size must be the least and greatest side"),
         ({"region_size": (0.5, 0.7)}, r"region_size is \(0.5, 0.7\); the sides in its demo must be within: 0.67, 0.72"),
         ({"layout": False}, "FindDupe.count needs layouts, which place the blocks that it adds"),

@@ -144,6 +144,7 @@ def test_a_region_contains_centres_borders_included() -> None:
         (Scene, ((0, 0, 0),), "needs a Robot"),
         (Scene, (Robot(0, 0, 0), [Robot(0, 0, 0)]), "needs a Block"),
         (Scene, (Robot(0, 0, 0), (), "red"), "must be a sequence of GoalRegion"),
+        (Scene, (Robot(0, 0, 0), {Block("star", "red", 0, 0, 0)}), "must be a sequence of Block"),
         (SCENE.moved, (None, [(0, 0, 0)]), "2 blocks need 2 poses, not"),
         (SCENE.moved, ((0, 0),), "a pose is"),
         (SCENE.moved, (5,), "a pose is"),

@@ -10,7 +10,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import magical_mj
-from magical_mj.errors import InvalidActionError, UnknownNameError
+from magical_mj.errors import InvalidActionError, SettingsError, UnknownNameError
+from magical_mj.registry import task_spec
 from magical_mj.wrappers import ContinuousActions
 
 ID = "magical_mj/FixColour-Demo-State-v0"
@@ -85,3 +86,15 @@ def test_only_discrete_environments_are_wrapped() -> None:
         ContinuousActions(made())
     with pytest.raises(UnknownNameError, match="continuous"):
         gymnasium.make(ID, action="continous")
+
+
+def test_the_released_horizon_is_kept_where_the_id_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in the processes of asynchronous vectors for tasks that are given by reference."""
+    name = magical_mj.env_id("ClusterShape", "Demo", "State")
+    spec = gymnasium.spec(name)
+    monkeypatch.delitem(gymnasium.registry, name)
+    env = gymnasium.make(spec, rules="released")
+    assert env.spec is not None
+    assert env.spec.max_episode_steps == task_spec("ClusterShape").released_steps != spec.max_episode_steps
+    with pytest.raises(SettingsError, match="max_episode_steps=999 is more than"):
+        gymnasium.make(spec, max_episode_steps=999)

@@ -75,7 +75,7 @@ class TaskSpec:
 
     def __post_init__(self) -> None:
         """Checks the types and ranges of all fields; raises `TaskError`."""
-        if not (isinstance(self.name, str) and self.name.isascii() and self.name.isalnum()):
+        if not is_task_name(self.name):
             raise TaskError(f"the name of a task must be made of letters and digits, not {shown(self.name)}")
         kinds = {"demo": Scene, "summary": str, "demonstrations": Path | str | None, "layout": bool}
         for part, kind in kinds.items():
@@ -87,7 +87,10 @@ class TaskSpec:
                 raise TaskError(f"the steps of {self.name} must be an integer above 0, not {shown(steps)}")
         low, high = self.region_size if _are_numbers(self.region_size, 2) else (1.0, 0.0)
         if not 0 <= low <= high <= 2 * ARENA_HALF_WIDTH or (self.demo.regions and not low):
-            raise TaskError(f"{self.name}.region_size must be the least and greatest side of its goal regions, above 0")
+            raise TaskError(
+                f"{self.name}.region_size must be the least and greatest side of its goal regions, above 0, not "
+                f"{shown(self.region_size)}"
+            )
         sides = [side for region in self.demo.regions for side in (region.height, region.width)]
         if not all(low - _ROUNDING <= side <= high + _ROUNDING for side in sides):
             found = ", ".join(f"{side:g}" for side in sides)
@@ -110,30 +113,45 @@ class TaskSpec:
         return self.steps
 
     def checked_score(self, initial: Scene, final: Scene, rules: Rules) -> float:
-        """What `score` returns, which must be a number in [0, 1].
+        """What `score` returns, which must be a number in [0, 1] up to rounding; what rounding adds is cut off.
 
         Raises:
             TaskError: if it is anything else.
         """
         score: Any = self.score(initial, final, rules)
-        if not isinstance(score, int | float | np.number) or not 0.0 <= score <= 1.0:
+        if not isinstance(score, int | float | np.number) or not -_ROUNDING <= score <= 1.0 + _ROUNDING:
             raise TaskError(f"{self.name}.score must return a number in [0, 1], and returned {shown(score)}")
-        return float(score)
+        return min(max(float(score), 0.0), 1.0)
 
     def subgoals(self, initial: Scene, now: Scene, noise: Noise, rules: Rules = "paper") -> tuple[Subgoal, ...]:
         """The remaining subgoals; none if the task is solved by these rules.
 
         Raises:
-            TaskError: if the task has no plan.
+            TaskError: if the task has no plan, or it returns anything else.
         """
         plan = self.check_plan()
-        return () if self.checked_score(initial, now, rules) == 1.0 else tuple(plan(initial, now, noise))
+        if self.checked_score(initial, now, rules) == 1.0:
+            return ()
+        returned: Any = plan(initial, now, noise)
+        todo = tuple(returned) if isinstance(returned, Iterable) else (returned,)
+        for subgoal in todo:
+            if not isinstance(subgoal, Subgoal) or subgoal.block not in (None, *range(len(now.blocks))):
+                raise TaskError(
+                    f"{self.name}.plan must return Subgoals of the robot (None) or of blocks 0 to "
+                    f"{len(now.blocks) - 1}, and returned {shown(subgoal)}"
+                )
+        return todo
 
     def check_plan(self) -> Plan:
         """The plan; raises `TaskError` if there is none."""
         if self.plan is None:
             raise TaskError(f"{self.name} has no plan, so no expert can play it; give its TaskSpec one")
         return self.plan
+
+
+def is_task_name(name: Any) -> bool:
+    """Whether tasks may be called so: letters and digits, as ids and names of files need."""
+    return isinstance(name, str) and name.isascii() and name.isalnum()
 
 
 def _are_numbers(values: Any, count: int) -> bool:

@@ -22,8 +22,8 @@ MAX_SHAPE_DRAWS: Final = 1_000
 def vary(spec: TaskSpec, variant: str, seed: int) -> Scene:
     """The scene in which `variant` of the task starts, for a seed of any size.
 
-    Each axis has its own random generator, so that adding a draw to one axis never changes another.
-    Counts are drawn first, since the other axes depend on them, and poses last.
+    Each axis has its own random generator, so that adding a draw to one axis never changes another. Dynamics are
+    drawn first, since a task's rules may change them, then counts, on which the other axes depend, and poses last.
 
     Raises:
         UnknownNameError: if the task has no such variant.
@@ -34,6 +34,8 @@ def vary(spec: TaskSpec, variant: str, seed: int) -> Scene:
     seed = check_seed(seed)
     rngs = {axis: _generator(spec.name, axis, seed) for axis in varied_axes(spec, variant)}
     scene = spec.demo
+    if "dynamics" in rngs:
+        scene = replace(scene, dynamics=draw_dynamics(rngs["dynamics"]))
     if "count" in rngs:
         scene = _draw(spec, "count", rngs["count"], scene)
     if "colour" in rngs:
@@ -41,8 +43,6 @@ def vary(spec: TaskSpec, variant: str, seed: int) -> Scene:
     if "shape" in rngs:
         draw_shapes = _draw if "jitter" in rngs or "layout" in rngs else _draw_until_it_fits
         scene = draw_shapes(spec, "shape", rngs["shape"], scene)
-    if "dynamics" in rngs:
-        scene = replace(scene, dynamics=draw_dynamics(rngs["dynamics"]))
     if "jitter" in rngs:
         scene = jitter(spec, scene, rngs["jitter"])
     if "layout" in rngs:
