@@ -91,10 +91,12 @@ def _ended(result: Any) -> bool:
 
 
 def begin(policy: Callable[[Any], Any], episode: Episode) -> None:
-    """Calls the policy's `reset`, if it has one."""
-    reset = getattr(policy, "reset", None)
+    """Calls the policy's `reset`, if it has one, or else its `reset_batch`."""
+    reset, reset_batch = (getattr(policy, name, None) for name in ("reset", "reset_batch"))
     if reset is not None:
         reset(episode)
+    elif reset_batch is not None:
+        reset_batch([episode])
 
 
 def is_blind(policy: object) -> bool:

@@ -73,6 +73,14 @@ def lock(file: IO[Any]) -> bool:
     return True
 
 
+def unlock(file: IO[Any]) -> None:
+    """Unlocks an open file. Closing it is not enough if a process that was forked meanwhile still holds it open."""
+    with suppress(ImportError):  # on Windows
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_UN)
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """The content of a TOML file.
 

@@ -122,12 +122,13 @@ def run(command: list[str], done: Path) -> str:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("out/batched"))
+    parser.add_argument("--out", type=Path, help="default: out/batched, or out/rehearsal")
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--only", help="the name of one part")
     parser.add_argument("--rehearse", action="store_true", help="do as little as possible in each part")
     parser.add_argument("--list", action="store_true", help="print the names of all parts")
     chosen = parser.parse_args()
+    chosen.out = chosen.out or Path("out/rehearsal" if chosen.rehearse else "out/batched")
     every = parts(chosen.device, chosen.out, REHEARSAL if chosen.rehearse else FULL)
     if chosen.list:
         print("\n".join(every))

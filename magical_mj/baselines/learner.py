@@ -12,10 +12,11 @@ from typing import Any, Final
 import torch
 
 from magical_mj.baselines.network import Actor
-from magical_mj.baselines.policy import TrainedPolicy, one_thread, save_policy
+from magical_mj.baselines.policy import TrainedPolicy, save_policy
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.episodes import Policy
 from magical_mj.errors import SettingsError
+from magical_mj.evaluation.models import one_thread
 
 UNUSABLE: Final = {"mps": "has no numbers of 64 bits", "meta": "holds no numbers"}
 """Types of devices that PyTorch knows, and why nothing can be learnt on them."""

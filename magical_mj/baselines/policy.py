@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
@@ -18,6 +17,7 @@ from magical_mj.baselines.settings import STATE, Network, TrainingSettings
 from magical_mj.baselines.states import History
 from magical_mj.episodes import Episode
 from magical_mj.errors import SettingsError, TrainingError
+from magical_mj.evaluation.models import one_thread
 from magical_mj.observations import STATE_NAMES
 
 POLICY: Final = "policy.safetensors"
@@ -73,17 +73,6 @@ class TrainedPolicy:
     def __call__(self, observation: NDArray[Any]) -> int:
         """An action, for a stack of shape (96, 96, 12) or a state of shape (names,)."""
         return int(self.act_batch(observation[None])[0])
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """A context in which PyTorch uses one thread: sums depend on how they are split, and workers share the cores."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def save_policy(folder: Path, actor: Actor, settings: TrainingSettings) -> None:

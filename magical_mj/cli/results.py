@@ -77,9 +77,11 @@ def make_comparison(a: Side, b: Side) -> None:
 
 def film_episodes(chosen: Sequence[tuple[str, Score]], out: Path) -> dict[str, str]:
     """Makes videos of episodes, each given with a word such as "best"; returns description -> file name."""
-    links = {}
+    links: dict[str, str] = {}
     for which, score in chosen:
         name = f"{which}-{score.policy}-{score.task}.mp4".replace("/", "-")
+        if name in links.values():  # of a method called a-b after one called a/b
+            name = f"{len(links)}-{name}"
         with film(out / name, FILM_SIZE, FILM_SPEED) as made:
             replay(made, score)
         links[

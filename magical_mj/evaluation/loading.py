@@ -32,19 +32,35 @@ class Source:
         run: the number of the run of the method.
         origin: a built-in's name, ``module:object``, a file, a folder, or the policy itself.
         trust: whether files that hold code may be loaded.
+        digest: the hash that the policy's file must have; None: any.
     """
 
     name: str
     run: int
     origin: Any
     trust: bool = False
+    digest: str | None = None
 
     def load(self) -> Act:
         """The policy.
 
         Raises:
-            SettingsError: if there is no such policy, or it is invalid.
+            SettingsError: if there is no such policy, it is invalid, or its file is not the expected one any more.
         """
+        was_imported = isinstance(self.origin, str) and source_of(self.origin) is not None
+        policy = self._load()
+        if self.digest is not None and not was_imported and self.digest not in self._hash().values():
+            raise SettingsError(
+                f"{self.origin} was changed while it was evaluated, so that its scores would be of two policies: "
+                "evaluate a copy"
+            )
+        return policy
+
+    def fixed(self) -> Source:
+        """This policy as it is now, after it was loaded: if its file changes later, `load` refuses it."""
+        return replace(self, digest=next(iter(self._hash().values()), None))
+
+    def _load(self) -> Act:
         if not isinstance(self.origin, str):
             return self.origin
         if self.origin in AGENTS:
@@ -63,12 +79,15 @@ class Source:
     def describe(self) -> dict[str, Any]:
         """The facts about the policy that must be the same when an evaluation is resumed."""
         origin = self.origin if isinstance(self.origin, str) else f"a Python object: {type(self.origin).__qualname__}"
-        described = {"name": self.name, "run": self.run, "origin": origin}
+        return {"name": self.name, "run": self.run, "origin": origin, **self._hash()}
+
+    def _hash(self) -> dict[str, str]:
+        """The hash of the policy's file ("sha256") or of its module's ("code"); nothing if there is none."""
         if not isinstance(self.origin, str) or self.origin in AGENTS:
-            return described
+            return {}
         policy = self._file()
         what, file = ("sha256", policy) if policy is not None else ("code", source_of(self.origin))
-        return described if file is None else {**described, what: hashlib.sha256(file.read_bytes()).hexdigest()}
+        return {} if file is None else {what: hashlib.sha256(file.read_bytes()).hexdigest()}
 
     def _file(self) -> Path | None:
         """The file that holds the policy, if there is one."""

@@ -11,7 +11,8 @@ from __future__ import annotations
 import io
 import json
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -58,14 +59,25 @@ class Model:
         return self._act(observation[None])[0]
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """A context in which PyTorch uses one thread: sums depend on how they are split, and workers share the cores."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 def load_sb3(path: Path, trust: bool = False) -> Model:
     """The policy of a stable-baselines3 archive; it acts deterministically."""
     try:
-        import stable_baselines3  # noqa: F401
-        import torch
+        import stable_baselines3  # noqa: F401  (which needs PyTorch)
     except ModuleNotFoundError:
         raise MissingExtraError(f"{path} needs stable-baselines3: pip install stable-baselines3") from None
-    torch.set_num_threads(1)  # sums depend on how they are split, and workers share the cores
     data, weights = _content(path)
     try:
         policy = _trusted(path) if trust else _rebuilt(path, data, weights)
@@ -106,11 +118,13 @@ def _named(values: Any) -> dict[str, Any]:
 
 def _best_actions(policy: Any, observations: Any) -> Any:
     """Shape (n,)."""
-    if not hasattr(policy, "get_distribution"):
-        return policy.predict(observations, deterministic=True)[0]
     import torch
 
-    with torch.no_grad():
+    if not hasattr(policy, "get_distribution"):
+        with one_thread():
+            return policy.predict(observations, deterministic=True)[0]
+
+    with torch.no_grad(), one_thread():
         chosen = policy.get_distribution(policy.obs_to_tensor(observations)[0])
         _check_numbers(chosen.distribution.logits.cpu().numpy())
         return chosen.get_actions(deterministic=True).cpu().numpy()

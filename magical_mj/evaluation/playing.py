@@ -22,7 +22,14 @@ from numpy.typing import NDArray
 from magical_mj.actions import action_number
 from magical_mj.episodes import Episode, begin, is_blind, word_of
 from magical_mj.episodes import play as play_actions
-from magical_mj.errors import EvaluationError, RenderingError, SettingsError
+from magical_mj.errors import (
+    EvaluationError,
+    InvalidSceneError,
+    PlacementError,
+    RenderingError,
+    SettingsError,
+    TaskError,
+)
 from magical_mj.evaluation.policies import BatchPolicy
 from magical_mj.registration import env_id
 from magical_mj.rendering.backend import check_opengl
@@ -83,13 +90,14 @@ def play(world: World, policy: Act, episode: Episode) -> Outcome:
         episode: the episode. Policies that use no observations get the environment in it.
 
     Raises:
-        RenderingError: if no pictures can be drawn on this machine, which is not the policy's fault.
+        RenderingError, TaskError: if no pictures can be drawn on this machine, or the task has no scene for the seed
+            or an invalid score, which is not the policy's fault.
     """
     start = time.perf_counter()
     actions: list[int] = []
     score, failure = 0.0, None
     try:
-        observation = _observation(world.reset(seed=episode.seed))
+        observation = _observation(_reset(world, episode.seed))
         begin(policy, replace(episode, env=simulation(world)) if is_blind(policy) else episode)
 
         def answers() -> Iterator[int]:
@@ -100,11 +108,19 @@ def play(world: World, policy: Act, episode: Episode) -> Outcome:
             actions.append(action)
             observation = _observation(result)
         score = simulation(world).score()
-    except RenderingError:
+    except (RenderingError, TaskError):
         raise
     except (Exception, SystemExit) as error:  # noqa: BLE001 a policy may raise anything
         failure = reason(error)
     return Outcome(score, word_of(actions), time.perf_counter() - start, failure)
+
+
+def _reset(world: World | Envs, seed: Any) -> Any:
+    """What `reset` returns; raises a `TaskError` if no episode can start in the scene of a seed."""
+    try:
+        return world.reset(seed=seed)
+    except (InvalidSceneError, PlacementError) as error:
+        raise TaskError(f"no episode can start in the scene of seed {seed}: {error}") from error
 
 
 def _observation(result: Any) -> Any:
@@ -114,7 +130,11 @@ def _observation(result: Any) -> Any:
 
 def reason(error: BaseException) -> str:
     """One line about an error, which can be encoded: Python shows bytes of file names as characters that cannot."""
-    text = " ".join(f"{type(error).__name__}: {error}".split())
+    try:
+        said = str(error)
+    except Exception:  # noqa: BLE001 a policy's exceptions may be broken, too
+        said = "an error without a message"
+    text = " ".join(f"{type(error).__name__}: {said}".split())
     return text.encode(errors="backslashreplace").decode()[:REASON_LENGTH]
 
 
@@ -154,7 +174,7 @@ def rollouts(
         episodes: the episodes, which hold the seeds of the scenes.
 
     Raises:
-        RenderingError: if no pictures can be drawn on this machine.
+        RenderingError, TaskError: see `play`.
         SettingsError: if the policy must be copied, and cannot be.
     """
     if isinstance(env, gymnasium.vector.VectorEnv):
@@ -175,8 +195,7 @@ def play_side_by_side(envs: Envs, policy: BatchPolicy, episodes: Sequence[Episod
     taken: list[NDArray[np.int64]] = []
     scores, failure = np.zeros(count), None
     try:
-        seeds: Any = [episode.seed for episode in padded]  # the base class is annotated for one seed
-        observations, _ = envs.reset(seed=seeds)
+        observations, _ = _reset(envs, [episode.seed for episode in padded])
         policy.reset_batch(padded)
 
         def answers() -> Iterator[Any]:
@@ -191,7 +210,7 @@ def play_side_by_side(envs: Envs, policy: BatchPolicy, episodes: Sequence[Episod
             if ended.any() and not ended.all():
                 raise EvaluationError("the vector holds environments whose episodes differ in length")
             scores = info.get("final_info", info).get("eval_score", scores)
-    except (RenderingError, EvaluationError):
+    except (RenderingError, TaskError, EvaluationError):
         raise
     except (Exception, SystemExit) as error:  # noqa: BLE001 a policy may raise anything
         failure, scores = reason(error), np.zeros(count)

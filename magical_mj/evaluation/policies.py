@@ -38,6 +38,7 @@ def check_fit(policy: object, pairs: Sequence[tuple[str, str]], preset: str) -> 
     if made_for != preset:
         raise SettingsError(f"the policy was trained on the preset {made_for}, not {preset}: give --preset {made_for}")
     tasks = getattr(policy, "tasks", None)
+    tasks = (tasks,) if isinstance(tasks, str) else tasks
     others = sorted({task for task, _ in pairs} - set(tasks)) if tasks is not None else []
     if others:
         raise SettingsError(f"the policy cannot act in {', '.join(others)}: give --tasks {','.join(tasks or ())}")

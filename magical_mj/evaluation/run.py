@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -17,7 +17,7 @@ from magical_mj.errors import EvaluationError, SettingsError, WorkerError
 from magical_mj.evaluation.loading import Source, sources
 from magical_mj.evaluation.playing import reason
 from magical_mj.evaluation.policies import check_fit
-from magical_mj.evaluation.scores import SCORES, Score, ScoreFile, frame, prepare, read
+from magical_mj.evaluation.scores import SCORES, Key, Score, ScoreFile, frame, prepare, read
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings, described, settings_from
 from magical_mj.evaluation.worker import Unit, plan, play_unit, player
 from magical_mj.extras import check_extra
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 STEPS_PER_WORKER: Final = 2000
-"""The least number of episodes per process: for fewer, starting it would take longer than playing them."""
+"""The least number of actions per process: for fewer, starting it would take longer than playing them."""
 FIRST_EPISODES: Final = 10
-"""If this many first episodes of a policy all fail with the same type of error, the evaluation stops."""
+"""If this many planned episodes of a policy, its first ones, fail with the same type of error, the evaluation stops."""
 
 
 def evaluate(policy: Any, *, watch: Callable[[Score], None] = lambda _: None, **settings: Any) -> pd.DataFrame:
@@ -49,6 +49,7 @@ def evaluate(policy: Any, *, watch: Callable[[Score], None] = lambda _: None, **
         SettingsError, UnknownNameError: if a setting is invalid, or differs from those of a resumed evaluation.
         EvaluationError: if the folder holds something else, a worker dies repeatedly, or the first episodes of a
             policy all fail.
+        TaskError: if a task of another package has no scene for a seed, or an invalid score.
         MissingExtraError: if an extra is not installed.
     """
     evaluation = Evaluation(policy, settings_from(settings))
@@ -97,7 +98,7 @@ class Evaluation:
         self._out = None if settings.out is None else Path(settings.out)
         recorded = {"policies": [source.describe() for source in listed], **settings.recorded()}
         self.scores = [] if self._out is None else prepare(self._out, recorded, settings.resume)
-        self._sources = listed
+        self._sources = [source.fixed() for source in listed]
         self.units = self._remaining()
 
     def play(self) -> Iterator[Score]:
@@ -106,7 +107,8 @@ class Evaluation:
             if self._out and (self._out / SCORES).stat().st_size:
                 self.scores = read(self._out)  # to which another process may have added some by now
             self.units = self._remaining()
-            for found in _without_hopeless(self._play_units(), {(score.policy, score.run) for score in self.scores}):
+            fine = {(score.policy, score.run) for score in self.scores}
+            for found in _without_hopeless(self._play_units(), fine, self._first_episodes()):
                 _check_versions(found)
                 if file is not None:
                     file.add(found)
@@ -115,6 +117,14 @@ class Evaluation:
 
     def _remaining(self) -> list[Unit]:
         return plan(self._sources, self.settings, {score.key for score in self.scores})
+
+    def _first_episodes(self) -> dict[tuple[str, int], list[Key]]:
+        """The first remaining episodes of each policy."""
+        first: dict[tuple[str, int], list[Key]] = defaultdict(list)
+        for unit in self.units:
+            name, run = unit.source.name, unit.source.run
+            first[name, run] += [(name, run, unit.task, unit.variant, seed) for seed in unit.seeds]
+        return {policy: keys[:FIRST_EPISODES] for policy, keys in first.items()}
 
     def _play_units(self) -> Iterator[list[Score]]:
         """The scores of all units in order of completion."""
@@ -146,29 +156,31 @@ def _check_pickles(source: Source) -> None:
         ) from error
 
 
-def _without_hopeless(played: Iterable[list[Score]], fine: set[tuple[str, int]]) -> Iterator[list[Score]]:
-    """The scores; those of a policy are held back until one of its episodes succeeds or fails differently.
+def _without_hopeless(
+    played: Iterable[list[Score]], fine: set[tuple[str, int]], first: Mapping[tuple[str, int], list[Key]]
+) -> Iterator[list[Score]]:
+    """The scores; those of a policy are held back until one of its first episodes succeeds or fails differently.
 
     Args:
-        played: scores in order of completion.
+        played: scores in order of completion, which depends on the number of workers.
         fine: names and runs of the policies whose scores are not held back.
+        first: the first planned episodes of each policy, which therefore decide.
 
     Raises:
-        EvaluationError: if all first episodes of a policy fail with the same type of error. They are not yielded.
+        EvaluationError: if all first episodes of a policy fail with the same type of error. None are yielded.
     """
     held: dict[tuple[str, int], list[Score]] = defaultdict(list)
     for found in played:
         for score in found:
-            key = score.policy, score.run
-            held[key].append(score)
-            if len({_kind(one) for one in held[key]}) > 1 or score.failure is None:
-                fine.add(key)
-            if key in fine:
-                yield held.pop(key)
-            elif len(held[key]) == FIRST_EPISODES:
-                raise _hopeless(held[key])
-    for scores in held.values():
-        raise _hopeless(scores)
+            policy = score.policy, score.run
+            held[policy].append(score)
+            deciding = [one for one in held[policy] if one.key in first[policy]] if policy not in fine else []
+            if len({_kind(one) for one in deciding}) > 1 or any(one.failure is None for one in deciding):
+                fine.add(policy)
+            if policy in fine:
+                yield held.pop(policy)
+            elif len(deciding) == len(first[policy]):
+                raise _hopeless(deciding)
 
 
 def _kind(score: Score) -> str | None:
@@ -178,10 +190,11 @@ def _kind(score: Score) -> str | None:
 
 def _hopeless(scores: list[Score]) -> EvaluationError:
     score, count = scores[0], len(scores)
+    run = f", run {score.run}," if score.run else ""
     which = "the first episode" if count == 1 else f"the first {count} episodes"
     return EvaluationError(
-        f"{which} of {score.policy} failed, so none of them is kept; {score.task} {score.variant}, seed {score.seed}: "
-        f"{score.failure}"
+        f"{which} of {score.policy}{run} failed, so none of them is kept; {score.task} {score.variant}, "
+        f"seed {score.seed}: {score.failure}"
     )
 
 

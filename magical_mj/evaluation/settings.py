@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from importlib.metadata import version
 from numbers import Integral, Real
@@ -136,7 +136,9 @@ def _fitting(name: str, value: Any, kind: Any, about: About) -> Any:
         if value > MOST:
             raise SettingsError(f"{name} must be at most {MOST:g}, not {shown(value)}")
         value = float(value) if kind is float else int(value)
-    elif kind != Names and not isinstance(value, kind):
+    elif kind == Names:
+        value = list(value) if isinstance(value, Iterator) else value  # which is read more than once
+    elif not isinstance(value, kind):
         raise SettingsError(f"{name} must be {getattr(kind, '__name__', kind)}, not {shown(value)}")
     return value
 

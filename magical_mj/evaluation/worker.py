@@ -26,7 +26,7 @@ from magical_mj.registry import sample_scene, task_spec
 T = TypeVar("T")
 
 SEEDS_PER_UNIT: Final = 10
-"""Episodes in a unit. A few seconds of work: a killed run loses little, and the overhead per unit is small."""
+"""About the number of episodes in a unit: a few seconds, so that killed runs lose little, and units cost little."""
 ENVIRONMENTS: Final = ("world", "vector")
 """What a player keeps and must close."""
 
@@ -60,7 +60,8 @@ class Unit:
 def plan(listed: Sequence[Source], settings: EvaluationSettings, done: Collection[Key]) -> list[Unit]:
     """The remaining units, the longest first, so that all workers end at about the same time."""
     units = []
-    size, evaluation = max(SEEDS_PER_UNIT, settings.envs), secrets.token_hex(8)
+    size = settings.envs * max(1, round(SEEDS_PER_UNIT / settings.envs))
+    evaluation = secrets.token_hex(8)
     for task, variant in settings.environments:
         for source in listed:
             seeds = range(settings.episodes)
@@ -150,7 +151,7 @@ class Player:
             return Outcome(0.0, "", settings.time_limit, reason(error))
 
     def _policy_of(self, unit: Unit) -> Act:
-        return self._keep("policy", unit.source, lambda: self._caller.call(unit.source.load, None))
+        return self._keep("policy", _policy_key(unit), lambda: self._caller.call(unit.source.load, None))
 
     def _vector(self, unit: Unit, policy: Act) -> tuple[Envs, BatchPolicy]:
         names = ("envs", "vectorization", "worlds", "device")
@@ -158,7 +159,7 @@ class Player:
         envs = self._keep("vector", key, lambda: _vector_env(unit))
         if isinstance(policy, BatchPolicy):
             return envs, policy
-        return envs, self._keep("copies", (key, unit.source), lambda: Copies(policy, envs))
+        return envs, self._keep("copies", (key, _policy_key(unit)), lambda: Copies(policy, envs))
 
     def _keep(self, what: str, key: Any, make: Callable[[], T]) -> T:
         """The object made for this key; one that was kept for another key is replaced."""
@@ -178,6 +179,11 @@ class Player:
         """Drops environment and policy: an episode that did not end may still be using them."""
         self._kept: dict[str, tuple[Any, Any]] = {}
         self._caller = TimeLimitedCaller()
+
+
+def _policy_key(unit: Unit) -> tuple[str, int]:
+    """Of one policy in the evaluation; policies themselves may not be comparable."""
+    return unit.source.name, unit.source.run
 
 
 def _world_key(unit: Unit, policy: Act) -> tuple[Any, ...]:

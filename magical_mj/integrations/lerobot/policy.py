@@ -22,6 +22,7 @@ from magical_mj.demos.lerobot import (
 )
 from magical_mj.episodes import Episode
 from magical_mj.errors import SettingsError
+from magical_mj.evaluation.models import one_thread
 from magical_mj.observations import FINGERS as WHERE_FINGERS
 from magical_mj.observations import STATE_NAMES
 from magical_mj.registry import task_spec
@@ -45,7 +46,6 @@ class LeRobotPolicy:
     """
 
     def __init__(self, folder: Path) -> None:
-        torch.set_num_threads(1)  # sums depend on how they are split, and workers must not fight for cores
         config = PreTrainedConfig.from_pretrained(folder)
         self._views, self._fingers = _observed(folder, config)
         config.device = "cpu"
@@ -75,7 +75,11 @@ class LeRobotPolicy:
             for view, key in image_keys(self._views).items()
         } or {STATE_VECTOR: torch.from_numpy(seen["state"])[None]}
         batch["observation.state"] = torch.from_numpy(state(fingers))[None]
-        with torch.inference_mode(), torch.random.fork_rng(devices=[]):  # policies draw from torch's own generator
+        with (
+            one_thread(),
+            torch.inference_mode(),
+            torch.random.fork_rng(devices=[]),
+        ):  # policies draw from torch's own generator
             torch.set_rng_state(self._noise)
             action = self._after(self._policy.select_action(self._before({**batch, "task": [self._sentence]})))
             self._noise = torch.get_rng_state()
