@@ -81,6 +81,22 @@ def unlock(file: IO[Any]) -> None:
         fcntl.flock(file, fcntl.LOCK_UN)
 
 
+@contextmanager
+def turn(folder: Path) -> Iterator[None]:
+    """A context that one process at a time enters for a folder, which must exist; others wait. Not on Windows."""
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """The content of a TOML file.
 

@@ -23,6 +23,7 @@ COMMANDS = {  # and the file that the error names
     ("demos", "video", *TASK, "--out", "a.mp4", "--size", "64"): "a.mp4",
     ("demos", "generate", *TASK, "--count", "1", "--out", "mine"): "mine/MoveToRegion-Demo-000.npz",
     ("demos", "export", *TASK, *STATE, "--out", "a.npz"): "a.npz",
+    ("demos", "export", *TASK, "--to", "robomimic", *STATE, "--out", "a.hdf5"): "a.hdf5",
     ("evaluate", "--policy", "noop", *TASK, "--episodes", "3", "--out", "scores"): "scores/scores.jsonl",
     ("train", "bc", *TASK, *STATE, "--set", "bc.batches=200", "--out", "run"): "run/",
 }

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from subprocess import PIPE
 from typing import Any
 
 import numpy as np
@@ -130,6 +131,57 @@ def test_a_full_disk_leaves_what_was_there(demo: Demonstration, minari: Any, tmp
     assert minari.load_dataset(name).total_episodes == 1
     with np.load(tmp_path / "a.npz") as archive:
         assert archive["seeds"].tolist() == [0]
+
+
+def test_a_disk_with_room_for_the_arrays_alone_leaves_what_was_there(
+    demo: Demonstration, minari: Any, tmp_path: Path
+) -> None:
+    """HDF5 would end the process."""
+    ten = [demo] * 10
+    name = demos.to_minari(ten)
+    (written,) = (tmp_path / "sets" / name).rglob("*.hdf5")
+    arrays = sum(10 * part.nbytes for part in (demo.qpos, demo.qvel, demos.observations(demo, "State")))
+    assert arrays < written.stat().st_size
+    with files_of_at_most((arrays + written.stat().st_size) // 2), pytest.raises(OSError, match="sets"):
+        demos.to_minari(ten, overwrite=True)
+    assert minari.load_dataset(name).total_episodes == 10
+
+
+def test_exports_at_the_same_time_take_turns(demo: Demonstration, minari: Any) -> None:
+    program = (
+        "import sys, time, minari; from magical_mj import demos\n"
+        "make = minari.create_dataset_from_buffers\n"
+        "def slowly(**given):\n"
+        "    made = make(**given); print('here', flush=True); sys.stdin.readline(); return made\n"
+        "minari.create_dataset_from_buffers = slowly\n"
+        "demos.to_minari(demos.load('FixColour')[:3], 'both-v0')\n"
+    )
+    first = subprocess.Popen([sys.executable, "-c", program], stdin=PIPE, stdout=PIPE, text=True)
+    assert first.stdout is not None
+    assert first.stdout.readline() == "here\n"
+    second = subprocess.Popen(
+        [sys.executable, "-c", "from magical_mj import demos; demos.to_minari(demos.load('FixColour')[:1], 'both-v0')"],
+        stderr=PIPE,
+        text=True,
+    )
+    with pytest.raises(subprocess.TimeoutExpired):
+        second.wait(8)  # it has no time to write in, and the first one is not disturbed
+    first.communicate("go on\n")
+    assert "there is a data set" in second.communicate()[1]
+    assert (first.returncode, second.returncode) == (0, 1)
+    assert minari.load_dataset("both-v0").total_episodes == 3
+
+
+def test_a_process_that_died_while_it_made_a_new_set_leaves_room_for_another(demo: Demonstration, minari: Any) -> None:
+    program = (
+        "import os, minari; from magical_mj import demos\n"
+        "make = minari.create_dataset_from_buffers\n"
+        "minari.create_dataset_from_buffers = lambda **given: (make(**given), os.kill(os.getpid(), 9))\n"
+        "demos.to_minari(demos.load('FixColour')[:2], 'new-v0')\n"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == -9
+    demos.to_minari([demo], "new-v0")
+    assert minari.load_dataset("new-v0").total_episodes == 1
 
 
 @pytest.mark.parametrize("overwrite", [True, False])

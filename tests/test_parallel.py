@@ -175,3 +175,16 @@ def test_workers_end_with_their_caller(how: signal.Signals, tmp_path: Path) -> N
             wait_for(lambda: not running(folder), 10)
         finally:
             caller.kill()  # else `with` waits for it
+
+
+class Unreadable:
+    """Can be sent, and not be read."""
+
+    def __reduce__(self) -> Any:
+        return int, ("x",)
+
+
+def test_an_answer_that_cannot_be_read_ends_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("magical_mj.parallel.local.GRACE", 0.1)
+    with pytest.raises(WorkerError, match="3 worker processes died of the same piece of work"):
+        list(spread(lambda _: Unreadable(), [1], jobs=1))

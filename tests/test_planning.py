@@ -105,3 +105,12 @@ def test_fixed_blocks_stay(seed: int) -> None:
     assert any(targets)
     assert not any(cluster_targets(points, kinds, NEARER, noise(seed), fixed=range(len(points))))
     assert line_targets(points[:4], is_line, noise(seed), fixed={seed})[seed] is None
+
+
+@pytest.mark.parametrize("count", [5, 8])
+def test_more_kinds_than_corners_are_clustered_too(count: int) -> None:
+    points = [(0.3 * (number % 5) - 0.6, 0.4 * (number // 5) - 0.3) for number in range(2 * count)]
+    kinds = [f"kind {number % count}" for number in range(2 * count)]
+    targets = cluster_targets(points, kinds, NEARER, noise(0))
+    assert len(targets) == len(points)
+    assert any(targets)

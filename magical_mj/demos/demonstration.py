@@ -14,7 +14,7 @@ from magical_mj._version import __version__
 from magical_mj.actions import ACTIONS
 from magical_mj.assets.robot import JOINTS
 from magical_mj.assets.world import World
-from magical_mj.errors import DemonstrationError
+from magical_mj.errors import DemonstrationError, shown
 from magical_mj.registry import environment_axes, score, task_spec
 from magical_mj.scene import Scene
 
@@ -52,6 +52,13 @@ class Demonstration:
 
     def __post_init__(self) -> None:
         environment_axes(self.task, self.variant)
+        for seed in (self.scene_seed, self.seed):
+            if type(seed) is not int or seed < 0:
+                raise DemonstrationError(f"seeds must be integers of at least 0, not {shown(seed)}")
+        if type(self.score) not in (int, float) or not 0 <= self.score <= 1:
+            raise DemonstrationError(f"the score must be a number in [0, 1], not {shown(self.score)}")
+        if not isinstance(self.package, str) or not isinstance(self.mujoco, str):
+            raise DemonstrationError("the versions of package and mujoco must be texts")
         if self.demonstrator not in DEMONSTRATORS:
             raise DemonstrationError(f"demonstrator is {self.demonstrator!r}; it must be one of {DEMONSTRATORS}")
         steps = len(self.actions)

@@ -26,6 +26,8 @@ from magical_mj.registry import task_spec
 
 NAMESPACE: Final = "namespace_metadata.json"
 """The file that Minari writes into each folder of data sets."""
+HDF5_BYTES: Final = 32_000
+"""What HDF5 writes for each episode besides its arrays, at most."""
 
 
 def to_npz(
@@ -136,7 +138,7 @@ def to_minari(
             f"Minari does not take the id {name!r}, which must be like magical-mj/mine-v0: {error}"
         ) from None
     episodes = [_episode(demo, number, preset) for number, demo in enumerate(demos)]
-    _check_space(get_dataset_path(), sum(map(_size, episodes)))
+    _check_space(get_dataset_path(), sum(HDF5_BYTES + _size(episode) for episode in [*episodes, {}, {}]))
     made = gymnasium.make(env_id(first.task, first.variant, preset), reward="score")
     with closing(made) as env, warnings.catch_warnings(), _new_folder(get_dataset_path(name), overwrite):
         warnings.filterwarnings("ignore", module="minari")  # it asks for optional metadata
@@ -172,29 +174,51 @@ def _check_space(folder: Path, size: int) -> None:
 
 @contextmanager
 def _new_folder(path: Path, overwrite: bool) -> Iterator[None]:
-    """For a block that makes a folder. If the block raises, or its process dies, the previous content is restored."""
-    old, discarded = (path.with_name(f".{path.name}.{what}") for what in ("old", "discarded"))
-    shutil.rmtree(discarded, ignore_errors=True)  # a process died while it removed the previous content
-    if old.exists():  # a process died, and has left half of the new folder
-        shutil.rmtree(path, ignore_errors=True)
-        old.rename(path)
-    if path.exists() and not overwrite:
-        raise DemonstrationError(f"there is a data set {path} already; give it another id, or overwrite it (--force)")
+    """For a block that makes a folder. If the block raises, or its process dies, the previous content is restored.
+
+    Other processes that make folders beside it wait.
+    """
     missing = [folder for folder in path.parents if not folder.exists()]
-    if path.exists():
-        path.rename(old)
+    path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        yield
+        with files.turn(path.parent):
+            old, new, discarded = (path.with_name(f".{path.name}.{what}") for what in ("old", "new", "discarded"))
+            _restore(path, old, new, discarded)
+            if path.exists() and not overwrite:
+                raise DemonstrationError(
+                    f"there is a data set {path} already; give it another id, or overwrite it (--force)"
+                )
+            if path.exists():
+                path.rename(old)
+            else:
+                new.mkdir()
+            try:
+                yield
+            except BaseException:
+                _restore(path, old, new, discarded)
+                raise
+            if old.exists():
+                old.rename(discarded)  # from here on, the new content counts
+            _remove(new, discarded)
     except BaseException:
-        shutil.rmtree(path, ignore_errors=True)
         for folder in missing:
             _remove_unused(folder)
-        if old.exists():
-            old.rename(path)
         raise
+
+
+def _restore(path: Path, old: Path, new: Path, discarded: Path) -> None:
+    """Restores a folder that was not completed: `old` is its previous content, and `new` says that there was none."""
+    _remove(discarded)
+    if old.exists() or new.exists():
+        _remove(path)
     if old.exists():
-        old.rename(discarded)  # from here on, the new content counts
-        shutil.rmtree(discarded, ignore_errors=True)
+        old.rename(path)
+    _remove(new)
+
+
+def _remove(*folders: Path) -> None:
+    for folder in folders:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _remove_unused(folder: Path) -> None:

@@ -17,7 +17,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,6 +26,7 @@ import numpy as np
 from magical_mj import files
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.errors import DemonstrationError, MagicalError
+from magical_mj.references import is_reference
 from magical_mj.scene import Scene
 
 FORMAT: Final = 1
@@ -35,6 +36,8 @@ DAMAGE: Final = (  # the exceptions of numpy and zipfile for damaged archives
     *(KeyError, TypeError, ValueError, EOFError, AttributeError, OSError, RuntimeError, SyntaxError, MemoryError),
     *(OverflowError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error),
 )
+MOST_BYTES: Final = 50_000_000
+"""The largest content of a file that is read; the longest demonstrations of this package have 200,000 bytes."""
 TEXTS: Final = tuple(f.name for f in dataclasses.fields(Demonstration) if f.name not in (*ARRAYS, "scene"))
 
 
@@ -97,15 +100,18 @@ def _beginning(demo: Demonstration) -> str:
     return f"{demo.name}-{demo.demonstrator}-"
 
 
-def read(path: Path | str, task: str | None = None) -> Demonstration:
+def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] = ()) -> Demonstration:
     """Reads a demonstration and checks that it is undamaged.
 
     Args:
         path: the file.
         task: the task that it must be of.
+        trusted: besides that task, references such as "mine:SPEC" whose modules may be imported. Files may be
+            somebody else's, and must not choose which code runs.
 
     Raises:
-        DemonstrationError: if it is truncated, altered, of another version or of another task.
+        DemonstrationError: if it is truncated, altered, of another version or of another task, or its task is a
+            reference that is not trusted.
         OSError: if there is no such file, or it cannot be read.
     """
     parts = _parts(Path(path))
@@ -113,7 +119,7 @@ def read(path: Path | str, task: str | None = None) -> Demonstration:
     try:
         header = json.loads(parts["header"].tobytes())
         found = header.get("format")
-    except (ValueError, AttributeError):
+    except (ValueError, AttributeError, RecursionError):
         raise DemonstrationError(f"{path} has an unreadable header: it is damaged, or not a demonstration") from None
     if found != FORMAT:
         raise DemonstrationError(
@@ -124,6 +130,11 @@ def read(path: Path | str, task: str | None = None) -> Demonstration:
         raise DemonstrationError(f"{path} was altered after it was written: its digest is not that of its content")
     if task is not None and header.get("task") != task:
         raise DemonstrationError(f"{path} is a demonstration of {header.get('task')}, not of {task}")
+    if is_reference(header.get("task")) and header["task"] not in (task, *trusted):
+        raise DemonstrationError(
+            f"{path} is of the task {header['task']}, which is code that reading it would run: if you trust that code, "
+            f"name the task (--tasks {header['task']})"
+        )
     try:
         scene = Scene.from_json(json.dumps(header["scene"]))
         return Demonstration(**{name: header[name] for name in TEXTS}, scene=scene, **arrays)
@@ -135,6 +146,9 @@ def _parts(path: Path) -> dict[str, Any]:
     """The header and the arrays of a file."""
     with path.open("rb") as file:
         try:
+            with zipfile.ZipFile(file) as content:
+                if sum(part.file_size for part in content.infolist()) > MOST_BYTES:
+                    raise ValueError
             with np.load(file, allow_pickle=False) as archive:
                 return {name: archive[name] for name in ("header", *ARRAYS)}
         except DAMAGE:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from magical_mj import constants as c
+from magical_mj import files
 from magical_mj.actions import to_vector
 from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration, only_environment
@@ -91,25 +92,27 @@ def to_lerobot(
         raise missing_lerobot() from None
     keys = image_keys(views)
     environment, folder = only_environment(demos), Path(folder)
-    if folder.exists():
-        raise DemonstrationError(f"{folder} exists already; give a new folder")
     name = f"magical-mj/{environment}-{views}{'-fingers' if fingers else ''}-p{PROTOCOL}d{DEMONSTRATIONS}"
     features = _features(keys, fingers=fingers, video=video)
     beside = folder.with_name(f".{folder.name}.part")  # half a data set reads like a whole one
-    shutil.rmtree(beside, ignore_errors=True)  # what an export left that was killed
-    try:
-        made = LeRobotDataset.create(
-            name, c.CONTROL_RATE, features, root=beside, robot_type="magical_mj", use_videos=video
-        )
-        for demo in demos:
-            for frame in _frames(demo, keys, fingers=fingers):
-                made.add_frame(frame)
-            made.save_episode()
-        made.finalize()
-        beside.rename(folder)
-    except BaseException:
-        shutil.rmtree(beside, ignore_errors=True)
-        raise
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with files.turn(folder.parent):
+        if folder.exists():
+            raise DemonstrationError(f"{folder} exists already; give a new folder")
+        shutil.rmtree(beside, ignore_errors=True)  # what an export left that was killed
+        try:
+            made = LeRobotDataset.create(
+                name, c.CONTROL_RATE, features, root=beside, robot_type="magical_mj", use_videos=video
+            )
+            for demo in demos:
+                for frame in _frames(demo, keys, fingers=fingers):
+                    made.add_frame(frame)
+                made.save_episode()
+            made.finalize()
+            beside.rename(folder)
+        except BaseException:
+            shutil.rmtree(beside, ignore_errors=True)
+            raise
     return LeRobotDataset(name, root=folder)
 
 

@@ -15,6 +15,7 @@ from magical_mj.episodes import forever, play
 from magical_mj.errors import DemonstrationError
 from magical_mj.experts import Expert
 from magical_mj.registry import task_name, variant_name
+from magical_mj.variants import check_seed
 
 Floats = NDArray[np.float64]
 
@@ -26,15 +27,27 @@ STRIDE: Final = 1_000_003
 
 
 class Recorder:
-    """Steps an environment and records actions and states. It must be made at the start of an episode."""
+    """Steps an environment and records actions and states of one episode, at whose start it must be made.
+
+    Raises:
+        DemonstrationError: if the episode has begun already.
+    """
 
     def __init__(self, env: Environment) -> None:
+        if env.task.steps:
+            raise DemonstrationError(f"the episode began {env.task.steps} steps ago: reset the environment before")
         self._env = env
         self._actions: list[int] = []
         self._states = [self._state()]
 
     def step(self, action: int) -> dm_env.TimeStep:
-        """One action."""
+        """One action.
+
+        Raises:
+            DemonstrationError: if the episode is over.
+        """
+        if self._env.over:
+            raise DemonstrationError("the episode is over: reset the environment, and record with another Recorder")
         now = self._env.step(action)
         self._actions.append(action)
         self._states.append(self._state())
@@ -78,8 +91,10 @@ def demonstrate(task: str, variant: str, number: int, least_score: float = 1.0) 
     If it does not reach `least_score`, experts with other seeds try.
 
     Raises:
+        InvalidSeedError: if `number` is not an integer, or negative.
         DemonstrationError: if none of them reaches it.
     """
+    number = check_seed(number)
     env = load(task, variant, seed=number, observations=())
     best = 0.0
     try:

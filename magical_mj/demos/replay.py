@@ -21,17 +21,18 @@ Picture = NDArray[np.uint8]
 
 GLANCE: Final = 10  # steps between the pictures that are compared
 SIZE: Final = 96  # pixels
+ROUNDING: Final = 1e-9
 
 
 class Verdict(NamedTuple):
     """The result of checking a demonstration."""
 
     scene: bool
-    """The scene is still that of its seed."""
+    """The scene is still that of its seed, and the recorded states begin in it."""
     score: bool
     """The last state has the recorded score."""
     replay: bool
-    """The same actions lead to the same score."""
+    """The same actions lead to the same score, and all of them are within the episode."""
     exact: bool
     """The same actions lead to exactly the same states: so with the machine and versions of the recording."""
     pictures: bool
@@ -53,10 +54,14 @@ def verify(demo: Demonstration) -> Verdict:
                 seen.append(env.render("allo", SIZE))
         positions, velocities = recorder.states()
         score = env.score()
-    same_scene = sample_scene(demo.task, demo.variant, demo.scene_seed) == demo.scene
+    same_scene = sample_scene(demo.task, demo.variant, demo.scene_seed) == demo.scene and all(
+        np.allclose(states[0], recorded[0], rtol=0, atol=ROUNDING)
+        for states, recorded in ((positions, demo.qpos), (velocities, demo.qvel))
+    )
+    same_score = score == demo.score and len(positions) == len(demo.qpos)
     same_states = np.array_equal(positions, demo.qpos) and np.array_equal(velocities, demo.qvel)
     same_pictures = np.array_equal(seen, drawn)
-    return Verdict(same_scene, demo.rescored() == demo.score, score == demo.score, same_states, same_pictures)
+    return Verdict(same_scene, demo.rescored() == demo.score, same_score, same_states, same_pictures)
 
 
 def see(demo: Demonstration, views: Sequence[str] = ("allo",), size: int = SIZE) -> Iterator[dict[str, Picture]]:

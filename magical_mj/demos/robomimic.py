@@ -6,6 +6,7 @@ stay.
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -56,7 +57,8 @@ def to_robomimic(
     check_name("choice of views", views, VIEWS)
     only_environment(demos)
     first = demos[0]
-    with files.new_file(path, overwrite=overwrite) as unfinished, h5py.File(unfinished, "w") as file:
+    written = io.BytesIO()  # since HDF5 ends the process if the disk is full
+    with h5py.File(written, "w") as file:
         data = file.create_group("data")
         data.attrs["total"] = sum(len(demo.actions) for demo in demos)
         kwargs = {"action": "continuous", "reward": "score"}
@@ -68,6 +70,7 @@ def to_robomimic(
             group.attrs["seed"] = str(demo.scene_seed)
             for key, rows in _columns(demo, views).items():
                 group.create_dataset(key, data=rows, compression="gzip" if rows.dtype == np.uint8 else None)
+    files.write(path, written.getvalue(), overwrite=overwrite)
 
 
 def _columns(demo: Demonstration, views: str) -> dict[str, NDArray[Any]]:

@@ -122,7 +122,7 @@ def _gathered(here: Floats, members: Floats, noise: Noise) -> Floats:
     """A starting point of the search, with every kind in one place: near its own or another kind's blocks."""
     middles = members @ here / members.sum(axis=1, keepdims=True)
     corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
-    centres = 0.5 * middles + 0.5 * corners[noise.rng.permutation(4)][: len(middles)]
+    centres = 0.5 * middles + 0.5 * corners[noise.rng.permutation(4)][np.arange(len(middles)) % 4]
     return members.T @ centres + noise.rng.normal(0, 0.1, here.shape)
 
 

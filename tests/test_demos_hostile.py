@@ -1,0 +1,140 @@
+"""Demonstrations that strangers made, that do not hold what they say, and that are recorded in the wrong way."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import magical_mj
+from magical_mj import demos
+from magical_mj.cli import main
+from magical_mj.demos import Demonstration
+from magical_mj.demos.files import ARRAYS, _digest
+from magical_mj.errors import DemonstrationError, InvalidSeedError
+
+
+@pytest.fixture(scope="module")
+def demo() -> Demonstration:
+    return demos.demonstrate("MoveToRegion", "Demo", 0)
+
+
+@pytest.fixture
+def path(demo: Demonstration, tmp_path: Path) -> Path:
+    demos.write(demo, tmp_path / "MoveToRegion-Demo-000.npz")
+    return tmp_path / "MoveToRegion-Demo-000.npz"
+
+
+def forge(path: Path, header: dict[str, Any] | bytes | None = None, **arrays: Any) -> None:
+    """Rewrites a file with other content and a digest that fits it, as somebody who knows this package could."""
+    with np.load(path) as archive:
+        parts = {name: archive[name] for name in archive} | arrays
+    if isinstance(header, bytes):
+        text = header
+    else:
+        whole = {**json.loads(parts["header"].tobytes()), **(header or {})}
+        whole.pop("digest")
+        text = json.dumps({**whole, "digest": _digest(whole, {name: parts[name] for name in ARRAYS})}).encode()
+    np.savez_compressed(path, **{**parts, "header": np.frombuffer(text, np.uint8)})
+
+
+@pytest.mark.parametrize("command", ["info", "verify"])
+def test_a_file_chooses_no_code(
+    path: Path, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = f"stranger_{command}"
+    (tmp_path / f"{name}.py").write_text(
+        'from pathlib import Path\nPath("ran").touch()\nfrom dataclasses import replace\n'
+        'from magical_mj.tasks.move_to_region import SPEC as OURS\nSPEC = replace(OURS, name="Strange")\n'
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    forge(path, {"task": f"{name}:SPEC"})
+    assert main(["demos", command, str(path)]) > 0
+    assert f"name the task (--tasks {name}:SPEC)" in " ".join(capsys.readouterr().err.split())
+    assert not Path("ran").exists()
+    with pytest.raises(DemonstrationError, match="is code that reading it would run"):
+        demos.read(path)
+    assert demos.read(path, trusted=[f"{name}:SPEC"]).name == demos.read(path, f"{name}:SPEC").name == "Strange-Demo"
+    assert Path("ran").exists()
+
+
+@pytest.mark.parametrize(
+    ("header", "problem"),
+    [
+        (b"[" * 200_000, "unreadable header"),
+        ({"score": "1.0"}, r"the score must be a number in \[0, 1\], not '1.0'"),
+        ({"score": None}, "the score must be a number"),
+        ({"score": 5.0}, "the score must be a number"),
+        ({"score": float("nan")}, "the score must be a number"),
+        ({"scene_seed": "abc"}, "seeds must be integers of at least 0, not 'abc'"),
+        ({"scene_seed": -3}, "seeds must be integers"),
+        ({"seed": [1]}, "seeds must be integers"),
+        ({"package": 3}, "must be texts"),
+    ],
+)
+def test_headers_are_checked(path: Path, header: Any, problem: str) -> None:
+    forge(path, header)
+    with pytest.raises(DemonstrationError, match=problem):
+        demos.read(path)
+
+
+def test_a_small_file_that_unpacks_to_much_is_not_unpacked(path: Path) -> None:
+    forge(path, actions=np.zeros(60_000_000, np.uint8))
+    assert path.stat().st_size < 200_000
+    with pytest.raises(DemonstrationError, match="damaged or cut short, or not a demonstration"):
+        demos.read(path)
+
+
+def test_verify_finds_states_and_actions_that_do_not_belong(path: Path, demo: Demonstration) -> None:
+    assert demos.verify(demos.read(path)).good
+    still = {name: np.repeat(getattr(demo, name)[-1:], len(demo.actions) + 1, axis=0) for name in ("qpos", "qvel")}
+    forge(path, **still)
+    assert not demos.verify(demos.read(path)).scene
+    forge(
+        path,
+        actions=np.concatenate([demo.actions, np.ones(200, np.uint8)]),
+        qpos=np.concatenate([demo.qpos, np.repeat(demo.qpos[-1:], 200, axis=0)]),
+        qvel=np.concatenate([demo.qvel, np.repeat(demo.qvel[-1:], 200, axis=0)]),
+    )
+    verdict = demos.verify(demos.read(path))
+    assert verdict.scene
+    assert not verdict.replay
+
+
+def test_verify_names_every_file(path: Path, demo: Demonstration, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also one whose scene is not one of its task, which ends the verdicts of no other."""
+    forge(path, {"task": "MatchRegions"})
+    demos.write(demo, path.with_name("good.npz"))
+    assert main(["demos", "verify", str(path.parent)]) == 1
+    said = capsys.readouterr()
+    assert "1 of 2 replay to the same score" in " ".join(said.out.split())
+    assert path.name in said.err
+    assert "good.npz" not in said.err
+
+
+def test_an_episode_is_recorded_from_its_start_to_its_end() -> None:
+    env = magical_mj.load("MoveToRegion", seed=0, observations=())
+    env.reset()
+    recorder = demos.Recorder(env)
+    for _ in range(env.horizon or 0):
+        recorder.step(0)
+    with pytest.raises(DemonstrationError, match="the episode is over"):
+        recorder.step(0)
+    assert len(recorder.demonstration("MoveToRegion", "Demo", 0, "human", 0).actions) == env.horizon
+    env.reset()
+    env.step(1)
+    with pytest.raises(DemonstrationError, match="the episode began 1 steps ago"):
+        demos.Recorder(env)
+
+
+def test_numbers_of_numpy_are_seeds_too(tmp_path: Path) -> None:
+    made = demos.demonstrate("MoveToRegion", "Demo", np.int64(3))  # pyright: ignore[reportArgumentType]
+    demos.write(made, tmp_path / "a.npz")
+    assert demos.read(tmp_path / "a.npz").scene_seed == 3
+    with pytest.raises(InvalidSeedError, match="is not a seed"):
+        demos.demonstrate("MoveToRegion", "Demo", -1)
