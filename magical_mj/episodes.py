@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 import dm_env
 import numpy as np
 
+from magical_mj.errors import InvalidActionError, shown
+
 if TYPE_CHECKING:
     from magical_mj.environment import Environment
 
@@ -110,5 +112,7 @@ def word_of(actions: Iterable[int]) -> str:
 
 
 def actions_of(word: str) -> list[int]:
-    """The actions of a string that `word_of` made."""
+    """The actions of a string that `word_of` made; raises an `InvalidActionError` for any other string."""
+    if not set(word) <= set(LETTERS):
+        raise InvalidActionError(f"actions are words of letters from {LETTERS[0]} to {LETTERS[-1]}, not {shown(word)}")
     return [LETTERS.index(letter) for letter in word]

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import IO, Any, Final, Self
 
 from magical_mj import files
-from magical_mj.episodes import LETTERS
 from magical_mj.errors import EvaluationError, shown
 from magical_mj.evaluation.settings import check_unchanged
 
@@ -100,8 +99,6 @@ def parse(line: str) -> Score:
     for name, types in _TYPES.items():
         if not isinstance(entry[name], types) or isinstance(entry[name], bool):
             raise ValueError(f"{name} must not be {shown(entry[name])}")
-    if not set(entry["actions"]) <= set(LETTERS):
-        raise ValueError(f"actions must be letters from {LETTERS[0]} to {LETTERS[-1]}, not {shown(entry['actions'])}")
     if not 0 <= entry["score"] <= 1:
         raise ValueError(f"the score {entry['score']} is not in [0, 1]")
     return Score(**entry)

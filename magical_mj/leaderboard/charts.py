@@ -19,6 +19,8 @@ LEGEND: Final = 20
 """The height in pixels of a line of the profiles' legend."""
 HEIGHT: Final = 320
 """Of the profiles."""
+LETTER: Final = 6.3
+"""The mean width of a letter in pixels."""
 COLOURS: Final = 10
 """Different ones; see style.css."""
 
@@ -29,8 +31,7 @@ def intervals(found: Sequence[Standing]) -> str:
     rows = _grid(height - ROW)
     for index, one in enumerate(found):
         score, y = one.scores[OVERALL], ROW * (index + 0.5)
-        name = f"{label(one)} {share(one)}".strip()
-        rows += f'<text x="{NAMES - 10}" y="{y + 4:.0f}" text-anchor="end">{escape(name)}</text>'
+        rows += _name(f"{label(one)} {share(one)}".strip(), NAMES - 10, y + 4)
         if not math.isnan(score.low):
             rows += f'<line class="{one.kind}" x1="{_x(score.low)}" x2="{_x(score.high)}" y1="{y}" y2="{y}"/>'
         rows += f'<circle class="{one.kind}" cx="{_x(score.value)}" cy="{y}" r="5"/>'
@@ -54,10 +55,18 @@ def profiles(found: Sequence[Standing]) -> str:
     lines = [*map(_line, range(len(names))), "published"]
     for index, (name, line) in enumerate(zip([*names, f"methods of the paper{DAGGER}"], lines, strict=True)):
         y = LEGEND * (index + 0.7)
-        rows += f'<text x="{NAMES - 65}" y="{y:.0f}" text-anchor="end">{escape(name)}</text>'
+        rows += _name(name, NAMES - 65, y)
         rows += f'<polyline class="{line}" points="{NAMES - 58},{y - 4:.0f} {NAMES - 28},{y - 4:.0f}"/>'
     height = max(HEIGHT, math.ceil(LEGEND * (len(lines) + 1)))
     return _svg(height, rows, "Share of environments and runs with a mean score of at least so much")
+
+
+def _name(name: str, right: float, y: float) -> str:
+    """A method's name, shortened if it is long, left of a place."""
+    most = int(right / LETTER)
+    short = name if len(name) <= most else f"{name[: most - 1]}…"
+    whole = f"<title>{escape(name)}</title>" if short != name else ""
+    return f'<text x="{right}" y="{y:.0f}" text-anchor="end">{escape(short)}{whole}</text>'
 
 
 def _line(index: int) -> str:
@@ -79,4 +88,5 @@ def _x(share: float) -> float:
 
 
 def _svg(height: float, content: str, title: str) -> str:
-    return f'<svg viewBox="0 0 {WIDTH} {height}" role="img" aria-label="{title}">{content}</svg>'
+    picture = f'<svg viewBox="0 0 {WIDTH} {height}" role="img" aria-label="{title}">{content}</svg>'
+    return f'<div class="wide" tabindex="0" role="region" aria-label="Chart: {title}">{picture}</div>'

@@ -90,8 +90,8 @@ def _html(found: Sequence[Standing], made: Sequence[Table]) -> str:
         f"{BEGINNINGS[HTML]}"
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<style>\n{style}</style></head>\n<body><header><h1>{TITLE}</h1><p>{INTRODUCTION}</p>\n"
-        f"<nav>{links}</nav></header>\n{sections}\n"
-        f"{_section('entries', headings['entries'], ''.join(_cards(found)))}</body></html>\n"
+        f"<nav>{links}</nav></header>\n<main>\n{sections}\n"
+        f"{_section('entries', headings['entries'], ''.join(_cards(found)))}</main></body></html>\n"
     )
 
 
@@ -109,8 +109,10 @@ def _table(table: Table) -> str:
             shown = "".join(_cell(cell, table.name in SHADED) for cell in cells)
             body += f"<tr><th>{escape(first)}</th>{shown}</tr>"
     notes = "".join(f"<li>{escape(note)}</li>" for note in table.notes)
+    caption = escape(table.caption)
     return (
-        f'<p class="caption">{escape(table.caption)}.</p><div class="wide"><table><thead><tr>{head}</tr></thead>'
+        f'<p class="caption">{caption}.</p><div class="wide" tabindex="0" role="region" aria-label="{caption}">'
+        f"<table><thead><tr>{head}</tr></thead>"
         f"<tbody>{body}</tbody></table></div><ul>{notes}</ul>"
     )
 

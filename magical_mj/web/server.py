@@ -7,10 +7,12 @@ a `magical_mj.web.seat.Seat` through a WebSocket, which browsers may open only f
 from __future__ import annotations
 
 import asyncio
+import ipaddress
 import json
 import mimetypes
 import secrets
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from typing import Final
@@ -85,7 +87,9 @@ class PlayServer:
 
     def _origins(self) -> list[str]:
         """Those of the page, as browsers send them: IPv6 addresses in brackets, and no port that is the default."""
-        host = "localhost" if self.host in ("0.0.0.0", "::") else self.host  # noqa: S104 (compared, not bound)
+        host = "localhost" if self.host in ("0.0.0.0", "::") else self.host.lower()  # noqa: S104 (compared, not bound)
+        with suppress(ValueError):  # it is a name
+            host = str(ipaddress.ip_address(host))
         names = dict.fromkeys((f"[{host}]" if ":" in host else host, "localhost"))
         origins = [self.origin] if self.origin else [f"http://{name}:{self.port}" for name in names]
         return [origin.removesuffix(":443" if origin.startswith("https:") else ":80") for origin in origins]

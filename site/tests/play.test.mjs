@@ -159,3 +159,33 @@ test("canvases show what the renderer shows", async () => {
   console.log(`${pictures.length} pictures: mean levels apart at most ${worst.allo.toFixed(2)} from above, ${worst.ego.toFixed(2)} as the robot sees it`);
   assert.ok(Math.max(...Object.values(worst)) < 1);
 });
+
+test("what could not be loaded once is loaded again", async () => {
+  const fresh = await browser.context.newPage();
+  const until = (/** @type {string} */ text) => fresh.waitForFunction(
+    (text) => document.getElementById("status")?.textContent?.includes(text), text, { timeout: 30000 });
+  for (const file of ["mujoco.js", "mujoco.wasm"]) {
+    await fresh.route(`**/mujoco/${file}*`, (route) => route.abort());
+    await fresh.goto("about:blank");
+    await fresh.goto(`${site.address}play/#FindDupe-All-3`);
+    await until("etch");  // "Failed to fetch", or "fetching of the wasm failed"
+    await fresh.unrouteAll();
+    await fresh.keyboard.press("r");
+    await until("Press");
+  }
+  await fresh.route("**/mujoco/mujoco.wasm*", async (route) => {
+    await new Promise((resolve) => setTimeout(resolve, 2000));
+    await route.continue();
+  });
+  await fresh.route("**/FixColour-*.json", (route) => route.abort());
+  await fresh.goto("about:blank");
+  await fresh.goto(`${site.address}play/#FindDupe-All-3`);
+  await until("Loading");
+  await fresh.selectOption("#task", "FixColour");
+  await until("etch");  // and yet the first scene can be played
+  await fresh.waitForFunction(() => location.hash === "#FindDupe-All-3");
+  await fresh.focus("#arena");
+  await fresh.keyboard.down("ArrowUp");
+  await until("Playing");
+  await fresh.close();
+});

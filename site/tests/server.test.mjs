@@ -69,6 +69,63 @@ test("people play at the server and send what they did", async () => {
   }
 });
 
+test("a server that says nothing any more costs no episode, and no patience", async () => {
+  const folder = await mkdtemp(join(tmpdir(), "magical-study-"));
+  const server = spawn(PYTHON, ["-m", "magical_mj", "play", "--web", "--port", "0", "--collect", folder, "--tasks", "MoveToRegion"]);
+  const browser = await launch();
+  try {
+    const { value: address } = await createInterface(server.stdout)[Symbol.asyncIterator]().next();
+    const page = await browser.context.newPage();
+    const untilStatus = (/** @type {string} */ text) => page.waitForFunction(
+      (text) => document.getElementById("status")?.textContent?.includes(text), text, { timeout: 40000 });
+    /** @type {string[]} */
+    const questions = [];
+    page.on("dialog", (dialog) => { questions.push(dialog.message()); dialog.dismiss(); });
+    await page.goto(`${address}?speed=40`);
+    await untilStatus("ress a key");
+    await page.keyboard.press("ArrowUp");
+    await untilStatus("Over");
+    server.kill("SIGSTOP");
+    await page.click("#save");
+    await untilStatus("Sending");
+    await page.keyboard.press("n");
+    assert.deepEqual(questions, ["This episode was not sent. Leave it?"]);
+    await untilStatus("no connection to the server: try again");
+    server.kill("SIGCONT");
+    await page.click("#save");
+    await untilStatus("Kept");
+  } finally {
+    await browser.close();
+    server.kill("SIGKILL");
+  }
+});
+
+test("a seed is chosen by keyboard without playing, and the host may be written in any way", async () => {
+  const server = spawn(PYTHON, ["-m", "magical_mj", "play", "--web", "--port", "0", "--host", "LOCALHOST"]);
+  const browser = await launch();
+  try {
+    const { value: address } = await createInterface(server.stdout)[Symbol.asyncIterator]().next();
+    const page = await browser.context.newPage();
+    const untilStatus = (/** @type {string} */ text) => page.waitForFunction(
+      (text) => document.getElementById("status")?.textContent?.includes(text), text, { timeout: 20000 });
+    const focused = () => page.evaluate(() => document.activeElement?.id);
+    await page.goto(address);
+    await untilStatus("ress a key");
+    await page.focus("#seed");
+    for (const seed of ["1", "2"]) {
+      await page.keyboard.press("ArrowUp");
+      await page.waitForFunction((seed) => location.hash.endsWith(`-${seed}`), seed);
+      await untilStatus("ress a key");
+      assert.equal(await focused(), "seed");
+    }
+    await page.keyboard.press("Enter");
+    assert.equal(await focused(), "arena");
+  } finally {
+    await browser.close();
+    server.kill();
+  }
+});
+
 test("whoever comes by another address than the server's is told", async () => {
   const server = spawn(PYTHON, ["-m", "magical_mj", "play", "--web", "--port", "0", "--host", "0.0.0.0"]);
   const browser = await launch();

@@ -33,8 +33,10 @@ const shown = {
 };
 let choices = 0;  // the last one wins, whatever was loaded in between
 
+const PENDING = seat ? "Waiting for the server …" : "Loading MuJoCo …";
+
 /**
- * Shows a scene and makes it ready to play.
+ * Shows a scene and makes it ready to play; returns whether it is.
  * @param {string} task
  * @param {string} variant
  * @param {number} seed
@@ -46,7 +48,7 @@ async function choose(task, variant, seed, script = null) {
   const isOther = task !== shown.task || variant !== shown.variant;
   const environment = isOther ? await loadEnvironment(task, variant).catch(complain) : shown.environment;
   if (choice !== choices) return;
-  if (!environment) return shown.task ? showNames() : undefined;
+  if (!environment) return stay();
   const known = environment.scenes.find((entry) => entry.seed === seed);
   const entry = known ?? (seat ? { seed, expert: "", scene: null } : environment.scenes[0]);
   Object.assign(shown, { task, variant, seed: entry.seed, environment, watching: script !== null, note: "" });
@@ -55,6 +57,7 @@ async function choose(task, variant, seed, script = null) {
   shown.game = shown.again = null;
   element("save").disabled = true;
   if (entry.scene) show(entry.scene, entry.scene);
+  else element("status").textContent = PENDING;
   const actions = script === null ? null : fromLetters(script);
   let started = false;
   const next = () => {
@@ -70,11 +73,22 @@ async function choose(task, variant, seed, script = null) {
   controls.tapped.clear();  // what was pressed before the scene was there does not start it
   const game = new Game(episode, catalogue.tasks[task].horizon, next, speed);
   shown.game = game;
+  return true;
+}
+
+/** Stays with the present scene, since another one could not be loaded. */
+async function stay() {
+  if (!shown.task) return;
+  const problem = shown.note;
+  showNames();
+  if (shown.game) return;
+  await choose(shown.task, shown.variant, shown.seed);  // it was still being opened when the other one was chosen
+  complain(problem);
 }
 
 /** Whether a finished episode would be lost that the collection may want. */
 function unsent() {
-  return catalogue.collects && shown.game?.over && !shown.watching && !shown.sending && !shown.game.sent;
+  return catalogue.collects && shown.game?.over && !shown.watching && !shown.game.sent;
 }
 
 /** Selects and the address say which environment is shown. */
@@ -135,7 +149,7 @@ function show(initial, scene) {
   if (element("score").textContent !== now.toFixed(2)) element("score").textContent = now.toFixed(2);  // else it is read out
   element("save").disabled = !game?.over || watching || sending;
   if (game?.failure) complain(game.failure);
-  const status = shown.note ? shown.note : !game ? "Loading MuJoCo …" : game.over ? `Over: score ${now.toFixed(2)}`
+  const status = shown.note ? shown.note : !game ? PENDING : game.over ? `Over: score ${now.toFixed(2)}`
     : watching ? "Watching" : done ? "Playing" : "Press a key or button to start";
   if (element("status").textContent !== status) element("status").textContent = status;
 }
@@ -186,11 +200,13 @@ function demo() {
 async function send() {
   const game = /** @type {Game} */ (shown.game);
   shown.sending = element("save").disabled = true;
+  complain("Sending …");
   try {
     const { score, next } = await /** @type {Seat} */ (seat).ask({ keep: recording(shown, catalogue.protocol) });
     game.sent = true;
-    await chooseWanted(next);
-    complain(`Kept, with score ${score.toFixed(2)}. Thank you! ${next ? "Press a key to go on" : "That was everything"}`);
+    const opened = await chooseWanted(next);
+    const after = !next ? "That was everything" : opened ? "Press a key to go on" : `The next scene cannot be opened: ${shown.note}`;
+    complain(`Kept, with score ${score.toFixed(2)}. Thank you! ${after}`);
   } catch (error) {
     complain(/** @type {Error} */ (error));
   }
@@ -216,7 +232,7 @@ function remembered(id) {
 
 /** @param {{task: string, variant: string, seed: number} | null} wanted */
 async function chooseWanted(wanted) {
-  if (wanted) await choose(wanted.task, wanted.variant, wanted.seed);
+  return wanted && choose(wanted.task, wanted.variant, wanted.seed);
 }
 
 /** @param {string | undefined} text */
@@ -261,7 +277,8 @@ for (const id of ["task", "variant"]) {
 }
 for (const [id, press] of Object.entries({ again, next, expert, demo })) element(id).onclick = () => press();
 element("save").onclick = catalogue.collects ? send : () => save(recording(shown, catalogue.protocol));
-element("seed").onchange = () => play(seedIn(element("seed").value));
+element("seed").onchange = () => { if (shown.task) choose(shown.task, shown.variant, seedIn(element("seed").value)); };
+element("seed").addEventListener("keydown", ({ key }) => { if (key === "Enter") arena.focus({ preventScroll: true }); });
 addEventListener("keydown", (event) => {
   const elsewhere = /** @type {any} */ (event.target).matches("select, input");
   if (elsewhere || event.repeat || controls.held.size || event.ctrlKey || event.metaKey || event.altKey) return;  // R and W are neighbours

@@ -7,6 +7,8 @@ import { moved } from "./scene.js";
 
 const GONE = "There is no connection to the server: try again";
 const LOST = "The connection to the server was lost: play this scene again (R)";
+/** Milliseconds after which a connection counts as broken: one that was cut off says nothing. */
+const PATIENCE = 20_000;
 const REFUSED = "The server refuses this address: open the link that it printed; see also its option --origin";
 
 export class Seat {
@@ -56,12 +58,24 @@ export class Seat {
 
   /** @param {object} question @returns {Promise<any>} */
   async #send(question) {
-    await this.opened;
-    return new Promise((resolve, reject) => {
-      if (this.socket.readyState !== WebSocket.OPEN) return reject(new Error(GONE));
-      this.waiting.push({ resolve, reject });
-      this.socket.send(JSON.stringify(question));
-    });
+    const { socket, waiting, opened } = this;
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    let late;
+    try {
+      return await new Promise((resolve, reject) => {
+        late = setTimeout(() => {
+          reject(new Error(GONE));
+          socket.close();
+        }, PATIENCE);
+        opened.then(() => {
+          if (socket.readyState !== WebSocket.OPEN) throw new Error(GONE);
+          waiting.push({ resolve, reject });
+          socket.send(JSON.stringify(question));
+        }).catch(reject);
+      });
+    } finally {
+      clearTimeout(late);
+    }
   }
 
   /** @type {Opener} */
