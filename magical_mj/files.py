@@ -94,6 +94,7 @@ def turn(folder: Path) -> Iterator[None]:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield
     finally:
+        fcntl.flock(descriptor, fcntl.LOCK_UN)  # closing is not enough: see `unlock`
         os.close(descriptor)
 
 

@@ -59,4 +59,6 @@ def _register(task: str, name: str, variant: str, preset: str, steps: int | None
     elif gymnasium.registry[found].kwargs["task"] != task:
         other = gymnasium.registry[found].kwargs["task"]
         raise TaskError(f"{found} is the id of {other}; give the task {task} another name than {name!r}")
+    elif steps is not None:
+        gymnasium.registry[found].max_episode_steps = steps  # of a task that was edited and reloaded
     return found

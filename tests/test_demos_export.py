@@ -159,13 +159,15 @@ def test_exports_at_the_same_time_take_turns(demo: Demonstration, minari: Any) -
     first = subprocess.Popen([sys.executable, "-c", program], stdin=PIPE, stdout=PIPE, text=True)
     assert first.stdout is not None
     assert first.stdout.readline() == "here\n"
-    second = subprocess.Popen(
-        [sys.executable, "-c", "from magical_mj import demos; demos.to_minari(demos.load('FixColour')[:1], 'both-v0')"],
-        stderr=PIPE,
-        text=True,
+    program = (
+        "from magical_mj import demos; some = demos.load('FixColour')[:1]; import minari\n"
+        "print('here', flush=True); demos.to_minari(some, 'both-v0')\n"
     )
+    second = subprocess.Popen([sys.executable, "-c", program], stdout=PIPE, stderr=PIPE, text=True)
+    assert second.stdout is not None
+    assert second.stdout.readline() == "here\n"
     with pytest.raises(subprocess.TimeoutExpired):
-        second.wait(8)  # it has no time to write in, and the first one is not disturbed
+        second.wait(3)  # it waits, instead of taking what is there for the rest of a dead process
     first.communicate("go on\n")
     assert "there is a data set" in second.communicate()[1]
     assert (first.returncode, second.returncode) == (0, 1)

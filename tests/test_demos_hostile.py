@@ -55,7 +55,7 @@ def test_a_file_chooses_no_code(
     monkeypatch.setattr(sys, "path", sys.path[:])
     forge(path, {"task": f"{name}:SPEC"})
     assert main(["demos", command, str(path)]) > 0
-    assert f"name the task (--tasks {name}:SPEC)" in " ".join(capsys.readouterr().err.split())
+    assert f"name the task (--tasks {name}:SPEC;" in " ".join(capsys.readouterr().err.split())
     assert not Path("ran").exists()
     with pytest.raises(DemonstrationError, match="is code that reading it would run"):
         demos.read(path)

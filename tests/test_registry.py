@@ -76,7 +76,8 @@ MOVED = replace(GOOD, colour=lambda rng, scene: scene.moved(blocks=[(0, 0, 0)] *
 LATER = replace(GOOD, score=lambda initial, final, rules: 2.0 if final.robot != initial.robot else 0.0)
 ROUNDED = replace(GOOD, score=lambda initial, final, rules: 0.05 + 0.55 + 0.3 + 0.1)
 PURPLE = replace(GOOD, colour=lambda rng, scene: replace(scene, blocks=(replace(scene.blocks[0], colour="purple"),)))
-CHANCE = replace(GOOD, colour=lambda rng, scene: OURS.colour(np.random.default_rng(), scene))
+TURNED = lambda scene: scene.moved(robot=(scene.robot.x, scene.robot.y, float(np.random.default_rng().uniform())))
+CHANCE = replace(GOOD, colour=lambda rng, scene: TURNED(scene))
 NOWHERE = replace(GOOD, plan=lambda initial, now, noise: None)
 PAIRS = replace(GOOD, plan=lambda initial, now, noise: [(0, (0.0, 0.0))])
 BEYOND = replace(GOOD, plan=lambda initial, now, noise: [Subgoal(99, (0.0, 0.0))])
@@ -182,8 +183,12 @@ def test_a_task_that_was_edited_and_reloaded_is_the_new_one(mine: str) -> None:
     assert load(good).horizon == task_spec("MatchRegions").steps
     file = Path(f"{mine}.py")
     file.write_text(MINE.replace('name="Mine"', 'name="Mine", steps=17'))
+    gymnasium.make(env_id(good)).close()
     importlib.reload(sys.modules[mine])
     assert load(good).horizon == 17
+    spec = gymnasium.make(env_id(good)).spec
+    assert spec is not None
+    assert spec.max_episode_steps == 17
     file.write_text(MINE.replace('name="Mine"', 'name="Mine", score=lambda initial, final, rules: 2.0'))
     importlib.reload(sys.modules[mine])
     with pytest.raises(TaskError, match=r"and returned 2\.0"):

@@ -133,7 +133,7 @@ def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] 
     if is_reference(header.get("task")) and header["task"] not in (task, *trusted):
         raise DemonstrationError(
             f"{path} is of the task {header['task']}, which is code that reading it would run: if you trust that code, "
-            f"name the task (--tasks {header['task']})"
+            f"name the task (--tasks {header['task']}; in Python, trusted=[...])"
         )
     try:
         scene = Scene.from_json(json.dumps(header["scene"]))
@@ -149,6 +149,7 @@ def _parts(path: Path) -> dict[str, Any]:
             with zipfile.ZipFile(file) as content:
                 if sum(part.file_size for part in content.infolist()) > MOST_BYTES:
                     raise ValueError
+            file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
                 return {name: archive[name] for name in ("header", *ARRAYS)}
         except DAMAGE:

@@ -56,21 +56,27 @@ def to_robomimic(
         raise missing_extra("exporting to robomimic", "robomimic") from None
     check_name("choice of views", views, VIEWS)
     only_environment(demos)
-    first = demos[0]
     written = io.BytesIO()  # since HDF5 ends the process if the disk is full
-    with h5py.File(written, "w") as file:
-        data = file.create_group("data")
-        data.attrs["total"] = sum(len(demo.actions) for demo in demos)
-        kwargs = {"action": "continuous", "reward": "score"}
-        name = env_id(first.task, first.variant)
-        data.attrs["env_args"] = json.dumps({"env_name": name, "type": GYM, "env_kwargs": kwargs})
-        for number, demo in enumerate(demos):
-            group = data.create_group(f"demo_{number}")
-            group.attrs["num_samples"] = len(demo.actions)
-            group.attrs["seed"] = str(demo.scene_seed)
-            for key, rows in _columns(demo, views).items():
-                group.create_dataset(key, data=rows, compression="gzip" if rows.dtype == np.uint8 else None)
-    files.write(path, written.getvalue(), overwrite=overwrite)
+    with files.new_file(path, overwrite=overwrite) as unfinished:
+        with h5py.File(written, "w") as file:
+            _fill(file, demos, views)
+        unfinished.write_bytes(written.getvalue())
+
+
+def _fill(file: Any, demos: Sequence[Demonstration], views: str) -> None:
+    """Write everything into an open HDF5 file."""
+    first = demos[0]
+    data = file.create_group("data")
+    data.attrs["total"] = sum(len(demo.actions) for demo in demos)
+    kwargs = {"action": "continuous", "reward": "score"}
+    name = env_id(first.task, first.variant)
+    data.attrs["env_args"] = json.dumps({"env_name": name, "type": GYM, "env_kwargs": kwargs})
+    for number, demo in enumerate(demos):
+        group = data.create_group(f"demo_{number}")
+        group.attrs["num_samples"] = len(demo.actions)
+        group.attrs["seed"] = str(demo.scene_seed)
+        for key, rows in _columns(demo, views).items():
+            group.create_dataset(key, data=rows, compression="gzip" if rows.dtype == np.uint8 else None)
 
 
 def _columns(demo: Demonstration, views: str) -> dict[str, NDArray[Any]]:

@@ -87,21 +87,19 @@ class _Worker:
             try:
                 _send(self._process.stdin, piece)
                 return _receive(self._process.stdout)
-            except (EOFError, OSError, ValueError, pickle.UnpicklingError):
-                code = self._ended()  # it died, or its answer is unreadable
+            except (EOFError, OSError, ValueError, pickle.UnpicklingError) as error:
+                try:
+                    code = self._process.wait(GRACE)
+                except subprocess.TimeoutExpired:  # it has not died
+                    self._process.kill()
+                    self._process.wait()
+                    self._start()
+                    return False, WorkerError(f"the answer of a worker process cannot be read: {error}")
                 self._start()
         cause = signal.Signals(-code).name if code < 0 else f"exit code {code}"
         return False, WorkerError(
             f"{LIVES} worker processes died of the same piece of work ({cause}), perhaps because memory ran out"
         )
-
-    def _ended(self) -> int:
-        """The exit code of the process, which is killed if it goes on."""
-        try:
-            return self._process.wait(GRACE)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            return self._process.wait()
 
     def end(self) -> None:
         """Lets the process close its files, and waits for it to end."""

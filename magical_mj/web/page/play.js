@@ -82,8 +82,8 @@ async function stay() {
   const problem = shown.note;
   showNames();
   if (shown.game) return;
-  await choose(shown.task, shown.variant, shown.seed);  // it was still being opened when the other one was chosen
-  complain(problem);
+  const opened = await choose(shown.task, shown.variant, shown.seed);  // whose opening the other choice had ended
+  if (opened) complain(problem);
 }
 
 /** Whether a finished episode would be lost that the collection may want. */
@@ -204,13 +204,16 @@ async function send() {
   try {
     const { score, next } = await /** @type {Seat} */ (seat).ask({ keep: recording(shown, catalogue.protocol) });
     game.sent = true;
+    const choice = choices;
     const opened = await chooseWanted(next);
+    if (next && choices !== choice + 1) return;  // another scene was chosen meanwhile
     const after = !next ? "That was everything" : opened ? "Press a key to go on" : `The next scene cannot be opened: ${shown.note}`;
     complain(`Kept, with score ${score.toFixed(2)}. Thank you! ${after}`);
   } catch (error) {
     complain(/** @type {Error} */ (error));
+  } finally {
+    shown.sending = false;
   }
-  shown.sending = false;
 }
 
 /** Tells the server who is here, and shows what it wants. @param {Seat} seat */
@@ -262,22 +265,30 @@ function start() {
 /** @type {Record<string, string>} the buttons that keys press */
 const SHORTCUTS = { KeyR: "again", KeyN: "next", KeyH: "expert" };
 
-/** Selects keep the focus while they are used by keyboard, and give it to the arena when used by pointer. */
-for (const id of ["task", "variant"]) {
+/** Fields keep the focus while they are used by keyboard, and give it to the arena when used by pointer. */
+for (const [id, changed] of Object.entries({ task: changeNames, variant: changeNames, seed: changeSeed })) {
   let byPointer = false;
   element(id).addEventListener("pointerdown", () => { byPointer = true; });
   element(id).addEventListener("keydown", () => { byPointer = false; });
-  element(id).addEventListener("change", async () => {
+  element(id).addEventListener("change", () => {
     if (byPointer) arena.focus({ preventScroll: true });
-    const task = element("task").value, variant = element("variant").value;
-    const there = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);
-    const exists = there.some((/** @type {Name} */ one) => one.variant === variant);
-    await choose(task, exists ? variant : there[0].variant, 0);
+    changed();
   });
 }
+
+function changeNames() {
+  const task = element("task").value, variant = element("variant").value;
+  const there = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);
+  const exists = there.some((/** @type {Name} */ one) => one.variant === variant);
+  choose(task, exists ? variant : there[0].variant, 0);
+}
+
+function changeSeed() {
+  if (shown.task) choose(shown.task, shown.variant, seedIn(element("seed").value));
+}
+
 for (const [id, press] of Object.entries({ again, next, expert, demo })) element(id).onclick = () => press();
 element("save").onclick = catalogue.collects ? send : () => save(recording(shown, catalogue.protocol));
-element("seed").onchange = () => { if (shown.task) choose(shown.task, shown.variant, seedIn(element("seed").value)); };
 element("seed").addEventListener("keydown", ({ key }) => { if (key === "Enter") arena.focus({ preventScroll: true }); });
 addEventListener("keydown", (event) => {
   const elsewhere = /** @type {any} */ (event.target).matches("select, input");
