@@ -23,9 +23,8 @@ def resolve(reference: str) -> Any:
         ImportError: if there is no such module or object. Errors raised by the module itself pass through.
     """
     module, _, name = reference.partition(":")
-    here = str(Path.cwd())
-    if here not in sys.path:  # Python adds it for scripts, but not for installed commands
-        sys.path.insert(0, here)
+    if module not in sys.modules and (here := str(Path.cwd())) not in sys.path:
+        sys.path.insert(0, here)  # Python adds it for scripts, but not for installed commands
     found: Any = importlib.import_module(module)
     for part in name.split("."):
         if not hasattr(found, part):

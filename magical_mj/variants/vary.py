@@ -34,8 +34,9 @@ def vary(spec: TaskSpec, variant: str, seed: int) -> Scene:
     seed = check_seed(seed)
     rngs = {axis: _generator(spec.name, axis, seed) for axis in varied_axes(spec, variant)}
     scene = spec.demo
-    dynamics = draw_dynamics(rngs["dynamics"]) if "dynamics" in rngs else scene.dynamics
-    scene = replace(scene, dynamics=dynamics)
+    dynamics = draw_dynamics(rngs["dynamics"]) if "dynamics" in rngs else None
+    if dynamics is not None:
+        scene = replace(scene, dynamics=dynamics)
     if "count" in rngs:
         scene = _draw(spec, "count", rngs["count"], scene)
     if "colour" in rngs:
@@ -43,7 +44,7 @@ def vary(spec: TaskSpec, variant: str, seed: int) -> Scene:
     if "shape" in rngs:
         draw_shapes = _draw if "jitter" in rngs or "layout" in rngs else _draw_until_it_fits
         scene = draw_shapes(spec, "shape", rngs["shape"], scene)
-    if scene.dynamics == spec.demo.dynamics:
+    if dynamics is not None and scene.dynamics == spec.demo.dynamics:
         scene = replace(scene, dynamics=dynamics)  # of a scene that a rule made anew, instead of changing the given one
     if "jitter" in rngs:
         scene = jitter(spec, scene, rngs["jitter"])
