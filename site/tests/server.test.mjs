@@ -13,13 +13,25 @@ import { launch } from "./browser.mjs";
 
 const PYTHON = fileURLToPath(new URL("../../.venv/bin/python", import.meta.url));
 
+/** Starts a server on any free port. @param {string[]} options */
+const serve = (...options) => spawn(PYTHON, ["-m", "magical_mj", "play", "--web", "--port", "0", ...options]);
+/** The address that a server prints. @param {import("node:child_process").ChildProcessByStdio<any, any, any>} server */
+const addressOf = async (server) => (await createInterface(server.stdout)[Symbol.asyncIterator]().next()).value;
+/** @param {import("playwright-core").Page} page @param {string} text */
+const untilStatus = (page, text) => page.waitForFunction(
+  (text) => document.getElementById("status")?.textContent?.includes(text), text, { timeout: 40000 });
+/** The questions that a page asks, all of which are answered by no. @param {import("playwright-core").Page} page */
+function questionsOf(page) {
+  /** @type {string[]} */
+  const questions = [];
+  page.on("dialog", (dialog) => { questions.push(dialog.message()); dialog.dismiss(); });
+  return questions;
+}
+
 test("people play at the server and send what they did", async () => {
   const folder = await mkdtemp(join(tmpdir(), "magical-study-"));
-  const serve = (/** @type {string} */ port) => spawn(PYTHON, ["-m", "magical_mj", "play", "--web", "--port", port,
-    "--collect", folder, "--tasks", "MoveToRegion", "--variants", "Demo,Layout", "--wanted", "1"]);
-  const addressOf = async (/** @type {import("node:child_process").ChildProcessByStdio<any, any, any>} */ server) =>
-    (await createInterface(server.stdout)[Symbol.asyncIterator]().next()).value;
-  let server = serve("0");
+  const options = ["--collect", folder, "--tasks", "MoveToRegion", "--variants", "Demo,Layout", "--wanted", "1"];
+  let server = serve(...options);
   const browser = await launch();
   try {
     const address = await addressOf(server);
@@ -28,30 +40,26 @@ test("people play at the server and send what they did", async () => {
     const complaints = [];
     page.on("console", (message) => { if (message.type() === "error") complaints.push(message.text()); });
     page.on("pageerror", (error) => complaints.push(error.message));
-    const untilStatus = (/** @type {string} */ text) => page.waitForFunction(
-      (text) => document.getElementById("status")?.textContent?.includes(text), text, { timeout: 20000 });
-    /** @type {string[]} */
-    const questions = [];
-    page.on("dialog", (dialog) => { questions.push(dialog.message()); dialog.dismiss(); });
+    const questions = questionsOf(page);
     await page.goto(`${address}?speed=10`);
     for (const variant of ["Demo", "Layout"]) {
-      await untilStatus("ress a key");
+      await untilStatus(page, "ress a key");
       assert.equal(await page.inputValue("#variant"), variant);
       await page.keyboard.down("ArrowUp");
-      await untilStatus("Over");
+      await untilStatus(page, "Over");
       await page.keyboard.up("ArrowUp");
       await page.keyboard.press("n");  // it asks before it throws away what was not sent
-      await untilStatus("Over");
+      await untilStatus(page, "Over");
       if (variant === "Layout") {
         server.kill();
         await once(server, "exit");
         await page.click("#save");
-        await untilStatus("no connection to the server: try again");
-        server = serve(new URL(address).port);
+        await untilStatus(page, "no connection to the server: try again");
+        server = serve(...options, "--port", new URL(address).port);
         assert.equal(await addressOf(server), address);
       }
       await page.click("#save");
-      await untilStatus("Kept");
+      await untilStatus(page, "Kept");
     }
     assert.deepEqual(questions, Array(2).fill("This episode was not sent. Leave it?"));
     assert.match(await page.textContent("#status") ?? "", /everything/);
@@ -71,29 +79,25 @@ test("people play at the server and send what they did", async () => {
 
 test("a server that says nothing any more costs no episode, and no patience", async () => {
   const folder = await mkdtemp(join(tmpdir(), "magical-study-"));
-  const server = spawn(PYTHON, ["-m", "magical_mj", "play", "--web", "--port", "0", "--collect", folder, "--tasks", "MoveToRegion"]);
+  const server = serve("--collect", folder, "--tasks", "MoveToRegion");
   const browser = await launch();
   try {
-    const { value: address } = await createInterface(server.stdout)[Symbol.asyncIterator]().next();
+    const address = await addressOf(server);
     const page = await browser.context.newPage();
-    const untilStatus = (/** @type {string} */ text) => page.waitForFunction(
-      (text) => document.getElementById("status")?.textContent?.includes(text), text, { timeout: 40000 });
-    /** @type {string[]} */
-    const questions = [];
-    page.on("dialog", (dialog) => { questions.push(dialog.message()); dialog.dismiss(); });
+    const questions = questionsOf(page);
     await page.goto(`${address}?speed=40`);
-    await untilStatus("ress a key");
+    await untilStatus(page, "ress a key");
     await page.keyboard.press("ArrowUp");
-    await untilStatus("Over");
+    await untilStatus(page, "Over");
     server.kill("SIGSTOP");
     await page.click("#save");
-    await untilStatus("Sending");
+    await untilStatus(page, "Sending");
     await page.keyboard.press("n");
     assert.deepEqual(questions, ["This episode was not sent. Leave it?"]);
-    await untilStatus("no connection to the server: try again");
+    await untilStatus(page, "no connection to the server: try again");
     server.kill("SIGCONT");
     await page.click("#save");
-    await untilStatus("Kept");
+    await untilStatus(page, "Kept");
   } finally {
     await browser.close();
     server.kill("SIGKILL");
@@ -101,21 +105,19 @@ test("a server that says nothing any more costs no episode, and no patience", as
 });
 
 test("a seed is chosen by keyboard without playing, and the host may be written in any way", async () => {
-  const server = spawn(PYTHON, ["-m", "magical_mj", "play", "--web", "--port", "0", "--host", "LOCALHOST"]);
+  const server = serve("--host", "LOCALHOST");
   const browser = await launch();
   try {
-    const { value: address } = await createInterface(server.stdout)[Symbol.asyncIterator]().next();
+    const address = await addressOf(server);
     const page = await browser.context.newPage();
-    const untilStatus = (/** @type {string} */ text) => page.waitForFunction(
-      (text) => document.getElementById("status")?.textContent?.includes(text), text, { timeout: 20000 });
     const focused = () => page.evaluate(() => document.activeElement?.id);
     await page.goto(address);
-    await untilStatus("ress a key");
+    await untilStatus(page, "ress a key");
     await page.focus("#seed");
     for (const seed of ["1", "2"]) {
       await page.keyboard.press("ArrowUp");
       await page.waitForFunction((seed) => location.hash.endsWith(`-${seed}`), seed);
-      await untilStatus("ress a key");
+      await untilStatus(page, "ress a key");
       assert.equal(await focused(), "seed");
     }
     await page.keyboard.press("Enter");
@@ -127,14 +129,13 @@ test("a seed is chosen by keyboard without playing, and the host may be written 
 });
 
 test("whoever comes by another address than the server's is told", async () => {
-  const server = spawn(PYTHON, ["-m", "magical_mj", "play", "--web", "--port", "0", "--host", "0.0.0.0"]);
+  const server = serve("--host", "0.0.0.0");
   const browser = await launch();
   try {
-    const { value: address } = await createInterface(server.stdout)[Symbol.asyncIterator]().next();
+    const address = await addressOf(server);
     const page = await browser.context.newPage();
     await page.goto(address.replace("localhost", "127.0.0.1"));
-    await page.waitForFunction(() => document.getElementById("status")?.textContent?.includes("refuses this address"),
-      undefined, { timeout: 20000 });
+    await untilStatus(page, "refuses this address");
   } finally {
     await browser.close();
     server.kill();

@@ -101,3 +101,26 @@ function drawRobot(context, look, robot) {
   }
   context.restore();
 }
+
+/**
+ * Gives canvases as many pixels as they have on the screen, now and whenever their size changes, which clears them.
+ * @param {HTMLCanvasElement[]} canvases
+ * @param {() => void} redraw
+ */
+export function fitToScreen(canvases, redraw) {
+  const resized = new ResizeObserver((entries) => {
+    for (const { target, contentRect, devicePixelContentBoxSize } of entries) {
+      const canvas = /** @type {HTMLCanvasElement} */ (target);
+      const side = devicePixelContentBoxSize?.[0].inlineSize ?? Math.round(contentRect.width * devicePixelRatio);
+      canvas.width = canvas.height = Math.max(1, side);
+    }
+    redraw();
+  });
+  for (const canvas of canvases) {
+    try {
+      resized.observe(canvas, { box: "device-pixel-content-box" });  // changes with the zoom, too
+    } catch {
+      resized.observe(canvas);
+    }
+  }
+}

@@ -2,12 +2,12 @@
 /** The page: choosing a scene, playing in it, watching, saving or sending. */
 import { fromLetters } from "./actions.js";
 import { Controls } from "./controls.js";
-import { draw } from "./draw.js";
+import { draw, fitToScreen } from "./draw.js";
 import { Game } from "./game.js";
 import { recording, save } from "./recording.js";
 import { fetchJson, inBrowser, loadEnvironment } from "./scenes.js";
 import { score } from "./score.js";
-import { Seat } from "./server.js";
+import { remembered, Seat } from "./server.js";
 
 /** @typedef {import("./scenes.js").Entry} Entry */
 /** @typedef {{task: string, variant: string}} Name */
@@ -223,16 +223,6 @@ async function arrive(seat) {
   await (next ? chooseWanted(next) : chooseByAddress());
 }
 
-/** The participant's id, which the browser keeps if it may. @param {string} [id]  to be kept */
-function remembered(id) {
-  try {
-    if (id) localStorage.setItem("participant", id);
-    return localStorage.getItem("participant");
-  } catch {
-    return null;
-  }
-}
-
 /** @param {{task: string, variant: string, seed: number} | null} wanted */
 async function chooseWanted(wanted) {
   return wanted && choose(wanted.task, wanted.variant, wanted.seed);
@@ -298,22 +288,7 @@ addEventListener("keydown", (event) => {
 addEventListener("hashchange", chooseByAddress);
 addEventListener("beforeunload", (event) => { if (unsent()) event.preventDefault(); });
 
-/** Canvases have as many pixels as the screen. A new size clears them. */
-const resized = new ResizeObserver((entries) => {
-  for (const { target, contentRect, devicePixelContentBoxSize } of entries) {
-    const canvas = /** @type {HTMLCanvasElement} */ (target);
-    const side = devicePixelContentBoxSize?.[0].inlineSize ?? Math.round(contentRect.width * devicePixelRatio);
-    canvas.width = canvas.height = Math.max(1, side);
-  }
-  shown.again?.();
-});
-for (const view of ["allo", "ego"]) {
-  try {
-    resized.observe(element(view), { box: "device-pixel-content-box" });  // changes with the zoom, too
-  } catch {
-    resized.observe(element(view));
-  }
-}
+fitToScreen(["allo", "ego"].map(element), () => shown.again?.());
 element("task").replaceChildren(...Object.keys(catalogue.tasks).map((name) => new Option(name)));
 element("seed-label").hidden = !seat;
 if (seat) element("home").removeAttribute("href");

@@ -89,3 +89,13 @@ export class Seat {
     return { scene, act, close: () => {} };
   };
 }
+
+/** The participant's id, which the browser keeps if it may. @param {string} [id]  to be kept */
+export function remembered(id) {
+  try {
+    if (id) localStorage.setItem("participant", id);
+    return localStorage.getItem("participant");
+  } catch {
+    return null;
+  }
+}
