@@ -72,7 +72,7 @@ def test_routes_are_driven() -> None:
     world = Lookahead(env)
     tolls = toll(np.empty((0, 3)), loaded=False)
     ways = explore(world.robot, tolls, 50)
-    start = world.save()
+    start = world.state
     for node in np.random.default_rng(0).integers(len(ways.poses), size=12).tolist():
         world.restore(start)
         route = simplified(ways.to(node), tolls)
@@ -144,7 +144,7 @@ def test_what_is_remembered_happens_again() -> None:
     asleep = env.physics.data.ptr.tree_asleep >= 0
     assert asleep.any()
     assert not asleep.all()
-    here = world.save()
+    here = world.state
     ends = []
     for detour in (0, 25):
         for _ in range(detour):

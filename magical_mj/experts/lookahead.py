@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,17 +15,6 @@ from magical_mj.scene import Pose, Scene
 State = NDArray[np.float64]
 """A saved state: the array that `magical_mj.simulation.Simulation.save` returns."""
 Point = tuple[float, float]
-
-
-class Snapshot(NamedTuple):
-    """The actions and states since some moment, and the state in which they end."""
-
-    state: State
-    """The end."""
-    trace: tuple[int, ...]
-    """The actions."""
-    states: tuple[State, ...]
-    """The state after each."""
 
 
 class Lookahead:
@@ -49,13 +37,9 @@ class Lookahead:
         self.count = 0
         """The total number of simulated steps."""
 
-    def save(self) -> Snapshot:
-        """The actions and states since the last `restore`, and the present state."""
-        return Snapshot(self.state, tuple(self.trace), tuple(self.states))
-
-    def restore(self, memory: Snapshot) -> None:
-        """Goes to the final state of a snapshot, with an empty history."""
-        self._simulation.restore(memory.state)
+    def restore(self, state: State) -> None:
+        """Goes to a state, with an empty history."""
+        self._simulation.restore(state)
         self.trace, self.states = [], []
 
     def act(self, gripper: Gripper, turn: Turn = Turn.NONE, drive: Drive = Drive.NONE) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from magical_mj.actions import Gripper
 from magical_mj.experts.hand import LATE, Hand
-from magical_mj.experts.lookahead import Lookahead, Snapshot, State
+from magical_mj.experts.lookahead import Lookahead, State
 from magical_mj.experts.manoeuvres import Manoeuvre, manoeuvres, obstacles, perform
 from magical_mj.experts.navigation import explore, toll
 from magical_mj.planning import Noise, done
@@ -80,7 +80,7 @@ class Planner:
             budget: the number of simulated steps after which no new plan is started.
             rng: varies the plans. Execution becomes more precise with each failure, noise increases for `ROUND` plans.
         """
-        start, end = self._world.save(), self._world.count + budget
+        start, end = self._world.state, self._world.count + budget
         best = self._attempt(start, steps, Noise(rng, 1.0), self._hand(rng, LATE))
         for failed in range(1, ATTEMPTS):
             good = best.score == 1.0 and (best.rest or failed > SECOND_THOUGHTS)
@@ -95,7 +95,7 @@ class Planner:
     def _hand(self, rng: np.random.Generator, lateness: float) -> Hand:
         return Hand(rng, 0.0, 1) if self._steady else Hand(rng, lateness)
 
-    def _attempt(self, start: Snapshot, steps: int, noise: Noise, hand: Hand) -> Plan:
+    def _attempt(self, start: State, steps: int, noise: Noise, hand: Hand) -> Plan:
         world, todo = self._world, ()
         world.restore(start)
         actions: list[int] = []
@@ -104,7 +104,7 @@ class Planner:
         stuck: set[int] = set()
         waited, settling = 0, SETTLING + hand.pause()
         while len(actions) < steps:
-            scene, left, here = world.scene(), steps - len(actions), world.save()
+            scene, left, here = world.scene(), steps - len(actions), world.state
             todo = tuple(subgoal for subgoal in todo if subgoal.left(scene))
             if not todo or self._score(done(scene, todo)) < 1.0:
                 todo = self._subgoals(scene, noise, stuck)
@@ -130,8 +130,8 @@ class Planner:
             states += world.states
         return Plan(self._score(world.scene()), waited, actions, states)
 
-    def _best(self, here: Snapshot, scene: Scene, todo: Subgoals, left: int, noise: Noise) -> Manoeuvre | None:
-        """The best of the most promising manoeuvres, tried from a snapshot; None if there is no subgoal left."""
+    def _best(self, here: State, scene: Scene, todo: Subgoals, left: int, noise: Noise) -> Manoeuvre | None:
+        """The best of the most promising manoeuvres, tried from a state; None if there is no subgoal left."""
         if not todo:
             return None
         world = self._world
