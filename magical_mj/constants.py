@@ -1,4 +1,4 @@
-"""The constants of the world: sizes, masses, speeds, force caps and score thresholds.
+"""The constants of the world: sizes, masses, speeds and force caps.
 
 Units are world units (the workspace is 2 x 2), seconds, radians and mass units. The values are those of
 the original benchmark (Toyer et al. 2020, appendix "Additional benchmark details", and measurements on

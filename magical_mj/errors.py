@@ -15,7 +15,7 @@ class MagicalError(Exception):
 
 
 class UnknownNameError(MagicalError, ValueError):
-    """A task, variant, preset, view or agent that does not exist."""
+    """A name that does not exist: of a task, variant, preset, view, policy, method, setting or the like."""
 
 
 class TaskError(MagicalError, ValueError):

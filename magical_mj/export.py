@@ -70,6 +70,18 @@ def export_mjcf(source: Scene | Environment, path: str | os.PathLike[str], *, ov
         FileExistsError: if the file exists and `overwrite` is false.
         OSError: if it cannot be written.
     """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    files.write(path, mjcf_text(source), overwrite=overwrite)
+    return path
+
+
+def mjcf_text(source: Scene | Environment) -> str:
+    """The content of the file that `export_mjcf` writes.
+
+    Raises:
+        InvalidSceneError, ClosedError, StateError: as `export_mjcf`.
+    """
     about: dict[str, Any] = {"protocol": PROTOCOL, "substeps": SUBSTEPS}
     if isinstance(source, Scene):
         check_scene(source)
@@ -91,10 +103,7 @@ def export_mjcf(source: Scene | Environment, path: str | os.PathLike[str], *, ov
         about |= {"task": settings.task, "variant": settings.variant if drawn else None, "seed": source.task.seed}
         about |= {"rules": settings.rules if settings.task else None, "horizon": source.horizon}
     about = {name: value for name, value in about.items() if value is not None}
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    files.write(path, _header(about) + indented(_model(scene, about, data)), overwrite=overwrite)
-    return path
+    return _header(about) + indented(_model(scene, about, data))
 
 
 def _header(about: Mapping[str, Any]) -> str:

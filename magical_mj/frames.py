@@ -21,7 +21,7 @@ class FrameStack:
     """The last frames of one or more views in one array, the frames of each view oldest first.
 
     The latest stack is a window into a longer buffer. For the next one the window moves by one frame. So every frame
-    is one place earlier in the new window, and only the newest frames are drawn, in place: no pixels are copied.
+    is one place earlier in the new window, and only the newest frames are drawn, in place.
 
     Args:
         frames: the views and how many frames of each, in the order in which they are stacked.
@@ -81,17 +81,19 @@ class Stacks:
     The name of that one says what it holds, such as "allo1+ego3", since stacks of other presets may have its shape.
 
     Args:
-        made: the preset.
+        preset: the preset.
         size: side of the frames in pixels.
     """
 
-    def __init__(self, made: Preset, size: int) -> None:
+    def __init__(self, preset: Preset, size: int) -> None:
         self._stacks: dict[str, FrameStack] = {}
-        if made.layout == "dict":
-            self._stacks = {view: FrameStack(((view, count),), size) for view, count in made.frames}
-        elif made.layout != "state":
-            name = "+".join(f"{view}{count}" for view, count in made.frames) + ("-chw" if made.layout == "chw" else "")
-            self._stacks = {name: FrameStack(made.frames, size, channels_first=made.layout == "chw")}
+        if preset.layout == "dict":
+            self._stacks = {view: FrameStack(((view, count),), size) for view, count in preset.frames}
+        elif preset.layout != "state":
+            name = "+".join(f"{view}{count}" for view, count in preset.frames) + (
+                "-chw" if preset.layout == "chw" else ""
+            )
+            self._stacks = {name: FrameStack(preset.frames, size, channels_first=preset.layout == "chw")}
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:

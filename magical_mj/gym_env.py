@@ -93,22 +93,22 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self.render_mode = render_mode
         self._views = VIEWS if render_view == "both" else (render_view,)
         self._render_size = check_size(render_size, "render_size")
-        made = preset_named(preset)
-        size = made.image_size if image_size is None else check_size(image_size)
-        self._preset = made
-        self._stacks = Stacks(made, size)
+        self._preset = preset_named(preset)
+        needs_state = self._preset.layout == "state" or self._preset.fingers
+        size = self._preset.image_size if image_size is None else check_size(image_size)
+        self._stacks = Stacks(self._preset, size)
         self._env = load(
             task,
             variant,
             seed=0,  # for an episode that is never played, since every reset gives a seed
-            observations=["state"] if made.layout == "state" or made.fingers else [],  # pictures go to the stacks
+            observations=["state"] if needs_state else [],  # pictures go to the stacks
             image_size=size,
             reward=reward,
             rules=rules,
         )
         self._continuous = action == "continuous"
         self.action_space = continuous_space() if self._continuous else spaces.Discrete(len(ACTIONS))
-        self.observation_space = _space(made, self._stacks.shapes)
+        self.observation_space = observation_space(self._preset, self._stacks.shapes)
         self._score_every_step = score_every_step
         self._begun = False
         self._seeded: int | None = None
@@ -244,19 +244,19 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         return stacks if self._preset.layout == "dict" else next(iter(stacks.values()))
 
 
-def fingers_space() -> spaces.Space[NDArray[np.float32]]:
-    """The space of the angles (rad) of the left and the right finger."""
-    return spaces.Box(-np.pi, np.pi, (2,), np.float32)
+def observation_space(preset: Preset, shapes: Mapping[str, tuple[int, ...]]) -> spaces.Space[Any]:
+    """The space of a preset's observations.
 
-
-def _space(made: Preset, shapes: Mapping[str, tuple[int, ...]]) -> spaces.Space[Any]:
-    """The space of a preset's observations, with stacks of these shapes."""
-    if made.layout == "state":
+    Args:
+        preset: the preset.
+        shapes: of the stacks of frames by name; ignored if the preset observes the state.
+    """
+    if preset.layout == "state":
         return spaces.Box(-STATE_BOUND, STATE_BOUND, (len(STATE_NAMES),), np.float32)
     boxes: dict[str, spaces.Space[Any]] = {name: spaces.Box(0, 255, shape, np.uint8) for name, shape in shapes.items()}
-    if made.fingers:
-        boxes["fingers"] = fingers_space()
-    return spaces.Dict(boxes) if made.layout == "dict" else next(iter(boxes.values()))
+    if preset.fingers:
+        boxes["fingers"] = spaces.Box(-np.pi, np.pi, (2,), np.float32)  # rad, the left one first
+    return spaces.Dict(boxes) if preset.layout == "dict" else next(iter(boxes.values()))
 
 
 def _scene_option(options: Mapping[str, Any]) -> Scene | None:

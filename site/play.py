@@ -10,9 +10,10 @@ from typing import Any, Final
 from fetch import MUJOCO, fetched
 
 import magical_mj
+from magical_mj.export import mjcf_text
 from magical_mj.web import PAGE
 from magical_mj.web.catalogue import catalogue
-from magical_mj.web.scenes import environment_scenes, exported, with_models
+from magical_mj.web.scenes import environment_scenes, with_models
 
 FOLDER: Final = Path(__file__).parent.parent / "out" / "site" / "play"
 
@@ -28,7 +29,7 @@ def write_play(folder: Path) -> int:
         models = []
         for entry in data["scenes"]:
             env.reset(seed=entry["seed"])
-            models.append(exported(env))
+            models.append(mjcf_text(env))
         env.close()
         _write(folder / "scenes" / f"{task}-{variant}.json", with_models(data, models))
     _write(folder / "catalogue.json", catalogue(magical_mj.ENVIRONMENTS, "browser"))

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import re
+import tomllib
+from pathlib import Path
+
 import mujoco
 import pytest
 from commands import process
 
+from magical_mj.cli.doctor import OWN, optional
 from magical_mj.rendering.backend import osmesa_works
 
 
@@ -14,6 +19,20 @@ def test_doctor_finds_a_backend() -> None:
     assert result.returncode == 0, result.stdout
     assert "works" in result.stdout
     assert mujoco.__version__ in result.stdout
+
+
+def test_every_extra_for_users_is_listed() -> None:
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    packages = {
+        re.split(r"[\[<>=;]", package)[0]: extra
+        for extra, listed in project["optional-dependencies"].items()
+        if extra not in OWN
+        for package in listed
+        if not package.startswith("magical-mj")
+    }
+    found = optional()
+    assert packages.keys() == found.keys()
+    assert (found["torch"], found["scipy"], found["distributed"]) == ("il", "eval", "dask")
 
 
 @pytest.mark.skipif(osmesa_works(), reason="OSMesa can draw without a driver")

@@ -188,7 +188,7 @@ def test_folders_of_several_people_are_read_and_no_file_twice(
 ) -> None:
     demo = demos.from_recording(json.dumps(saved)).demonstration
     for person in ("one", "two"):
-        path = demos.keep(demo, tmp_path / person)
+        path, _ = demos.keep(demo, tmp_path / person)
     (tmp_path / "token").write_text("secret")
     assert len(demos.load("FindDupe", tmp_path)) == 2
     assert main(["demos", "verify", str(tmp_path), str(path), str(path.parent), "--jobs", "1"]) == 0

@@ -6,7 +6,7 @@ from typing import Final
 
 from magical_mj import constants as c
 from magical_mj.assets import solids, style
-from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, TIMESTEP, PhysicsSettings
+from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, TIMESTEP, PhysicsSettings
 from magical_mj.assets.mjcf import comment, numbers
 from magical_mj.assets.region import BONE
 
@@ -40,7 +40,7 @@ LIGHTS: Final = "".join(
 SIDES: Final = {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}
 
 
-def options(settings: PhysicsSettings = SETTINGS) -> str:
+def options(settings: PhysicsSettings) -> str:
     """MuJoCo's options, as MJCF.
 
     Elliptic cones make friction equal in all directions. Explicit Euler with a fixed step is the original's

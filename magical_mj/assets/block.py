@@ -28,7 +28,7 @@ SIDES: Final = 3
 """The index of the sides among a block's geoms, after outline, fill and foot."""
 
 
-def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSettings = SETTINGS) -> str:
+def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSettings) -> str:
     """The body `block<index>`."""
     name, inertia = f"block{index}", INERTIA[block.shape]
     content = (
@@ -45,7 +45,7 @@ def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSe
     return comment(f"Block {index}: {block.colour}, {block.shape}") + planar_body(name, block.pose, content, hinge)
 
 
-def block_pair(index: int, dynamics: Dynamics, settings: PhysicsSettings = SETTINGS) -> str:
+def block_pair(index: int, dynamics: Dynamics, settings: PhysicsSettings) -> str:
     """The contact of the block's foot with the floor."""
     return floor_pair(f"block{index}_foot", dynamics.block_friction_force, c.BLOCK_MASS, settings)
 

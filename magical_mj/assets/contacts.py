@@ -107,7 +107,7 @@ def foot(name: str) -> str:
     return f'<geom name="{name}" class="foot"/>'
 
 
-def floor_pair(name: str, friction_force: float, mass: float, settings: PhysicsSettings = SETTINGS) -> str:
+def floor_pair(name: str, friction_force: float, mass: float, settings: PhysicsSettings) -> str:
     """The contact of a foot with the floor: it presses with `PRESS`, so friction resists with at most `friction_force`.
 
     Friction is the same in all directions. An explicit pair saves the search for contacts of the foot. `mass` is the

@@ -59,7 +59,7 @@ CASTOR_INERTIA: Final = 1e-5  # so light that it has no effect on anything else
 LIGHT: Final = '<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-7 1e-7 1e-7"/>'
 
 
-def robot_mjcf(robot: Robot, settings: PhysicsSettings = SETTINGS) -> str:
+def robot_mjcf(robot: Robot, settings: PhysicsSettings) -> str:
     """The body `robot` with its motors, fingers, face and the ego camera."""
     castor = f'armature="{numbers(CASTOR_INERTIA)}" stiffness="{numbers(CASTOR_INERTIA / TIMESTEP**2)}"'
     wheels = "".join(_spinner(name, "-1 0 0", foot(name)) for name in WHEELS)
@@ -143,7 +143,7 @@ def _finger(side: Side, angle: float, settings: PhysicsSettings) -> str:
     )
 
 
-def robot_pairs(dynamics: Dynamics, settings: PhysicsSettings = SETTINGS) -> str:
+def robot_pairs(dynamics: Dynamics, settings: PhysicsSettings) -> str:
     """The contacts of the wheels with the floor."""
     mass = c.ROBOT_MASS + 2 * c.FINGER_MASS
     return comment("Wheels grip the ground up to the drive's cap") + "".join(
@@ -152,7 +152,7 @@ def robot_pairs(dynamics: Dynamics, settings: PhysicsSettings = SETTINGS) -> str
     )
 
 
-def tendons_mjcf(dynamics: Dynamics, settings: PhysicsSettings = SETTINGS) -> str:
+def tendons_mjcf(dynamics: Dynamics, settings: PhysicsSettings) -> str:
     """Dry friction of the turning servo and of the finger motors, and damping of swaying fingers and of the castor.
 
     The damping of the castor makes it lag behind the robot by one substep.

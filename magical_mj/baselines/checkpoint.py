@@ -54,9 +54,8 @@ def _packed(value: Any, name: str, tensors: dict[str, torch.Tensor]) -> Any:
     if isinstance(value, list | tuple):
         return [_packed(item, f"{name}/{number}", tensors) for number, item in enumerate(value)]
     if isinstance(value, torch.Tensor):
-        tensors[name] = (
-            value.detach().cpu().clone(memory_format=torch.contiguous_format)
-        )  # tensors may not share memory
+        # cloned, since tensors in a file may not share memory
+        tensors[name] = value.detach().cpu().clone(memory_format=torch.contiguous_format)
         return TENSOR + name
     if isinstance(value, np.ndarray):
         tensors[name] = torch.as_tensor(value).clone(memory_format=torch.contiguous_format)

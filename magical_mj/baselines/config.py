@@ -92,7 +92,7 @@ STATE_TRACK: Final[Mapping[str, Any]] = MappingProxyType(
 )
 """The changes for the preset State, which the paper does not have."""
 
-SLOW: Final[Mapping[str, Any]] = MappingProxyType(
+SHORT_AL: Final[Mapping[str, Any]] = MappingProxyType(
     {"ppo.learning_rate": 6e-5, "ppo.entropy": 1e-5, "ppo.clip": 0.01, "features.samples": 4096}
 )
 """The paper's PPO in short trainings of AL, whose rewards change more than others' from one update to the next."""
@@ -103,13 +103,17 @@ T = TypeVar("T")
 def load_settings(
     method: str, tasks: str | tuple[str, ...], *, quick: bool = False, **changes: Any
 ) -> TrainingSettings:
-    """The settings of a method: the paper's, those of `quick`, and then the `changes`.
+    """The settings of a method: the paper's, changed for short trainings (`quick`, preset State), then by `changes`.
 
     Args:
         method: one of `magical_mj.baselines.METHODS`, or the name of a method of the user's own.
         tasks: the tasks, as a tuple or separated by commas; "all" is all eight.
         quick: use a smaller network and a shorter training on pictures.
         changes: by field; those of parts with dots, as in ``**{"ppo.clip": 0.02}``.
+
+    Raises:
+        UnknownNameError: for an unknown task or setting.
+        SettingsError: if a value is invalid, or `quick` is asked for with the preset State.
     """
     tasks = tuple(task_name(task) for task in listed(tasks, TASKS))
     settings, short = TrainingSettings(method, tasks), QUICK if quick else {}
@@ -118,7 +122,7 @@ def load_settings(
             raise SettingsError("quick is for pictures: learning from states is quick as it is")
         short = STATE_TRACK
     if short and method == "al":
-        short = {**short, **SLOW}
+        short = {**short, **SHORT_AL}
     return changed(settings, {**short, **changes})
 
 

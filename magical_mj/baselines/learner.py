@@ -62,7 +62,7 @@ class Method(ABC):
         """Why what was learnt is useless, such as a weight that is not finite; None if it is not."""
         return None
 
-    def recalibrate(self) -> None:  # noqa: B027  (only BC on pictures has batch norm)
+    def recalibrate(self) -> None:  # noqa: B027  (of the policies, only BC's on pictures has batch norm)
         """Called before the policy is evaluated: updates running averages that lag behind the weights."""
 
     def close(self) -> None:  # noqa: B027  (most hold nothing)

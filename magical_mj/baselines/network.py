@@ -48,8 +48,8 @@ class Torso(nn.Module):
 
     Args:
         network: the layers' sizes.
-        batch_norm: after each convolution; only BC's policy and the discriminator have it.
-        actions: join one-hot actions to the convolutions' output; only the discriminator does.
+        batch_norm: after each convolution; BC's policy, the discriminator and AL's encoder have it.
+        actions: join one-hot actions to the convolutions' output; the discriminator and AL's encoder do.
         features: units of the last layer, instead of `network.hidden`.
     """
 

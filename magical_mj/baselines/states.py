@@ -78,7 +78,7 @@ class StateTorso(nn.Module):
 
     Args:
         network: the layers' sizes.
-        actions: join one-hot actions to what the last two layers get; only the discriminator does.
+        actions: join one-hot actions to what the last two layers get; the discriminator and AL's encoder do.
         features: units of the last layer, instead of `network.hidden`.
     """
 

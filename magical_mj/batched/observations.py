@@ -13,9 +13,9 @@ from torch import Tensor
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter, View
 from magical_mj.batched.scenes import ABSENT, SceneArrays
-from magical_mj.gym_env import STATE_BOUND, fingers_space
+from magical_mj.gym_env import observation_space
 from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
-from magical_mj.presets import Preset
+from magical_mj.presets import Preset, preset_named
 
 Observation = Tensor | dict[str, Tensor]
 
@@ -30,7 +30,7 @@ class States:
 
     def __init__(self, worlds: int, device: str) -> None:
         self._fixed = torch.zeros((worlds, len(STATE_NAMES)), device=device)
-        self.space: spaces.Space[Any] = spaces.Box(-STATE_BOUND, STATE_BOUND, (len(STATE_NAMES),), np.float32)
+        self.space: spaces.Space[Any] = observation_space(preset_named("State"), {})
 
     def start(self, scenes: SceneArrays, worlds: Tensor) -> None:
         """Episodes begin in these worlds: writes what stays as it is."""
@@ -87,12 +87,8 @@ class Frames:
             name: torch.zeros((worlds, size, size, count), dtype=torch.uint8, device=device)
             for name, count in channels.items()
         }
-        boxes: dict[str, spaces.Space[Any]] = {
-            name: spaces.Box(0, 255, self._shaped(one[:1])[0].shape, np.uint8) for name, one in self._stacks.items()
-        }
-        if preset.fingers:
-            boxes["fingers"] = fingers_space()
-        self.space: spaces.Space[Any] = spaces.Dict(dict(boxes)) if preset.layout == "dict" else boxes["all"]
+        shapes = {name: tuple(self._shaped(one[:1])[0].shape) for name, one in self._stacks.items()}
+        self.space = observation_space(preset, shapes)
 
     def start(self, scenes: SceneArrays, worlds: Tensor) -> None:
         """Episodes begin in these worlds."""

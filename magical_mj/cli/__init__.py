@@ -1,4 +1,4 @@
-"""The command `magical-mj`; one module per subcommand. Nothing in the library imports this package."""
+"""The command `magical-mj`; one module for each group of subcommands. Nothing in the library imports this package."""
 
 from __future__ import annotations
 

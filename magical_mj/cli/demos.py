@@ -104,11 +104,10 @@ def import_recordings(files: Recordings, out: Folder) -> None:
     claim_folder(out)
     screen = console()
     for file, (demo, deviation, suspect) in made:
-        there = magical_mj.demos.kept(demo, out)
-        if there is not None:
-            screen.print(f"{file} is there already: {there}", soft_wrap=True)
+        path, is_new = magical_mj.demos.keep(demo, out)
+        if not is_new:
+            screen.print(f"{file} is there already: {path}", soft_wrap=True)
             continue
-        path = magical_mj.demos.keep(demo, out)
         warning = f", but ends {deviation:.3f} from what the player saw" if suspect else ""
         screen.print(f"{path}: score {demo.score:.2f}{warning}", soft_wrap=True)
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
 import time
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, requires, version
 from typing import Final
 
 import typer
@@ -21,14 +22,10 @@ from magical_mj.cli.console import console
 from magical_mj.rendering.backend import REMEDY, wanted_backend
 
 CORE: Final = ("magical-mj", "mujoco", "dm_control", "dm-env", "gymnasium", "numpy", "shapely", "pillow")
-EXTRAS: Final = {
-    "cli": ("typer", "rich"),
-    "eval": ("joblib", "jsonschema", "matplotlib", "pandas", "scipy"),
-    "video": ("imageio-ffmpeg",),
-    "window": ("pygame-ce",),
-    "web": ("websockets",),
-    "minari": ("minari",),
-}
+OWN: Final = ("all", "dev", "site")
+"""Extras that consist of others, or are for work on the package itself."""
+REQUIREMENT: Final = re.compile(r"([\w.-]+).*;.*\bextra == ['\"]([\w-]+)['\"]")
+"""A requirement of an extra in the package's metadata."""
 NO_DM_CONTROL: Final = (
     "dm_control is missing: pip install dm_control; with Python 3.13, for which a package that it lists but does not "
     "need here has no wheels: pip install --no-deps dm_control"
@@ -63,14 +60,26 @@ def _print_versions(out: Console) -> None:
     table.add_row("python", f"{platform.python_version()}, {platform.platform()}")
     for name in CORE:
         table.add_row(name, _version(name) or Text("missing", style="red"))
-    for extra, names in EXTRAS.items():
-        for name in names:
-            table.add_row(name, _version(name) or f'not installed: pip install "magical-mj[{extra}]"')
+    for name, extra in optional().items():
+        table.add_row(name, _version(name) or f'not installed: pip install "magical-mj[{extra}]"')
     table.add_row("MUJOCO_GL", os.environ.get("MUJOCO_GL") or "not set")
     out.print(table)
     if _version("dm_control") is None:
         out.print(f"\n{NO_DM_CONTROL}", style="bold red")
         raise typer.Exit(1)
+
+
+def optional() -> dict[str, str]:
+    """Package -> the smallest extra that it is in, as the package's metadata lists them."""
+    extras: dict[str, list[str]] = {}
+    for requirement in (requires("magical-mj") or []) if _version("magical-mj") else []:
+        if match := REQUIREMENT.match(requirement):
+            extras.setdefault(match[2], []).append(match[1])
+    found: dict[str, str] = {}
+    for extra in sorted(extras.keys() - OWN, key=lambda extra: (len(extras[extra]), extra)):
+        for name in extras[extra]:
+            found.setdefault(name, extra)
+    return found
 
 
 def _version(name: str) -> str | None:

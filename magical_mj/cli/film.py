@@ -123,9 +123,8 @@ def film(path: Path, size: int, speed: int = 1, views: Sequence[str] = SIDE_BY_S
         import imageio_ffmpeg
     except ModuleNotFoundError:
         raise missing_extra("writing a video", "video") from None
-    logging.getLogger("imageio_ffmpeg").setLevel(
-        logging.ERROR
-    )  # it warns about videos without frames, which are removed
+    # It warns about videos without frames, which are removed.
+    logging.getLogger("imageio_ffmpeg").setLevel(logging.ERROR)
     rate = speed * CONTROL_RATE
 
     failed = OSError(errno.EIO, "the video cannot be written; is the disk full?", str(path))

@@ -18,7 +18,7 @@ from magical_mj.evaluation.scores import read
 from magical_mj.leaderboard import Findings, check_entry, submit, verify
 from magical_mj.leaderboard.check import MOST, SHARE
 from magical_mj.leaderboard.claims import Checked
-from magical_mj.leaderboard.copies import copied
+from magical_mj.leaderboard.duplicates import copied
 from magical_mj.leaderboard.entry import Entry, entries
 from magical_mj.leaderboard.page import check_free, write_pages
 from magical_mj.leaderboard.standings import gaps, standings

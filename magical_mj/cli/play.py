@@ -86,10 +86,10 @@ class Episodes:
         self._screen.print(f"seed {demo.scene_seed}: {result}")
         if self._folder is None:
             return result
-        there = magical_mj.demos.kept(demo, self._folder)
-        self._path = None if there else magical_mj.demos.keep(demo, self._folder)
-        self._screen.print(there or self._path, soft_wrap=True)
-        return f"{result}; the same as one that is kept" if there else f"{result}; kept, D discards it"
+        path, is_new = magical_mj.demos.keep(demo, self._folder)
+        self._path = path if is_new else None
+        self._screen.print(path, soft_wrap=True)
+        return f"{result}; kept, D discards it" if is_new else f"{result}; the same as one that is kept"
 
     def discard(self) -> str | None:
         """Deletes the last episode if it was saved; returns a message for the player."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from magical_mj import constants as c
 from magical_mj.actions import Action, Drive, Gripper, Turn
+from magical_mj.cli.film import INK, PAPER
 from magical_mj.errors import MagicalError
 from magical_mj.extras import missing_extra
 
@@ -21,8 +22,6 @@ LINES: Final = 2  # of text below the pictures
 LINE: Final = 26  # pixels
 BAR: Final = LINES * LINE + 16  # pixels below the pictures, for the text
 FALLBACKS: Final = ("offscreen", "dummy")  # the video drivers that SDL chooses if there is no display
-PAPER: Final = (255, 255, 255)
-INK: Final = (60, 60, 60)
 TEXT_SIZE: Final = 22  # pixels
 
 

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Final
 
 from magical_mj.demos.demonstration import Demonstration
-from magical_mj.demos.export import to_minari, to_npz
-from magical_mj.demos.files import files_in, files_in_or_below, keep, kept, read, write
+from magical_mj.demos.files import files_in, files_in_or_below, keep, read, write
 from magical_mj.demos.importing import MAX_BYTES, Imported, from_recording
 from magical_mj.demos.learning import Transitions, observations, stream, transitions
+from magical_mj.demos.minari import to_minari
+from magical_mj.demos.npz import to_npz
 from magical_mj.demos.recording import Recorder, demonstrate
 from magical_mj.demos.replay import Verdict, see, verify
 from magical_mj.demos.variety import Diversity, diversity
@@ -35,7 +36,6 @@ __all__ = [
     "files_in_or_below",
     "from_recording",
     "keep",
-    "kept",
     "load",
     "observations",
     "read",

@@ -37,7 +37,7 @@ class Demonstration:
     """`scene` is `sample_scene(task, variant, scene_seed)`."""
     demonstrator: Demonstrator
     seed: int
-    """The expert's seed."""
+    """The expert's seed; of people, the scene's."""
     scene: Scene
     actions: NDArray[np.uint8]
     """Shape (steps,)."""

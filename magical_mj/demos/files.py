@@ -70,30 +70,23 @@ def files_in_or_below(folder: Path | str, beginning: str = "") -> list[Path]:
     return files_in(folder, beginning) or list(below)
 
 
-def kept(demo: Demonstration, folder: Path | str) -> Path | None:
-    """The file in which `keep` saved the same episode in this folder; None if there is none."""
-    for path in files_in(folder, _beginning(demo)):
-        other = read(path, demo.task)
-        if (other.scene_seed, other.actions.tobytes()) == (demo.scene_seed, demo.actions.tobytes()):
-            return path
-    return None
-
-
-def keep(demo: Demonstration, folder: Path | str) -> Path:
+def keep(demo: Demonstration, folder: Path | str) -> tuple[Path, bool]:
     """Writes a demonstration into a folder under the next free name, such as ``FindDupe-All-human-003.npz``.
 
     Returns:
-        Its path. If the folder holds the same episode already, nothing is written and that file's path is returned.
+        Its path, and whether it was written: if the folder holds the same episode already, nothing is, and the path is
+        that of the file which holds it.
     """
-    there = kept(demo, folder)
-    if there is not None:
-        return there
+    for path in files_in(folder, _beginning(demo)):
+        other = read(path, demo.task)
+        if (other.scene_seed, other.actions.tobytes()) == (demo.scene_seed, demo.actions.tobytes()):
+            return path, False
     paths = (Path(folder) / f"{_beginning(demo)}{number:03}{SUFFIX}" for number in itertools.count())
     while True:
         path = next(path for path in paths if not path.exists())
         with contextlib.suppress(FileExistsError):  # another process has taken the name meanwhile
             write(demo, path)
-            return path
+            return path, True
 
 
 def _beginning(demo: Demonstration) -> str:

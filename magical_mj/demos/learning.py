@@ -80,9 +80,9 @@ def observations(demo: Demonstration, preset: str = "LoRes4E") -> Observations:
     return _stacked(demo, made, made.frames)
 
 
-def _stacked(demo: Demonstration, made: Preset, frames: tuple[tuple[str, int], ...]) -> NDArray[np.uint8]:
-    stack = FrameStack(frames, made.image_size, channels_first=made.layout == "chw")
+def _stacked(demo: Demonstration, preset: Preset, frames: tuple[tuple[str, int], ...]) -> NDArray[np.uint8]:
+    stack = FrameStack(frames, preset.image_size, channels_first=preset.layout == "chw")
     rows = np.empty((len(demo.qpos), *stack.shape), np.uint8)
-    for number, pictures in enumerate(see(demo, [view for view, _ in frames], made.image_size)):
+    for number, pictures in enumerate(see(demo, [view for view, _ in frames], preset.image_size)):
         rows[number] = stack.push(seen(pictures)) if number else stack.start(seen(pictures))
     return rows

@@ -12,7 +12,7 @@ from magical_mj.environment import Environment
 from magical_mj.experts.hand import Hand
 from magical_mj.scene import Pose, Scene
 
-State = NDArray[np.float64]
+SavedState = NDArray[np.float64]
 """A saved state: the array that `magical_mj.simulation.Simulation.save` returns."""
 Point = tuple[float, float]
 
@@ -30,14 +30,14 @@ class Lookahead:
         self._world = env.task.world
         self.trace: list[int] = []
         """The actions since the last `restore`."""
-        self.states: list[State] = []
+        self.states: list[SavedState] = []
         """The state after each of them."""
         self.hand: Hand | None = None
         """Modifies the actions; None: they are executed as wanted."""
         self.count = 0
         """The total number of simulated steps."""
 
-    def restore(self, state: State) -> None:
+    def restore(self, state: SavedState) -> None:
         """Goes to a state, with an empty history."""
         self._simulation.restore(state)
         self.trace, self.states = [], []
@@ -53,7 +53,7 @@ class Lookahead:
         self.count += 1
 
     @property
-    def state(self) -> State:
+    def state(self) -> SavedState:
         """The present state."""
         return self._simulation.save()
 
@@ -91,6 +91,6 @@ class Lookahead:
         return self._world.read(self._simulation.data.qpos)
 
 
-def state_of(env: Environment) -> State:
+def state_of(env: Environment) -> SavedState:
     """The present state of an environment."""
     return env.physics.save()

@@ -75,9 +75,8 @@ def manoeuvres(ways: Ways, tolls: Ints, scene: Scene, subgoal: Subgoal, noise: N
     """
     if subgoal.block is None:
         gaps = np.hypot(*(ways.poses[:, :2] - subgoal.target).T)
-        nodes = np.flatnonzero(
-            gaps <= max(subgoal.tolerance, gaps.min())
-        )  # the nearest ones, if none is within the tolerance
+        # the nearest ones, if none is within the tolerance
+        nodes = np.flatnonzero(gaps <= max(subgoal.tolerance, gaps.min()))
         node = int(nodes[ways.steps[nodes].argmin()])
         route = simplified([*ways.to(node), (*subgoal.target, 0.0)], tolls)
         return [Manoeuvre(subgoal, route, False, float(ways.steps[node]))]

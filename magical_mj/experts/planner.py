@@ -11,7 +11,7 @@ import numpy as np
 
 from magical_mj.actions import Gripper
 from magical_mj.experts.hand import LATE, Hand
-from magical_mj.experts.lookahead import Lookahead, State
+from magical_mj.experts.lookahead import Lookahead, SavedState
 from magical_mj.experts.manoeuvres import Manoeuvre, manoeuvres, obstacles, perform
 from magical_mj.experts.navigation import explore, toll
 from magical_mj.planning import Noise, done
@@ -29,9 +29,8 @@ REACH: Final = 90  # actions: the longest path
 ATTEMPTS: Final = 40  # the number of plans for an episode
 SECOND_THOUGHTS: Final = 2  # additional plans to find one that is done early
 PAUSE: Final = 4  # actions of waiting when there is nothing to do
-SETTLING: Final = (
-    8  # actions of waiting with closed fingers: not no-ops, so that learners that leave out no-ops see them
-)
+# actions of waiting with closed fingers: not no-ops, so that learners that leave out no-ops see them
+SETTLING: Final = 8
 
 
 class Plan(NamedTuple):
@@ -41,7 +40,7 @@ class Plan(NamedTuple):
     rest: int
     """The number of unused actions when all subgoals are reached."""
     actions: list[int]
-    states: list[State]
+    states: list[SavedState]
     """The states before each action and after the last one."""
 
 
@@ -95,7 +94,7 @@ class Planner:
     def _hand(self, rng: np.random.Generator, lateness: float) -> Hand:
         return Hand(rng, 0.0, 1) if self._steady else Hand(rng, lateness)
 
-    def _attempt(self, start: State, steps: int, noise: Noise, hand: Hand) -> Plan:
+    def _attempt(self, start: SavedState, steps: int, noise: Noise, hand: Hand) -> Plan:
         world, todo = self._world, ()
         world.restore(start)
         actions: list[int] = []
@@ -130,7 +129,7 @@ class Planner:
             states += world.states
         return Plan(self._score(world.scene()), waited, actions, states)
 
-    def _best(self, here: State, scene: Scene, todo: Subgoals, left: int, noise: Noise) -> Manoeuvre | None:
+    def _best(self, here: SavedState, scene: Scene, todo: Subgoals, left: int, noise: Noise) -> Manoeuvre | None:
         """The best of the most promising manoeuvres, tried from a state; None if there is no subgoal left."""
         if not todo:
             return None

@@ -96,11 +96,11 @@ def _demo(one: Standing) -> Estimate | None:
 
 def _improvements(found: Sequence[Standing]) -> Table:
     mine = [one for one in found if one.kind != "published"]
-    cells = {
-        (a, b): improvement(mine[a], mine[b]) for a in range(len(mine)) for b in range(len(mine)) if a < b
-    }  # who loses is who does not win
+    count = len(mine)
+    cells = {(a, b): improvement(mine[a], mine[b]) for a in range(count) for b in range(a + 1, count)}
+    # who loses is who does not win
     cells |= {(b, a): Estimate(1 - cell.value, 1 - cell.high, 1 - cell.low) for (a, b), cell in cells.items()}
-    rows = [(label(one), *(_text(cells.get((a, b))) for b in range(len(mine)))) for a, one in enumerate(mine)]
+    rows = [(label(one), *(_text(cells.get((a, b))) for b in range(count))) for a, one in enumerate(mine)]
     return Table(
         "improvement",
         "How probable it is that a run of the method on the left beats one of the method above, over the environments "

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from magical_mj.evaluation.results import PUBLISHED_RULES, published_results
 from magical_mj.evaluation.statistics import SAME, bootstrap, interquartile_mean, mean_interval, summarise
 from magical_mj.leaderboard.claims import SEEDS, Claim
-from magical_mj.leaderboard.copies import copies
+from magical_mj.leaderboard.duplicates import copies
 from magical_mj.leaderboard.entry import SUFFIX, Entry, entries, unpacked
 from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS
 

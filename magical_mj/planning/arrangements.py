@@ -26,9 +26,8 @@ ANGLES: Final = 24
 STAYS: Final = 0.09  # a block this near to its place is left alone
 LINE_COSTS: Final = (14.0, 11.0)  # to move a block at all, and for each unit
 LINE_SPREAD: Final = 12.0  # the largest change of a line's cost by noise
-CHECKED: Final = (
-    500  # the number of cheapest plans that are checked: blocks that stay near their places may leave too large a gap
-)
+# the number of cheapest plans that are checked: blocks that stay near their places may leave too large a gap
+CHECKED: Final = 500
 SPARE: Final = 1.05  # safety factor: the rule must also hold if distances grow by it
 FIXED_COST: Final = 1000.0  # of moving a block that should stay
 LINE_LIMIT: Final = 0.84  # lines end within this square

@@ -79,7 +79,7 @@ def measure(task: str, variant: str, preset: str, steps: int) -> Measurement:
     return Measurement(task, variant, preset, done, seconds, bare_seconds, resets)
 
 
-def episode(env: MagicalEnv, seed: int, plan: list[int], shown: Preset) -> tuple[float, float]:
+def episode(env: MagicalEnv, seed: int, plan: list[int], preset: Preset) -> tuple[float, float]:
     """Seconds of an episode with its reset, and of its steps in the bare loop.
 
     The bare loop is made after the first turn, since in normal use nothing happens between a reset and its first steps.
@@ -93,7 +93,7 @@ def episode(env: MagicalEnv, seed: int, plan: list[int], shown: Preset) -> tuple
     start = perf_counter()
     env.reset(seed=seed)
     seconds = perf_counter() - start + _seconds(play, first)
-    bare = BareLoop(env.dm_env.initial_scene, shown)
+    bare = BareLoop(env.dm_env.initial_scene, preset)
     bare_seconds = _seconds(bare.run, first)
     for actions in others:
         seconds += _seconds(play, actions)

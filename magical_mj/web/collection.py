@@ -99,8 +99,7 @@ class Collection:
         if suspect:
             raise DemonstrationError(f"the replay ends {deviation:.3g} away from what was played: reload the page")
         with self._lock:
-            again = demos.kept(demo, self._folder / participant) is not None
-            demos.keep(demo, self._folder / participant)
-            if not again:
+            _, is_new = demos.keep(demo, self._folder / participant)
+            if is_new:
                 self._kept[pair].append(demo.scene_seed)
         return demo.score

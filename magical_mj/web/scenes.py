@@ -6,13 +6,10 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from magical_mj import demos
-from magical_mj.environment import Environment
 from magical_mj.episodes import word_of
-from magical_mj.export import export_mjcf
 from magical_mj.registry import sample_scene
 from magical_mj.web.catalogue import scene_data
 
@@ -38,12 +35,6 @@ def environment_scenes(task: str, variant: str) -> dict[str, Any]:
             for seed, actions in zip(seeds, expert, strict=True)
         ],
     }
-
-
-def exported(env: Environment) -> str:
-    """The text of the file that `export_mjcf` writes."""
-    with TemporaryDirectory() as folder:
-        return export_mjcf(env, Path(folder) / "model.xml").read_text(encoding="utf-8")
 
 
 def with_models(data: dict[str, Any], models: Sequence[str]) -> dict[str, Any]:

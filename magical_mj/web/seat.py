@@ -11,7 +11,7 @@ Messages are JSON objects, each answered by one:
 | `{"keep": recording}` | `{"score": ..., "next": ...}`, once the recording is a file |
 | anything else, or a mistake | `{"error": "what is wrong"}` |
 
-The last three need a collection; `magical_mj.demos` describes recordings.
+Arriving, returning and keeping need a collection; `magical_mj.demos` describes recordings.
 """
 
 from __future__ import annotations

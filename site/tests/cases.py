@@ -12,10 +12,10 @@ import numpy as np
 
 import magical_mj
 from magical_mj.environment import Environment
+from magical_mj.export import mjcf_text
 from magical_mj.scene import Scene
 from magical_mj.web.catalogue import scene_data
 from magical_mj.web.look import look
-from magical_mj.web.scenes import exported
 
 ROUGH: Final = 200
 GLANCES: Final = (1, 20, 100)  # steps after which states are compared; and the last one
@@ -42,7 +42,7 @@ def episodes() -> Iterator[dict[str, Any]]:
 def _played(name: str, task: str, scene: Scene, actions: list[int]) -> dict[str, Any]:
     env = magical_mj.load(task, scene=scene, observations=())
     env.reset()
-    mjcf = exported(env)
+    mjcf = mjcf_text(env)
     glances = {}
     actions = actions[: env.horizon]
     for step, action in enumerate(actions, start=1):

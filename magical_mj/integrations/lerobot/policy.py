@@ -75,11 +75,8 @@ class LeRobotPolicy:
             for view, key in image_keys(self._views).items()
         } or {STATE_VECTOR: torch.from_numpy(seen["state"])[None]}
         batch["observation.state"] = torch.from_numpy(state(fingers))[None]
-        with (
-            one_thread(),
-            torch.inference_mode(),
-            torch.random.fork_rng(devices=[]),
-        ):  # policies draw from torch's own generator
+        # Policies draw from torch's own generator.
+        with one_thread(), torch.inference_mode(), torch.random.fork_rng(devices=[]):
             torch.set_rng_state(self._noise)
             action = self._after(self._policy.select_action(self._before({**batch, "task": [self._sentence]})))
             self._noise = torch.get_rng_state()

@@ -46,7 +46,7 @@ async function choose(task, variant, seed, script = null) {
   if (unsent() && !confirm("This episode was not sent. Leave it?")) return showNames();
   const choice = ++choices;
   const isOther = task !== shown.task || variant !== shown.variant;
-  const environment = isOther ? await loadEnvironment(task, variant).catch(complain) : shown.environment;
+  const environment = isOther ? await loadEnvironment(task, variant).catch(say) : shown.environment;
   if (choice !== choices) return;
   if (!environment) return stay();
   const known = environment.scenes.find((entry) => entry.seed === seed);
@@ -68,7 +68,7 @@ async function choose(task, variant, seed, script = null) {
     }
     return started ? controls.next() : null;
   };
-  const episode = await open(environment, entry, task, variant).catch(complain);
+  const episode = await open(environment, entry, task, variant).catch(say);
   if (!episode || choice !== choices) return episode?.close();
   controls.tapped.clear();  // what was pressed before the scene was there does not start it
   const game = new Game(episode, catalogue.tasks[task].horizon, next, speed);
@@ -83,7 +83,7 @@ async function stay() {
   showNames();
   if (shown.game) return;
   const opened = await choose(shown.task, shown.variant, shown.seed);  // whose opening the other choice had ended
-  if (opened) complain(problem);
+  if (opened) say(problem);
 }
 
 /** Whether a finished episode would be lost that the collection may want. */
@@ -148,14 +148,14 @@ function show(initial, scene) {
   element("left").textContent = game ? `${game.secondsLeft.toFixed(0)} s left` : "";
   if (element("score").textContent !== now.toFixed(2)) element("score").textContent = now.toFixed(2);  // else it is read out
   element("save").disabled = !game?.over || watching || sending;
-  if (game?.failure) complain(game.failure);
+  if (game?.failure) say(game.failure);
   const status = shown.note ? shown.note : !game ? PENDING : game.over ? `Over: score ${now.toFixed(2)}`
     : watching ? "Watching" : done ? "Playing" : "Press a key or button to start";
   if (element("status").textContent !== status) element("status").textContent = status;
 }
 
 /** Says what is wrong, or was done, until another scene is shown. @param {Error | string} what */
-function complain(what) {
+function say(what) {
   shown.note = what instanceof Error ? what.message : what;
   element("status").textContent = shown.note;
 }
@@ -200,7 +200,7 @@ function demo() {
 async function send() {
   const game = /** @type {Game} */ (shown.game);
   shown.sending = element("save").disabled = true;
-  complain("Sending …");
+  say("Sending …");
   try {
     const { score, next } = await /** @type {Seat} */ (seat).ask({ keep: recording(shown, catalogue.protocol) });
     game.sent = true;
@@ -208,9 +208,9 @@ async function send() {
     const opened = await chooseWanted(next);
     if (next && choices !== choice + 1) return;  // another scene was chosen meanwhile
     const after = !next ? "That was everything" : opened ? "Press a key to go on" : `The next scene cannot be opened: ${shown.note}`;
-    complain(`Kept, with score ${score.toFixed(2)}. Thank you! ${after}`);
+    say(`Kept, with score ${score.toFixed(2)}. Thank you! ${after}`);
   } catch (error) {
-    complain(/** @type {Error} */ (error));
+    say(/** @type {Error} */ (error));
   } finally {
     shown.sending = false;
   }
@@ -247,7 +247,7 @@ let starting = null;
 
 /** Shows the first scene; whoever is impatient waits for the same one. */
 function start() {
-  starting ??= (seat && catalogue.collects ? arrive(seat).catch(complain) : chooseByAddress())
+  starting ??= (seat && catalogue.collects ? arrive(seat).catch(say) : chooseByAddress())
     .finally(() => { starting = null; });
   return starting;
 }

@@ -1,4 +1,4 @@
-"""Copies: runs whose actions are those of another run, and that are no trainings of their own."""
+"""Duplicates: runs whose actions are those of another run, and that are no trainings of their own."""
 
 from __future__ import annotations
 

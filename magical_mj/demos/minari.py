@@ -1,4 +1,4 @@
-"""Export of demonstrations: numpy archives and Minari data sets."""
+"""Demonstrations as Minari data sets, written by minari itself, completely or not at all."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import shutil
 import tempfile
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
@@ -15,9 +15,8 @@ import gymnasium
 import numpy as np
 
 from magical_mj import files
-from magical_mj.actions import NOOP
 from magical_mj.demos.demonstration import Demonstration, only_environment
-from magical_mj.demos.learning import observations, stream
+from magical_mj.demos.learning import observations
 from magical_mj.errors import DemonstrationError
 from magical_mj.extras import missing_extra
 from magical_mj.protocol import PROTOCOL
@@ -28,54 +27,6 @@ NAMESPACE: Final = "namespace_metadata.json"
 """The file that Minari writes into each folder of data sets."""
 HDF5_BYTES: Final = 32_000
 """What HDF5 writes for each episode besides its arrays, at most."""
-
-
-def to_npz(
-    demos: Iterable[Demonstration],
-    path: Path | str,
-    preset: str = "LoRes4E",
-    *,
-    drop_noop: bool = True,
-    overwrite: bool = False,
-) -> None:
-    """Writes transitions as one numpy archive without pickles.
-
-    Arrays with a row for each transition: `observations` (for presets with several views, `observations_ego` and
-    `observations_allo`), `actions`, `episodes` (the number of the episode) and `steps` (the number of the step in it,
-    from 0). Arrays with a row for each episode: `tasks`, `variants`, `seeds` (of the scenes), `demonstrators`,
-    `lengths` (in steps) and `scores`.
-
-    Args:
-        demos: demonstrations of any environments.
-        path: the file.
-        preset: the Gymnasium preset of the observations.
-        drop_noop: leave out the transitions with the no-op action.
-        overwrite: replace an existing file.
-
-    Raises:
-        DemonstrationError: if there are no demonstrations.
-        FileExistsError: if the file exists.
-    """
-    demos = list(demos)
-    if not demos:
-        raise DemonstrationError("there are no demonstrations to write")
-    columns: dict[str, list[Any]] = {}
-
-    def add(**values: Any) -> None:
-        for name, value in values.items():
-            columns.setdefault(name, []).append(value)
-
-    with files.new_file(path, overwrite=overwrite) as unfinished:
-        for number, (demo, part) in enumerate(zip(demos, stream(demos, preset, drop_noop=drop_noop), strict=True)):
-            seen = part.observations if isinstance(part.observations, dict) else {"": part.observations}
-            add(**{f"observations_{view}".rstrip("_"): rows for view, rows in seen.items()})
-            steps = np.flatnonzero(demo.actions != NOOP) if drop_noop else np.arange(len(demo.actions))
-            add(actions=part.actions, episodes=np.full(len(steps), number), steps=steps)
-            add(tasks=[demo.task], variants=[demo.variant], seeds=[demo.scene_seed])
-            add(demonstrators=[demo.demonstrator], lengths=[len(demo.actions)], scores=[demo.score])
-        with unfinished.open("wb") as file:
-            joined = {name: np.concatenate(rows) for name, rows in columns.items()}
-            np.savez_compressed(file, allow_pickle=False, **joined)
 
 
 def minari_name(demos: Sequence[Demonstration], preset: str) -> str:
