@@ -27,18 +27,18 @@ PROGRESS: Final = 0.01  # world units or radians
 
 
 def steer(
-    world: Lookahead, point: Point, ahead: float, gripper: Gripper, *, reverse: bool
+    lookahead: Lookahead, point: Point, ahead: float, gripper: Gripper, *, reverse: bool
 ) -> tuple[Gripper, Turn, Drive]:
     """The next action towards the pose in which a point is straight ahead of the robot at a given distance.
 
     Args:
-        world: the simulation.
+        lookahead: the copy of the simulation.
         point: x, y in world units.
         ahead: the desired distance of the point ahead of the robot's centre.
         gripper: the command for the fingers.
         reverse: turn while driving back if the point is far to the side.
     """
-    right, forward = world.relative(point)
+    right, forward = lookahead.relative(point)
     bearing = math.atan2(-right, forward)
     turn = Turn.NONE if abs(bearing) <= AIM else Turn.LEFT if 0 < bearing < math.pi - EITHER else Turn.RIGHT
     if abs(bearing) > BEHIND and reverse:
@@ -53,7 +53,7 @@ def steer(
 
 
 def drive(
-    world: Lookahead,
+    lookahead: Lookahead,
     route: Sequence[Point],
     gripper: Gripper,
     limit: int,
@@ -65,7 +65,7 @@ def drive(
     """Drives along a route until its last point is straight ahead at the given distance; returns whether it is.
 
     Args:
-        world: the simulation.
+        lookahead: the copy of the simulation.
         route: points in world units.
         gripper: the command for the fingers.
         limit: the number of actions after which to give up.
@@ -74,27 +74,28 @@ def drive(
         reverse: see `steer`.
     """
     return all(
-        _drive(world, point, gripper, limit, ahead, within if point is route[-1] else VIA, reverse) for point in route
+        _drive(lookahead, point, gripper, limit, ahead, within if point is route[-1] else VIA, reverse)
+        for point in route
     )
 
 
 def _drive(
-    world: Lookahead, point: Point, gripper: Gripper, limit: int, ahead: float, within: float, reverse: bool
+    lookahead: Lookahead, point: Point, gripper: Gripper, limit: int, ahead: float, within: float, reverse: bool
 ) -> bool:
     patience = Patience()
     while True:
-        right, forward = world.relative(point)
-        speed = world.speed[0]
+        right, forward = lookahead.relative(point)
+        speed = lookahead.speed[0]
         gap = math.hypot(right, forward - ahead - speed * abs(speed) / (2 * BRAKING))
         if gap < within:
             return True
         bearing = math.atan2(-right, forward)
-        if patience.ends(gap + 0.3 * abs(bearing)) or len(world.trace) >= limit:
+        if patience.ends(gap + 0.3 * abs(bearing)) or len(lookahead.trace) >= limit:
             return False
         if patience.stuck:
-            world.act(gripper, Turn.NONE, Drive.BACK)
+            lookahead.act(gripper, Turn.NONE, Drive.BACK)
         else:
-            world.act(*steer(world, point, ahead, gripper, reverse=reverse))
+            lookahead.act(*steer(lookahead, point, ahead, gripper, reverse=reverse))
 
 
 class Patience:

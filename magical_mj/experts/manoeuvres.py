@@ -135,51 +135,57 @@ def _carrying(x: float, y: float, heading: float, subgoal: Subgoal) -> float:
     return 8 + turn * 3.5 + CARRYING * (way if way > 0 else -1.6 * way + 0.1)
 
 
-def perform(world: Lookahead, manoeuvre: Manoeuvre, limit: int) -> bool:
+def perform(lookahead: Lookahead, manoeuvre: Manoeuvre, limit: int) -> bool:
     """Executes the manoeuvre; returns whether it succeeded."""
     subgoal, block = manoeuvre.subgoal, manoeuvre.subgoal.block
     if block is None:
-        return drive(world, manoeuvre.route, Gripper.OPEN, limit, within=subgoal.tolerance)
-    drive(world, manoeuvre.route, Gripper.OPEN, limit, within=VIA)
-    taken = _take(world, block, limit)
-    carried = taken and _carry(world, block, manoeuvre, limit)
-    _let_go(world, block, limit, FREE if taken else FAR)
+        return drive(lookahead, manoeuvre.route, Gripper.OPEN, limit, within=subgoal.tolerance)
+    drive(lookahead, manoeuvre.route, Gripper.OPEN, limit, within=VIA)
+    taken = _take(lookahead, block, limit)
+    carried = taken and _carry(lookahead, block, manoeuvre, limit)
+    _let_go(lookahead, block, limit, FREE if taken else FAR)
     return carried
 
 
-def _take(world: Lookahead, block: int, limit: int) -> bool:
+def _take(lookahead: Lookahead, block: int, limit: int) -> bool:
     """Drives until the block is between the fingers, and closes them; returns whether it is held."""
     patience = Patience()
-    while len(world.trace) < limit and not _within(world, block, REACHED):
-        right, ahead = world.seen(block)
+    while len(lookahead.trace) < limit and not _within(lookahead, block, REACHED):
+        right, ahead = lookahead.seen(block)
         if patience.ends(ahead + 0.3 * abs(math.atan2(-right, ahead))):
             return False
-        world.act(*steer(world, world.block(block), GRIP, Gripper.OPEN, reverse=False))
-    if len(world.trace) < limit:
-        world.act(Gripper.CLOSE)
-    return _within(world, block, LOST)
+        lookahead.act(*steer(lookahead, lookahead.block(block), GRIP, Gripper.OPEN, reverse=False))
+    if len(lookahead.trace) < limit:
+        lookahead.act(Gripper.CLOSE)
+    return _within(lookahead, block, LOST)
 
 
-def _within(world: Lookahead, block: int, box: Point) -> bool:
+def _within(lookahead: Lookahead, block: int, box: Point) -> bool:
     """Whether a block is at most box[0] ahead of the robot and at most box[1] to the side."""
-    right, ahead = world.seen(block)
+    right, ahead = lookahead.seen(block)
     return 0 < ahead < box[0] and abs(right) < box[1]
 
 
-def _carry(world: Lookahead, block: int, manoeuvre: Manoeuvre, limit: int) -> bool:
+def _carry(lookahead: Lookahead, block: int, manoeuvre: Manoeuvre, limit: int) -> bool:
     """Drives until the block is at its target; returns whether it is."""
     subgoal = manoeuvre.subgoal
     for _ in range(CORRECTIONS):
-        left = limit - len(world.trace)
-        if left <= 0 or not _within(world, block, LOST):
+        left = limit - len(lookahead.trace)
+        if left <= 0 or not _within(lookahead, block, LOST):
             return False
-        ahead = world.seen(block)[1]
+        ahead = lookahead.seen(block)[1]
         goal = Goal(ahead, *subgoal.target, subgoal.tolerance / 2)
-        route = _route(world.scene(), block, goal, min(left, REACH))
+        route = _route(lookahead.scene(), block, goal, min(left, REACH))
         drive(
-            world, route, Gripper.CLOSE, limit, ahead=ahead, within=0.7 * subgoal.tolerance, reverse=manoeuvre.reverse
+            lookahead,
+            route,
+            Gripper.CLOSE,
+            limit,
+            ahead=ahead,
+            within=0.7 * subgoal.tolerance,
+            reverse=manoeuvre.reverse,
         )
-        if math.dist(world.block(block), subgoal.target) <= subgoal.tolerance:
+        if math.dist(lookahead.block(block), subgoal.target) <= subgoal.tolerance:
             return True
     return False
 
@@ -202,9 +208,9 @@ def _route(scene: Scene, block: int, goal: Goal, limit: int) -> list[Point]:
     return [*simplified(way, tolls)[:-1], (goal.x, goal.y)]
 
 
-def _let_go(world: Lookahead, block: int, limit: int, distance: float) -> None:
+def _let_go(lookahead: Lookahead, block: int, limit: int, distance: float) -> None:
     """Opens the fingers, waits for them, and drives back until the block is at least `distance` ahead."""
-    for number in range(min(BACKING, limit - len(world.trace))):
-        if world.seen(block)[1] > distance:
+    for number in range(min(BACKING, limit - len(lookahead.trace))):
+        if lookahead.seen(block)[1] > distance:
             return
-        world.act(Gripper.OPEN, Turn.NONE, Drive.NONE if number == 1 else Drive.BACK)
+        lookahead.act(Gripper.OPEN, Turn.NONE, Drive.NONE if number == 1 else Drive.BACK)

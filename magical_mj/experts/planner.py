@@ -50,7 +50,7 @@ class Planner:
     Args:
         score: of a final scene, in [0, 1].
         subgoals: the remaining subgoals in a scene; the last argument is the blocks that should not be moved.
-        world: the copy of the simulation in which manoeuvres are tried.
+        lookahead: the copy of the simulation in which manoeuvres are tried.
         tries: the number of manoeuvres that are tried in one situation.
         patience: the number of failures after which a block should not be moved any more in this plan.
         steady: execute plans without the pauses and delays of a person.
@@ -60,13 +60,13 @@ class Planner:
         self,
         score: Callable[[Scene], float],
         subgoals: Callable[[Scene, Noise, Collection[int]], Subgoals],
-        world: Lookahead,
+        lookahead: Lookahead,
         *,
         tries: int = TRIES,
         patience: float = math.inf,
         steady: bool = False,
     ) -> None:
-        self._score, self._subgoals, self._world = score, subgoals, world
+        self._score, self._subgoals, self._lookahead = score, subgoals, lookahead
         self._tries, self._patience, self._steady = tries, patience, steady
 
     def plan(self, steps: int, budget: int, rng: np.random.Generator) -> Plan:
@@ -79,11 +79,11 @@ class Planner:
             budget: the number of simulated steps after which no new plan is started.
             rng: varies the plans. Execution becomes more precise with each failure, noise increases for `ROUND` plans.
         """
-        start, end = self._world.state, self._world.count + budget
+        start, end = self._lookahead.state, self._lookahead.count + budget
         best = self._attempt(start, steps, Noise(rng, 1.0), self._hand(rng, LATE))
         for failed in range(1, ATTEMPTS):
             good = best.score == 1.0 and (best.rest or failed > SECOND_THOUGHTS)
-            if good or self._world.count > end:
+            if good or self._lookahead.count > end:
                 break
             plan = self._attempt(
                 start, steps, Noise(rng, BOLDER ** (failed % ROUND)), self._hand(rng, LATE * CALMER**failed)
@@ -95,45 +95,45 @@ class Planner:
         return Hand(rng, 0.0, 1) if self._steady else Hand(rng, lateness)
 
     def _attempt(self, start: SavedState, steps: int, noise: Noise, hand: Hand) -> Plan:
-        world, todo = self._world, ()
-        world.restore(start)
+        lookahead, todo = self._lookahead, ()
+        lookahead.restore(start)
         actions: list[int] = []
-        states = [world.state]
+        states = [lookahead.state]
         failures: Counter[int | None] = Counter()
         stuck: set[int] = set()
         waited, settling = 0, SETTLING + hand.pause()
         while len(actions) < steps:
-            scene, left, here = world.scene(), steps - len(actions), world.state
+            scene, left, here = lookahead.scene(), steps - len(actions), lookahead.state
             todo = tuple(subgoal for subgoal in todo if subgoal.left(scene))
             if not todo or self._score(done(scene, todo)) < 1.0:
                 todo = self._subgoals(scene, noise, stuck)
             option = self._best(here, scene, todo, left, noise)
-            world.restore(here)
+            lookahead.restore(here)
             if option is None:
                 for _ in range(min(PAUSE, left)):
-                    world.act(Gripper.CLOSE if waited < settling else Gripper.OPEN)
+                    lookahead.act(Gripper.CLOSE if waited < settling else Gripper.OPEN)
                     waited += 1
             else:
                 waited = 0
                 for _ in range(min(hand.pause(), left)):
-                    world.act(Gripper.OPEN)
-                world.hand = hand
-                perform(world, option, left)
-                world.hand = None
+                    lookahead.act(Gripper.OPEN)
+                lookahead.hand = hand
+                perform(lookahead, option, left)
+                lookahead.hand = None
                 block = option.subgoal.block
-                failures[block] += option.subgoal.left(world.scene()) > 0
+                failures[block] += option.subgoal.left(lookahead.scene()) > 0
                 if block is not None and block not in stuck and failures[block] >= self._patience:
                     stuck.add(block)
                     todo = ()
-            actions += world.trace
-            states += world.states
-        return Plan(self._score(world.scene()), waited, actions, states)
+            actions += lookahead.trace
+            states += lookahead.states
+        return Plan(self._score(lookahead.scene()), waited, actions, states)
 
     def _best(self, here: SavedState, scene: Scene, todo: Subgoals, left: int, noise: Noise) -> Manoeuvre | None:
         """The best of the most promising manoeuvres, tried from a state; None if there is no subgoal left."""
         if not todo:
             return None
-        world = self._world
+        lookahead = self._lookahead
         tolls = toll(obstacles(scene), loaded=False)
         ways = explore(scene.robot.pose, tolls, min(left, REACH))
         options = [option for subgoal in todo for option in manoeuvres(ways, tolls, scene, subgoal, noise)]
@@ -141,15 +141,15 @@ class Planner:
         best, best_cost = None, math.inf
         for option in options[: self._tries]:
             handicap = noise(TASTE)
-            world.restore(here)
-            perform(world, option, int(min(left, best_cost - handicap)))
-            failed = option.subgoal.left(world.scene()) > 0
-            cost = handicap + len(world.trace) + self._rest(todo) + FAILURE * failed
-            if cost < best_cost and world.trace:
+            lookahead.restore(here)
+            perform(lookahead, option, int(min(left, best_cost - handicap)))
+            failed = option.subgoal.left(lookahead.scene()) > 0
+            cost = handicap + len(lookahead.trace) + self._rest(todo) + FAILURE * failed
+            if cost < best_cost and lookahead.trace:
                 best, best_cost = option, cost
         return best
 
     def _rest(self, todo: Subgoals) -> float:
         """The approximate number of actions that the subgoals still need from the present state."""
-        scene = self._world.scene()
+        scene = self._lookahead.scene()
         return sum(subgoal.cost(scene) for subgoal in todo) + LOSS * (1 - self._score(done(scene, todo)))
