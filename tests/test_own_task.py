@@ -34,7 +34,8 @@ class User:
 
     def python(self, *arguments: str) -> subprocess.CompletedProcess[str]:
         """Run Python; whether it succeeds is for the test to say."""
-        environment = {**os.environ, "PYTHONPATH": str(self.site), "PYTHONWARNINGS": "default"}
+        path = os.pathsep.join(filter(None, (str(self.site), os.environ.get("PYTHONPATH"))))
+        environment = {**os.environ, "PYTHONPATH": path, "PYTHONWARNINGS": "default"}
         command = [sys.executable, *arguments]
         return subprocess.run(command, cwd=self.home, env=environment, capture_output=True, text=True, check=False)
 
@@ -104,13 +105,18 @@ def test_it_is_evaluated_and_reported(user: User) -> None:
     user.does(f"evaluate --policy watcher:act,expert --tasks PushOut {episodes} --out own")
     user.does(f"evaluate --policy watcher:act --tasks push_out:SPEC,MoveToRegion {episodes} --out mixed")
     for folder in ("own", "mixed"):
-        user.does(f"report {folder}")
+        user.does(f"report {folder} --published")
     table = (user.home / "own" / "report" / "report.md").read_text()
     assert re.search(r"^\| expert \| 1\.00", table, re.MULTILINE)
     assert "PushOut" in table
     assert "without MoveToCorner" not in table
+    assert "Mean score over PushOut, " in table
+    assert "BC (ST)" not in table
+    assert "it has none in these tasks" in table
     mixed = (user.home / "mixed" / "report" / "report.md").read_text()
     assert "not part of the means over tasks: PushOut" in mixed
+    assert "Mean score over all tasks, " in mixed
+    assert "BC (ST)" in mixed
     assert mixed.index("**MoveToRegion**") < mixed.index("**PushOut**")
     assert (user.home / "mixed" / "report" / "heat_map.png").stat().st_size > 0
 
