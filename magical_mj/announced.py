@@ -59,6 +59,11 @@ def _reference(point: EntryPoint) -> str:
     return "".join(point.value.split())
 
 
+def announced_name(task: str) -> str:
+    """The name under which a package announces the task with this reference; any other `task` is returned as it is."""
+    return next((name for name, point in announced().items() if _reference(point) == task), task)
+
+
 def load_spec(task: str) -> TaskSpec:
     """The task with this announced name or reference; it is checked when it is new, as after `importlib.reload`.
 

@@ -128,6 +128,19 @@ def test_it_is_demonstrated_exported_and_learnt(user: User) -> None:
     assert [path.name for path in folder.iterdir()] == ["PushOut-Demo-000.npz"]
     assert "1 of 1 replay to the same score" in user.does(f"demos verify {folder}")
     user.does(f"demos export {folder} --out seen.npz")
+    user.does("demos export --tasks push_out:SPEC --out same.npz")  # by default those in the task's own folder
+    assert (user.home / "same.npz").read_bytes() == (user.home / "seen.npz").read_bytes()
+    user.runs(
+        """
+        from dataclasses import replace
+        from magical_mj import demos
+
+        (demo,) = demos.load("PushOut")
+        demos.write(replace(demo, task="push_out:SPEC"), "before/PushOut-Demo-000.npz")  # before it was announced
+        assert [demo.task for demo in demos.load("PushOut", "before")] == ["PushOut"]
+        """
+    )
+    assert "PushOut-Demo" in user.does("demos info before")
     settings = " ".join(f"--set {setting}" for setting in TINY.split())
     user.does(f"train bc --tasks PushOut --quick --out run {settings}")
     user.does("evaluate --policy run --tasks PushOut --variants Demo --episodes 1 --out learnt")
