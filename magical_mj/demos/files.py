@@ -136,8 +136,8 @@ def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] 
         raise DemonstrationError(f"{path} is a demonstration of {header['task']}, not of {task}")
     if is_reference(header["task"]) and header["task"] not in (task, *trusted):
         raise DemonstrationError(
-            f"demonstrations of {header['task']} are read only if you name that task, since reading them runs its code: if "
-            f"you trust it, add --tasks {header['task']} (in Python, trusted=[...])"
+            f"demonstrations of {header['task']} are read only if you name that task, since reading them runs its "
+            f"code: if you trust it, add --tasks {header['task']} (in Python, trusted=[...])"
         )
     try:
         scene = Scene.from_json(json.dumps(header["scene"]))
