@@ -56,6 +56,8 @@ def user(tmp_path_factory: pytest.TempPathFactory) -> User:
     project, site = tmp_path_factory.mktemp("project"), tmp_path_factory.mktemp("site")
     (project / "push_out.py").write_text(block("python", '"""PushOut'))
     (project / "pyproject.toml").write_text(block("toml", "[build-system]"))
+    (project / "push_out_demonstrations").mkdir()
+    (project / "push_out_demonstrations" / "about.txt").touch()
     options = ["--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--target", str(site)]
     subprocess.run([sys.executable, "-m", "pip", "install", *options, str(project)], check=True, capture_output=True)
     return User(tmp_path_factory.mktemp("user") / "home", site)
@@ -66,6 +68,11 @@ def test_it_has_rows_and_ids_like_ours(user: User) -> None:
     assert listed == list(VARIANTS)
     ids = user.does("list --ids").split()
     assert ids[-2:] == ["magical_mj/PushOut-TestDynamics-v0", "magical_mj/PushOut-TestAll-v0"]
+
+
+def test_its_demonstrations_are_installed_with_it(user: User) -> None:
+    assert (user.site / "push_out_demonstrations" / "about.txt").exists()
+    assert (user.site / "push_out.py").exists()
 
 
 def test_it_is_played_by_its_name_and_by_its_reference(user: User) -> None:
@@ -125,7 +132,7 @@ def test_it_is_evaluated_and_reported(user: User) -> None:
 def test_it_is_demonstrated_exported_and_learnt(user: User) -> None:
     folder = user.site / "push_out_demonstrations"
     user.does(f"demos generate --tasks push_out:SPEC --count 1 --out {folder}")
-    assert [path.name for path in folder.iterdir()] == ["PushOut-Demo-000.npz"]
+    assert [path.name for path in folder.glob("*.npz")] == ["PushOut-Demo-000.npz"]
     assert "1 of 1 replay to the same score" in user.does(f"demos verify {folder}")
     user.does(f"demos export {folder} --out seen.npz")
     user.does("demos export --tasks push_out:SPEC --out same.npz")  # by default those in the task's own folder
