@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import warnings
 from collections.abc import Mapping
+from dataclasses import fields
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -15,7 +17,7 @@ from typing import Any, Final
 
 from magical_mj.errors import InvalidSceneError, MagicalError, TaskError, UnknownNameError, shown
 from magical_mj.geometry import check_scene
-from magical_mj.references import is_reference, resolve
+from magical_mj.references import is_reference, resolve, source_of
 from magical_mj.scene import Scene
 from magical_mj.tasks import RULES, SPECS, TaskSpec
 from magical_mj.tasks.spec import is_task_name
@@ -57,6 +59,11 @@ def _reference(point: EntryPoint) -> str:
     return "".join(point.value.split())
 
 
+def announced_name(task: str) -> str:
+    """The name under which a package announces the task with this reference; any other `task` is returned as it is."""
+    return next((name for name, point in announced().items() if _reference(point) == task), task)
+
+
 def load_spec(task: str) -> TaskSpec:
     """The task with this announced name or reference; it is checked when it is new, as after `importlib.reload`.
 
@@ -80,6 +87,15 @@ def load_spec(task: str) -> TaskSpec:
         raise TaskError(f"{task} is called {spec.name!r}, as a task of the benchmark is: give it a name of its own")
     _CHECKED[task] = spec
     return spec
+
+
+def code_digest(task: str) -> str:
+    """A hash of the modules that define this task: the one that is named, and those of the task's functions."""
+    point, spec = announced().get(task), load_spec(task)
+    functions = (getattr(spec, field.name) for field in fields(spec))
+    names = {getattr(function, "__module__", None) for function in functions if callable(function)}
+    sources = {source_of(str(name)) for name in (task if point is None else _reference(point), *names)}
+    return hashlib.sha256(b"\0".join(sorted(source.read_bytes() for source in sources if source))).hexdigest()
 
 
 def check_spec(spec: Any, task: str) -> None:

@@ -40,6 +40,7 @@ def test_doctor_without_opengl_says_what_to_do() -> None:
     result = process("doctor", DISPLAY="", __EGL_VENDOR_LIBRARY_FILENAMES="/nonexistent")
     assert result.returncode == 1
     assert "libegl1" in result.stdout
+    assert "MUJOCO_GL is osmesa, which does not start" in " ".join(result.stdout.split())
 
 
 def test_doctor_names_a_wrong_setting() -> None:

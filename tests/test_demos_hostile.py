@@ -42,6 +42,15 @@ def forge(path: Path, header: dict[str, Any] | bytes | None = None, **arrays: An
     np.savez_compressed(path, **{**parts, "header": np.frombuffer(text, np.uint8)})
 
 
+def test_that_a_task_must_be_named_is_said_once(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    forge(path, {"task": "mine:SPEC"})
+    path.with_name("MoveToRegion-Demo-001.npz").write_bytes(path.read_bytes())
+    assert main(["demos", "verify", str(path.parent)]) == 1
+    out, error = capsys.readouterr()
+    assert "0 of 2 replay" in out
+    assert error.count("--tasks mine:SPEC") == 1
+
+
 @pytest.mark.parametrize("command", ["info", "verify"])
 def test_a_file_chooses_no_code(
     path: Path, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -55,9 +64,9 @@ def test_a_file_chooses_no_code(
     monkeypatch.setattr(sys, "path", sys.path[:])
     forge(path, {"task": f"{name}:SPEC"})
     assert main(["demos", command, str(path)]) > 0
-    assert f"name the task (--tasks {name}:SPEC;" in " ".join(capsys.readouterr().err.split())
+    assert f"if you trust it, add --tasks {name}:SPEC (" in " ".join(capsys.readouterr().err.split())
     assert not Path("ran").exists()
-    with pytest.raises(DemonstrationError, match="is code that reading it would run"):
+    with pytest.raises(DemonstrationError, match="since reading them runs its code"):
         demos.read(path)
     assert demos.read(path, trusted=[f"{name}:SPEC"]).name == demos.read(path, f"{name}:SPEC").name == "Strange-Demo"
     assert Path("ran").exists()

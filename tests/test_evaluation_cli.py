@@ -25,6 +25,8 @@ def test_from_scores_to_videos(shell: Shell, tmp_path: Path) -> None:
     assert out.endswith("o/report/report.md\n")
     assert (tmp_path / "o/report/best-still-MoveToRegion.mp4").stat().st_size > 1000
     assert "BC (ST)†" in (tmp_path / "o/report/report.md").read_text()
+    assert "o/report/report.md replaces an earlier report" in shell("report", "o")[1]
+    assert "give --out" in shell.fails(2, "report", "o", "o")
 
     code, out, error = shell("compare", "o:random", "o:still")
     assert (code, error) == (0, "")

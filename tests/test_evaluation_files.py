@@ -61,6 +61,21 @@ def test_a_policy_whose_code_has_changed_is_another_one(tmp_path: Path, monkeypa
         magical_mj.evaluate("still:policy", out="scores", resume=True, **SMALL)
 
 
+def test_a_task_whose_code_has_changed_is_another_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    Path("short_task.py").write_text(
+        "from dataclasses import replace\nfrom magical_mj.tasks.move_to_region import SPEC as OLD\n"
+        'SPEC = replace(OLD, name="Short", steps=4)\n'
+    )
+    chosen = {**SMALL, "tasks": "short_task:SPEC", "variants": "Demo", "out": "scores"}
+    magical_mj.evaluate("noop", **chosen)
+    assert len(magical_mj.evaluate("noop", resume=True, **chosen)) == SMALL["episodes"]
+    Path("short_task.py").write_text(Path("short_task.py").read_text().replace("steps=4", "steps=5"))
+    with pytest.raises(SettingsError, match=r'code of short_task:SPEC was "\w+" and is "\w+"'):
+        magical_mj.evaluate("noop", resume=True, **chosen)
+
+
 class Misnamed:
     """Misses a file in the scene of seed 1, whose name is not UTF-8: so Python shows the bytes of such names."""
 

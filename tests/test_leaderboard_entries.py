@@ -219,9 +219,20 @@ def test_a_protocol_that_is_no_number_is_explained(folder: Path, tmp_path: Path,
 
 
 def test_an_episode_is_submitted_once(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(EvaluationError, match="holds an episode twice"):
+    with pytest.raises(EvaluationError, match=r"holds an episode twice: .* again with another --run"):
         submit([folder, folder], tmp_path / "entry.json.gz")
     assert not (tmp_path / "entry.json.gz").exists()
+
+
+def test_what_is_no_evaluation_of_one_method_is_explained(folder: Path, tmp_path: Path) -> None:
+    training = tmp_path / "training"
+    training.mkdir()
+    (training / "policy.safetensors").touch()
+    with pytest.raises(EvaluationError, match=r"training holds a policy, .* --policy .*training --out ANOTHER"):
+        submit([training], tmp_path / "entry.json.gz")
+    rewrite(folder, lambda rows: rows[0].update(policy="bc-1"))
+    with pytest.raises(SettingsError, match=r"bc-1, expert: .*\(--policy NAME\).*--policy BC=runs/a,BC=runs/b"):
+        submit([folder], tmp_path / "entry.json.gz")
 
 
 def test_an_entry_is_extended_by_further_runs(folder: Path, tmp_path: Path) -> None:

@@ -34,7 +34,8 @@ class User:
 
     def python(self, *arguments: str) -> subprocess.CompletedProcess[str]:
         """Run Python; whether it succeeds is for the test to say."""
-        environment = {**os.environ, "PYTHONPATH": str(self.site), "PYTHONWARNINGS": "default"}
+        path = os.pathsep.join(filter(None, (str(self.site), os.environ.get("PYTHONPATH"))))
+        environment = {**os.environ, "PYTHONPATH": path, "PYTHONWARNINGS": "default"}
         command = [sys.executable, *arguments]
         return subprocess.run(command, cwd=self.home, env=environment, capture_output=True, text=True, check=False)
 
@@ -55,6 +56,8 @@ def user(tmp_path_factory: pytest.TempPathFactory) -> User:
     project, site = tmp_path_factory.mktemp("project"), tmp_path_factory.mktemp("site")
     (project / "push_out.py").write_text(block("python", '"""PushOut'))
     (project / "pyproject.toml").write_text(block("toml", "[build-system]"))
+    (project / "push_out_demonstrations").mkdir()
+    (project / "push_out_demonstrations" / "about.txt").touch()
     options = ["--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--target", str(site)]
     subprocess.run([sys.executable, "-m", "pip", "install", *options, str(project)], check=True, capture_output=True)
     return User(tmp_path_factory.mktemp("user") / "home", site)
@@ -65,6 +68,11 @@ def test_it_has_rows_and_ids_like_ours(user: User) -> None:
     assert listed == list(VARIANTS)
     ids = user.does("list --ids").split()
     assert ids[-2:] == ["magical_mj/PushOut-TestDynamics-v0", "magical_mj/PushOut-TestAll-v0"]
+
+
+def test_its_demonstrations_are_installed_with_it(user: User) -> None:
+    assert (user.site / "push_out_demonstrations" / "about.txt").exists()
+    assert (user.site / "push_out.py").exists()
 
 
 def test_it_is_played_by_its_name_and_by_its_reference(user: User) -> None:
@@ -104,13 +112,18 @@ def test_it_is_evaluated_and_reported(user: User) -> None:
     user.does(f"evaluate --policy watcher:act,expert --tasks PushOut {episodes} --out own")
     user.does(f"evaluate --policy watcher:act --tasks push_out:SPEC,MoveToRegion {episodes} --out mixed")
     for folder in ("own", "mixed"):
-        user.does(f"report {folder}")
+        user.does(f"report {folder} --published")
     table = (user.home / "own" / "report" / "report.md").read_text()
     assert re.search(r"^\| expert \| 1\.00", table, re.MULTILINE)
     assert "PushOut" in table
     assert "without MoveToCorner" not in table
+    assert "Mean score over PushOut, " in table
+    assert "BC (ST)" not in table
+    assert "it has none in these tasks" in table
     mixed = (user.home / "mixed" / "report" / "report.md").read_text()
     assert "not part of the means over tasks: PushOut" in mixed
+    assert "Mean score over all tasks, " in mixed
+    assert "BC (ST)" in mixed
     assert mixed.index("**MoveToRegion**") < mixed.index("**PushOut**")
     assert (user.home / "mixed" / "report" / "heat_map.png").stat().st_size > 0
 
@@ -119,9 +132,22 @@ def test_it_is_evaluated_and_reported(user: User) -> None:
 def test_it_is_demonstrated_exported_and_learnt(user: User) -> None:
     folder = user.site / "push_out_demonstrations"
     user.does(f"demos generate --tasks push_out:SPEC --count 1 --out {folder}")
-    assert [path.name for path in folder.iterdir()] == ["PushOut-Demo-000.npz"]
+    assert [path.name for path in folder.glob("*.npz")] == ["PushOut-Demo-000.npz"]
     assert "1 of 1 replay to the same score" in user.does(f"demos verify {folder}")
     user.does(f"demos export {folder} --out seen.npz")
+    user.does("demos export --tasks push_out:SPEC --out same.npz")  # by default those in the task's own folder
+    assert (user.home / "same.npz").read_bytes() == (user.home / "seen.npz").read_bytes()
+    user.runs(
+        """
+        from dataclasses import replace
+        from magical_mj import demos
+
+        (demo,) = demos.load("PushOut")
+        demos.write(replace(demo, task="push_out:SPEC"), "before/PushOut-Demo-000.npz")  # before it was announced
+        assert [demo.task for demo in demos.load("PushOut", "before")] == ["PushOut"]
+        """
+    )
+    assert "PushOut-Demo" in user.does("demos info before")
     settings = " ".join(f"--set {setting}" for setting in TINY.split())
     user.does(f"train bc --tasks PushOut --quick --out run {settings}")
     user.does("evaluate --policy run --tasks PushOut --variants Demo --episodes 1 --out learnt")

@@ -158,13 +158,22 @@ def test_the_command_records_under_a_free_name(tmp_path: Path, monkeypatch: pyte
     assert {demo.demonstrator for demo in load("MoveToRegion", tmp_path)} == {"human"}
 
 
-@pytest.mark.parametrize("driver", ["no such driver", None])
-def test_without_a_display_it_says_so_and_makes_nothing(driver: str | None, tmp_path: Path) -> None:
+OWN = (
+    "from dataclasses import replace\nfrom magical_mj.tasks.find_dupe import SPEC as OURS\n"
+    'SPEC = replace(OURS, name="Mine")\n'
+)
+
+
+@pytest.mark.parametrize(("task", "driver"), [("FindDupe", "no such driver"), ("FindDupe", None), ("mine:SPEC", None)])
+def test_without_a_display_it_says_so_and_makes_nothing(task: str, driver: str | None, tmp_path: Path) -> None:
+    """And advises to play in a browser, where only tasks of the benchmark can be played."""
+    (tmp_path / "mine.py").write_text(OWN)
     hidden = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
     variables = {name: value for name, value in os.environ.items() if name not in hidden}
-    command = [sys.executable, "-m", "magical_mj", "play", "FindDupe", "--record", str(tmp_path / "mine")]
+    command = [sys.executable, "-m", "magical_mj", "play", task, "--record", str(tmp_path / "kept")]
     result = subprocess.run(
         command,
+        cwd=tmp_path,
         env=variables | ({} if driver is None else {"SDL_VIDEODRIVER": driver}),
         capture_output=True,
         text=True,
@@ -173,8 +182,9 @@ def test_without_a_display_it_says_so_and_makes_nothing(driver: str | None, tmp_
     )
     assert (result.returncode, result.stdout) == (1, "")
     assert "A window needs a display" in result.stderr
+    assert ("play --web" in result.stderr) == (task == "FindDupe")
     assert result.stderr.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
+    assert not (tmp_path / "kept").exists()
 
 
 def test_without_its_extra_no_folder_is_made(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import magical_mj
 from magical_mj.cli.console import Force, Tasks, Variants, check_fits, check_suffix, claim, claim_folder, console
 from magical_mj.cli.demos import SUFFIX, Paths, files_of, read_chosen
 from magical_mj.errors import SettingsError
+from magical_mj.registry import environments
 
 Target = Annotated[
     Literal["npz", "minari", "lerobot", "robomimic"],
@@ -53,7 +54,7 @@ def export(
         preset = "LoRes4E" if preset is None else preset
         path = Path(out or f"{names[0] if len(names) == 1 else 'demonstrations'}-{preset or 'views'}{SUFFIX}")
         check_suffix(path, SUFFIX)
-        if path.resolve().parent in {file.resolve().parent for file in files_of(paths)}:
+        if path.resolve().parent in {file.resolve().parent for file in files_of(paths, environments(tasks, variants))}:
             raise typer.BadParameter(f"{path} would lie among the demonstrations; give --out in another folder.")
         magical_mj.demos.to_npz(demos, claim(path, force), preset, drop_noop=drop_noop, overwrite=force)
         screen.print(path, soft_wrap=True)

@@ -38,7 +38,7 @@ SUFFIX = ".npz"
 
 Paths = Annotated[
     list[Path] | None,
-    typer.Argument(help="Files and folders.", show_default="those that come with the package"),
+    typer.Argument(help="Files and folders.", show_default="those that come with the tasks"),
 ]
 Recordings = Annotated[list[Path], typer.Argument(help="The JSON files that the browser saved.", show_default=False)]
 Count = Annotated[int, typer.Option(min=1, help="Number in each environment, in the scenes of seeds 0, 1, ...")]
@@ -166,8 +166,9 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
     differ where machines or versions do.
     """
     screen = console()
-    wanted = environments(tasks, variants) if (tasks, variants) != ("all", "all") else None
-    files = files_of(paths)
+    pairs = environments(tasks, variants)
+    wanted = pairs if (tasks, variants) != ("all", "all") else None
+    files = files_of(paths, pairs)
     checked = with_bar(screen, "verifying", spread(partial(check, wanted), files, jobs), len(files))
     found = [(path, verdict) for path, verdict in checked if verdict]
     if not found:
@@ -178,13 +179,9 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
         f"{sum(verdict.score and verdict.replay for verdict in verdicts)} of {len(found)} replay to the same score, "
         f"{exact} through the same states, {alike} with the same pictures"
     )
-    for path, verdict in sorted(found, key=str):
-        if isinstance(verdict, str):
-            complain(verdict)
-        elif not verdict.scene:
-            complain(f"{path} does not start in the scene that its variant and seed have in this version of the world")
-        elif not verdict.good:
-            complain(f"{path} does not replay to its score in this version of the world")
+    problems = (problem_of(path, verdict) for path, verdict in sorted(found, key=str))
+    for problem in dict.fromkeys(filter(None, problems)):  # that a task must be named is said once
+        complain(problem)
     if sum(verdict.good for verdict in verdicts) < len(found):
         raise typer.Exit(1)
 
@@ -200,6 +197,15 @@ def check(wanted: Collection[tuple[str, str]] | None, path: Path) -> tuple[Path,
         return path, str(error)
     except MagicalError as error:
         return path, f"{path}: {error}"
+
+
+def problem_of(path: Path, verdict: Verdict | str) -> str | None:
+    """What is wrong with a file, as a sentence; None if nothing is."""
+    if isinstance(verdict, str):
+        return verdict
+    if not verdict.scene:
+        return f"{path} does not start in the scene that its variant and seed have in this version of the world"
+    return None if verdict.good else f"{path} does not replay to its score in this version of the world"
 
 
 @app.command()
@@ -233,9 +239,9 @@ def video(
 
 
 def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str) -> list[Demonstration]:
-    """The demonstrations of these tasks and variants in files and folders, by default the shipped ones."""
+    """The demonstrations of these tasks and variants in files and folders, by default those that come with tasks."""
     pairs = environments(tasks, variants)
-    demos = [magical_mj.demos.read(path, trusted=[task for task, _ in pairs]) for path in files_of(paths)]
+    demos = [magical_mj.demos.read(path, trusted=[task for task, _ in pairs]) for path in files_of(paths, pairs)]
     if (tasks, variants) == ("all", "all"):
         return demos
     chosen = [demo for demo in demos if (demo.task, demo.variant) in pairs]
@@ -245,10 +251,12 @@ def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str) -> list
     return chosen
 
 
-def files_of(paths: Sequence[Path] | None) -> list[Path]:
-    """The files, each once, even if it is given in several ways."""
+def files_of(paths: Sequence[Path] | None, pairs: Sequence[tuple[str, str]]) -> list[Path]:
+    """The files, each once, even if it is given in several ways; by default those that come with the pairs' tasks."""
+    if not paths:
+        return [path for task in dict.fromkeys(task for task, _ in pairs) for path in magical_mj.demos.paths_of(task)]
     found: dict[Path, Path] = {}
-    for path in paths or [magical_mj.demos.SHIPPED]:
+    for path in paths:
         if path.is_dir():
             inside = magical_mj.demos.files_in_or_below(path)
             if not inside:

@@ -19,7 +19,7 @@ from rich.text import Text
 
 import magical_mj
 from magical_mj.cli.console import console
-from magical_mj.rendering.backend import REMEDY, wanted_backend
+from magical_mj.rendering.backend import PACKAGES, REMEDY, wanted_backend
 
 CORE: Final = ("magical-mj", "mujoco", "dm_control", "dm-env", "gymnasium", "numpy", "shapely", "pillow")
 OWN: Final = ("all", "dev", "site")
@@ -101,7 +101,9 @@ def _probe(backend: str) -> dict[str, str | float]:
     if result.returncode == 0:
         return json.loads(result.stdout)
     last_line = (result.stderr.strip().splitlines() or [f"exit code {result.returncode}"])[-1]
-    return {"error": last_line.removeprefix("magical_mj.errors.RenderingError: ").removesuffix(REMEDY).strip()}
+    problem = last_line.removeprefix("magical_mj.errors.RenderingError: ").removesuffix(REMEDY).strip()
+    needed = f" (Debian and Ubuntu packages: {PACKAGES[backend]})" if backend in PACKAGES else ""
+    return {"error": f"{problem.rstrip('.')}{needed}"}
 
 
 def _print_backends(out: Console, found: dict[str, dict[str, str | float]]) -> None:
@@ -118,9 +120,9 @@ def _print_backends(out: Console, found: dict[str, dict[str, str | float]]) -> N
 
 def probe() -> None:
     """Draws a few frames and prints JSON: the renderer, and the milliseconds of the first and of a typical frame."""
+    env = magical_mj.load("FindDupe", observations=())  # first of all, since it says why OpenGL does not start
     from magical_mj.rendering.canvas import opengl_name
 
-    env = magical_mj.load("FindDupe", observations=())
     env.reset()
     times = []
     for _ in range(FRAMES):

@@ -44,7 +44,7 @@ Extend = Annotated[Path | None, typer.Option(help="An earlier entry, to whose ep
 
 
 def verify_folder(folder: Folder, jobs: Jobs = None) -> None:
-    """Replay all episodes of an evaluation, compare scenes and scores, and check that it is complete."""
+    """Replay the episodes of an evaluation, compare scenes and scores, and check that it is complete."""
     screen = console()
     with _bar(screen, f"replaying {folder}", len(read(folder))) as watch:
         found = verify(folder, jobs=jobs, watch=watch)

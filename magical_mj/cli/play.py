@@ -14,7 +14,7 @@ from magical_mj.cli.film import side_by_side
 from magical_mj.cli.web import Collect, Host, Origin, Port, Tasks, Variants, Wanted, serve_page
 from magical_mj.cli.window import Window
 from magical_mj.constants import CONTROL_RATE
-from magical_mj.registry import environments, task_spec, variant_name
+from magical_mj.registry import TASKS, environments, task_name, task_spec, variant_name
 
 if TYPE_CHECKING:
     from magical_mj.demos import Demonstration
@@ -61,7 +61,8 @@ def play(
     if task is None:
         raise typer.BadParameter("give TASK, or --web to choose in the browser.")
     env = magical_mj.load(task, variant, seed=seed, observations=())
-    window = Window(f"{task} {variant_name(variant)}", size, speed)
+    browser = "; without one, play in a browser: magical-mj play --web" if task_name(task) in TASKS else ""
+    window = Window(f"{task} {variant_name(variant)}", size, speed, browser)
     try:
         episodes = Episodes(None if record is None else claim_folder(record))
         play_in(window, env, task, variant, seed, size, episodes)

@@ -13,7 +13,7 @@ from magical_mj.cli.console import claim_folder, console
 from magical_mj.cli.film import film, replay
 from magical_mj.errors import SettingsError
 from magical_mj.evaluation.compare import choose, compare
-from magical_mj.evaluation.report import check_free, extremes, report
+from magical_mj.evaluation.report import PAGE, check_free, extremes, report
 from magical_mj.evaluation.results import gather
 from magical_mj.evaluation.scores import Score
 from magical_mj.evaluation.settings import UNOFFICIAL
@@ -22,7 +22,9 @@ FILM_SIZE = 192  # pixels
 FILM_SPEED = 4  # times real time
 
 Folders = Annotated[list[Path], typer.Argument(help="The folders of evaluations.", show_default=False)]
-Out = Annotated[Path | None, typer.Option(help="The folder for the report.", show_default="DIR/report")]
+Out = Annotated[
+    Path | None, typer.Option(help="The folder for the report.", show_default="DIR/report, of a single DIR")
+]
 Published = Annotated[bool, typer.Option("--published", help="Show the paper's own results as well.")]
 Mixed = Annotated[
     bool, typer.Option("--mixed-presets", help="Allow policies with different observations in one report.")
@@ -43,15 +45,18 @@ def make_report(
     videos: Videos = False,
 ) -> None:
     """Write a report of one or several evaluations: tables (Markdown, CSV, LaTeX), figures and videos."""
+    if out is None and len(folders) > 1:
+        raise typer.BadParameter("several folders have one report: give --out, its folder.")
     screen = console()
     scores = gather(folders, mixed_presets)  # raises errors before anything is written
     if videos and any(score.worlds != "single" for score in scores):
         raise SettingsError(f"--videos replays episodes of single worlds only, not of batched ones: {UNOFFICIAL}")
     out = claim_folder(out or folders[0] / "report")
     check_free(out)
+    replaced = (out / PAGE).exists()
     links = film_episodes(extremes(scores), out) if videos else {}
     page = report(folders, out, with_published=published, mixed_presets=mixed_presets, links=links)
-    screen.print(page, soft_wrap=True)
+    screen.print(f"{page} replaces an earlier report" if replaced else page, soft_wrap=True)
 
 
 def make_comparison(a: Side, b: Side) -> None:

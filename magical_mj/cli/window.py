@@ -32,12 +32,13 @@ class Window:
         title: the window's title.
         size: side of a picture in pixels.
         speed: 1 is real time; 0 is as fast as possible.
+        advice: what to do without a display, for the error.
 
     Raises:
         MagicalError: if pygame-ce is not installed, or there is no display.
     """
 
-    def __init__(self, title: str, size: int, speed: float = 1.0) -> None:
+    def __init__(self, title: str, size: int, speed: float = 1.0, advice: str = "") -> None:
         os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
         try:
             import pygame
@@ -56,7 +57,7 @@ class Window:
             pygame.display.quit()
             raise MagicalError(
                 f"no window can be opened here: {error}. A window needs a display (on Linux, DISPLAY or "
-                "WAYLAND_DISPLAY); without one, play in a browser: magical-mj play --web"
+                f"WAYLAND_DISPLAY){advice}"
             ) from None
         pygame.display.set_caption(title)
         pygame.font.init()

@@ -38,6 +38,7 @@ __all__ = [
     "keep",
     "load",
     "observations",
+    "paths_of",
     "read",
     "see",
     "stream",
@@ -61,6 +62,16 @@ def load(task: str, folder: Path | str | None = None) -> list[Demonstration]:
         UnknownNameError: if there is no such task.
         DemonstrationError: if there are none, or a file is damaged.
     """
+    return [read(path, task_name(task)) for path in paths_of(task, folder)]
+
+
+def paths_of(task: str, folder: Path | str | None = None) -> list[Path]:
+    """The files that `load` reads.
+
+    Raises:
+        UnknownNameError: if there is no such task.
+        DemonstrationError: if there are none.
+    """
     task, spec = task_name(task), task_spec(task)
     folder = Path(folder or spec.demonstrations or SHIPPED)
     paths = files_in_or_below(folder, f"{spec.name}-")
@@ -74,4 +85,4 @@ def load(task: str, folder: Path | str | None = None) -> list[Demonstration]:
             f"there are no demonstrations of {task} in {folder}; to make some: "
             f"magical-mj demos generate --tasks {task} --out {folder}"
         )
-    return [read(path, task) for path in paths]
+    return paths

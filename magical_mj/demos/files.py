@@ -24,6 +24,7 @@ from typing import Any, Final
 import numpy as np
 
 from magical_mj import files
+from magical_mj.announced import announced_name
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.errors import DemonstrationError, MagicalError
 from magical_mj.references import is_reference
@@ -96,6 +97,8 @@ def _beginning(demo: Demonstration) -> str:
 def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] = ()) -> Demonstration:
     """Reads a demonstration and checks that it is undamaged.
 
+    A task that was given by reference when the file was written, and is announced by now, has its name.
+
     Args:
         path: the file.
         task: the task that it must be of.
@@ -121,12 +124,13 @@ def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] 
         )
     if header.pop("digest", None) != _digest(header, arrays):
         raise DemonstrationError(f"{path} was altered after it was written: its digest is not that of its content")
-    if task is not None and header.get("task") != task:
-        raise DemonstrationError(f"{path} is a demonstration of {header.get('task')}, not of {task}")
-    if is_reference(header.get("task")) and header["task"] not in (task, *trusted):
+    header["task"] = announced_name(header.get("task"))
+    if task is not None and header["task"] != announced_name(task):
+        raise DemonstrationError(f"{path} is a demonstration of {header['task']}, not of {task}")
+    if is_reference(header["task"]) and header["task"] not in (task, *trusted):
         raise DemonstrationError(
-            f"{path} is of the task {header['task']}, which is code that reading it would run: if you trust that code, "
-            f"name the task (--tasks {header['task']}; in Python, trusted=[...])"
+            f"demonstrations of {header['task']} are read only if you name that task, since reading them runs its "
+            f"code: if you trust it, add --tasks {header['task']} (in Python, trusted=[...])"
         )
     try:
         scene = Scene.from_json(json.dumps(header["scene"]))

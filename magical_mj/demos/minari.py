@@ -84,9 +84,9 @@ def to_minari(
     versions = {f"magical-mj=={demo.package}" for demo in demos} | {f"mujoco=={demo.mujoco}" for demo in demos}
     try:
         parse_dataset_id(name)
-    except (TypeError, ValueError) as error:  # TypeError if the version is missing
+    except (TypeError, ValueError):  # TypeError if the version is missing
         raise DemonstrationError(
-            f"Minari does not take the id {name!r}, which must be like magical-mj/mine-v0: {error}"
+            f"Minari does not take the id {name!r}, which must be like magical-mj/mine-v0"
         ) from None
     episodes = [_episode(demo, number, preset) for number, demo in enumerate(demos)]
     _check_space(get_dataset_path(), sum(HDF5_BYTES + _size(episode) for episode in [*episodes, {}, {}]))

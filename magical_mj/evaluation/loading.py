@@ -152,6 +152,11 @@ def _short(origin: str) -> str:
     return origin.rpartition(":")[2]
 
 
+def holds_policy(folder: Path | str) -> bool:
+    """Whether the folder is one that `evaluate` takes as a policy, such as that of a training."""
+    return any((Path(folder) / loader.name).is_file() for loader in entry_points(group=FOLDERS))
+
+
 def _folder_loader(folder: str) -> EntryPoint:
     """The entry point that loads the policy in a folder: its name is the name of a file in the folder."""
     known = list(entry_points(group=FOLDERS))

@@ -50,6 +50,12 @@ class Results:
         """The methods in their order, the published ones last."""
         return list(dict.fromkeys(self.environments["policy"]))
 
+    @property
+    def counted(self) -> str:
+        """What means over tasks are taken over, as titles say it."""
+        tasks = counted_tasks(self.scores)
+        return "all tasks" if set(tasks) & set(TASKS) else " and ".join(tasks)
+
 
 def gather(folders: Sequence[Path], mixed_presets: bool = False) -> list[Score]:
     """The scores of all folders.
@@ -126,6 +132,7 @@ def results(folders: Sequence[Path], with_published: bool = False, mixed_presets
     import pandas as pd
 
     scores = frame(gather(folders, mixed_presets))
+    asked, with_published = with_published, with_published and bool(set(scores["task"]) & set(TASKS))
     theirs = list(dict.fromkeys(published_results()["policy"])) if with_published else []
     taken = [name for name in dict.fromkeys(scores["policy"]) if name in theirs]
     if taken:
@@ -145,7 +152,10 @@ def results(folders: Sequence[Path], with_published: bool = False, mixed_presets
     environments = _sorted(environments, order)
     variants = _sorted(variants, order)
     variants["missing"] = [_missing(counted, row) for row in variants.itertuples()]
-    return Results(scores, environments, variants, tuple(_notes(scores, variants, with_published)))
+    notes = [*_notes(scores, variants, with_published)]
+    if asked and not with_published:
+        notes.append("The paper's results are not shown: it has none in these tasks.")
+    return Results(scores, environments, variants, tuple(notes))
 
 
 def counted_tasks(scores: pd.DataFrame) -> list[str]:

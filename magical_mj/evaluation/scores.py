@@ -116,6 +116,13 @@ def read(folder: Path) -> list[Score]:
             raise EvaluationError(
                 f"{folder} is a file, and not the folder of an evaluation; magical-mj leaderboard checks entries"
             )
+        from magical_mj.evaluation.loading import holds_policy  # imported late: it loads what plays policies
+
+        if holds_policy(folder):
+            raise EvaluationError(
+                f"{folder} holds a policy, and no evaluation of it; to make one in another folder: "
+                f"magical-mj evaluate --policy {folder} --out ANOTHER"
+            )
         raise EvaluationError(f"{folder} holds no {SCORES}; magical-mj evaluate --out {folder} makes one")
     found: list[Score] = []
     seen: dict[Key, int] = {}

@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from magical_mj._version import __version__
+from magical_mj.announced import code_digest
 from magical_mj.errors import SettingsError, check_name, shown
 from magical_mj.parallel import Backend, check_backend
 from magical_mj.presets import preset_named
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
-from magical_mj.registry import Names, environments
+from magical_mj.registry import TASKS, Names, environments
 from magical_mj.tasks.spec import Rules
 
 Vectorization = Literal["sync", "async"]
@@ -108,6 +109,7 @@ class EvaluationSettings:
 
     def recorded(self) -> dict[str, Any]:
         """The settings that determine scores; an evaluation can be resumed only if they are the same."""
+        code = {f"code of {task}": code_digest(task) for task, _ in self.environments if task not in TASKS}
         return {
             "environments": [f"{task}-{variant}" for task, variant in self.environments],
             **{name: getattr(self, name) for name in ("episodes", "preset", "rules", "time_limit", "worlds")},
@@ -116,6 +118,7 @@ class EvaluationSettings:
             "version": __version__,
             "mujoco": MUJOCO_VERSION,
             "gl": os.environ.get("MUJOCO_GL", ""),
+            **code,
         }
 
 

@@ -110,14 +110,14 @@ def result_tables(results: Results) -> list[Table]:
     """The paper's Table 1, the interquartile means, and the table of all environments."""
     spread = Table(
         "variants",
-        "Mean score over all tasks, ± standard deviation of the run means over tasks and runs",
+        f"Mean score over {results.counted}, ± standard deviation of the run means over tasks and runs",
         ("Method", *VARIANTS),
         (("", _rows(results, results.variants, _mean_and_std)),),
         results.notes,
     )
     robust = Table(
         "interquartile",
-        "Interquartile mean of the run means over all tasks, with its 95 % interval (stratified bootstrap)",
+        f"Interquartile mean of the run means over {results.counted}, with its 95 % interval (stratified bootstrap)",
         ("Method", *VARIANTS),
         (("", _iqm_rows(results)),),
     )

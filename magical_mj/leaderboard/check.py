@@ -68,9 +68,10 @@ class Findings:
 
 
 def verify(folder: Path | str, *, jobs: int | None = None, watch: Watch = lambda _: None) -> Findings:
-    """Replays all episodes of an evaluation, and checks its settings and completeness against the protocol.
+    """Replays the episodes of an evaluation, and checks its settings and completeness against the protocol.
 
-    What was to be played is taken from the settings, so that an environment or a run without any episodes is missed.
+    Failed episodes, and those of tasks outside the benchmark, are not replayed. What was to be played is
+    taken from the settings, so that an environment or a run without any episodes is missed.
 
     Args:
         folder: the folder of the evaluation.

@@ -195,10 +195,10 @@ def is_readable(name: str) -> bool:
     return name.isprintable() and name == name.strip()
 
 
-def check_unique(episodes: Sequence[Claim], name: object) -> None:
-    """Raises an `EvaluationError` if an episode appears twice."""
+def check_unique(episodes: Sequence[Claim], name: object, remedy: str = "") -> None:
+    """Raises an `EvaluationError`, which ends with `remedy`, if an episode appears twice."""
     seen: set[tuple[Any, ...]] = set()
     for episode in episodes:
         if episode[:4] in seen:
-            raise EvaluationError(f"{name} holds an episode twice: {episode}")
+            raise EvaluationError(f"{name} holds an episode twice: {episode}{remedy}")
         seen.add(episode[:4])

@@ -128,8 +128,9 @@ def gaps(entry: Entry) -> list[str]:
         found.append(f"{len(there)} of {len(ENVIRONMENTS)} environments")
     wanted = len(there) * SEEDS * len(entry.runs)
     absent = wanted - len(entry.counted)
+    elsewhere = " in the environments played" if len(there) < len(ENVIRONMENTS) else ""
     if absent:
-        found.append(f"{absent} of {wanted} episodes missing")
+        found.append(f"{absent} of {wanted} episodes missing{elsewhere}")
     runs = {run: [episode for episode in entry.counted if episode.run == run] for run in entry.runs}
     return [*found, *(f"run {later} has the same actions as run {earlier}" for later, earlier in copies(runs))]
 

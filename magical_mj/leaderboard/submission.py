@@ -67,7 +67,10 @@ def submit(
     if policy is not None:
         check_name("policy", policy, names)
     if policy is None and len(names) > 1:
-        raise SettingsError(f"the folders hold {', '.join(names)}: say which is meant (--policy NAME)")
+        raise SettingsError(
+            f"the folders hold {', '.join(names)}: say which one is meant (--policy NAME); if they are runs of one "
+            "method, evaluate them again under its name, as in evaluate --policy BC=runs/a,BC=runs/b"
+        )
     found = [(score, folder) for score, folder in found if score.policy == (policy or names[0])]
     _check_trainings(folders, policy or names[0])
     described = {**said, "method": said["method"] or policy or names[0]}
@@ -81,7 +84,8 @@ def submit(
                 f"method, say so (--policy {shlex.quote(entry.method)}, or a card with its name)"
             )
         entry = _extended(earlier, entry, extend, keep_card=card is None)
-    check_unique(entry.episodes, "the choice of folders" if extend is None else f"{extend} with these folders")
+    where = "the choice of folders" if extend is None else f"{extend} with these folders"
+    check_unique(entry.episodes, where, "; if these are two runs, evaluate one of them again with another --run")
     files.write(out, packed(entry))
     return entry
 

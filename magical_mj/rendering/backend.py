@@ -14,9 +14,10 @@ from typing import Any, Final
 
 from magical_mj.errors import RenderingError
 
+PACKAGES: Final = {"egl": "libegl1, libgl1-mesa-dri", "osmesa": "libosmesa6"}
 REMEDY = (
-    "Set the environment variable MUJOCO_GL, before Python starts, to egl (Debian and Ubuntu packages: libegl1, "
-    "libgl1-mesa-dri), osmesa (package: libosmesa6) or, with a display, glfw."
+    f"Set the environment variable MUJOCO_GL, before Python starts, to egl (Debian and Ubuntu packages: "
+    f"{PACKAGES['egl']}), osmesa (package: {PACKAGES['osmesa']}) or, with a display, glfw."
 )
 OSMESA_LIBRARIES = ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
 EGL_PLATFORM_DEVICE_EXT = 0x313F
