@@ -108,7 +108,7 @@ def test_episodes_with_overflows_are_warned_of(monkeypatch: pytest.MonkeyPatch) 
     made._steps[0] = 79  # nearly over
     with pytest.warns(UserWarning, match="more contacts than there is room for"):
         _, _, _, ended, info = made.step([1])
-    assert ended.tolist() == info["overflowed"].tolist() == [True]
+    assert ended.tolist() == info["final_info"]["overflowed"].tolist() == [True]
     made.close()
 
 
@@ -133,10 +133,15 @@ def test_episodes_are_those_of_the_single_environments(env: Any) -> None:
         actions = [int(demo.actions[step % len(demo.actions)]) for demo in demos]
         observations, rewards, terminated, truncated, info = env.step(actions)
         assert not terminated.any()
-        assert torch.equal(rewards.double(), info["eval_score"])
+        assert not info["eval_score"].any()  # that of an episode that has begun
         if truncated.any():
-            ends.append((step + 1, truncated.tolist(), info["eval_score"].tolist()))
-            assert info["is_success"].tolist() == [score == 1.0 for score in ends[-1][2]]
+            final = info["final_info"]
+            assert torch.equal(rewards.double(), final["eval_score"])
+            assert torch.equal(info["_final_info"], truncated)
+            ends.append((step + 1, truncated.tolist(), final["eval_score"].tolist()))
+            assert final["is_success"].tolist() == [score == 1.0 for score in ends[-1][2]]
+        else:
+            assert not rewards.any()
         if step < 40:
             wanted, *_ = single.step(actions[0])
         if step == 39:
@@ -175,19 +180,22 @@ def test_other_rules_have_other_horizons_and_scores() -> None:
         made._steps[0] = steps - 2
         assert made.step([0])[3].tolist() == [False]
         *_, ended, info = made.step([0])
-        assert (ended.tolist(), info["eval_score"].tolist(), info["is_success"].tolist()) == ([True], [score], [False])
+        assert ended.tolist() == [True]
+        assert info["final_info"]["eval_score"].tolist() == [score]
+        assert info["final_info"]["is_success"].tolist() == [False]
         made.close()
 
 
 def test_what_is_not_finite_stays_in_its_world(env: Any) -> None:
     env.reset(seed=0)
-    env._physics._state["qvel"][1] = float("nan")
+    env.physics._state["qvel"][1] = float("nan")
     _, _, _, truncated, info = env.step([1, 1, 1])
-    assert info["broken"].tolist() == truncated.tolist() == [False, True, False]
-    assert info["eval_score"][1] == 0.0
+    assert info["final_info"]["broken"].tolist() == truncated.tolist() == [False, True, False]
+    assert info["final_info"]["eval_score"][1] == 0.0
+    assert not info["broken"].any()
     observations, *_, info = env.step([1, 1, 1])
     assert not info["broken"].any()
-    assert env._physics.poses.isfinite().all()
+    assert env.physics.poses.isfinite().all()
     assert observations[1].float().std() > 1
 
 
@@ -263,21 +271,38 @@ def test_what_users_do_to_observations_changes_none_of_the_later_ones() -> None:
         one.close()
 
 
-def test_scenes_do_not_depend_on_who_draws_them() -> None:
+def test_scenes_do_not_depend_on_who_samples_them() -> None:
     """Those of an episode follow from the seed, the world and the episode, whoever ends when."""
-    from magical_mj.batched.drawing import SceneDrawer
+    from magical_mj.batched.sampling import SceneSampler
 
     pairs = [("FindDupe", "All")] * 3
-    drawn = []
+    sampled = []
     for workers, order in ((0, [[0, 1, 2], [1], [0, 1, 2]]), (1, [[0, 1, 2], [1], [0, 1, 2]]), (0, [[1], [1], [0, 1]])):
-        drawer = SceneDrawer(pairs, Capacity(10, 3, 42), workers)
-        drawer.seed(7)
-        drawn.append([drawer.scenes(worlds) for worlds in order])
-        drawer.close()
-    for here, there in zip(drawn[0], drawn[1], strict=True):
+        sampler = SceneSampler(pairs, Capacity(10, 3, 42), workers)
+        sampler.seed(7)
+        sampled.append([sampler.scenes(worlds) for worlds in order])
+        sampler.close()
+    for here, there in zip(sampled[0], sampled[1], strict=True):
         np.testing.assert_array_equal(here.poses, there.poses)
-    np.testing.assert_array_equal(drawn[2][1].poses[0], drawn[0][1].poses[0])
-    np.testing.assert_array_equal(drawn[2][2].poses[0], drawn[0][0].poses[0])
+    np.testing.assert_array_equal(sampled[2][1].poses[0], sampled[0][1].poses[0])
+    np.testing.assert_array_equal(sampled[2][2].poses[0], sampled[0][0].poses[0])
+
+
+def test_workers_sample_ahead_after_given_seeds_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What comes next is begun at once, and nothing twice: closing the workers cancels no scene that is asked for."""
+    from magical_mj.batched.sampling import SceneSampler
+
+    pairs = [("MoveToRegion", "All")] * 2
+    here, ahead = (SceneSampler(pairs, Capacity(1, 1, 42), workers) for workers in (0, 1))
+    for sampler in (here, ahead):
+        sampler.seed(3)
+        sampler.scenes([0, 1], [8, 9])
+    begun = {future for future, _ in ahead._ahead.values()}
+    (future,) = begun
+    future.result()
+    ahead.close()
+    monkeypatch.setattr(ahead, "_pool", None)
+    np.testing.assert_array_equal(ahead._prepared([0, 1]).poses, here.scenes([0, 1]).poses)
 
 
 def test_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
