@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 import magical_mj
 from magical_mj import batched
 from magical_mj.batched import physics as physics_module
+from magical_mj.batched.arrays import Arrays
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter, View
 from magical_mj.batched.scenes import Capacity, SceneArrays
@@ -260,6 +261,19 @@ def test_a_seed_determines_the_later_episodes_too() -> None:
     made.close()
 
 
+def test_arrays_are_the_same_with_numpy() -> None:
+    made = Arrays(batched.make("FindDupe", "All", 2, device="cpu", preset="State"))
+    made.reset(seed=0)
+    state = made.get_state()
+    seen = made.step([1, 4])[0]
+    assert isinstance(seen, np.ndarray)
+    before = made.set_state(state)
+    assert not np.array_equal(before, seen)
+    np.testing.assert_array_equal(made.step([1, 4])[0], seen)
+    assert (made.device, made.num_envs) == ("cpu", 2)
+    made.close()
+
+
 def test_what_users_do_to_observations_changes_none_of_the_later_ones() -> None:
     made, twin = (batched.make("FindDupe", "All", 2, device="cpu", image_size=16) for _ in range(2))
     seen, kept = made.reset(seed=0)[0], twin.reset(seed=0)[0]
@@ -269,40 +283,6 @@ def test_what_users_do_to_observations_changes_none_of_the_later_ones() -> None:
         assert torch.equal(seen, kept)
     for one in (made, twin):
         one.close()
-
-
-def test_scenes_do_not_depend_on_who_samples_them() -> None:
-    """Those of an episode follow from the seed, the world and the episode, whoever ends when."""
-    from magical_mj.batched.sampling import SceneSampler
-
-    pairs = [("FindDupe", "All")] * 3
-    sampled = []
-    for workers, order in ((0, [[0, 1, 2], [1], [0, 1, 2]]), (1, [[0, 1, 2], [1], [0, 1, 2]]), (0, [[1], [1], [0, 1]])):
-        sampler = SceneSampler(pairs, Capacity(10, 3, 42), workers)
-        sampler.seed(7)
-        sampled.append([sampler.scenes(worlds) for worlds in order])
-        sampler.close()
-    for here, there in zip(sampled[0], sampled[1], strict=True):
-        np.testing.assert_array_equal(here.poses, there.poses)
-    np.testing.assert_array_equal(sampled[2][1].poses[0], sampled[0][1].poses[0])
-    np.testing.assert_array_equal(sampled[2][2].poses[0], sampled[0][0].poses[0])
-
-
-def test_workers_sample_ahead_after_given_seeds_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What comes next is begun at once, and nothing twice: closing the workers cancels no scene that is asked for."""
-    from magical_mj.batched.sampling import SceneSampler
-
-    pairs = [("MoveToRegion", "All")] * 2
-    here, ahead = (SceneSampler(pairs, Capacity(1, 1, 42), workers) for workers in (0, 1))
-    for sampler in (here, ahead):
-        sampler.seed(3)
-        sampler.scenes([0, 1], [8, 9])
-    begun = {future for future, _ in ahead._ahead.values()}
-    (future,) = begun
-    future.result()
-    ahead.close()
-    monkeypatch.setattr(ahead, "_pool", None)
-    np.testing.assert_array_equal(ahead._prepared([0, 1]).poses, here.scenes([0, 1]).poses)
 
 
 def test_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
