@@ -226,6 +226,15 @@ def test_work_is_handed_over_piece_by_piece(tmp_path: Path) -> None:
     assert not running(tmp_path)
 
 
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
+def test_a_pool_that_is_forgotten_is_closed(tmp_path: Path) -> None:
+    pool = Pool(1)
+    pool.submit(lambda _: (tmp_path / str(os.getpid())).touch(), 0).result()
+    assert running(tmp_path)
+    del pool
+    wait_for(lambda: not running(tmp_path))
+
+
 class Unreadable:
     """Can be sent, and not be read."""
 

@@ -86,9 +86,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._tasks = {task: self._numbers(pairs, task) for task in dict.fromkeys(task for task, _ in pairs)}
         horizons = [task_spec(task).horizon(rules) for task, _ in pairs]
         self._horizons = torch.tensor(horizons, device=device)
-        capacity = _capacity(pairs)
-        self._sampler = SceneSampler(pairs, capacity, workers)
-        self._sampler.seed(check_seed(seed))
+        seed, capacity = check_seed(seed), _capacity(pairs)
         self._scenes = sample(pairs, [0] * self.num_envs, capacity)
         self._start = Start.of(self._scenes, device)
         self.physics = Physics(self._scenes, device)
@@ -110,6 +108,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.action_space = spaces.MultiDiscrete([len(ACTIONS)] * self.num_envs)
         self._steps = torch.zeros(self.num_envs, dtype=torch.int64, device=device)
         self._running = torch.zeros(self.num_envs, dtype=torch.bool, device=device)
+        self._sampler = SceneSampler(pairs, capacity, workers)  # last: its workers would outlive an error
+        self._sampler.seed(seed)
 
     def _numbers(self, pairs: Sequence[Pair], task: str) -> Tensor:
         return torch.tensor([world for world, (name, _) in enumerate(pairs) if name == task], device=self.device)

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import threading
 import traceback
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, as_completed
 from contextlib import suppress
@@ -28,6 +29,8 @@ Piece = TypeVar("Piece")
 Result = TypeVar("Result")
 Answer = tuple[bool, Any]
 """(success, the result or the error)."""
+Todo = queue.SimpleQueue["tuple[Future[Any], Any] | None"]
+"""Pieces of work with their functions, and where the results go; None: there is no more."""
 
 LIVES: Final = 3
 """The number of workers that may die of one piece of work."""
@@ -56,10 +59,11 @@ class Pool:
     """
 
     def __init__(self, workers: int) -> None:
-        self._todo: queue.SimpleQueue[tuple[Future[Any], Any] | None] = queue.SimpleQueue()
+        self._todo: Todo = queue.SimpleQueue()
         self._workers = [_Worker() for _ in range(workers)]
+        self._end = weakref.finalize(self, _end, self._todo, self._workers)
         for worker in self._workers:
-            threading.Thread(target=self._attend, args=(worker,), daemon=True).start()
+            threading.Thread(target=_attend, args=(self._todo, worker), daemon=True).start()
 
     def submit(self, function: Callable[[Piece], Result], piece: Piece) -> Future[Result]:
         """The function's result for a piece of work, or its exception, to come.
@@ -80,22 +84,30 @@ class Pool:
             worker.end()
 
     def close(self) -> None:
-        """Kills all workers and what they have forked; what was not begun is cancelled. May be called twice."""
-        with suppress(queue.Empty):
-            while work := self._todo.get_nowait():
-                work[0].cancel()
-        for worker in self._workers:
-            self._todo.put(None)
-            worker.kill()
+        """Kills all workers and what they have forked; what was not begun is cancelled. May be called twice.
 
-    def _attend(self, worker: _Worker) -> None:
-        while work := self._todo.get():
-            future, piece = work
-            if future.set_running_or_notify_cancel():
-                try:
-                    future.set_result(worker.do(cloudpickle.dumps(piece)))
-                except Exception as error:  # noqa: BLE001 the function's own, or the piece cannot be pickled
-                    future.set_exception(error)
+        A pool that is no longer used by anyone is closed as well.
+        """
+        self._end()
+
+
+def _end(todo: Todo, workers: Sequence[_Worker]) -> None:
+    with suppress(queue.Empty):
+        while work := todo.get_nowait():
+            work[0].cancel()
+    for worker in workers:
+        todo.put(None)
+        worker.kill()
+
+
+def _attend(todo: Todo, worker: _Worker) -> None:
+    while work := todo.get():
+        future, piece = work
+        if future.set_running_or_notify_cancel():
+            try:
+                future.set_result(worker.do(cloudpickle.dumps(piece)))
+            except Exception as error:  # noqa: BLE001 the function's own, or the piece cannot be pickled
+                future.set_exception(error)
 
 
 class _Worker:
