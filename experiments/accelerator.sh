@@ -13,7 +13,8 @@ for table in pixels-bc pixels-bc-multi pixels-bc-no-augmentation pixels-bc-no-tr
   timeout --signal=INT --kill-after=20 "$left" \
     magical-mj experiment "$(dirname "$0")/$table.toml" --jobs "$jobs" --out "$out/$table"
   code=$?
-  case $code in 0) ;; 124 | 137) break ;; *) status=$code ;; esac  # timeout's codes: the time is over
+  case $code in 124 | 137) [ "$SECONDS" -lt "$seconds" ] || break ;; esac  # timeout's codes, if the time is over
+  [ "$code" -eq 0 ] || status=$code
 done
 cd "$out" && find . -path '*/evaluations/*' -type f | tar -czf evaluations.tar.gz -T -  # all that tables are made of
 exit "$status"

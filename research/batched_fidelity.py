@@ -10,6 +10,7 @@ import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -37,6 +38,18 @@ def held(rng: np.random.Generator, steps: int) -> list[int]:
     return actions[:steps]
 
 
+def take_over(physics: Physics, world: int, data: mujoco.MjData) -> None:
+    """Puts a world into the state of a simulation of the scene that it holds, in the middle of an episode."""
+    state, slots = physics.get_state(), 3 * physics.blocks
+    own = len(data.qpos) - (physics.model.nq - slots)  # coordinates of the scene's blocks
+    for name in ("qpos", "qvel", "qacc_warmstart"):
+        row = state[name][world]
+        given = torch.from_numpy(getattr(data, name).copy()).to(row)
+        row[:own], row[slots:] = given[:own], given[own:]
+    state["act"][world] = torch.from_numpy(data.act.copy()).to(state["act"])
+    physics.set_state(state)
+
+
 def compare(states: int, steps: int, device: str) -> None:
     """Prints how far the worst body of a world is off after each action, over states of all environments."""
     rng = np.random.default_rng(0)
@@ -52,7 +65,7 @@ def compare(states: int, steps: int, device: str) -> None:
         scenes = [env.initial_scene for env in envs]
         physics = Physics(SceneArrays.of(scenes, Capacity.of(scenes)), device)
         for world, env in enumerate(envs):
-            physics.take_over(world, env.physics.data.ptr)
+            take_over(physics, world, env.physics.data.ptr)
         plans = np.array([held(rng, steps) for _ in envs])
         errors = np.zeros((len(envs), steps))
         for step in range(steps):

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 import magical_mj
 from magical_mj import batched
 from magical_mj.batched import physics as physics_module
+from magical_mj.batched.arrays import Arrays
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter, View
 from magical_mj.batched.scenes import Capacity, SceneArrays
@@ -108,7 +109,7 @@ def test_episodes_with_overflows_are_warned_of(monkeypatch: pytest.MonkeyPatch) 
     made._steps[0] = 79  # nearly over
     with pytest.warns(UserWarning, match="more contacts than there is room for"):
         _, _, _, ended, info = made.step([1])
-    assert ended.tolist() == info["overflowed"].tolist() == [True]
+    assert ended.tolist() == info["final_info"]["overflowed"].tolist() == [True]
     made.close()
 
 
@@ -133,10 +134,15 @@ def test_episodes_are_those_of_the_single_environments(env: Any) -> None:
         actions = [int(demo.actions[step % len(demo.actions)]) for demo in demos]
         observations, rewards, terminated, truncated, info = env.step(actions)
         assert not terminated.any()
-        assert torch.equal(rewards.double(), info["eval_score"])
+        assert not info["eval_score"].any()  # that of an episode that has begun
         if truncated.any():
-            ends.append((step + 1, truncated.tolist(), info["eval_score"].tolist()))
-            assert info["is_success"].tolist() == [score == 1.0 for score in ends[-1][2]]
+            final = info["final_info"]
+            assert torch.equal(rewards.double(), final["eval_score"])
+            assert torch.equal(info["_final_info"], truncated)
+            ends.append((step + 1, truncated.tolist(), final["eval_score"].tolist()))
+            assert final["is_success"].tolist() == [score == 1.0 for score in ends[-1][2]]
+        else:
+            assert not rewards.any()
         if step < 40:
             wanted, *_ = single.step(actions[0])
         if step == 39:
@@ -175,19 +181,22 @@ def test_other_rules_have_other_horizons_and_scores() -> None:
         made._steps[0] = steps - 2
         assert made.step([0])[3].tolist() == [False]
         *_, ended, info = made.step([0])
-        assert (ended.tolist(), info["eval_score"].tolist(), info["is_success"].tolist()) == ([True], [score], [False])
+        assert ended.tolist() == [True]
+        assert info["final_info"]["eval_score"].tolist() == [score]
+        assert info["final_info"]["is_success"].tolist() == [False]
         made.close()
 
 
 def test_what_is_not_finite_stays_in_its_world(env: Any) -> None:
     env.reset(seed=0)
-    env._physics._state["qvel"][1] = float("nan")
+    env.physics._state["qvel"][1] = float("nan")
     _, _, _, truncated, info = env.step([1, 1, 1])
-    assert info["broken"].tolist() == truncated.tolist() == [False, True, False]
-    assert info["eval_score"][1] == 0.0
+    assert info["final_info"]["broken"].tolist() == truncated.tolist() == [False, True, False]
+    assert info["final_info"]["eval_score"][1] == 0.0
+    assert not info["broken"].any()
     observations, *_, info = env.step([1, 1, 1])
     assert not info["broken"].any()
-    assert env._physics.poses.isfinite().all()
+    assert env.physics.poses.isfinite().all()
     assert observations[1].float().std() > 1
 
 
@@ -252,6 +261,19 @@ def test_a_seed_determines_the_later_episodes_too() -> None:
     made.close()
 
 
+def test_arrays_are_the_same_with_numpy() -> None:
+    made = Arrays(batched.make("FindDupe", "All", 2, device="cpu", preset="State"))
+    made.reset(seed=0)
+    state = made.get_state()
+    seen = made.step([1, 4])[0]
+    assert isinstance(seen, np.ndarray)
+    before = made.set_state(state)
+    assert not np.array_equal(before, seen)
+    np.testing.assert_array_equal(made.step([1, 4])[0], seen)
+    assert (made.device, made.num_envs) == ("cpu", 2)
+    made.close()
+
+
 def test_what_users_do_to_observations_changes_none_of_the_later_ones() -> None:
     made, twin = (batched.make("FindDupe", "All", 2, device="cpu", image_size=16) for _ in range(2))
     seen, kept = made.reset(seed=0)[0], twin.reset(seed=0)[0]
@@ -261,23 +283,6 @@ def test_what_users_do_to_observations_changes_none_of_the_later_ones() -> None:
         assert torch.equal(seen, kept)
     for one in (made, twin):
         one.close()
-
-
-def test_scenes_do_not_depend_on_who_draws_them() -> None:
-    """Those of an episode follow from the seed, the world and the episode, whoever ends when."""
-    from magical_mj.batched.drawing import SceneDrawer
-
-    pairs = [("FindDupe", "All")] * 3
-    drawn = []
-    for workers, order in ((0, [[0, 1, 2], [1], [0, 1, 2]]), (1, [[0, 1, 2], [1], [0, 1, 2]]), (0, [[1], [1], [0, 1]])):
-        drawer = SceneDrawer(pairs, Capacity(10, 3, 42), workers)
-        drawer.seed(7)
-        drawn.append([drawer.scenes(worlds) for worlds in order])
-        drawer.close()
-    for here, there in zip(drawn[0], drawn[1], strict=True):
-        np.testing.assert_array_equal(here.poses, there.poses)
-    np.testing.assert_array_equal(drawn[2][1].poses[0], drawn[0][1].poses[0])
-    np.testing.assert_array_equal(drawn[2][2].poses[0], drawn[0][0].poses[0])
 
 
 def test_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 import torch
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
 from magical_mj import batched
@@ -28,6 +29,8 @@ def test_states_of_other_worlds_and_closed_environments_are_refused() -> None:
     for wrong in (None, {}):
         with pytest.raises(StateError, match="takes what get_state"):
             made.set_state(wrong)
+    with pytest.raises(ResetNeeded, match="no running episode: reset them"):
+        made.step([0, 0])
     made.reset(seed=0)
     for name, variant, count, changes in (
         ("environments", "Demo", 1, {}),
@@ -43,6 +46,18 @@ def test_states_of_other_worlds_and_closed_environments_are_refused() -> None:
             made.set_state(other.get_state())
         assert made._steps.tolist() == [0, 0], "nothing is changed"
         other.close()
+    made.step([1, 1])
+    state, seen = made.get_state(), made.physics.poses
+    for damaged in (
+        {**state, "kind": None},
+        {**state, "physics": {name: state["physics"][name] for name in ("qpos", "act")}},
+        {**state, "steps": state["steps"][:1]},
+        {**state, "sampler": {"seed": 0, "episodes": [0]}},
+        {**state, "observer": {"all": state["observer"]["all"][:, :1]}},
+    ):
+        with pytest.raises(StateError, match="what get_state"):
+            made.set_state(damaged)
+        assert torch.equal(made.physics.poses, seen), "nothing is changed"
     made.close()
     for use in (made.reset, made.get_state, lambda: made.step([0, 0]), lambda: made.set_state({})):
         with pytest.raises(ClosedError, match="make another one"):
@@ -61,5 +76,8 @@ def test_wrong_settings_are_named() -> None:
         batched.make("MoveToRegion", num_envs=1, device="cpu", workers=-1)
     with pytest.raises(UnknownNameError, match="preset"):
         batched.make("MoveToRegion", num_envs=1, device="cpu", preset="HiRes")
-    with pytest.raises(SettingsError, match="SAME_STEP or DISABLED"):
-        batched.make("MoveToRegion", num_envs=1, device="cpu", autoreset_mode=AutoresetMode.NEXT_STEP)
+    with pytest.raises(SettingsError, match="num_envs must be an integer of at least 1, not True"):
+        batched.make("MoveToRegion", num_envs=True, device="cpu")
+    for mode in (AutoresetMode.NEXT_STEP, "SAME_STEP"):
+        with pytest.raises(SettingsError, match=r"must be gymnasium\.vector\.AutoresetMode\.SAME_STEP or .*, not"):
+            batched.make("MoveToRegion", num_envs=1, device="cpu", autoreset_mode=mode)  # type: ignore[arg-type]

@@ -85,7 +85,7 @@ def test_a_world_that_breaks_is_a_failure() -> None:
     env = batched.make("MoveToRegion", "Demo", 2, device="cpu", preset="State", autoreset_mode=AutoresetMode.DISABLED)
 
     def breaking(_: Any) -> int:
-        env._physics._state["qvel"][1] = float("nan")
+        env.physics._state["qvel"][1] = float("nan")
         return 0
 
     outcomes = list(rollouts(Arrays(env), breaking, [Episode("MoveToRegion", "Demo", seed, 0) for seed in (0, 1)]))

@@ -67,6 +67,7 @@ def test_the_command_prints_parts_or_kernels() -> None:
     assert parts[0] == "FindDupe All, State, 8 worlds: 50 steps/s"
     assert "2 times" in parts[1]
     assert "physics 100.00 ms a step, observations 200.00 ms, a reset of all worlds 300.00 ms" in parts[3]
-    assert "3 kernel launches, 2.00 MB, 4.0 million operations a world" in parts[4]
-    assert parts[5:] == ["  solver: 3 launches, 1500.00 ms, 10.0 MB"]
-    assert every[5:] == ["  solver a: 2 launches, 1000.00 ms, 10.0 MB", "  solver b: 1 launches, 500.00 ms, 0.0 MB"]
+    assert "3 kernel launches, 2.00 MB and 4.0 million operations a world" in parts[4]
+    assert "with 256 worlds, " in parts[5]
+    assert parts[6:] == ["  solver: 3 launches, 1500.00 ms, 10.0 MB"]
+    assert every[6:] == ["  solver a: 2 launches, 1000.00 ms, 10.0 MB", "  solver b: 1 launches, 500.00 ms, 0.0 MB"]

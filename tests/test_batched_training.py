@@ -69,7 +69,7 @@ def test_learners_see_what_they_see_in_single_worlds(worlds: Environments) -> No
 def test_nothing_is_expected_after_a_broken_state(worlds: Environments) -> None:
     """Its episode is over, and not merely cut off: PPO adds no value of what would come next."""
     worlds.reset()
-    worlds._played._batch._physics._state["qvel"][1] = float("nan")
+    worlds._played._batch.physics._state["qvel"][1] = float("nan")
     _, _, dones, infos = worlds.step(np.array([1, 1]))
     assert dones.tolist() == [False, True]
     assert not infos[1]["TimeLimit.truncated"]

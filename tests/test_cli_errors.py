@@ -46,6 +46,8 @@ from magical_mj.rendering.backend import osmesa_works
         ("play --web --origin https://study.example.org/page", "without a path"),
         ("bench --worlds 5", "only with --batched"),
         ("bench --json --markdown", "one of"),
+        ("bench --batched --worlds 8,0", "numbers of at least 1"),
+        ("bench --batched --device cuda:7", "no device 'cuda:7'"),
         ("view --grid --camera ego", "--camera"),
         ("rollout FindDupe --camera ego", "only with --video"),
         ("demos export --to npz --video", "only with --to lerobot"),

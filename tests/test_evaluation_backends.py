@@ -57,6 +57,18 @@ def test_dask_cluster_that_loses_a_worker(tmp_path: Path) -> None:
     assert rows(read(tmp_path / "there")) == rows(read(tmp_path / "here"))
 
 
+@pytest.mark.filterwarnings("ignore")
+def test_dask_cluster_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("magical_mj.parallel.clusters.PATIENCE", 0.1)
+    with (
+        distributed.dask.config.set({"temporary-directory": str(tmp_path)}),
+        distributed.LocalCluster(n_workers=0, dashboard_address=None) as cluster,
+        pytest.raises(EvaluationError, match="the dask cluster has no workers: start some with `dask worker tcp"),
+    ):
+        magical_mj.evaluate("noop", backend="dask", address=cluster.scheduler_address, **SETTINGS)
+
+
 @pytest.mark.slow
 def test_ray_gives_the_same(tmp_path: Path) -> None:
     """In a process of its own, which ray changes for good."""

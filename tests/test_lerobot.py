@@ -17,7 +17,7 @@ from gymnasium.utils.env_checker import check_env
 
 import magical_mj
 from magical_mj.demos.lerobot import to_lerobot
-from magical_mj.errors import DemonstrationError, InvalidActionError, MagicalError, UnknownNameError
+from magical_mj.errors import DemonstrationError, InvalidActionError, MagicalError, SettingsError, UnknownNameError
 
 ROOT = Path(__file__).parent.parent
 needs_lerobot = pytest.mark.skipif(find_spec("lerobot") is None, reason="lerobot is not installed: make lerobot-test")
@@ -203,3 +203,7 @@ def test_actions_that_are_none_are_refused(plugin: Any, action: list[float]) -> 
 def test_unknown_environments_are_named(plugin: Any) -> None:
     with pytest.raises(UnknownNameError, match="MoveToRegion"):
         plugin.MagicalConfig(task="MoveToRegoin").create_envs(1)
+    with pytest.raises(UnknownNameError, match="unknown choice of views 'top'"):
+        plugin.PixelsAndFingers("MoveToRegion", "Demo", "top")
+    with pytest.raises(SettingsError, match="n_envs must be at least 1, not 0"):
+        plugin.MagicalConfig(task="MoveToRegion").create_envs(0)

@@ -17,6 +17,7 @@ import pytest
 
 from magical_mj.errors import SettingsError, UnknownNameError, WorkerError
 from magical_mj.parallel import spread
+from magical_mj.parallel.local import Pool
 
 
 def square(number: int) -> int:
@@ -131,6 +132,8 @@ import magical_mj
 from magical_mj.parallel import spread
 
 def work(number):
+    if number > 1:
+        os.fork()
     with open({folder!r} + f"/{{os.getpid()}}", "w"):
         pass
     if number < 2:
@@ -160,7 +163,7 @@ def wait_for(condition: Callable[[], Any], seconds: float = 60) -> None:
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL, signal.SIGINT])
 def test_workers_end_with_their_caller(how: signal.Signals, tmp_path: Path) -> None:
-    """One of them idle, one busy for ever; from a script without a guard for `__main__`."""
+    """One of them asleep, one busy for ever, both with a fork; from a script without a guard for `__main__`."""
     script, folder = tmp_path / "script.py", tmp_path / "workers"
     folder.mkdir()
     script.write_text(PROGRAM.format(folder=str(folder)))
@@ -169,12 +172,67 @@ def test_workers_end_with_their_caller(how: signal.Signals, tmp_path: Path) -> N
         assert caller.stdout is not None
         assert sorted(caller.stdout.readline() for _ in range(2)) == ["0\n", "1\n"]
         try:
-            wait_for(lambda: len(running(folder)) == 2)
+            wait_for(lambda: len(running(folder)) == 4)
             caller.send_signal(how)
             caller.wait(30)
             wait_for(lambda: not running(folder), 10)
         finally:
             caller.kill()  # else `with` waits for it
+
+
+def forking(folder: Path) -> Callable[[int], int]:
+    """Leaves a process behind that sleeps; at its first piece of work, the worker dies."""
+
+    def work(number: int) -> int:
+        child = os.fork()
+        if child == 0:
+            time.sleep(1000)
+        first = not any(folder.iterdir())
+        (folder / str(child)).touch()
+        if first:
+            os._exit(3)
+        return number
+
+    return work
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
+def test_what_workers_fork_ends_with_them(tmp_path: Path) -> None:
+    assert sorted(spread(forking(tmp_path), range(3), jobs=1)) == [0, 1, 2]
+    assert len(list(tmp_path.iterdir())) == 4
+    wait_for(lambda: not running(tmp_path), 10)
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
+def test_work_is_handed_over_piece_by_piece(tmp_path: Path) -> None:
+    """One piece after another, failures of some no matter; closing kills what is busy and cancels what waits."""
+
+    def work(number: int) -> float:
+        (tmp_path / str(os.getpid())).touch()
+        time.sleep(1000 * (number > 1))
+        return 1 / number
+
+    pool = Pool(1)
+    assert pool.submit(work, 1).result() == 1.0
+    with pytest.raises(ZeroDivisionError):
+        pool.submit(work, 0).result()
+    busy, waiting = pool.submit(work, 2), pool.submit(work, 3)
+    wait_for(busy.running)
+    for _ in range(2):
+        pool.close()
+    assert waiting.cancelled()
+    with pytest.raises(WorkerError):
+        busy.result()
+    assert not running(tmp_path)
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
+def test_a_pool_that_is_forgotten_is_closed(tmp_path: Path) -> None:
+    pool = Pool(1)
+    pool.submit(lambda _: (tmp_path / str(os.getpid())).touch(), 0).result()
+    assert running(tmp_path)
+    del pool
+    wait_for(lambda: not running(tmp_path))
 
 
 class Unreadable:

@@ -7,6 +7,7 @@
 
 A part that is done has a file in the folder, with what it printed, and is skipped: start the script again after an
 interruption. Trainings are stopped after ten minutes and go on from their checkpoint when the part is started again.
+If a part fails, the others are still done, and the exit code is 1.
 
 What the machine needs: Python 3.11 to 3.13, this repository, an NVIDIA driver that PyTorch's build for CUDA supports,
 and the extras `gpu` and `eval`. The largest wheels are PyTorch for CUDA (for Linux, that is the one on PyPI) with
@@ -23,10 +24,13 @@ Warp compiles its kernels for the card at first use, a minute or two, and keeps 
 from __future__ import annotations
 
 import argparse
+import os
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -108,19 +112,24 @@ def parts(device: str, out: Path, amounts: Amounts) -> Mapping[str, list[str]]:
 def run(command: list[str], done: Path) -> str:
     """Runs the command of a part; in a word or two, how it ended. What it printed is in `done` if it succeeded."""
     partial = done.with_suffix(".partial")
-    with partial.open("a") as file:
+    with partial.open("w") as file:
+        process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, process_group=0)
         try:
-            code = subprocess.run(command, stdout=file, stderr=subprocess.STDOUT, timeout=LIMIT, check=False).returncode
+            code = process.wait(LIMIT)
         except subprocess.TimeoutExpired:
             return f"stopped, see {partial}; a training goes on when it is started again"
+        finally:
+            with suppress(ProcessLookupError):  # all have ended
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
     if code:
         return f"failed, see {partial}"
     partial.rename(done)
     return "done"
 
 
-def main() -> None:
-    """The command line."""
+def main() -> int:
+    """The command line; returns 1 if a part has failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, help="default: out/batched, or out/rehearsal")
     parser.add_argument("--device", default="cuda")
@@ -132,10 +141,11 @@ def main() -> None:
     every = parts(chosen.device, chosen.out, REHEARSAL if chosen.rehearse else FULL)
     if chosen.list:
         print("\n".join(every))
-        return
+        return 0
     if chosen.only and chosen.only not in every:
         parser.error(f"there is no part {chosen.only}; there are {', '.join(every)}")
     chosen.out.mkdir(parents=True, exist_ok=True)
+    status = 0
     for name in [chosen.only] if chosen.only else every:
         done, start = chosen.out / f"{name}.txt", time.perf_counter()
         training = name.removesuffix("-score")
@@ -144,7 +154,9 @@ def main() -> None:
             continue
         ended = "done before" if done.exists() else run(every[name], done)
         print(f"{name}: {ended}, {time.perf_counter() - start:.0f} s", flush=True)
+        status |= ended.startswith("failed")
+    return status
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

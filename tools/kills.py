@@ -45,6 +45,17 @@ Window.wishes = lambda self: wishes(self) + ["next"] * (random.random() < 0.02)
 Window.show = lambda self, *_: None
 sys.exit(main(sys.argv[1:]))
 """  # somebody who plays without end, at any speed
+SAMPLER: Final = """
+import pathlib, sys
+from magical_mj import files
+from magical_mj.batched.sampling import SceneSampler
+from magical_mj.batched.scenes import Capacity
+out, number = pathlib.Path(sys.argv[-1]), 0
+out.mkdir(exist_ok=True)
+sampler = SceneSampler([("FindDupe", "All")] * 256, Capacity(10, 3, 42), workers=2)
+while number := number + 1:
+    files.write(out / str(number), sampler.scenes(range(256)).poses.tobytes(), overwrite=True)
+"""  # the scenes of batched worlds, sampled ahead by workers without end; without a guard for `__main__`
 TINY: Final = (
     *("network.first_stride=4", "network.first_channels=4", "network.channels=4", "network.hidden=8"),
     *("network.entity=8", "demonstrations=2", "evaluations=2", "episodes=2", "checkpoints=16"),
@@ -136,6 +147,11 @@ def tensors(tree: object, name: str = "") -> list[tuple[str, str]]:
     return [(name, hashlib.sha256(data).hexdigest())]
 
 
+def scenes(out: Path) -> Found:
+    """The files of scenes."""
+    return {path.name: path.read_bytes() for path in out.glob("[0-9]*")}
+
+
 def updates(out: Path) -> Found:
     """The updates of a training that are in its checkpoint; everything can be read."""
     from magical_mj.baselines import checkpoint
@@ -163,6 +179,7 @@ def kinds(scores: Path) -> dict[str, Kind]:
         "report": Kind((*MAIN, "report", str(scores)), pages, pages),
         "generate": Kind((*MAIN, *generate), demonstrations, demonstrations),
         "play": Kind((sys.executable, "-c", PLAYER, *play), demonstrations, None),
+        "scenes": Kind((sys.executable, "-c", SAMPLER), scenes, None),
         "train-bc-state": train("bc", ("--preset", "State"), "bc.batches=800"),
         "train-bc": train("bc", ("--quick",), "bc.batches=32", "bc.batch_size=8"),
         "train-gail": train("gail", ("--quick",), *GAIL),

@@ -127,6 +127,12 @@ def _parsed(geoms: str) -> tuple[tuple[str, tuple[tuple[str, Any], ...]], ...]:
     return tuple((geom.classname.name, own_attributes(geom)) for geom in spec.geoms)
 
 
+def planar(blocks: int) -> NDArray[np.int64]:
+    """Where x, y and angle of the robot, and then of each block, stand in `qpos` and `qvel`. Shape (1 + blocks, 3)."""
+    first = 3 * blocks
+    return np.array([range(start, start + 3) for start in (first, *range(0, first, 3))])
+
+
 class World(composer.Entity):
     """The composer entity of one scene: arena, robot, blocks and goal regions in one MJCF model.
 
@@ -139,9 +145,8 @@ class World(composer.Entity):
         self.scene = scene
         self.structure = Structure(tuple(block.shape for block in scene.blocks), tuple(map(dash_count, scene.regions)))
         self.tree: mjcf.RootElement | None = None
-        first = 3 * len(scene.blocks)
-        self._planar = np.array([range(start, start + 3) for start in (first, *range(0, first, 3))])
-        self._fingers = first + JOINTS.index("left_finger")
+        self._planar = planar(len(scene.blocks))
+        self._fingers = 3 * len(scene.blocks) + JOINTS.index("left_finger")
 
     def _build_observables(self) -> composer.Observables:
         return _NoObservables(self)

@@ -70,15 +70,15 @@ class BatchedWorlds(VecEnv):
     def step_wait(self) -> tuple[Seen, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """One action in every world; where an episode ends, the next one begins."""
         observations, rewards, _, ended, info = self._arrays.step(self._actions)
-        last = info.get("final_obs", observations)
+        last, final = info.get("final_obs", observations), info.get("final_info", info)
         if self._history:
             last = self._history.add(last)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for world in np.flatnonzero(ended):
             infos[world] = {
                 "terminal_observation": {SEEN: last[world], TASK: self._one_hot[world]},
-                "TimeLimit.truncated": not info["broken"][world],  # nothing comes after a broken state
-                "eval_score": float(info["eval_score"][world]),
+                "TimeLimit.truncated": not final["broken"][world],  # nothing comes after a broken state
+                "eval_score": float(final["eval_score"][world]),
             }
         self._restart(ended, observations)
         return self._seen(observations), rewards, ended, infos

@@ -50,12 +50,12 @@ def make(
         num_envs: how many worlds, at least one for each pair.
         preset: of the observations; one of `magical_mj.presets.PRESETS`.
         device: "cuda", "cuda:1" or "cpu" (slow; for tests).
-        seed: of the scenes that are drawn when `reset` is given no seed.
+        seed: of the scenes that are sampled when `reset` is given no seed.
         image_size: side of the pictures in pixels, instead of the preset's.
         rules: "paper" or "released".
         reward: "none", or "score" for the score as reward at the last step.
-        autoreset_mode: SAME_STEP or DISABLED.
-        workers: processes that draw scenes ahead; 0 draws them when they are needed, half a millisecond each.
+        autoreset_mode: `gymnasium.vector.AutoresetMode.SAME_STEP` or `DISABLED` of it.
+        workers: processes that sample scenes ahead; 0 samples them when they are needed, half a millisecond each.
 
     Raises:
         MissingExtraError: if the extra `gpu` is not installed.
@@ -67,7 +67,7 @@ def make(
     from magical_mj.batched.environment import BatchedEnv
 
     for name, value, least in (("num_envs", num_envs, 1), ("workers", workers, 0)):
-        if not isinstance(value, Integral) or value < least:
+        if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
             raise SettingsError(f"{name} must be an integer of at least {least}, not {shown(value)}")
     pairs = environments(task, variant)
     if num_envs < len(pairs):

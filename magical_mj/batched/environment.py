@@ -18,13 +18,14 @@ from torch import Tensor
 from magical_mj import constants as c
 from magical_mj.actions import ACTIONS
 from magical_mj.assets.region import DASHES
-from magical_mj.batched.drawing import Pair, SceneDrawer
 from magical_mj.batched.observations import Frames, Observation, States
 from magical_mj.batched.physics import Physics, check_device
+from magical_mj.batched.sampling import Pair, SceneSampler, sample
+from magical_mj.batched.saved import check_state
 from magical_mj.batched.scenes import Capacity, SceneArrays
 from magical_mj.batched.scores import SCORES, Start, score
 from magical_mj.env_settings import REWARDS, Reward
-from magical_mj.errors import ClosedError, InvalidActionError, SettingsError, StateError, check_name, shown
+from magical_mj.errors import ClosedError, InvalidActionError, SettingsError, check_name, shown
 from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS
 from magical_mj.presets import preset_named
 from magical_mj.registry import check_rules, sample_scene, task_spec
@@ -33,8 +34,6 @@ from magical_mj.tasks.spec import Rules
 from magical_mj.variants import check_seed, varied_axes
 
 MODES: Final = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
-STATE: Final = {"kind", "scenes", "drawer", "physics", "observer", "steps", "running"}
-"""What a state of the environment consists of."""
 
 OVERFLOW: Final = (
     "worlds had more contacts than there is room for, and some were dropped: do not trust the episodes that "
@@ -46,22 +45,26 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     """Worlds of one or more environments, stepped and drawn together on one device; see `magical_mj.batched.make`.
 
     As in every vector environment, `reset(seed=7)` gives the worlds the scenes of seeds 7, 8, 9..., and a list gives
-    each its own. With SAME_STEP, a world whose episode ends starts the next one at once: the observation is the new
-    episode's, and `info["final_obs"]` holds that of the episode that ended. With DISABLED,
-    `reset(options={"reset_mask": mask})` resets the masked worlds.
+    each its own. With SAME_STEP, a world whose episode ends starts the next one at once: observation and info are the
+    new episode's, and `info["final_obs"]` and `info["final_info"]` those of the episodes that ended, in the worlds that
+    `info["_final_info"]` marks. With DISABLED, `reset(options={"reset_mask": mask})` resets the masked worlds.
 
-    `info` holds tensors of shape (num_envs,): `eval_score` and `is_success` of episodes that end (0 in the others),
+    An info holds tensors of shape (num_envs,): `eval_score` and `is_success` of episodes that end (0 in the others),
     `broken` (the state is not finite: the episode ends with score 0), and `overflowed` (since the reset there were more
     contacts than there is room for, and some were dropped).
+
+    Attributes:
+        physics: the simulation of all worlds.
+        observer: what makes observations of it.
     """
 
     def __init__(
         self,
         pairs: Sequence[Pair],
         *,
-        preset: str = "LoRes4E",
-        device: str = "cuda",
-        seed: int = 0,
+        preset: str,
+        device: str,
+        seed: int,
         image_size: int | None = None,
         rules: Rules = "paper",
         reward: Reward = "none",
@@ -69,7 +72,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         workers: int = 0,
     ) -> None:
         if autoreset_mode not in MODES:
-            raise SettingsError(f"autoreset_mode must be SAME_STEP or DISABLED, not {autoreset_mode}")
+            names = " or ".join(f"gymnasium.vector.{mode}" for mode in MODES)
+            raise SettingsError(f"autoreset_mode must be {names}, not {shown(autoreset_mode)}")
         check_name("reward", reward, REWARDS)
         for task, _ in pairs:
             check_name("batched task", task, SCORES)
@@ -82,11 +86,10 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._tasks = {task: self._numbers(pairs, task) for task in dict.fromkeys(task for task, _ in pairs)}
         horizons = [task_spec(task).horizon(rules) for task, _ in pairs]
         self._horizons = torch.tensor(horizons, device=device)
-        self._drawer = SceneDrawer(pairs, _capacity(pairs), workers)
-        self._drawer.seed(check_seed(seed))
-        self._scenes = self._drawer.scenes(list(range(self.num_envs)), [0] * self.num_envs)
+        seed, capacity = check_seed(seed), _capacity(pairs)
+        self._scenes = sample(pairs, [0] * self.num_envs, capacity)
         self._start = Start.of(self._scenes, device)
-        self._physics = Physics(self._scenes, device)
+        self.physics = Physics(self._scenes, device)
         made = preset_named(preset)
         size = made.image_size if image_size is None else check_size(image_size)
         self._kind = {
@@ -96,15 +99,17 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             "image_size": None if made.layout == "state" else size,
         }
         if made.layout == "state":
-            self._observer: States | Frames = States(self.num_envs, device)
+            self.observer: States | Frames = States(self.num_envs, device)
         else:
-            self._observer = Frames(made, size, self._scenes, device)
-        self.single_observation_space = self._observer.space
-        self.observation_space = gymnasium.vector.utils.batch_space(self._observer.space, self.num_envs)
+            self.observer = Frames(made, size, self._scenes, device)
+        self.single_observation_space = self.observer.space
+        self.observation_space = gymnasium.vector.utils.batch_space(self.observer.space, self.num_envs)
         self.single_action_space = spaces.Discrete(len(ACTIONS))
         self.action_space = spaces.MultiDiscrete([len(ACTIONS)] * self.num_envs)
         self._steps = torch.zeros(self.num_envs, dtype=torch.int64, device=device)
         self._running = torch.zeros(self.num_envs, dtype=torch.bool, device=device)
+        self._sampler = SceneSampler(pairs, capacity, workers)  # last: its workers would outlive an error
+        self._sampler.seed(seed)
 
     def _numbers(self, pairs: Sequence[Pair], task: str) -> Tensor:
         return torch.tensor([world for world, (name, _) in enumerate(pairs) if name == task], device=self.device)
@@ -116,7 +121,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
         Args:
             seed: of the first world's scene, the others have the next ones; without a mask, also of the scenes of all
-                later episodes. Or a sequence with one for each world, of this episode alone. None: drawn scenes.
+                later episodes. Or a sequence with one for each world, of this episode alone. None: sampled scenes.
             options: see above; others are ignored, with a warning.
 
         Raises:
@@ -139,7 +144,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             else:
                 each = [check_seed(seed) + world for world in range(self.num_envs)]
                 if options.get("reset_mask") is None:
-                    self._drawer.seed(each[0])
+                    self._sampler.seed(each[0])
             if len(each) != self.num_envs:
                 raise SettingsError(f"there are {self.num_envs} worlds, and {len(each)} seeds were given")
             seeds = [check_seed(each[world]) for world in chosen]
@@ -161,18 +166,18 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def _begin(self, worlds: list[int], seeds: list[int] | None = None) -> Observation:
         where = torch.tensor(worlds, dtype=torch.int64, device=self.device)
         if worlds:
-            self._put(self._drawer.scenes(worlds, seeds), where)
+            self._put(self._sampler.scenes(worlds, seeds), where)
         self._steps[where] = 0
         self._running[where] = True
-        return self._observer.begin(self._physics, where)
+        return self.observer.begin(self.physics, where)
 
     def _put(self, scenes: SceneArrays, worlds: Tensor) -> None:
         """Puts scenes, at rest, into these worlds."""
         self._scenes.write(scenes, worlds.cpu().numpy())
         for name, column in zip(Start._fields, self._start, strict=True):
             column[worlds] = torch.from_numpy(getattr(scenes, name)).to(column)
-        self._physics.reset(scenes, worlds)
-        self._observer.start(scenes, worlds)
+        self.physics.reset(scenes, worlds)
+        self.observer.start(scenes, worlds)
 
     def get_state(self) -> dict[str, Any]:
         """The present state of all worlds, the pictures in the stacks included: tensors, arrays and plain values."""
@@ -180,9 +185,9 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return {
             "kind": self._kind,
             "scenes": asdict(self._scenes),
-            "drawer": self._drawer.get_state(),
-            "physics": self._physics.get_state(),
-            "observer": self._observer.get_state(),
+            "sampler": self._sampler.get_state(),
+            "physics": self.physics.get_state(),
+            "observer": self.observer.get_state(),
             "steps": self._steps.clone(),
             "running": self._running.clone(),
         }
@@ -198,16 +203,12 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             ClosedError: if the environment is closed.
         """
         self._check_open()
-        if not isinstance(state, Mapping) or set(state) != STATE:
-            raise StateError(f"set_state() takes what get_state() gave, not {shown(state)}")
-        for name, value in self._kind.items():
-            if state["kind"][name] != value:
-                raise StateError(f"the state has {name} {shown(state['kind'][name])}, and these worlds {shown(value)}")
+        check_state(state, self.get_state())
         self._put(SceneArrays(**state["scenes"]), torch.arange(self.num_envs, device=self.device))
-        self._drawer.set_state(state["drawer"])
-        self._physics.set_state(state["physics"])
+        self._sampler.set_state(state["sampler"])
+        self.physics.set_state(state["physics"])
         self._steps[:], self._running[:] = state["steps"], state["running"]
-        return self._observer.set_state(state["observer"], self._physics)
+        return self.observer.set_state(state["observer"], self.physics)
 
     def step(self, actions: Any) -> tuple[Observation, Tensor, Tensor, Tensor, dict[str, Any]]:
         """One action in every world.
@@ -222,25 +223,26 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """
         self._check_open()
         if not self._running.all():
-            raise ResetNeeded("episodes have ended: reset them, with options={'reset_mask': ...} or all at once")
-        self._physics.step(self._checked(actions))
+            raise ResetNeeded("worlds have no running episode: reset them, all at once or options={'reset_mask': ...}")
+        self.physics.step(self._checked(actions))
         self._steps += 1
-        broken = self._physics.broken
+        broken = self.physics.broken
         ended = (self._steps >= self._horizons) | broken
         scores = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
         if bool(ended.any()):
             scores = torch.where(ended & ~broken, self._scores(), 0.0)
-        info: dict[str, Any] = self._info(scores, broken)
+        info = self._info(scores, broken)
         if bool(broken.any()):  # put at rest what cannot be drawn
-            self._physics.reset(self._scenes.rows(broken.nonzero()[:, 0].cpu().numpy()), broken.nonzero()[:, 0])
+            self.physics.reset(self._scenes.rows(broken.nonzero()[:, 0].cpu().numpy()), broken.nonzero()[:, 0])
         if bool((ended & info["overflowed"]).any()):
             gymnasium.logger.warn(OVERFLOW)
-        observation = self._observer.look(self._physics)
+        observation = self.observer.look(self.physics)
         reward = scores.float() if self._reward == "score" else torch.zeros(self.num_envs, device=self.device)
         self._running &= ~ended
         if self._same_step and bool(ended.any()):
-            info["final_obs"], info["_final_obs"] = observation, ended
+            final = {"final_obs": observation, "_final_obs": ended, "final_info": info, "_final_info": ended}
             observation = self._begin(ended.nonzero()[:, 0].tolist())
+            info = {**self._info(torch.zeros_like(scores)), **final}
         return observation, reward, torch.zeros_like(ended), ended, info
 
     def _checked(self, actions: Any) -> Tensor:
@@ -258,26 +260,26 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return numbers
 
     def _scores(self) -> Tensor:
-        poses = self._physics.poses.double()
+        poses = self.physics.poses.double()
         scores = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
         for task, worlds in self._tasks.items():
             start = Start(*(column[worlds] for column in self._start))
             scores[worlds] = score(task, start, poses[worlds], self._rules)
         return scores
 
-    def _info(self, scores: Tensor, broken: Tensor | None = None) -> dict[str, Tensor]:
+    def _info(self, scores: Tensor, broken: Tensor | None = None) -> dict[str, Any]:
         return {
             "eval_score": scores,
             "is_success": scores == 1.0,
             "broken": torch.zeros_like(self._running) if broken is None else broken,
-            "overflowed": self._physics.overflowed,
+            "overflowed": self.physics.overflowed,
         }
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Ends the processes that draw scenes, and frees the worlds."""
+        """Ends the processes that sample scenes, and frees the worlds."""
         del kwargs
-        self._drawer.close()
-        del self._physics, self._observer
+        self._sampler.close()
+        del self.physics, self.observer
 
     def _check_open(self) -> None:
         if self.closed:

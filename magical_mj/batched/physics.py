@@ -20,6 +20,7 @@ from torch import Tensor
 
 from magical_mj.assets.contacts import SETTINGS, SUBSTEPS
 from magical_mj.assets.robot import controls
+from magical_mj.assets.world import planar
 from magical_mj.batched.scenes import SceneArrays
 from magical_mj.batched.slots import FIELDS, Slots, slotted_model
 from magical_mj.errors import SettingsError
@@ -63,6 +64,12 @@ class Physics:
     Args:
         scenes: the first scenes; all later ones must have room in as many slots.
         device: Warp's name of the device.
+
+    Attributes:
+        worlds: how many.
+        blocks: slots for blocks in each.
+        model: the one model of all worlds, as MuJoCo compiles it.
+        data: Warp's arrays of the simulation.
     """
 
     def __init__(self, scenes: SceneArrays, device: str = "cpu") -> None:
@@ -74,16 +81,14 @@ class Physics:
         self._slots = Slots(self.model, self.blocks)
         with wp.ScopedDevice(device):
             self._warp = mjw.put_model(self.model, batch_sizes=dict.fromkeys(FIELDS, self.worlds))
-            self._data = mjw.make_data(self.model, nworld=self.worlds, nconmax=CONTACTS, njmax=ROWS)
+            self.data = mjw.make_data(self.model, nworld=self.worlds, nconmax=CONTACTS, njmax=ROWS)
         self._warp.opt.tolerance.fill_(SETTINGS.tolerance)
         self._warp.opt.warn_overflow = 0  # told by `overflowed` instead of printed
         self._fields = {name: wp.to_torch(getattr(self._warp, name)) for name in FIELDS}
-        self._state = {name: wp.to_torch(getattr(self._data, name)) for name in STATE}
-        self._overflow = wp.to_torch(self._data.overflow)
+        self._state = {name: wp.to_torch(getattr(self.data, name)) for name in STATE}
+        self._overflow = wp.to_torch(self.data.overflow)
         self._controls = torch.from_numpy(controls()).float().to(device)
-        first = 3 * self.blocks
-        planar = [range(start, start + 3) for start in (first, *range(0, first, 3))]
-        self._planar = torch.tensor(planar, device=device)
+        self._planar = torch.from_numpy(planar(self.blocks)).to(device)
         fingers = [int(self.model.joint(name).qposadr[0]) for name in ("left_finger", "right_finger")]
         self._fingers = torch.tensor(fingers, device=device)
         self._graph: Any = None
@@ -118,18 +123,6 @@ class Physics:
     def _kept(self) -> dict[str, Tensor]:
         return {**self._state, "overflow": self._overflow}
 
-    def take_over(self, world: int, data: mujoco.MjData) -> None:
-        """Puts a world into the state of a simulation of the scene that it holds, in the middle of an episode."""
-        own = len(data.qpos) - (self.model.nq - 3 * self.blocks)  # coordinates of the scene's blocks
-        state = {"qpos": data.qpos, "qvel": data.qvel, "act": data.act, "qacc_warmstart": data.qacc_warmstart}
-        for name, values in state.items():
-            row = self._state[name][world]
-            given = torch.from_numpy(np.array(values)).to(row)
-            if name == "act":
-                row[:] = given
-            else:
-                row[:own], row[3 * self.blocks :] = given[:own], given[own:]
-
     def _precise(self, friction: NDArray[np.float64]) -> NDArray[np.float64]:
         """The friction of pairs, which presses with a force in proportion to 1 / (1 - impedance), repaired."""
         impedance = self.model.pair_solimp[:, 0]
@@ -138,14 +131,15 @@ class Physics:
         repaired[..., :2] *= error[:, None]
         return repaired
 
-    def step(self, actions: Tensor) -> None:
+    def step(self, actions: Tensor, *, graph: bool = True) -> None:
         """One action in every world.
 
         Args:
             actions: numbers in 0..17. Shape (worlds,), int64.
+            graph: on an accelerator, make all launches as one graph; else one by one, so that they can be watched.
         """
         self._state["ctrl"][:] = self._controls[actions]
-        if wp.get_device(self._device).is_cuda:
+        if graph and wp.get_device(self._device).is_cuda:
             self._launch_graph()
         else:
             self._substeps()
@@ -165,7 +159,7 @@ class Physics:
 
     def _substeps(self) -> None:
         for _ in range(SUBSTEPS):
-            mjw.step(self._warp, self._data)
+            mjw.step(self._warp, self.data)
 
     @property
     def poses(self) -> Tensor:
@@ -190,7 +184,7 @@ class Physics:
     @property
     def solved(self) -> tuple[Tensor, Tensor]:
         """Of the last substep: how many constraints there were, and the solver's iterations. Shape (worlds,) each."""
-        return wp.to_torch(self._data.nefc), wp.to_torch(self._data.solver_niter)
+        return wp.to_torch(self.data.nefc), wp.to_torch(self.data.solver_niter)
 
     @property
     def overflowed(self) -> Tensor:

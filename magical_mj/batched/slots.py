@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from magical_mj.assets.contacts import PRESS
 from magical_mj.assets.robot import MOTORS, ROTORS, WHEELS
-from magical_mj.assets.world import world_mjcf
+from magical_mj.assets.world import planar, world_mjcf
 from magical_mj.batched.scenes import ABSENT, SceneArrays
 from magical_mj.constants import SHAPES, Shape
 from magical_mj.scene import Block, Dynamics, Robot, Scene
@@ -41,7 +41,7 @@ Kind = tuple[int, int, int]
 """Type, contype and conaffinity of a geom."""
 
 
-class Solid(NamedTuple):
+class BlockGeoms(NamedTuple):
     """A shape's collision geoms and inertia, as compiled."""
 
     kinds: list[Kind]
@@ -63,7 +63,7 @@ def _solid_geoms(model: mujoco.MjModel, slot: int) -> NDArray[np.int64]:
 
 
 @cache
-def solid(shape: Shape) -> Solid:
+def block_geoms(shape: Shape) -> BlockGeoms:
     """What MuJoCo makes of a block of this shape."""
     scene = Scene(Robot(0.0, -0.5, 0.0), (Block(shape, "red", 0.0, 0.5, 0.0),))
     model = mujoco.MjModel.from_xml_string(world_mjcf(scene, regions=""))
@@ -72,7 +72,7 @@ def solid(shape: Shape) -> Solid:
     columns = (model.geom_type, model.geom_contype, model.geom_conaffinity)
     kinds = [tuple(int(column[geom]) for column in columns) for geom in geoms]
     first = model.body_dofadr[bodies[0]]
-    return Solid(
+    return BlockGeoms(
         kinds=kinds,  # type: ignore[arg-type]
         geoms={name: getattr(model, name)[geoms].copy() for name in GEOM_FIELDS},
         bodies={name: getattr(model, name)[bodies].copy() for name in BODY_FIELDS},
@@ -138,11 +138,13 @@ class Slots:
             for number, shape in enumerate(SHAPES):
                 which = np.flatnonzero(scenes.shapes[:, slot] == number)
                 if len(which):
-                    self._become(made, which, slot, solid(shape))
+                    self._become(made, which, slot, block_geoms(shape))
         self._drive(made, scenes.dynamics)
         return made
 
-    def _become(self, made: dict[str, NDArray[np.float64]], worlds: NDArray[np.int64], slot: int, one: Solid) -> None:
+    def _become(
+        self, made: dict[str, NDArray[np.float64]], worlds: NDArray[np.int64], slot: int, one: BlockGeoms
+    ) -> None:
         """In these worlds, the slot holds this shape."""
         free = self._free(slot)
         places = np.array([free[kind].pop(0) for kind in one.kinds])
@@ -176,15 +178,12 @@ class Slots:
 
     def positions(self, scenes: SceneArrays) -> NDArray[np.float64]:
         """MuJoCo's `qpos` of the scenes, a row for each world."""
-        worlds, model = len(scenes.shapes), self._model
-        qpos = np.repeat(model.qpos0[None], worlds, axis=0)
-        for slot in range(self._blocks):
-            absent = scenes.shapes[:, slot] == ABSENT
-            waiting = np.array([OUTSIDE + 2.0 * slot, OUTSIDE, 0.0])
-            first = self._joints[slot]
-            qpos[:, first : first + 3] = np.where(absent[:, None], waiting, scenes.poses[:, 1 + slot])
-        first = 3 * self._blocks
-        qpos[:, first : first + 3] = scenes.poses[:, 0]
+        model, slots = self._model, np.arange(self._blocks)
+        qpos = np.repeat(model.qpos0[None], len(scenes.shapes), axis=0)
+        waiting = np.stack([OUTSIDE + 2.0 * slots, OUTSIDE + 0.0 * slots, 0.0 * slots], axis=-1)
+        poses = scenes.poses.copy()
+        poses[:, 1:] = np.where((scenes.shapes == ABSENT)[..., None], waiting, poses[:, 1:])
+        qpos[:, planar(self._blocks)] = poses
         fingers = [model.joint(name).qposadr[0] for name in ("left_finger", "right_finger")]
         qpos[:, fingers] = scenes.fingers
         return qpos

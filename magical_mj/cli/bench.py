@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import cProfile
 import json
-import os
 import platform
 import pstats
+import re
 import resource
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,6 +22,7 @@ from rich.table import Table
 from magical_mj._version import __version__
 from magical_mj.cli.console import Tasks, Variants, check_fits, complain, console, some_of
 from magical_mj.extras import check_extra
+from magical_mj.parallel import cores
 from magical_mj.presets import PRESETS, preset_named
 from magical_mj.registry import environments, listed
 from magical_mj.rendering.backend import check_opengl
@@ -42,6 +43,7 @@ HEAD: Final = (
 )
 NAMES: Final = 2  # columns that hold no numbers
 CAUSES: Final[tuple[Cause, ...]] = ("rewritten", "compiled")
+WORLDS: Final = "256,1024,4096,16384"
 CPU_INFO: Final = Path("/proc/cpuinfo")
 
 Presets = Annotated[str, typer.Option(help="Presets, separated by commas; or all.", autocompletion=some_of(PRESETS))]
@@ -66,7 +68,7 @@ def bench(
     markdown: Markdown = False,
     profile: Profile = False,
     batched: Batched = False,
-    worlds: Worlds = "256,1024,4096,16384",
+    worlds: Worlds = WORLDS,
     device: Device = "cuda",
 ) -> None:
     """Measure steps per second including resets, the bare MuJoCo loop for comparison, and the time of resets."""
@@ -95,17 +97,18 @@ def bench(
 
 
 def _counts(text: str) -> list[int]:
-    try:
-        return [int(part) for part in text.split(",")]
-    except ValueError:
-        raise typer.BadParameter(f"--worlds takes numbers separated by commas, not {text!r}.") from None
+    if not re.fullmatch(r"[1-9]\d*(,[1-9]\d*)*", text):
+        raise typer.BadParameter(f"--worlds takes numbers of at least 1, separated by commas, not {text!r}.")
+    return [int(part) for part in text.split(",")]
 
 
 def _print_batched(chosen: Sequence[tuple[str, str, str]], counts: Sequence[int], device: str, profile: bool) -> None:
     """Prints some lines for each environment and number of worlds as soon as it is measured."""
     check_extra("batched worlds", "gpu")
+    from magical_mj.batched.physics import check_device
     from magical_mj.speed.batched import measure_batched, single_rate
 
+    check_device(device)
     screen = console()
     for task, variant, name in chosen:
         single = single_rate(task, variant, name)
@@ -125,12 +128,15 @@ def _batched_lines(made: BatchedMeasurement, single: float, profile: bool) -> It
     yield f"  {made.world_bytes / 1000:.0f} kB a world"
     yield "  physics {:.2f} ms a step, observations {:.2f} ms, a reset of all worlds {:.2f} ms".format(*times)
     yield (
-        f"  a step: {made.work.launches} kernel launches, {made.work.bytes / 1e6:.2f} MB, "
-        f"{made.work.operations / 1e6:.1f} million operations a world; an H200 might make {made.predicted:,.0f} steps/s"
+        f"  a step, on average: {made.work.launches:,.0f} kernel launches, {made.work.bytes / 1e6:.2f} MB and "
+        f"{made.work.operations / 1e6:.1f} million operations a world"
     )
+    expected = (f"{made.expected(worlds):,.0f} with {worlds:,} worlds" for worlds in _counts(WORLDS))
+    yield f"  an H200 might make these steps/s: {', '.join(expected)}"
     for kernel in made.kernels if profile else by_part(made.kernels):
         called = f"{kernel.part} {kernel.name}".strip()
-        yield f"  {called}: {kernel.launches} launches, {1000 * kernel.seconds:.2f} ms, {kernel.bytes / 1e6:.1f} MB"
+        took = f"{1000 * kernel.seconds:.2f} ms, {kernel.bytes / 1e6:.1f} MB"
+        yield f"  {called}: {kernel.launches:,.0f} launches, {took}"
 
 
 def _measure(chosen: Sequence[tuple[str, str, str]], steps: int) -> tuple[list[Measurement], float | None]:
@@ -226,7 +232,7 @@ def machine() -> dict[str, str | int]:
         cpu = next((line.split(": ")[1] for line in CPU_INFO.read_text().splitlines() if "model name" in line), cpu)
     return {
         "cpu": cpu,
-        "cores": os.cpu_count() or 1,
+        "cores": cores(),
         "opengl": opengl_name(),
         "python": platform.python_version(),
         "magical_mj": __version__,

@@ -205,11 +205,12 @@ def play_side_by_side(envs: Envs, policy: BatchPolicy, episodes: Sequence[Episod
         for actions, result in play_actions(envs, answers()):
             taken.append(actions)
             observations, _, _, ended, info = result
+            info = info.get("final_info", info)  # the former if the next episodes have begun
             if np.any(info.get("broken", False)):  # of batched worlds
                 raise FloatingPointError("the state of a simulation is not finite any more")
             if ended.any() and not ended.all():
                 raise EvaluationError("the vector holds environments whose episodes differ in length")
-            scores = info.get("final_info", info).get("eval_score", scores)
+            scores = info.get("eval_score", scores)
     except (RenderingError, TaskError, EvaluationError):
         raise
     except (Exception, SystemExit) as error:  # noqa: BLE001 a policy may raise anything

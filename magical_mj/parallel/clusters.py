@@ -15,6 +15,8 @@ Result = TypeVar("Result")
 
 ROUND: Final = 4
 """Pieces per worker in a batch, for backends that cannot return results one by one (ray)."""
+PATIENCE: Final = 10
+"""Seconds within which a dask cluster must have a worker."""
 
 
 def spread_there(
@@ -53,9 +55,15 @@ def _dask_client(address: str | None) -> Any:
     except ModuleNotFoundError:
         raise missing_extra("the dask backend", "dask") from None
     try:
-        return Client(address)
+        client = Client(address)
     except (OSError, ValueError) as error:  # the latter if it is not of the form of an address
         raise WorkerError(f"no dask scheduler answers at {address}: {error}") from error
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE)
+    except TimeoutError as error:
+        client.close()
+        raise WorkerError(f"the dask cluster has no workers: start some with `dask worker {address}`") from error
+    return client
 
 
 def _start_ray(address: str | None) -> None:

@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-import dataclasses
-import multiprocessing
-import os
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any, Final
+from typing import Final
 
 import torch
 import warp as wp
+from torch import Tensor
 
 from magical_mj import batched
 from magical_mj.actions import ACTIONS
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.batched.environment import BatchedEnv
 from magical_mj.gym_env import MagicalEnv
+from magical_mj.parallel import cores, spread
 from magical_mj.presets import Preset, preset_named
 from magical_mj.registry import task_spec
-from magical_mj.speed.launches import Kernel, recorded_launches
-from magical_mj.speed.measure import episode, plans
+from magical_mj.speed.launches import Kernel, recorded_launches, size
+from magical_mj.speed.measure import plans
 from magical_mj.speed.roofline import Work, newton_operations, step_seconds
 
 WARM_UP: Final = 3
 """Steps before the clock starts: kernels are compiled, the graph is captured."""
+WATCHED: Final = 20
+"""Steps of an episode whose launches are recorded; how many the solver needs differs from step to step."""
 PIXEL_OPERATIONS: Final = 1200
 """Of painting a pixel, by a rough count: four samples, each held against some thirty edges by ten operations."""
 SINGLE_EPISODES: Final = 3
@@ -42,7 +42,7 @@ class BatchedMeasurement:
         physics_seconds: time of one control step of all worlds.
         observation_seconds: time of their observations.
         reset_seconds: time of a reset of all worlds.
-        kernels: of one control step with its observations, launched one by one; see `launches`.
+        kernels: of one control step with its observations, launched one by one: the mean of some steps; see `launches`.
         work: what they amount to.
         world_bytes: memory of one world's simulation.
     """
@@ -59,10 +59,9 @@ class BatchedMeasurement:
     work: Work
     world_bytes: int
 
-    @property
-    def predicted(self) -> float:
-        """Steps per second that the model of `roofline` expects of an H200, resets aside."""
-        return self.worlds / step_seconds(self.work, self.worlds)
+    def expected(self, worlds: int) -> float:
+        """Steps per second that the model of `roofline` expects of an H200 with so many worlds, resets aside."""
+        return worlds / step_seconds(self.work, worlds)
 
 
 def measure_batched(task: str, variant: str, worlds: int, preset: str, device: str) -> BatchedMeasurement:
@@ -73,7 +72,7 @@ def measure_batched(task: str, variant: str, worlds: int, preset: str, device: s
     env.reset(seed=0)
     for step in range(WARM_UP):
         env.step(actions[step])
-    kernels, work = _work(env, preset_named(preset), device)
+    kernels, work = _work(env, preset_named(preset), actions[WARM_UP : WARM_UP + WATCHED])
     env.reset()
     seconds = _seconds(device, lambda: [env.step(row) for row in actions])
     measured = BatchedMeasurement(
@@ -82,32 +81,37 @@ def measure_batched(task: str, variant: str, worlds: int, preset: str, device: s
         preset=preset,
         worlds=worlds,
         rate=worlds * len(actions) / seconds,
-        physics_seconds=_seconds(device, lambda: env._physics.step(actions[0])),
-        observation_seconds=_seconds(device, lambda: env._observer.look(env._physics)),
+        physics_seconds=_seconds(device, lambda: env.physics.step(actions[0])),
+        observation_seconds=_seconds(device, lambda: env.observer.look(env.physics)),
         reset_seconds=_seconds(device, lambda: env.reset(seed=0)),
         kernels=kernels,
         work=work,
-        world_bytes=_bytes(env._physics._data, worlds),
+        world_bytes=sum(map(size, vars(env.physics.data).values())) // worlds,
     )
     env.close()
     return measured
 
 
-def _work(env: BatchedEnv, shown: Preset, device: str) -> tuple[list[Kernel], Work]:
-    """The launches of a control step with its observations, and what they amount to."""
-    physics = env._physics
-    with recorded_launches(device) as kernels:
-        physics._substeps()
-        env._observer.look(physics)
-    rows, iterations = (float(values.double().mean()) for values in physics.solved)
-    solver = SUBSTEPS * newton_operations(physics.model.nv, rows, iterations)
+def _work(env: BatchedEnv, shown: Preset, actions: Tensor) -> tuple[list[Kernel], Work]:
+    """The launches of a control step with its observations, on average over these actions, and what they amount to."""
+    solver = 0.0
+    with recorded_launches(env.device) as recorded:
+        for row in actions:
+            env.physics.step(row, graph=False)
+            env.observer.look(env.physics)
+            rows, iterations = (float(values.double().mean()) for values in env.physics.solved)
+            solver += SUBSTEPS * newton_operations(env.physics.model.nv, rows, iterations)
+    count = len(actions)
+    kernels = [
+        Kernel(one.part, one.name, one.launches / count, one.seconds / count, one.bytes / count) for one in recorded
+    ]
     painting = PIXEL_OPERATIONS * len(shown.frames) * shown.image_size**2
     total = sum(kernel.bytes for kernel in kernels) / env.num_envs
-    return kernels, Work(sum(kernel.launches for kernel in kernels), total, solver + painting)
+    return kernels, Work(sum(kernel.launches for kernel in kernels), total, solver / count + painting)
 
 
 def _workers(worlds: int) -> int:
-    return min(8, max(1, (os.cpu_count() or 2) - 1)) if worlds > 64 else 0
+    return min(8, max(1, cores() - 1)) if worlds > 64 else 0
 
 
 def _seconds(device: str, work: Callable[[], object]) -> float:
@@ -118,32 +122,20 @@ def _seconds(device: str, work: Callable[[], object]) -> float:
     return perf_counter() - start
 
 
-def _bytes(data: Any, worlds: int) -> int:
-    """Bytes of all arrays of the simulation, per world."""
-    total = 0
-    for entry in dataclasses.fields(data):
-        value = getattr(data, entry.name)
-        if isinstance(value, wp.array):
-            total += value.capacity
-        elif dataclasses.is_dataclass(value):
-            total += sum(item.capacity for item in vars(value).values() if isinstance(item, wp.array))
-    return total // worlds
-
-
 def single_rate(task: str, variant: str, preset: str) -> float:
     """Steps per second of the single environments, one process on each core, all at once."""
-    cores = os.cpu_count() or 1
-    with ProcessPoolExecutor(cores, mp_context=multiprocessing.get_context("spawn")) as pool:
-        jobs = [pool.submit(_single, task, variant, preset) for _ in range(cores)]
-        return sum(job.result() for job in jobs)
+    return sum(spread(_single, [(task, variant, preset)] * cores()))
 
 
-def _single(task: str, variant: str, preset: str) -> float:
-    env = MagicalEnv(task, variant, preset)
-    env.reset(seed=0)
-    steps, seconds = 0, 0.0
+def _single(environment: tuple[str, str, str]) -> float:
+    env = MagicalEnv(*environment)
+    env.reset(seed=0)  # the first frame starts OpenGL
+    steps, start = 0, perf_counter()
     for seed, plan in zip(range(SINGLE_EPISODES), plans(env), strict=False):
-        seconds += episode(env, seed, plan, preset_named(preset))[0]
+        env.reset(seed=seed)
+        for action in plan:
+            env.step(action)
         steps += len(plan)
+    seconds = perf_counter() - start
     env.close()
     return steps / seconds

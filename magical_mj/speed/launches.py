@@ -20,7 +20,7 @@ import warp as wp
 
 @dataclass
 class Kernel:
-    """All launches of one kernel.
+    """All launches of one kernel, or their mean over some steps.
 
     Attributes:
         part: the module that it is from, such as "solver".
@@ -32,9 +32,9 @@ class Kernel:
 
     part: str
     name: str
-    launches: int = 0
+    launches: float = 0
     seconds: float = 0.0
-    bytes: int = 0
+    bytes: float = 0
 
 
 @contextmanager

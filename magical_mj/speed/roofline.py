@@ -30,12 +30,13 @@ class Work:
     """What a control step consists of.
 
     Attributes:
-        launches: of kernels, one after another, whatever the number of worlds.
+        launches: of kernels, one after another, each for all worlds. The solver makes some in each of its iterations,
+            and goes on until the last world is done: so there are a few more of them with more worlds.
         bytes: that one world's share of them reads and writes.
         operations: of one world's share, in single precision.
     """
 
-    launches: int
+    launches: float
     bytes: float
     operations: float
 

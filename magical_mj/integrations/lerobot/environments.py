@@ -22,6 +22,7 @@ from magical_mj.demos.lerobot import (
     missing_lerobot,
     state,
 )
+from magical_mj.errors import SettingsError, check_name, shown
 from magical_mj.gym_env import STATE_BOUND, MagicalEnv
 from magical_mj.observations import FINGERS as WHERE_FINGERS
 from magical_mj.observations import STATE_NAMES
@@ -42,9 +43,13 @@ class PixelsAndFingers(gymnasium.ObservationWrapper[dict[str, Any], NDArray[np.f
         variant: a variant's name.
         views: "ego", "allo" or "both"; with "state", ``environment_state`` is the state vector, without pictures.
         fingers: whether ``agent_pos`` holds the angles of the fingers (rad), shape (2,), or zeros, shape (3,).
+
+    Raises:
+        UnknownNameError: if there is no such task, variant or choice of views.
     """
 
     def __init__(self, task: str, variant: str, views: str = "ego", *, fingers: bool = False) -> None:
+        check_name("choice of views", views, VIEWS)
         env = MagicalEnv(task, variant, "State", reward="score", action="continuous", render_mode="rgb_array")
         super().__init__(cast("gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]", env))
         self._dm_env, self._views, self._with_fingers = env.dm_env, VIEWS[views], fingers
@@ -116,7 +121,10 @@ class MagicalConfig(EnvConfig):
 
         Raises:
             UnknownNameError: if there is no such task or variant.
+            SettingsError: if `n_envs` is less than 1.
         """
+        if n_envs < 1:
+            raise SettingsError(f"n_envs must be at least 1, not {shown(n_envs)}")
         mode = gymnasium.vector.AutoresetMode.SAME_STEP
         suites: dict[str, dict[int, gymnasium.vector.VectorEnv[Any, Any, Any]]] = {}
         for task, variant in environments(self.task or "all", self.variant):
