@@ -220,7 +220,7 @@ def video(
     check_suffix(out, ".mp4")
     demos = read_chosen(paths, tasks, variants)[:count]
     claim(out, force)
-    with film(out, size, speed) as made:
+    with film(out, size, speed, overwrite=force) as made:
         for demo in demos:
             title = f"{demo.task} {demo.variant}, seed {demo.scene_seed}: {demo.demonstrator}"
             seen = magical_mj.demos.see(demo, ("allo", "ego"), size)

@@ -108,7 +108,7 @@ def rollout(
     if video is not None:
         claim(video, force)
     screen, failed = console(), False
-    with nullcontext() if video is None else film(video, size, views=views) as made:
+    with nullcontext() if video is None else film(video, size, views=views, overwrite=force) as made:
         for source in listed:
             units = [Unit(source, *pair, (seed + k,), settings) for k in range(episodes)]
             scores = []

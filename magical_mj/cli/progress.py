@@ -48,6 +48,7 @@ class Bars(Progress):
 
     def __init__(self, screen: Console, *columns: ProgressColumn, **settings: Any) -> None:
         super().__init__(LABEL, BarColumn(), *columns, Left(), console=screen, **settings)
+        self._in_lines = LABEL, *columns, Left()
         self._next_line = self.get_time() + FIRST
 
     def update(self, task_id: TaskID, **changes: Any) -> None:
@@ -56,8 +57,7 @@ class Bars(Progress):
         if not self.console.is_interactive and self.get_time() >= self._next_line:
             self._next_line = self.get_time() + MINUTE
             (task,) = [task for task in self.tasks if task.id == task_id]
-            shown = [column(task) for column in self.columns]
-            self.console.print(*(text for text in shown if isinstance(text, Text) and text), soft_wrap=True)
+            self.console.print(*filter(None, (column(task) for column in self._in_lines)), soft_wrap=True)
 
 
 def with_bar(screen: Console, label: str, results: Iterable[Result], total: int) -> Iterator[Result]:

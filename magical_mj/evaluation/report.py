@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -31,14 +32,23 @@ FILES: Final = {
 }
 
 
-def check_free(out: Path) -> None:
-    """Raises an `EvaluationError` if files in this folder, which are not of an earlier report, have names of ours."""
+def begin(out: Path, others: Sequence[str] = ()) -> None:
+    """Begins the page, if there is none: by it, the files of a report that was interrupted are known as ours.
+
+    Args:
+        out: the folder, which must exist.
+        others: the names of files that will be made beside those of every report.
+
+    Raises:
+        EvaluationError: if files in the folder, which are not of an earlier report, have names of ours.
+    """
     page = out / PAGE
     if page.is_file() and page.read_bytes().startswith(f"{TITLE}\n\n".encode()):
         return
-    for name in (PAGE, *FIGURES, *FILES.values()):
+    for name in (PAGE, *FIGURES, *FILES.values(), *others):
         if (out / name).exists():
             raise EvaluationError(f"{out / name} is not of an earlier report: move it, or choose another folder")
+    files.write(page, f"{TITLE}\n\nThis report is not finished yet.\n")
 
 
 def report(
@@ -69,9 +79,9 @@ def report(
     check_extra("reports", "eval")
     found = results([Path(folder) for folder in folders], with_published, mixed_presets)
     out = Path(out)
-    check_free(out)
-    out.mkdir(parents=True, exist_ok=True)
     tables = result_tables(found)
+    out.mkdir(parents=True, exist_ok=True)
+    begin(out)
     parts = [
         TITLE,
         *(f"**{note}**" for note in found.notes if note.startswith(APPROXIMATE)),
@@ -85,15 +95,17 @@ def report(
         "## Files",
         "\n".join(f"- [{text}]({quote(name)})" for text, name in {**links, **FILES}.items()),
     ]
-    page = out / PAGE  # written first: by it, the files of a report that was interrupted are known as ours
+    page = out / PAGE
     files.write(page, "\n\n".join(part.strip() for part in parts) + "\n", overwrite=True)
     texts = {"variants.csv": csv(found.variants), "environments.csv": csv(found.environments)}
     for name, text in {**texts, **{f"{table.name}.tex": latex(table) for table in tables}}.items():
         files.write(out / name, text, overwrite=True)
-    for name, figure in {"bars": bars(found), "heat_map": heat_map(found)}.items():
-        for suffix in ("png", "pdf"):
-            with files.new_file(out / f"{name}.{suffix}", overwrite=True) as path:
-                figure.savefig(path, dpi=DPI, metadata=None if suffix == "png" else {"CreationDate": None})
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from font")  # of methods in other scripts
+        for name, figure in {"bars": bars(found), "heat_map": heat_map(found)}.items():
+            for suffix in ("png", "pdf"):
+                with files.new_file(out / f"{name}.{suffix}", overwrite=True) as path:
+                    figure.savefig(path, dpi=DPI, metadata=None if suffix == "png" else {"CreationDate": None})
     return page
 
 
