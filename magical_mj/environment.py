@@ -113,7 +113,7 @@ class Environment(OpenEnvironment):
             self.task.settings.check(scene)
             self.task.next_scene, self.task.next_seed = scene, None
         elif seed is not None:
-            self.task.plan(check_seed(seed))
+            self.task.set_next_seed(check_seed(seed))
         return super().reset()
 
     def get_state(self) -> State:

@@ -81,9 +81,22 @@ def unlock(file: IO[Any]) -> None:
         fcntl.flock(file, fcntl.LOCK_UN)
 
 
+def is_unfinished(path: Path) -> bool:
+    """Whether this is a temporary file of `new_file`, which a process that was killed may have left."""
+    return path.match(".*.part*")
+
+
 @contextmanager
-def turn(folder: Path) -> Iterator[None]:
-    """A context that one process at a time enters for a folder, which must exist; others wait. Not on Windows."""
+def turn(folder: Path, *, wait: bool = True) -> Iterator[None]:
+    """A context that one process at a time enters for a folder, which must exist. Not on Windows.
+
+    Args:
+        folder: the folder.
+        wait: for the process that is in it.
+
+    Raises:
+        BlockingIOError: if another process is in it, and this one does not wait.
+    """
     try:
         import fcntl
     except ImportError:
@@ -91,7 +104,7 @@ def turn(folder: Path) -> Iterator[None]:
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     finally:
         fcntl.flock(descriptor, fcntl.LOCK_UN)  # closing is not enough: see `unlock`

@@ -48,7 +48,7 @@ class SceneTask(composer.Task):
     def _observable(self, name: str) -> CurrentObservable:
         return state(self._state) if name == "state" else picture(name, self.settings.image_size)
 
-    def plan(self, seed: int) -> Scene:
+    def set_next_seed(self, seed: int) -> Scene:
         """Makes the next episode start in the scene of this seed, and returns that scene."""
         self.next_scene = self.settings.sample(seed)
         self.next_seed = seed if self.settings.scene is None else None
@@ -94,7 +94,7 @@ class SceneTask(composer.Task):
 
     def initialize_episode_mjcf(self, random_state: np.random.RandomState) -> None:
         """Starts in `next_scene` if there is one, else in the scene of a randomly drawn seed."""
-        scene = self.next_scene or self.plan(int(random_state.randint(2**63 - 1, dtype=np.int64)))
+        scene = self.next_scene or self.set_next_seed(int(random_state.randint(2**63 - 1, dtype=np.int64)))
         self.start(scene, self.next_seed)
 
     def initialize_episode(self, physics: Simulation, random_state: np.random.RandomState) -> None:

@@ -14,6 +14,7 @@ from commands import COMMANDS, Shell, opened, process
 from PIL import Image
 
 import magical_mj
+from magical_mj import files
 from magical_mj.cli import environments
 
 
@@ -48,15 +49,15 @@ def test_both_ways_to_start_it() -> None:
         assert result.stdout == f"magical-mj {magical_mj.__version__}\n"
 
 
-@pytest.mark.parametrize("command", ["list --ids", "--help", "demos"])
-def test_closed_pipe_is_no_error(command: str) -> None:
+@pytest.mark.parametrize(("command", "code"), [("list --ids", 0), ("--help", 141), ("demos", 141)])
+def test_a_closed_pipe_ends_quietly(command: str, code: int) -> None:
     """The reader has gone before anything is written."""
     reading, writing = os.pipe()
     os.close(reading)
     full = [sys.executable, "-m", "magical_mj", *command.split()]
     result = subprocess.run(full, stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
     os.close(writing)
-    assert (result.returncode, result.stderr) == (0, "")
+    assert (result.returncode, result.stderr) == (code, "")
 
 
 def test_view(shell: Shell, tmp_path: Path) -> None:
@@ -95,14 +96,28 @@ def test_export_loads_in_plain_mujoco(shell: Shell, tmp_path: Path) -> None:
     assert model.nkey == 1
 
 
+def test_a_demo_leaves_alone_what_it_must(shell: Shell, tmp_path: Path) -> None:
+    """Another demo that is running, and files of others, but not what a killed process has left."""
+    command = ("demo", "--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1, "--out", tmp_path)
+    with files.turn(tmp_path):
+        assert f"another demo is running in {tmp_path}; wait for it" in shell.fails(1, *command)
+    (tmp_path / "notes.txt").write_text("mine")
+    assert "holds files that this command has not made" in shell.fails(1, *command)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
 @pytest.mark.slow
-def test_demo(tmp_path: Path) -> None:
-    """The main job, on the quickest task, over what an earlier run left."""
+@pytest.mark.parametrize("finished_some", [False, True])
+def test_demo(tmp_path: Path, finished_some: bool) -> None:
+    """The main job, on the quickest task, over what a killed run left: before its first episode, or after some."""
+    (tmp_path / ".run.here-1-1.part.json").write_text("{")
+    (tmp_path / "scores.jsonl").touch()
     few = {"tasks": "MoveToRegion", "episodes": 1, "jobs": 1}
-    magical_mj.evaluate("expert,random,noop", out=tmp_path, **few)  # as if it was killed before it had ended
+    if finished_some:
+        magical_mj.evaluate("expert,random,noop", out=tmp_path, **few)
     result = process("demo", "--tasks", "MoveToRegion", "--episodes", "1", "--jobs", "2", "--out", str(tmp_path))
     assert (result.returncode, result.stderr) == (0, "")
-    assert "replacing an earlier run" in result.stdout
+    assert ("replacing an earlier run" in result.stdout) == finished_some
     assert "expert: mean score 1.000 over 6 environments" in result.stdout
     page = Path(result.stdout.splitlines()[-1])
     assert page == tmp_path / "report.md"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from commands import Shell
 
-from magical_mj.cli.film import Film, in_words
+from magical_mj.cli.film import Film, film, in_words
 from magical_mj.errors import RenderingError
 from magical_mj.evaluation.scores import read
 
@@ -85,6 +86,19 @@ def test_long_titles_fit() -> None:
     band = frames[0][86:106]
     assert len(np.unique(band)) > 1
     assert len(np.unique(band[:, [0, 1, 2, -3, -2, -1]])) == 1  # no letter is cut at the sides
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_what_appears_under_a_videos_name_meanwhile_is_kept(tmp_path: Path, overwrite: bool) -> None:
+    path, picture = tmp_path / "a.mp4", np.zeros((32, 32, 3), np.uint8)
+    with (
+        nullcontext() if overwrite else pytest.raises(FileExistsError, match="exists already"),
+        film(path, 32, views=("allo",), overwrite=overwrite) as made,
+    ):
+        made.begin("", picture, 0.0)
+        path.write_bytes(b"mine")
+    assert (path.read_bytes() == b"mine") != overwrite
+    assert [file.name for file in tmp_path.iterdir()] == ["a.mp4"]
 
 
 @pytest.mark.parametrize(

@@ -79,6 +79,33 @@ def test_a_reader_that_has_seen_enough_is_no_error(command: str) -> None:
     assert (result.returncode, result.stderr) == (0, "")
 
 
+def test_work_goes_on_when_nobody_reads_its_output(tmp_path: Path) -> None:
+    """It is done as it would be otherwise, and its exit code says how it went."""
+    (tmp_path / "bad.npz").write_bytes(b"no demonstration")
+    commands = "rollout MoveToRegion --video v.mp4 --size 32", "demos verify bad.npz"
+    for command, code in zip(commands, (0, 1), strict=True):
+        line = f"'{sys.executable}' -m magical_mj {command} 2>&1 | true; exit ${{PIPESTATUS[0]}}"
+        assert subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, check=False).returncode == code
+    assert (tmp_path / "v.mp4").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("command", "hint"),
+    [
+        ("demos generate --out d --variants all --count 1000000", "the memory is not enough: ask for fewer"),
+        ("rollout FindDupe --policy still:act --preset State --episodes 1000000000", "less than or equal to 1000000"),
+        ("evaluate --out o --policy still:act --preset State --jobs 1 --envs 1000000", "Could not allocate memory"),
+    ],
+)
+def test_too_much_for_the_memory_is_one_line(command: str, hint: str, tmp_path: Path) -> None:
+    (tmp_path / "still.py").write_text("def act(observation):\n    return 0\n")
+    limited = f"ulimit -v 3000000; exec '{sys.executable}' -m magical_mj {command}"
+    result = subprocess.run(["bash", "-c", limited], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert result.returncode in (1, 2)
+    assert hint in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
 def test_ctrl_c_while_modules_are_loaded_is_no_traceback() -> None:
     """A module that every command needs is interrupted where it begins."""
     code = (

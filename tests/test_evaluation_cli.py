@@ -36,6 +36,20 @@ def test_from_scores_to_videos(shell: Shell, tmp_path: Path) -> None:
     assert lines["all of them"][-1] == "4"
 
 
+def test_videos_replace_nothing_but_those_of_an_earlier_report(shell: Shell, tmp_path: Path) -> None:
+    shell("evaluate", "--policy", "noop", "--out", "o", *SMALL)
+    mine = tmp_path / "mine" / "best-noop-MoveToRegion.mp4"
+    mine.parent.mkdir()
+    mine.write_bytes(b"mine")
+    error = shell.fails(1, "report", "o", "--videos", "--out", "mine")
+    assert "best-noop-MoveToRegion.mp4 is not of an earlier report: move it" in error
+    assert [path.read_bytes() for path in mine.parent.iterdir()] == [b"mine"]
+    for _ in range(2):
+        assert shell("report", "o", "--videos", "--out", "ours")[0] == 0
+    (tmp_path / "ours" / "report.md").write_text("# Evaluation\n\nThis report is not finished yet.\n")  # it was killed
+    assert shell("report", "o", "--videos", "--out", "ours")[0] == 0
+
+
 def test_resume_says_what_is_done(shell: Shell, tmp_path: Path) -> None:
     command = ("evaluate", "--policy", "noop", "--out", "o", *SMALL)
     shell(*command)

@@ -20,7 +20,9 @@ from evaluations import SMALL, rows
 import magical_mj
 from magical_mj.errors import EvaluationError, SettingsError
 from magical_mj.evaluation import Episode, Score
-from magical_mj.evaluation.scores import SCORES, ScoreFile, read
+from magical_mj.evaluation.run import Evaluation
+from magical_mj.evaluation.scores import SCORES, SETTINGS, ScoreFile, read
+from magical_mj.evaluation.settings import EvaluationSettings
 
 TESTS = Path(__file__).parent
 
@@ -111,6 +113,28 @@ def test_a_half_written_last_line_is_repaired(tmp_path: Path, cut: int) -> None:
 
 
 @pytest.mark.parametrize(
+    ("before", "after", "hint"),
+    [
+        (b"\n", b" ", "line 1: more than one episode; each must have a line of its own"),
+        (b"}\n", b"", "line 1: "),
+        (b'}\n{"policy": ', b'\n{"policy": ', "line 1: "),
+        (b'single"}\n', b'single"}\nmy notes', "line 2: "),
+    ],
+)
+def test_nothing_but_a_half_written_line_is_dropped(tmp_path: Path, before: bytes, after: bytes, hint: str) -> None:
+    """Where ends of lines were lost, or something was added, nothing is changed."""
+    magical_mj.evaluate("random", out=tmp_path, **SMALL)
+    path = tmp_path / SCORES
+    path.write_bytes(path.read_bytes().replace(before, after))
+    damaged = path.read_bytes()
+    for reading in (lambda: read(tmp_path), lambda: magical_mj.evaluate("random", out=tmp_path, resume=True, **SMALL)):
+        with pytest.raises(EvaluationError) as caught:
+            reading()
+        assert hint in str(caught.value)
+        assert path.read_bytes() == damaged
+
+
+@pytest.mark.parametrize(
     ("line", "hint"),
     [
         ("{half", "line 3"),
@@ -119,6 +143,10 @@ def test_a_half_written_last_line_is_repaired(tmp_path: Path, cut: int) -> None:
         ("score", "line 3: the score 1.5 is not in [0, 1]"),
         ("steps", "line 3: steps must not be 'many'"),
         ("\x00\x00", "line 3"),
+        ("policy", r"line 3: policy must be a text of printable characters, not 'a\x00b'"),
+        ("task", "line 3: task must be a text of printable characters"),
+        ("gl", "line 3: gl must be a text of printable characters"),
+        ("failure", "line 3: failure must be a text of printable characters"),
         ("[" * 100_000, "line 3: lists in lists without end"),
     ],
 )
@@ -126,10 +154,10 @@ def test_corrupted_lines_are_named(tmp_path: Path, line: str, hint: str) -> None
     magical_mj.evaluate("noop", out=tmp_path, **SMALL)
     path = tmp_path / SCORES
     lines = path.read_text().splitlines()
-    changes: dict[str, dict[str, Any]] = {"score": {"score": 1.5}, "steps": {"steps": "many"}}
+    wrong = {"score": 1.5, "steps": "many", "policy": "a\0b", "task": "a\nb", "gl": "\ud800", "failure": "\ud800"}
     lines[2] = lines[1] if line == "same" else line
-    if line in changes:
-        lines[2] = json.dumps(json.loads(lines[1]) | changes[line])
+    if line in wrong:
+        lines[2] = json.dumps(json.loads(lines[1]) | {line: wrong[line]})
     path.write_text("\n".join(lines) + "\n")
     with pytest.raises(EvaluationError) as caught:
         read(tmp_path)
@@ -176,6 +204,39 @@ def test_folders_are_not_mixed_up(tmp_path: Path) -> None:
         magical_mj.evaluate("noop", out=tmp_path, resume=True, **SMALL)
     with pytest.raises(EvaluationError, match="cannot write into /dev/null/folder"):
         magical_mj.evaluate("noop", out="/dev/null/folder", **SMALL)
+
+
+def test_an_evaluation_without_a_finished_episode_can_be_started_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With other settings, too, as long as no other process plays into the folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    Path("failing.py").write_text("def act(observation):\n    raise KeyError('position')\n")
+    with pytest.raises(EvaluationError, match="failed, so none of them is kept"):
+        magical_mj.evaluate("failing:act", out="out", **SMALL)
+    with ScoreFile(Path("out")), pytest.raises(EvaluationError, match="another evaluation"):
+        magical_mj.evaluate("noop", out="out", **SMALL)
+    assert len(magical_mj.evaluate("noop", out="out", **SMALL)) == len(read(Path("out"))) == 6
+    assert len(magical_mj.evaluate("noop", out="out", resume=True, **SMALL)) == 6
+
+
+def test_settings_are_those_of_the_evaluation_that_plays(tmp_path: Path) -> None:
+    """Not of one that was prepared in the same folder meanwhile."""
+    first, second = (
+        Evaluation("noop", EvaluationSettings(out=tmp_path, **{**SMALL, "episodes": count})) for count in (1, 2)
+    )
+    list(first.play())
+    with pytest.raises(SettingsError, match="episodes was 1 and is 2"):
+        list(second.play())
+    assert len(read(tmp_path)) == 2
+
+
+def test_a_file_of_settings_that_is_not_ours_is_kept(tmp_path: Path) -> None:
+    (tmp_path / SETTINGS).write_text('{"mine": 1}')
+    with pytest.raises(EvaluationError, match=r"run\.json is not of an evaluation"):
+        magical_mj.evaluate("noop", out=tmp_path, **SMALL)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ['{"mine": 1}']
 
 
 def killed_and_resumed(folder: Path, kills: int, jobs: int) -> set[tuple[Any, ...]]:

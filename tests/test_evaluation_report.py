@@ -241,6 +241,12 @@ def test_links_are_links_whatever_the_name_of_the_file(tmp_path: Path) -> None:
     assert "- [a video](best-BC%20%28ST%29.mp4)" in page.read_text()
 
 
+def test_names_in_any_script(tmp_path: Path) -> None:
+    """Letters that the figures' font lacks are no reason for warnings, which tests turn into errors."""
+    scores = [replace(score, policy="我的方法") for score in example() if score.policy == "noop"]
+    assert "我的方法" in report([write(tmp_path, scores)], tmp_path / "out").read_text()
+
+
 def test_extremes_are_the_best_and_the_worst_of_each_task() -> None:
     chosen = [(which, score.policy, score.task, score.score) for which, score in extremes(example())]
     assert ("best", "noop", "MoveToCorner", 0.25) in chosen

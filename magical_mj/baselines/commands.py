@@ -24,7 +24,8 @@ from rich.text import Text
 from magical_mj import baselines
 from magical_mj.agents import AGENTS
 from magical_mj.baselines.config import check_changes, check_used, users, uses
-from magical_mj.cli.console import LABEL, check_fits, console
+from magical_mj.cli.console import check_fits, console
+from magical_mj.cli.progress import LABEL
 from magical_mj.errors import SettingsError, check_name
 from magical_mj.parallel import Backend
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import io
-import os
 import sys
 import warnings
 from collections.abc import Sequence
 from importlib.metadata import entry_points
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
@@ -17,6 +16,10 @@ from magical_mj.cli import bench, demo, demo_exports, demos, doctor, environment
 from magical_mj.cli.console import complain
 from magical_mj.cli.doctor import NO_DM_CONTROL
 from magical_mj.errors import MagicalError
+
+CLOSED_PIPE: Final = 141
+"""The exit code where the reader of the output has seen enough before the help was printed; as of shells' commands."""
+LESS: Final = "ask for fewer or smaller things at once, such as --episodes, --envs, --count, --jobs or --size"
 
 app = typer.Typer(
     name="magical-mj",
@@ -75,15 +78,12 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as ending:  # what typer makes of a closed pipe while it prints itself
         if not isinstance(ending.__context__, BrokenPipeError):
             raise
-        return 0
+        return CLOSED_PIPE
     except typer.Abort:
         return 130
     except MagicalError as error:
         complain(str(error))
         return 2 if isinstance(error, ValueError) else 1
-    except BrokenPipeError:  # the reader of our output has closed the pipe
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except ModuleNotFoundError as error:
         if error.name != "dm_control":
             raise
@@ -91,4 +91,13 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return 1
     except OSError as error:
         complain(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        return 1
+    except MemoryError:
+        complain(f"the memory is not enough: {LESS}")
+        return 1
+    except Exception as error:
+        mujoco = sys.modules.get("mujoco")  # imported late: it may fail where there is no OpenGL
+        if mujoco is None or not isinstance(error, mujoco.FatalError):
+            raise
+        complain(f"MuJoCo has stopped ({error}); if the memory is not enough: {LESS}")
         return 1

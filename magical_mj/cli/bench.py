@@ -15,12 +15,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
-from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 from magical_mj._version import __version__
-from magical_mj.cli.console import Tasks, Variants, check_fits, complain, console, some_of
+from magical_mj.cli.console import Output, Tasks, Variants, check_fits, complain, console, some_of
+from magical_mj.cli.progress import with_bar
 from magical_mj.extras import check_extra
 from magical_mj.parallel import cores
 from magical_mj.presets import PRESETS, preset_named
@@ -144,12 +143,10 @@ def _measure(chosen: Sequence[tuple[str, str, str]], steps: int) -> tuple[list[M
     from magical_mj.speed.measure import measure
     from magical_mj.speed.yardstick import Yardstick
 
-    screen, yardstick, measurements = Console(stderr=True), Yardstick(), []
+    screen, yardstick, measurements = Output(stderr=True), Yardstick(), []
     if yardstick.problem is not None:
         complain(f"gym-pusht is installed but does not work, so it is not measured for comparison: {yardstick.problem}")
-    for task, variant, name in track(
-        chosen, "measuring", console=screen, transient=True, disable=not screen.is_terminal
-    ):
+    for task, variant, name in with_bar(screen, "measuring", chosen, len(chosen)):
         yardstick.run()
         measurements.append(measure(task, variant, name, steps))
     return measurements, yardstick.rate

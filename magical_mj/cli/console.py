@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import inspect
+import os
+import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import IO, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from magical_mj import TASKS, VARIANTS
 from magical_mj.evaluation.settings import described
 from magical_mj.presets import PRESETS
 from magical_mj.registry import Names, task_spec, variant_name
 
-Result = TypeVar("Result")
-
 PLAIN_WIDTH = 120  # columns where the output is a file or a pipe
-LABEL = TextColumn("{task.description}", markup=False)
-"""The first column of progress bars."""
 
 
 def one_of(names: Iterable[str]) -> Callable[[str], list[str]]:
@@ -99,11 +96,16 @@ def check_fits(context: typer.Context, fits: bool, condition: str, *options: str
 
 
 class Output(Console):
-    """A console that leaves it to the application what happens when the reader of its output is gone."""
+    """A console that goes quiet when the reader of its output is gone: the work behind it goes on to its end."""
 
     def on_broken_pipe(self) -> None:
-        """Raise the error that rich would turn into exit code 1."""
-        raise BrokenPipeError
+        """Send all further output nowhere; rich would end the process."""
+        silence(self.file)
+
+
+def silence(stream: IO[str]) -> None:
+    """Sends what is written to a stream, whose reader is gone, nowhere."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def console() -> Console:
@@ -117,19 +119,12 @@ def console() -> Console:
     return out
 
 
-def with_bar(screen: Console, label: str, results: Iterable[Result], total: int) -> Iterator[Result]:
-    """The results as they arrive, with a progress bar that counts them."""
-    columns = LABEL, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=screen) as progress:
-        bar = progress.add_task(label, total=total)
-        for result in results:
-            yield result
-            progress.advance(bar)
-
-
 def complain(message: str) -> None:
     """One line on standard error."""
-    typer.echo(f"magical-mj: {' '.join(message.split())}", err=True)
+    try:
+        typer.echo(f"magical-mj: {' '.join(message.split())}", err=True)
+    except BrokenPipeError:
+        silence(sys.stderr)
 
 
 def file_name(task: str, variant: str, seed: int, suffix: str) -> str:

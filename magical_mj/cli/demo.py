@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
+from rich.console import Console
 
 from magical_mj import files
 from magical_mj.cli.console import Jobs, Tasks, claim_folder, console
@@ -17,7 +19,7 @@ from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.loading import sources
 from magical_mj.evaluation.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
-from magical_mj.evaluation.scores import SCORES, SETTINGS, read_settings
+from magical_mj.evaluation.scores import ScoreFile, read_settings
 from magical_mj.evaluation.settings import EvaluationSettings
 
 AGENTS: Final = ("expert", "random", "noop")
@@ -31,19 +33,28 @@ Episodes = Annotated[int, typer.Option(min=1, help="Of each agent in each enviro
 
 def demo(out: Out = Path("out/demo"), tasks: Tasks = "all", episodes: Episodes = 3, jobs: Jobs = None) -> None:
     """Evaluate the expert, the random and the no-op agent in all environments, and write the report."""
-    screen = console()
-    start = time.perf_counter()
     settings = EvaluationSettings(tasks=tasks, episodes=episodes, jobs=jobs, out=out)
-    claim_folder(out)
-    if any(out.iterdir()):
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(files.turn(claim_folder(out), wait=False))
+        except BlockingIOError as error:
+            raise EvaluationError(
+                f"another demo is running in {out}; wait for it, or give another folder by --out"
+            ) from error
+        _tour(console(), out, settings)
+
+
+def _tour(screen: Console, out: Path, settings: EvaluationSettings) -> None:
+    start = time.perf_counter()
+    if any(path.lstat().st_size and not files.is_unfinished(path) for path in out.iterdir()):
         if not _is_ours(out, settings):
             raise EvaluationError(
                 f"{out} holds files that this command has not made, or not with these options; "
                 "give another folder by --out"
             )
         screen.print(f"replacing an earlier run in {out}", soft_wrap=True)
-        (out / SCORES).unlink(missing_ok=True)
-        (out / SETTINGS).unlink()
+        with ScoreFile(out) as scores:
+            scores.clear()
     evaluation = Evaluation(AGENTS, settings)  # writes the settings, by which the folder is recognised
     with files.new_file(out / SHEET, overwrite=True) as unfinished:
         contact_sheet(0, size=128).save(unfinished)

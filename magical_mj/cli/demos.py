@@ -24,10 +24,11 @@ from magical_mj.cli.console import (
     claim_folder,
     complain,
     console,
-    with_bar,
 )
 from magical_mj.cli.film import film
+from magical_mj.cli.progress import with_bar
 from magical_mj.errors import DemonstrationError, MagicalError
+from magical_mj.evaluation.settings import MOST
 from magical_mj.parallel import spread
 from magical_mj.registry import environments, score, task_spec
 
@@ -41,7 +42,9 @@ Paths = Annotated[
     typer.Argument(help="Files and folders.", show_default="those that come with the tasks"),
 ]
 Recordings = Annotated[list[Path], typer.Argument(help="The JSON files that the browser saved.", show_default=False)]
-Count = Annotated[int, typer.Option(min=1, help="Number in each environment, in the scenes of seeds 0, 1, ...")]
+Count = Annotated[
+    int, typer.Option(min=1, max=MOST, help="Number in each environment, in the scenes of seeds 0, 1, ...")
+]
 Folder = Annotated[Path, typer.Option("--out", help="The folder; existing files are kept.", show_default=False)]
 Least = Annotated[float, typer.Option(min=0, max=1, help="The least score of a demonstration.")]
 Filmed = Annotated[int, typer.Option("--count", min=1, help="How many to film at most.")]
@@ -223,7 +226,7 @@ def video(
     check_suffix(out, ".mp4")
     demos = read_chosen(paths, tasks, variants)[:count]
     claim(out, force)
-    with film(out, size, speed) as made:
+    with film(out, size, speed, overwrite=force) as made:
         for demo in demos:
             title = f"{demo.task} {demo.variant}, seed {demo.scene_seed}: {demo.demonstrator}"
             seen = magical_mj.demos.see(demo, ("allo", "ego"), size)

@@ -11,12 +11,10 @@ from typing import Annotated, Any
 import typer
 from rich import progress as bars
 from rich.console import Console
-from rich.markup import escape
 from rich.text import Text
 
 from magical_mj.cli.console import (
     COMPLETIONS,
-    LABEL,
     Cameras,
     Force,
     Seed,
@@ -30,11 +28,12 @@ from magical_mj.cli.console import (
     console,
 )
 from magical_mj.cli.film import film, replay, views_of
+from magical_mj.cli.progress import Bars, with_bar
 from magical_mj.evaluation.loading import sources
 from magical_mj.evaluation.policies import check_fit
 from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES, Score
-from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.evaluation.settings import MOST, EvaluationSettings
 from magical_mj.evaluation.worker import Unit, player
 from magical_mj.registry import task_name, task_spec, variant_name
 
@@ -58,7 +57,7 @@ Preset = Annotated[
     typer.Option(help="The observations: a preset's name, or an empty one.", autocompletion=COMPLETIONS["preset"]),
 ]
 Number = Annotated[
-    int, typer.Option("--episodes", min=1, help="Number of episodes, in the scenes of SEED, SEED + 1, ...")
+    int, typer.Option("--episodes", min=1, max=MOST, help="Number of episodes, in the scenes of SEED, SEED + 1, ...")
 ]
 Video = Annotated[Path | None, typer.Option(help="Write an MP4 video of the episodes.", show_default=False)]
 Trust = Annotated[bool, typer.Option("--trust", help="Load model files that contain code, and run it.")]
@@ -109,13 +108,11 @@ def rollout(
     if video is not None:
         claim(video, force)
     screen, failed = console(), False
-    with nullcontext() if video is None else film(video, size, views=views) as made:
+    with nullcontext() if video is None else film(video, size, views=views, overwrite=force) as made:
         for source in listed:
             units = [Unit(source, *pair, (seed + k,), settings) for k in range(episodes)]
             scores = []
-            for unit in bars.track(
-                units, f"playing {escape(source.name)}", console=screen, transient=True, disable=not screen.is_terminal
-            ):
+            for unit in with_bar(screen, f"playing {source.name}", units, episodes):
                 scores += player().play(unit)
                 screen.print(_line(scores[-1]), soft_wrap=True)
                 if made is not None:
@@ -147,9 +144,7 @@ def show_progress(screen: Console, evaluation: Evaluation) -> None:
     """Plays the remaining episodes, with a progress bar that counts steps, since episodes differ in length."""
     left = sum(len(unit.seeds) for unit in evaluation.units)
     known = len(evaluation.scores)
-    elapsed, remaining = bars.TimeElapsedColumn(), bars.TimeRemainingColumn()
-    columns = LABEL, bars.BarColumn(), Rate(), elapsed, remaining
-    with bars.Progress(*columns, console=screen, speed_estimate_period=120) as progress:
+    with Bars(screen, Rate(), bars.TimeElapsedColumn(), speed_estimate_period=120) as progress:
         steps = sum(unit.steps for unit in evaluation.units)
         bar = progress.add_task("playing", total=steps, done=known, total_episodes=known + left, fresh=0)
         for count, score in enumerate(evaluation.play(), start=1):

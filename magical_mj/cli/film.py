@@ -106,18 +106,21 @@ class Film:
 
 
 @contextmanager
-def film(path: Path, size: int, speed: int = 1, views: Sequence[str] = SIDE_BY_SIDE) -> Iterator[Film]:
+def film(
+    path: Path, size: int, speed: int = 1, views: Sequence[str] = SIDE_BY_SIDE, *, overwrite: bool
+) -> Iterator[Film]:
     """A video of episodes; it is removed if the block raises.
 
     Args:
-        path: the MP4 file, overwritten if it exists.
+        path: the MP4 file.
         size: side of each view in pixels.
         speed: 1 is real time.
         views: the views, from left to right.
+        overwrite: replace an existing file.
 
     Raises:
         MissingExtraError: if imageio-ffmpeg is not installed.
-        OSError: if the file cannot be written.
+        OSError: if the file cannot be written, or exists.
     """
     try:
         import imageio_ffmpeg
@@ -135,7 +138,7 @@ def film(path: Path, size: int, speed: int = 1, views: Sequence[str] = SIDE_BY_S
         except OSError as error:  # ffmpeg has ended and closed the pipe
             raise failed from error
 
-    with files.new_file(path, overwrite=True) as unfinished:
+    with files.new_file(path, overwrite=overwrite) as unfinished:
         made = Film(send, size, views, pause=PAUSE * rate)
         writer = imageio_ffmpeg.write_frames(
             str(unfinished),

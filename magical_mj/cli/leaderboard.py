@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Annotated, Final
 
 import typer
-from rich import progress as bars
 from rich.console import Console
+from rich.progress import MofNCompleteColumn
 
-from magical_mj.cli.console import LABEL, Jobs, check_fits, claim_folder, complain, console
+from magical_mj.cli.console import Jobs, check_fits, claim_folder, complain, console
+from magical_mj.cli.progress import Bars
 from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.scores import read
 from magical_mj.leaderboard import Findings, check_entry, submit, verify
@@ -135,7 +136,6 @@ def _complained(name: str, found: Findings) -> bool:
 
 @contextmanager
 def _bar(screen: Console, label: str, total: int | None) -> Iterator[Callable[[Checked], None]]:
-    columns = LABEL, bars.BarColumn(), bars.MofNCompleteColumn()
-    with bars.Progress(*columns, bars.TimeRemainingColumn(), console=screen, transient=True) as progress:
+    with Bars(screen, MofNCompleteColumn(), transient=True) as progress:
         bar = progress.add_task(label, total=total)
-        yield lambda checked: progress.advance(bar, checked.episodes)
+        yield lambda checked: progress.update(bar, advance=checked.episodes)

@@ -13,7 +13,7 @@ from magical_mj.cli.console import claim_folder, console
 from magical_mj.cli.film import film, replay
 from magical_mj.errors import SettingsError
 from magical_mj.evaluation.compare import choose, compare
-from magical_mj.evaluation.report import PAGE, check_free, extremes, report
+from magical_mj.evaluation.report import begin, extremes, report
 from magical_mj.evaluation.results import gather
 from magical_mj.evaluation.scores import Score
 from magical_mj.evaluation.settings import UNOFFICIAL
@@ -52,9 +52,9 @@ def make_report(
     if videos and any(score.worlds != "single" for score in scores):
         raise SettingsError(f"--videos replays episodes of single worlds only, not of batched ones: {UNOFFICIAL}")
     out = claim_folder(out or folders[0] / "report")
-    check_free(out)
-    replaced = (out / PAGE).exists()
-    links = film_episodes(extremes(scores), out) if videos else {}
+    chosen = extremes(scores) if videos else []
+    replaced = begin(out, film_names(chosen))
+    links = film_episodes(chosen, out)
     page = report(folders, out, with_published=published, mixed_presets=mixed_presets, links=links)
     screen.print(f"{page} replaces an earlier report" if replaced else page, soft_wrap=True)
 
@@ -80,14 +80,20 @@ def make_comparison(a: Side, b: Side) -> None:
         screen.print(f"{unpaired} scenes that only one of them has played are left out")
 
 
+def film_names(chosen: Sequence[tuple[str, Score]]) -> list[str]:
+    """The names of the videos that `film_episodes` makes."""
+    names: list[str] = []
+    for which, score in chosen:
+        name = f"{which}-{score.policy}-{score.task}.mp4".replace("/", "-")
+        names.append(f"{len(names)}-{name}" if name in names else name)  # of a method called a-b after one called a/b
+    return names
+
+
 def film_episodes(chosen: Sequence[tuple[str, Score]], out: Path) -> dict[str, str]:
     """Makes videos of episodes, each given with a word such as "best"; returns description -> file name."""
     links: dict[str, str] = {}
-    for which, score in chosen:
-        name = f"{which}-{score.policy}-{score.task}.mp4".replace("/", "-")
-        if name in links.values():  # of a method called a-b after one called a/b
-            name = f"{len(links)}-{name}"
-        with film(out / name, FILM_SIZE, FILM_SPEED) as made:
+    for name, (which, score) in zip(film_names(chosen), chosen, strict=True):
+        with film(out / name, FILM_SIZE, FILM_SPEED, overwrite=True) as made:
             replay(made, score)
         links[
             f"{score.policy}, {which} of {score.task}: {score.variant}, seed {score.seed}, score {score.score:.2f}"

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 Act = Callable[[Any], Any]
 """A policy, or a plain function from observation to action."""
 Envs = gymnasium.vector.VectorEnv[Any, Any, Any]
-World: TypeAlias = "Environment | gymnasium.Env[Any, Any]"
+Env: TypeAlias = "Environment | gymnasium.Env[Any, Any]"
 
 REASON_LENGTH: Final = 300
 
@@ -63,7 +63,7 @@ class Outcome:
     failure: str | None = None
 
 
-def world_for(policy: Act, task: str, variant: str, preset: str, rules: Rules) -> World:
+def environment_for(policy: Act, task: str, variant: str, preset: str, rules: Rules) -> Env:
     """The environment that a policy plays in: Gymnasium's with the preset's observations, or the bare simulation.
 
     The Gymnasium environment has no wrappers of `gymnasium.make`, whose checks at each step would only take time.
@@ -76,16 +76,16 @@ def world_for(policy: Act, task: str, variant: str, preset: str, rules: Rules) -
     return gymnasium.make(env_id(task, variant, preset), rules=rules).unwrapped
 
 
-def simulation(world: World) -> Environment:
-    """The dm_env environment of a world, which may be a Gymnasium environment."""
-    return world.unwrapped.dm_env if isinstance(world, gymnasium.Env) else world  # type: ignore[attr-defined]
+def simulation(env: Env) -> Environment:
+    """The dm_env environment itself, or the one inside a Gymnasium environment."""
+    return env.unwrapped.dm_env if isinstance(env, gymnasium.Env) else env  # type: ignore[attr-defined]
 
 
-def play(world: World, policy: Act, episode: Episode) -> Outcome:
+def play(env: Env, policy: Act, episode: Episode) -> Outcome:
     """Plays one episode. If the policy raises an error, the episode has failed with score 0.
 
     Args:
-        world: one of the package's environments, with or without wrappers.
+        env: one of the package's environments, with or without wrappers.
         policy: the agent.
         episode: the episode. Policies that use no observations get the environment in it.
 
@@ -97,17 +97,17 @@ def play(world: World, policy: Act, episode: Episode) -> Outcome:
     actions: list[int] = []
     score, failure = 0.0, None
     try:
-        observation = _observation(_reset(world, episode.seed))
-        begin(policy, replace(episode, env=simulation(world)) if is_blind(policy) else episode)
+        observation = _observation(_reset(env, episode.seed))
+        begin(policy, replace(episode, env=simulation(env)) if is_blind(policy) else episode)
 
         def answers() -> Iterator[int]:
             while True:
                 yield action_number(policy(observation))
 
-        for action, result in play_actions(world, answers()):
+        for action, result in play_actions(env, answers()):
             actions.append(action)
             observation = _observation(result)
-        score = simulation(world).score()
+        score = simulation(env).score()
     except (RenderingError, TaskError):
         raise
     except (Exception, SystemExit) as error:  # noqa: BLE001 a policy may raise anything
@@ -115,10 +115,10 @@ def play(world: World, policy: Act, episode: Episode) -> Outcome:
     return Outcome(score, word_of(actions), time.perf_counter() - start, failure)
 
 
-def _reset(world: World | Envs, seed: Any) -> Any:
+def _reset(env: Env | Envs, seed: Any) -> Any:
     """What `reset` returns; raises a `TaskError` if no episode can start in the scene of a seed."""
     try:
-        return world.reset(seed=seed)
+        return env.reset(seed=seed)
     except (InvalidSceneError, PlacementError) as error:
         raise TaskError(f"no episode can start in the scene of seed {seed}: {error}") from error
 
@@ -138,7 +138,7 @@ def reason(error: BaseException) -> str:
     return text.encode(errors="backslashreplace").decode()[:REASON_LENGTH]
 
 
-class Copies:
+class PolicyCopies:
     """A batch policy made of copies of a policy for single observations, one for each episode."""
 
     def __init__(self, policy: Act, envs: Envs) -> None:
@@ -178,7 +178,7 @@ def rollouts(
         SettingsError: if the policy must be copied, and cannot be.
     """
     if isinstance(env, gymnasium.vector.VectorEnv):
-        acting = policy if isinstance(policy, BatchPolicy) else Copies(policy, env)
+        acting = policy if isinstance(policy, BatchPolicy) else PolicyCopies(policy, env)
         for start in range(0, len(episodes), env.num_envs):
             yield from play_side_by_side(env, acting, episodes[start : start + env.num_envs])
     elif callable(policy):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -31,14 +32,34 @@ FILES: Final = {
 }
 
 
-def check_free(out: Path) -> None:
-    """Raises an `EvaluationError` if files in this folder, which are not of an earlier report, have names of ours."""
+def check_free(out: Path, others: Sequence[str] = ()) -> bool:
+    """Whether a folder, which need not exist, holds an earlier report.
+
+    Args:
+        out: the folder.
+        others: the names of files that will be made beside those of every report.
+
+    Raises:
+        EvaluationError: if there is none, but files that have names of ours.
+    """
     page = out / PAGE
     if page.is_file() and page.read_bytes().startswith(f"{TITLE}\n\n".encode()):
-        return
-    for name in (PAGE, *FIGURES, *FILES.values()):
+        return True
+    for name in (PAGE, *FIGURES, *FILES.values(), *others):
         if (out / name).exists():
             raise EvaluationError(f"{out / name} is not of an earlier report: move it, or choose another folder")
+    return False
+
+
+def begin(out: Path, others: Sequence[str] = ()) -> bool:
+    """Begins the page, if there is none: by it, the files of a report that was interrupted are known as ours.
+
+    Arguments, result and errors are those of `check_free`, but the folder must exist.
+    """
+    replaced = check_free(out, others)
+    if not replaced:
+        files.write(out / PAGE, f"{TITLE}\n\nThis report is not finished yet.\n")
+    return replaced
 
 
 def report(
@@ -69,9 +90,9 @@ def report(
     check_extra("reports", "eval")
     found = results([Path(folder) for folder in folders], with_published, mixed_presets)
     out = Path(out)
-    check_free(out)
-    out.mkdir(parents=True, exist_ok=True)
     tables = result_tables(found)
+    out.mkdir(parents=True, exist_ok=True)
+    begin(out)
     parts = [
         TITLE,
         *(f"**{note}**" for note in found.notes if note.startswith(APPROXIMATE)),
@@ -85,15 +106,17 @@ def report(
         "## Files",
         "\n".join(f"- [{text}]({quote(name)})" for text, name in {**links, **FILES}.items()),
     ]
-    page = out / PAGE  # written first: by it, the files of a report that was interrupted are known as ours
+    page = out / PAGE
     files.write(page, "\n\n".join(part.strip() for part in parts) + "\n", overwrite=True)
     texts = {"variants.csv": csv(found.variants), "environments.csv": csv(found.environments)}
     for name, text in {**texts, **{f"{table.name}.tex": latex(table) for table in tables}}.items():
         files.write(out / name, text, overwrite=True)
-    for name, figure in {"bars": bars(found), "heat_map": heat_map(found)}.items():
-        for suffix in ("png", "pdf"):
-            with files.new_file(out / f"{name}.{suffix}", overwrite=True) as path:
-                figure.savefig(path, dpi=DPI, metadata=None if suffix == "png" else {"CreationDate": None})
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from font")  # of methods in other scripts
+        for name, figure in {"bars": bars(found), "heat_map": heat_map(found)}.items():
+            for suffix in ("png", "pdf"):
+                with files.new_file(out / f"{name}.{suffix}", overwrite=True) as path:
+                    figure.savefig(path, dpi=DPI, metadata=None if suffix == "png" else {"CreationDate": None})
     return page
 
 

@@ -17,7 +17,7 @@ from magical_mj.errors import EvaluationError, SettingsError, WorkerError
 from magical_mj.evaluation.loading import Source, sources
 from magical_mj.evaluation.playing import reason
 from magical_mj.evaluation.policies import check_fit
-from magical_mj.evaluation.scores import SCORES, Key, Score, ScoreFile, frame, prepare, read
+from magical_mj.evaluation.scores import Key, Score, ScoreFile, begin, frame, prepare
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings, described, settings_from
 from magical_mj.evaluation.worker import Unit, plan, play_unit, player
 from magical_mj.extras import check_extra
@@ -96,16 +96,16 @@ class Evaluation:
             if settings.batched and is_blind(policy):
                 raise SettingsError(f"{source.name} uses no observations: it plays in single worlds only")
         self._out = None if settings.out is None else Path(settings.out)
-        recorded = {"policies": [source.describe() for source in listed], **settings.recorded()}
-        self.scores = [] if self._out is None else prepare(self._out, recorded, settings.resume)
+        self._recorded = {"policies": [source.describe() for source in listed], **settings.recorded()}
+        self.scores = [] if self._out is None else prepare(self._out, self._recorded, settings.resume)
         self._sources = [source.fixed() for source in listed]
         self.units = self._remaining()
 
     def play(self) -> Iterator[Score]:
         """Plays the remaining episodes and yields each score once it is in the file."""
         with ScoreFile(self._out) if self._out else nullcontext() as file:
-            if self._out and (self._out / SCORES).stat().st_size:
-                self.scores = read(self._out)  # to which another process may have added some by now
+            if self._out:
+                self.scores = begin(self._out, self._recorded)  # another process may have added some by now
             self.units = self._remaining()
             fine = {(score.policy, score.run) for score in self.scores}
             for found in _without_hopeless(self._play_units(), fine, self._first_episodes()):

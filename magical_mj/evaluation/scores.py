@@ -85,23 +85,39 @@ _TYPES: Final[dict[str, tuple[type, ...]]] = {
 }
 
 
+_BEGINNING: Final = b'{"policy": "'
+"""Of each line."""
+
+
 def parse(line: str) -> Score:
     """The episode in a line; raises a ValueError that says what is wrong with it."""
     try:
         entry = json.loads(line)
     except RecursionError:
         raise ValueError("lists in lists without end") from None
+    except json.JSONDecodeError as error:
+        if error.msg != "Extra data":
+            raise
+        raise ValueError("more than one episode; each must have a line of its own") from None
     if isinstance(entry, dict):
         entry.setdefault("scene", None)
         entry.setdefault("worlds", "single")
     if not isinstance(entry, dict) or entry.keys() != _TYPES.keys():
         raise ValueError(f"it must be an object with the keys {', '.join(_TYPES)}")
     for name, types in _TYPES.items():
-        if not isinstance(entry[name], types) or isinstance(entry[name], bool):
-            raise ValueError(f"{name} must not be {shown(entry[name])}")
+        value = entry[name]
+        if not isinstance(value, types) or isinstance(value, bool):
+            raise ValueError(f"{name} must not be {shown(value)}")
+        if isinstance(value, str) and not (_is_unicode(value) if name == "failure" else value.isprintable()):
+            raise ValueError(f"{name} must be a text of printable characters, not {shown(value)}")
     if not 0 <= entry["score"] <= 1:
         raise ValueError(f"the score {entry['score']} is not in [0, 1]")
     return Score(**entry)
+
+
+def _is_unicode(text: str) -> bool:
+    """Whether a text can be encoded; halves of characters, which JSON can name, cannot."""
+    return not any("\ud800" <= letter <= "\udfff" for letter in text)
 
 
 def read(folder: Path) -> list[Score]:
@@ -131,7 +147,7 @@ def read(folder: Path) -> list[Score]:
             score = parse(line)
         except ValueError as error:
             raise EvaluationError(
-                f"{path}, line {number}: {error}. Delete the line; evaluate --resume plays the episode again"
+                f"{path}, line {number}: {error}. Mend the line, or delete it: evaluate --resume plays what is missing"
             ) from error
         if score.key in seen:
             raise EvaluationError(f"{path}, line {number}: the same episode as line {seen[score.key]}; delete one")
@@ -143,16 +159,22 @@ def read(folder: Path) -> list[Score]:
 
 
 def _lines(path: Path) -> list[str]:
-    """All complete lines."""
-    raw = path.read_bytes()
-    *lines, rest = raw.split(b"\n")
-    if rest:
-        try:
-            parse(rest.decode())
-            lines.append(rest)  # only the line's end is missing
-        except ValueError:
-            pass
+    """All lines but a last one that is half written."""
+    *lines, last = path.read_bytes().split(b"\n")
+    if last and not _is_half(last):
+        lines.append(last)
     return [line.decode(errors="replace") for line in lines]
+
+
+def _is_half(last: bytes) -> bool:
+    """Whether these bytes after the last line's end are what a killed process leaves: the beginning of one episode."""
+    if not last.startswith(_BEGINNING[: len(last)]) or _BEGINNING in last[1:]:
+        return False
+    try:
+        json.JSONDecoder().raw_decode(last.decode(errors="ignore"))
+    except (ValueError, RecursionError):
+        return True
+    return False
 
 
 class ScoreFile:
@@ -179,6 +201,10 @@ class ScoreFile:
                 files.unlock(self._file)
                 self._file.close()
 
+    def clear(self) -> None:
+        """Removes all episodes."""
+        os.truncate(self._path, 0)
+
     def add(self, scores: Iterable[Score]) -> None:
         """Appends finished episodes in a single write."""
         if self._file is None:
@@ -191,18 +217,15 @@ class ScoreFile:
 
 
 def _repair(path: Path) -> None:
-    """Completes the last line if only its newline is missing, and removes it if a killed run left it half written."""
+    """Completes the last line if only its end is missing, and removes it if a killed run left it half written."""
     raw = path.read_bytes()
-    start = raw.rfind(b"\n") + 1
-    if start == len(raw):
-        return
-    try:
-        parse(raw[start:].decode())
-    except ValueError:
-        os.truncate(path, start)
-        return
-    with path.open("ab") as file:
-        file.write(b"\n")
+    last = raw[raw.rfind(b"\n") + 1 :]
+    if _is_half(last):
+        os.truncate(path, len(raw) - len(last))
+    elif last:
+        with suppress(ValueError), path.open("ab") as file:
+            parse(last.decode())  # what is wrong otherwise, reading tells
+            file.write(b"\n")
 
 
 def frame(scores: Sequence[Score]) -> Any:
@@ -214,25 +237,36 @@ def frame(scores: Sequence[Score]) -> Any:
 
 
 def prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[Score]:
-    """Makes the folder, or reads what is in it.
+    """Makes the folder, or reads what is in it. An evaluation without finished episodes is started anew.
 
     Raises:
         EvaluationError: if it cannot be written to, holds something else, or holds an evaluation and `resume` is false.
         SettingsError: if it was started with other settings.
     """
-    started = (folder / SETTINGS).exists() or (folder / SCORES).exists()
-    if started and not resume:
+    path = folder / SCORES
+    if path.exists() and path.stat().st_size and not resume:
         raise EvaluationError(f"{folder} holds an evaluation already; --resume continues it (resume=True)")
-    if not started:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            files.write(folder / SETTINGS, json.dumps(settings, indent=2) + "\n")
-        except OSError as error:
-            raise EvaluationError(f"cannot write into {folder}: {error.strerror}") from error
-        return []
-    check_unchanged(folder, read_settings(folder), settings)
-    with ScoreFile(folder):  # repairs the last line
-        return read(folder) if (folder / SCORES).stat().st_size else []
+    if (folder / SETTINGS).exists() and "policies" not in read_settings(folder):
+        raise EvaluationError(f"{folder / SETTINGS} is not of an evaluation; choose another folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with ScoreFile(folder):
+            return begin(folder, settings)
+    except OSError as error:
+        raise EvaluationError(f"cannot write into {folder}: {error.strerror}") from error
+
+
+def begin(folder: Path, settings: dict[str, Any]) -> list[Score]:
+    """The finished episodes in a folder whose `ScoreFile` is open; if there are none, its settings become these.
+
+    Raises:
+        EvaluationError, SettingsError: as `prepare`.
+    """
+    if (folder / SCORES).stat().st_size:
+        check_unchanged(folder, read_settings(folder), settings)
+        return read(folder)
+    files.write(folder / SETTINGS, json.dumps(settings, indent=2) + "\n", overwrite=True)
+    return []
 
 
 def read_settings(folder: Path) -> dict[str, Any]:

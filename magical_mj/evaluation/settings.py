@@ -30,7 +30,7 @@ UNOFFICIAL: Final = (
 
 MUJOCO_VERSION: Final = version("mujoco")
 """Read from its package's metadata: importing it may fail where there is no OpenGL, and takes a while."""
-MOST: Final = 1e9
+MOST: Final = 1_000_000
 """The greatest number that a setting may be: more episodes, workers or seconds than anybody waits for."""
 SHOWN: Final = 300
 """The number of characters of a setting that an error shows."""
@@ -137,7 +137,7 @@ def _fitting(name: str, value: Any, kind: Any, about: About) -> Any:
         if not value >= about.least:
             raise SettingsError(f"{name} must be at least {about.least}, not {shown(value)}")
         if value > MOST:
-            raise SettingsError(f"{name} must be at most {MOST:g}, not {shown(value)}")
+            raise SettingsError(f"{name} must be at most {MOST}, not {shown(value)}")
         value = float(value) if kind is float else int(value)
     elif kind == Names:
         value = list(value) if isinstance(value, Iterator) else value  # which is read more than once

@@ -15,7 +15,16 @@ import gymnasium
 from magical_mj._version import __version__
 from magical_mj.episodes import Episode, is_blind
 from magical_mj.evaluation.loading import Source
-from magical_mj.evaluation.playing import Act, Copies, Envs, Outcome, play, play_side_by_side, reason, world_for
+from magical_mj.evaluation.playing import (
+    Act,
+    Envs,
+    Outcome,
+    PolicyCopies,
+    environment_for,
+    play,
+    play_side_by_side,
+    reason,
+)
 from magical_mj.evaluation.policies import BatchPolicy
 from magical_mj.evaluation.scores import Key, Score
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
@@ -27,7 +36,7 @@ T = TypeVar("T")
 
 SEEDS_PER_UNIT: Final = 10
 """About the number of episodes in a unit: a few seconds, so that killed runs lose little, and units cost little."""
-ENVIRONMENTS: Final = ("world", "vector")
+ENVIRONMENTS: Final = ("environment", "vector")
 """What a player keeps and must close."""
 
 
@@ -136,13 +145,13 @@ class Player:
 
     def _single(self, unit: Unit, episode: Episode) -> Outcome:
         policy, settings = self._policy_of(unit), unit.settings
-        make = functools.partial(world_for, policy, unit.task, unit.variant, settings.preset, settings.rules)
-        world = None if settings.batched else self._keep("world", _world_key(unit, policy), make)
+        make = functools.partial(environment_for, policy, unit.task, unit.variant, settings.preset, settings.rules)
+        env = None if settings.batched else self._keep("environment", _env_key(unit, policy), make)
 
         def playing() -> Outcome:
-            if world is None:
+            if env is None:
                 return play_side_by_side(*self._vector(unit, policy), [episode])[0]
-            return play(world, policy, episode)
+            return play(env, policy, episode)
 
         try:
             return self._caller.call(playing, settings.time_limit)
@@ -155,11 +164,11 @@ class Player:
 
     def _vector(self, unit: Unit, policy: Act) -> tuple[Envs, BatchPolicy]:
         names = ("envs", "vectorization", "worlds", "device")
-        key = (*_world_key(unit, policy), *(getattr(unit.settings, name) for name in names))
+        key = (*_env_key(unit, policy), *(getattr(unit.settings, name) for name in names))
         envs = self._keep("vector", key, lambda: _vector_env(unit))
         if isinstance(policy, BatchPolicy):
             return envs, policy
-        return envs, self._keep("copies", (key, _policy_key(unit)), lambda: Copies(policy, envs))
+        return envs, self._keep("copies", (key, _policy_key(unit)), lambda: PolicyCopies(policy, envs))
 
     def _keep(self, what: str, key: Any, make: Callable[[], T]) -> T:
         """The object made for this key; one that was kept for another key is replaced."""
@@ -186,7 +195,7 @@ def _policy_key(unit: Unit) -> tuple[str, int]:
     return unit.source.name, unit.source.run
 
 
-def _world_key(unit: Unit, policy: Act) -> tuple[Any, ...]:
+def _env_key(unit: Unit, policy: Act) -> tuple[Any, ...]:
     return unit.task, unit.variant, unit.settings.rules, None if is_blind(policy) else unit.settings.preset
 
 

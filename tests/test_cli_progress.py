@@ -1,0 +1,38 @@
+"""Progress where the output is a file or a pipe: plain lines, about one a minute."""
+
+from __future__ import annotations
+
+import io
+
+from rich.console import Console
+from rich.progress import MofNCompleteColumn
+
+from magical_mj.cli.progress import Bars
+
+
+def shown(total: int | None, terminal: bool) -> list[str]:
+    """The lines that are printed while 20 results arrive, one every seven seconds."""
+    seconds, written = 0.0, io.StringIO()
+    screen = Console(file=written, force_terminal=terminal)
+    with Bars(screen, MofNCompleteColumn(), auto_refresh=False, transient=True, get_time=lambda: seconds) as progress:
+        bar = progress.add_task("[files]", total=total)
+        for _ in range(20):
+            seconds += 7
+            progress.update(bar, advance=1)
+    return [line for line in written.getvalue().splitlines() if line.startswith("[files]")]
+
+
+def test_a_line_after_some_seconds_then_one_a_minute() -> None:
+    assert shown(20, terminal=False) == [
+        "[files]  2/20 0:02:06 left",  # after 14 s
+        "[files] 11/20 0:01:03 left",  # after 77 s
+        "[files] 20/20 0:00:00 left",  # after 140 s
+    ]
+
+
+def test_the_amount_may_be_unknown() -> None:
+    assert shown(None, terminal=False)[0] == "[files] 2/?"
+
+
+def test_terminals_show_the_bar_alone() -> None:
+    assert shown(20, terminal=True) == []
