@@ -87,7 +87,7 @@ def is_unfinished(path: Path) -> bool:
 
 
 @contextmanager
-def turn(folder: Path, *, wait: bool = True) -> Iterator[None]:
+def exclusive(folder: Path, *, wait: bool = True) -> Iterator[None]:
     """A context that one process at a time enters for a folder, which must exist. Not on Windows.
 
     Args:

@@ -36,7 +36,7 @@ def demo(out: Out = Path("out/demo"), tasks: Tasks = "all", episodes: Episodes =
     settings = EvaluationSettings(tasks=tasks, episodes=episodes, jobs=jobs, out=out)
     with ExitStack() as stack:
         try:
-            stack.enter_context(files.turn(claim_folder(out), wait=False))
+            stack.enter_context(files.exclusive(claim_folder(out), wait=False))
         except BlockingIOError as error:
             raise EvaluationError(
                 f"another demo is running in {out}; wait for it, or give another folder by --out"

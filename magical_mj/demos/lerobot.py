@@ -96,7 +96,7 @@ def to_lerobot(
     features = _features(keys, fingers=fingers, video=video)
     beside = folder.with_name(f".{folder.name}.part")  # half a data set reads like a whole one
     folder.parent.mkdir(parents=True, exist_ok=True)
-    with files.turn(folder.parent):
+    with files.exclusive(folder.parent):
         if folder.exists():
             raise DemonstrationError(f"{folder} exists already; give a new folder")
         shutil.rmtree(beside, ignore_errors=True)  # what an export left that was killed

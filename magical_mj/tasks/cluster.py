@@ -25,7 +25,7 @@ from magical_mj.constants import COLOURS, SHAPES
 from magical_mj.planning import Noise, Subgoal, each_to
 from magical_mj.planning.arrangements import cluster_targets
 from magical_mj.scene import Block, Scene
-from magical_mj.tasks.rules import coloured, pick_each, require, require_regions, shaped, shuffled, whole
+from magical_mj.tasks.rules import coloured, pick_each, require, require_regions, shaped, shuffled, uniform_integer
 from magical_mj.tasks.spec import Rules
 
 Attribute = Literal["colour", "shape"]
@@ -55,7 +55,7 @@ def shape(rng: np.random.Generator, scene: Scene) -> Scene:
 
 def count(rng: np.random.Generator, scene: Scene) -> Scene:
     """7 to 10 blocks: the demo's without the last, or with some of them twice."""
-    return replace(scene, blocks=(scene.blocks * 2)[: whole(rng, MIN_BLOCKS, MAX_BLOCKS)])
+    return replace(scene, blocks=(scene.blocks * 2)[: uniform_integer(rng, MIN_BLOCKS, MAX_BLOCKS)])
 
 
 def check(scene: Scene, attribute: Attribute, task: str) -> None:

@@ -31,7 +31,7 @@ from magical_mj.constants import COLOURS, REGION_SIZE, SHAPES
 from magical_mj.planning import Noise, Subgoal, bring, places_inside, places_outside
 from magical_mj.planning.subgoals import CHOICE
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
-from magical_mj.tasks.rules import coloured, inside, pick, pick_each, require, require_regions, shaped, whole
+from magical_mj.tasks.rules import coloured, inside, pick, pick_each, require, require_regions, shaped, uniform_integer
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(  # five distractors, then the duplicate, then the query; the rules keep this order
@@ -65,7 +65,7 @@ def shape(rng: np.random.Generator, scene: Scene) -> Scene:
 def count(rng: np.random.Generator, scene: Scene) -> Scene:
     """1 to 5 distractors."""
     *distractors, duplicate, query = scene.blocks
-    return replace(scene, blocks=(*distractors[: whole(rng, 1, len(distractors))], duplicate, query))
+    return replace(scene, blocks=(*distractors[: uniform_integer(rng, 1, len(distractors))], duplicate, query))
 
 
 def _alike(scene: Scene, query: int) -> set[int]:

@@ -28,7 +28,7 @@ import numpy as np
 from magical_mj.constants import COLOURS, FIX_COLOUR_REGION_SIZE
 from magical_mj.planning import Noise, Subgoal, bring, done, places_inside, places_outside
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
-from magical_mj.tasks.rules import any_shapes, coloured, inside, pick, pick_each, require, whole
+from magical_mj.tasks.rules import any_shapes, coloured, inside, pick, pick_each, require, uniform_integer
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(  # block i belongs in region i; the third is mismatched
@@ -50,14 +50,14 @@ def colour(rng: np.random.Generator, scene: Scene) -> Scene:
     """Independent uniform region colours; one block, uniformly chosen, gets one of the three wrong ones."""
     colours = pick_each(rng, COLOURS, len(scene.regions))
     regions = tuple(replace(region, colour=new) for region, new in zip(scene.regions, colours, strict=True))
-    odd = whole(rng, 0, len(colours) - 1)
+    odd = uniform_integer(rng, 0, len(colours) - 1)
     colours[odd] = pick(rng, [other for other in COLOURS if other != colours[odd]])
     return coloured(replace(scene, regions=regions), colours)
 
 
 def count(rng: np.random.Generator, scene: Scene) -> Scene:
     """2 or 3 regions with their blocks; the mismatched one is last in the demo and so always kept."""
-    number = whole(rng, 2, len(scene.regions))
+    number = uniform_integer(rng, 2, len(scene.regions))
     return replace(scene, blocks=scene.blocks[-number:], regions=scene.regions[-number:])
 
 

@@ -29,7 +29,7 @@ import numpy as np
 from magical_mj.planning import Noise, Subgoal, each_to
 from magical_mj.planning.arrangements import line_targets
 from magical_mj.scene import Block, Robot, Scene
-from magical_mj.tasks.rules import any_colours, any_shapes, require, require_regions, whole
+from magical_mj.tasks.rules import any_colours, any_shapes, require, require_regions, uniform_integer
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(
@@ -49,7 +49,7 @@ MIN_BLOCKS: Final = 3
 
 def count(rng: np.random.Generator, scene: Scene) -> Scene:
     """3 or 4 blocks."""
-    return replace(scene, blocks=scene.blocks[: whole(rng, MIN_BLOCKS, len(scene.blocks))])
+    return replace(scene, blocks=scene.blocks[: uniform_integer(rng, MIN_BLOCKS, len(scene.blocks))])
 
 
 def check(scene: Scene) -> None:

@@ -26,7 +26,7 @@ import numpy as np
 from magical_mj.constants import COLOURS, REGION_SIZE, Colour
 from magical_mj.planning import Noise, Subgoal, bring, done, places_inside, places_outside
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
-from magical_mj.tasks.rules import any_shapes, coloured, inside, pick, require, require_regions, whole
+from magical_mj.tasks.rules import any_shapes, coloured, inside, pick, require, require_regions, uniform_integer
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(
@@ -63,9 +63,9 @@ def colour(rng: np.random.Generator, scene: Scene) -> Scene:
 def count(rng: np.random.Generator, scene: Scene) -> Scene:
     """1 or 2 targets, then 0 to 2 distractors of each other colour; targets first, as in the demo."""
     target = scene.regions[0].colour
-    numbers: dict[Colour, int] = {target: whole(rng, 1, MAX_TARGETS)}
+    numbers: dict[Colour, int] = {target: uniform_integer(rng, 1, MAX_TARGETS)}
     for other in _others(target):
-        numbers[other] = whole(rng, 0, MAX_DISTRACTORS)
+        numbers[other] = uniform_integer(rng, 0, MAX_DISTRACTORS)
     colours: list[Colour] = [colour for colour, number in numbers.items() for _ in range(number)]
     models = [scene.blocks[index % len(scene.blocks)] for index in range(len(colours))]
     return coloured(replace(scene, blocks=tuple(models)), colours)

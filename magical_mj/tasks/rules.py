@@ -15,7 +15,7 @@ from magical_mj.scene import Block, GoalRegion, Scene
 _T = TypeVar("_T")
 
 
-def whole(rng: np.random.Generator, low: int, high: int) -> int:
+def uniform_integer(rng: np.random.Generator, low: int, high: int) -> int:
     """A uniform integer from `low` to `high`, both included.
 
     It uses `Generator.random` only: the scenes of a seed must stay the same for years, and numpy may change
@@ -26,7 +26,7 @@ def whole(rng: np.random.Generator, low: int, high: int) -> int:
 
 def pick(rng: np.random.Generator, options: Sequence[_T]) -> _T:
     """One of the options, all equally likely."""
-    return options[whole(rng, 0, len(options) - 1)]
+    return options[uniform_integer(rng, 0, len(options) - 1)]
 
 
 def pick_each(rng: np.random.Generator, options: Sequence[_T], number: int) -> list[_T]:
