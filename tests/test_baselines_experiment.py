@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import Progress as Bars
 
 import magical_mj
-from magical_mj.baselines import Progress, commands, conduct, runs
+from magical_mj.baselines import Progress, conduct, runs, watching
 from magical_mj.baselines.experiment import agreement
 from magical_mj.baselines.policy import POLICY
 from magical_mj.cli.app import run
@@ -194,9 +194,9 @@ def test_the_packages_experiments_can_be_run(file: Path, tmp_path: Path) -> None
 def test_the_line_of_each_minute_counts_any_number_of_updates(
     updates: int, left: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(commands, "MINUTE", 0)
+    monkeypatch.setattr(watching, "MINUTE", 0)
     screen = Console(file=StringIO())
-    watch = commands.Watch(screen, Bars(console=screen), "bc")
+    watch = watching.Watch(screen, Bars(console=screen), "bc")
     for update in (1, 2):
         watch(Progress(update, updates, {}, {}))
     assert f"2/{updates} updates" in screen.file.getvalue()
