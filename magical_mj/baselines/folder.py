@@ -78,7 +78,7 @@ def check(folder: Path, settings: TrainingSettings, resume: bool) -> None:
     if policies and not (folder / CHECKPOINT).exists():
         raise TrainingError(
             f"{folder} holds a policy ({policies[0]}), and {CHECKPOINT} is missing, from which its training would go "
-            f"on: put it back; or delete {policies[0]} and {METRICS}, and the training begins again"
+            f"on: put it back; or delete {policies[0]} and {METRICS}, and the training begins anew"
         )
 
 
@@ -105,8 +105,8 @@ def last_checkpoint(folder: Path, settings: TrainingSettings) -> Checkpoint | No
         raise misfit(folder, settings, error) from error
     if others:
         raise TrainingError(
-            f"{path} is of another training, whose {others[0]} is {shown(before[others[0]])}: put back the one of this "
-            "training, or train anew in another folder"
+            f"{path} is of another training ({others[0]}: {shown(before[others[0]])}): put back this training's own, "
+            "or train anew in another folder"
         )
     return found
 
@@ -133,8 +133,8 @@ def kept_policy(folder: Path, settings: TrainingSettings) -> Any:
         found = getattr(policy, name, ours)
         if found != ours:
             raise TrainingError(
-                f"the policy in {folder} is of another training, whose {name} is {shown(found)}, and here it is "
-                f"{shown(ours)}: delete it, and --resume writes this training's again"
+                f"the policy in {folder} is of another training ({name}: {shown(found)}, and here {shown(ours)}): "
+                "move it away, and --resume writes this training's own again"
             )
     return policy
 

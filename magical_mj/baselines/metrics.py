@@ -131,8 +131,8 @@ def read_metrics(folder: Path) -> list[dict[str, str]]:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
-            rows = list(reader)
-        if list(reader.fieldnames or [])[:2] != FIRST:
+            rows, columns = list(reader), list(reader.fieldnames or [])
+        if columns[:2] != FIRST:
             raise ValueError(f"its first columns are not {' and '.join(FIRST)}, as a training writes them")
         for row in rows:
             if None in row or None in row.values():  # which stands for fields without a column, or the reverse
@@ -142,6 +142,6 @@ def read_metrics(folder: Path) -> list[dict[str, str]]:
         return []
     except (csv.Error, KeyError, ValueError) as error:
         raise TrainingError(
-            f"{path} is damaged: {error}; delete it, and the training continues without the rows so far"
+            f"{path} is damaged: {error}; delete it or move it away, and the training continues without the rows so far"
         ) from error
     return rows
