@@ -189,12 +189,12 @@ def test_an_experiment_tells_how_far_its_runs_are(
     """Where there is no terminal, also of runs in other processes, and of evaluations."""
     monkeypatch.setattr(watching, "MINUTE", 0.02)
     file = tmp_path / "e.toml"
-    file.write_text(EXPERIMENT.replace("episodes = 2", "episodes = 5").replace('"FixColour"', ""))
+    file.write_text(EXPERIMENT.replace("seeds = [0, 1]", "seeds = [0]").replace(', "FixColour"', ""))
     assert run(["experiment", str(file), "--out", str(tmp_path / "out"), "--jobs", jobs]) == 0
     printed = capfd.readouterr().out
-    assert re.search(r"0 of 2 runs are finished; .*bc-MoveToRegion-\d: [1-4] of 5 episodes evaluated", printed)
+    assert re.search(r"0 of 1 runs are finished; bc-MoveToRegion-0: [01] of 2 episodes evaluated", printed)
     if jobs == "2":
-        assert re.search(r"0 of 2 runs are finished; .*bc-MoveToRegion-\d: [0-4] updates", printed)
+        assert re.search(r"0 of 1 runs are finished; bc-MoveToRegion-0: [0-4] updates", printed)
 
 
 def test_an_experiment_that_is_stopped_says_how_to_continue(tmp_path: Path) -> None:
