@@ -5,15 +5,19 @@ from __future__ import annotations
 import errno
 import os
 import platform
+import re
 import threading
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Final
 
 from magical_mj.errors import SettingsError
+
+_UNFINISHED: Final = re.compile(r"\..+-\d+-\d+\.part(\.[^.]*)?")
+"""The names of the temporary files of `new_file`."""
 
 
 def write(path: Path | str, data: str | bytes, *, overwrite: bool = False) -> None:
@@ -83,7 +87,12 @@ def unlock(file: IO[Any]) -> None:
 
 def is_unfinished(path: Path) -> bool:
     """Whether this is a temporary file of `new_file`, which a process that was killed may have left."""
-    return path.match(".*.part*")
+    return _UNFINISHED.fullmatch(path.name) is not None
+
+
+def is_empty(folder: Path) -> bool:
+    """Whether there is nothing in a folder but unfinished files, which a process that was killed has left."""
+    return all(map(is_unfinished, folder.iterdir()))
 
 
 @contextmanager

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from magical_mj.baselines import Progress, TrainingSettings, checkpoint, load_settings, train
+from magical_mj.baselines.folder import CHECKPOINT
 from magical_mj.baselines.policy import POLICY
-from magical_mj.baselines.run import CHECKPOINT
 
 TINY = {
     "network.first_stride": 4,

@@ -30,7 +30,7 @@ def test_gails_reward_is_minus_log_d() -> None:
     learner = GAIL(playing())
     samples = torch.rand(3, 12, 96, 96), torch.tensor([1, 2, 3]), torch.zeros(3, dtype=torch.int64)
     with torch.no_grad():
-        torch.testing.assert_close(learner.reward(*samples), -learner._judge(*samples).sigmoid().log())
+        torch.testing.assert_close(learner.reward(*samples), -learner._discriminator(*samples).sigmoid().log())
     learner.close()
 
 
@@ -40,11 +40,11 @@ def test_the_gradient_penalty_by_hand() -> None:
     weights[0, 0, 0], weights[11, 3, 2] = 9.0, 12.0
     factors = torch.tensor([1.0, 0.1])
 
-    def judge(stacks: torch.Tensor, actions: torch.Tensor, tasks: torch.Tensor) -> torch.Tensor:
+    def discriminator(stacks: torch.Tensor, actions: torch.Tensor, tasks: torch.Tensor) -> torch.Tensor:
         return factors[actions] * (stacks * weights).sum((1, 2, 3))
 
     actions = torch.tensor([0, 1, 1, 0])
-    penalty = gradient_penalty(judge, torch.rand(4, 12, 4, 4), actions, torch.zeros(4))
+    penalty = gradient_penalty(discriminator, torch.rand(4, 12, 4, 4), actions, torch.zeros(4))
     assert penalty.item() == pytest.approx(((15 - 1) ** 2 + (1.5 - 1) ** 2) / 2)
 
 
@@ -60,28 +60,28 @@ def test_the_gradient_penalty_trains_the_discriminator() -> None:
 
 def test_each_samples_gradient_is_its_own() -> None:
     """The penalty of a batch is the mean of the penalties of its samples alone, in spite of batch norm."""
-    judge = Discriminator(playing().network, 2)
+    discriminator = Discriminator(playing().network, 2)
     generator = torch.Generator().manual_seed(0)
     stacks = torch.rand(4, 12, 96, 96, generator=generator)
     actions, tasks = torch.tensor([0, 5, 9, 17]), torch.tensor([0, 1, 0, 1])
-    judge.train()(stacks, actions, tasks)  # running statistics that are not the initial ones
-    judge.eval()
-    alone = [gradient_penalty(judge, *(part[[n]] for part in (stacks, actions, tasks))) for n in range(4)]
-    torch.testing.assert_close(gradient_penalty(judge, stacks, actions, tasks), torch.stack(alone).mean())
+    discriminator.train()(stacks, actions, tasks)  # running statistics that are not the initial ones
+    discriminator.eval()
+    alone = [gradient_penalty(discriminator, *(part[[n]] for part in (stacks, actions, tasks))) for n in range(4)]
+    torch.testing.assert_close(gradient_penalty(discriminator, stacks, actions, tasks), torch.stack(alone).mean())
 
 
 def test_wgails_loss_by_hand() -> None:
     """100 x penalty + E_demonstrations D - E_policy D, and the reward is -D."""
     learner = WGAILGP(playing(**{"discriminator.gradient_penalty": 7}))
     with torch.no_grad():
-        for weights in learner._judge.parameters():
+        for weights in learner._discriminator.parameters():
             weights.zero_()
-        learner._judge.head.weight.zero_()
-        learner._judge.head.bias.fill_(2.5)
+        learner._discriminator.head.weight.zero_()
+        learner._discriminator.head.bias.fill_(2.5)
     samples = torch.rand(4, 12, 96, 96), torch.tensor([0, 1, 2, 3]), torch.zeros(4, dtype=torch.int64)
-    loss, figures = learner.loss(samples)
+    loss, metrics = learner.loss(samples)
     assert loss.item() == pytest.approx(7)  # D is 2.5 everywhere, and its gradient 0
-    assert figures == {"distance": 0.0, "penalty": pytest.approx(1.0)}
+    assert metrics == {"distance": 0.0, "penalty": pytest.approx(1.0)}
     torch.testing.assert_close(learner.reward(*samples), torch.full((4,), -2.5))
     learner.close()
 
@@ -90,22 +90,22 @@ def test_wgails_sides() -> None:
     """The first half is the policy's: D rises there and falls for the demonstrator's."""
     learner = WGAILGP(playing(**{"discriminator.gradient_penalty": 0}))
     samples = torch.rand(4, 12, 96, 96), torch.tensor([0, 1, 2, 3]), torch.zeros(4, dtype=torch.int64)
-    values = learner._judge.train()(*samples).detach()
-    loss, figures = learner.loss(samples)
+    values = learner._discriminator.train()(*samples).detach()
+    loss, metrics = learner.loss(samples)
     assert loss.item() == pytest.approx((values[2:].mean() - values[:2].mean()).item(), abs=1e-6)
-    assert figures["distance"] == pytest.approx(-loss.item())
+    assert metrics["distance"] == pytest.approx(-loss.item())
     learner.close()
 
 
 def test_the_discriminators_heads_touch_only_their_task() -> None:
-    judge = Discriminator(playing().network, 3)
-    logits = judge(torch.rand(4, 12, 96, 96), torch.tensor([0, 1, 2, 3]), torch.tensor([1, 1, 1, 1]))
+    discriminator = Discriminator(playing().network, 3)
+    logits = discriminator(torch.rand(4, 12, 96, 96), torch.tensor([0, 1, 2, 3]), torch.tensor([1, 1, 1, 1]))
     gail_loss(*logits.chunk(2)).backward()
-    gradient = judge.head.weight.grad
+    gradient = discriminator.head.weight.grad
     assert gradient is not None
     assert gradient[1].any()
     assert not gradient[[0, 2]].any()
-    assert judge.torso.linear[0].weight.grad[:, -18:].any()  # the actions are seen
+    assert discriminator.torso.linear[0].weight.grad[:, -18:].any()  # the actions are seen
 
 
 def test_the_weight_vector_is_the_best_of_the_unit_ball() -> None:
@@ -121,50 +121,53 @@ def test_al_weighs_the_features_of_both_sides() -> None:
     learner = Apprenticeship(playing(tasks="MoveToRegion,FixColour", **{"features.samples": 40}))
     first, second = learner._ppo.collect(), learner._ppo.collect()
     learner.study(first)
-    figures = learner.study(second)
+    metrics = learner.study(second)
     everything = learner._expert.rows([torch.arange(size) for size in learner._expert.sizes])
-    expert = learner._coder.features(*learner.on_device(everything)[:2])
+    expert = learner._autoencoder.features(*learner.on_device(everything)[:2])
     novice = [
-        learner._coder.features(*learner.on_device(part)[:2]) for part in (*first.batches(16), *second.batches(16))
+        learner._autoencoder.features(*learner.on_device(part)[:2])
+        for part in (*first.batches(16), *second.batches(16))
     ]
     novice = torch.cat(novice).reshape(8, 2, 2, -1)  # steps, tasks, copies of each
     assert [len(one) for one in learner._latest] == [16, 16]  # of the 20 that are asked for
     for task in (0, 1):
         mean = expert[everything.tasks == task].mean(0) - novice[:, task].flatten(0, 1).mean(0)
         torch.testing.assert_close(learner._weights[task], mean / mean.norm(), rtol=1e-3, atol=1e-5)
-    assert figures["distance"] > 0
+    assert metrics["distance"] > 0
     third = learner._ppo.collect()
     learner.study(third)
     assert learner._latest.shape[1] == 20
     stacks, actions, tasks = learner.on_device(next(third.batches(16)))
-    expected = torch.einsum("nf,nf->n", learner._coder.features(stacks, actions), learner._weights[[0, 0, 1, 1] * 4])
+    expected = torch.einsum(
+        "nf,nf->n", learner._autoencoder.features(stacks, actions), learner._weights[[0, 0, 1, 1] * 4]
+    )
     torch.testing.assert_close(learner.reward(stacks, actions, tasks), expected)
     learner.close()
 
 
 @pytest.mark.parametrize("network", [Network(), playing().network], ids=["paper", "small"])
 def test_the_autoencoder_is_its_own_mirror(network: Network) -> None:
-    coder = Autoencoder(network, 32)
+    autoencoder = Autoencoder(network, 32)
     stacks, actions = torch.rand(2, 12, 96, 96), torch.tensor([0, 17])
-    assert coder.encoder(stacks, actions).shape == (2, 32)
-    assert coder(stacks, actions).shape == stacks.shape
-    inwards = [layer.weight.shape for layer in coder.encoder.convolutions if isinstance(layer, torch.nn.Conv2d)]
-    outwards = [layer.weight.shape for layer in coder.decoder if isinstance(layer, torch.nn.ConvTranspose2d)]
+    assert autoencoder.encoder(stacks, actions).shape == (2, 32)
+    assert autoencoder(stacks, actions).shape == stacks.shape
+    inwards = [layer.weight.shape for layer in autoencoder.encoder.convolutions if isinstance(layer, torch.nn.Conv2d)]
+    outwards = [layer.weight.shape for layer in autoencoder.decoder if isinstance(layer, torch.nn.ConvTranspose2d)]
     assert inwards == outwards[::-1]  # a transposed convolution's weights are those of the convolution it mirrors
 
 
 def test_features_that_are_always_0_are_drawn_anew() -> None:
-    coder = Autoencoder(playing().network, 6)
-    weight, bias = coder.encoder.linear[2].parameters()
+    autoencoder = Autoencoder(playing().network, 6)
+    weight, bias = autoencoder.encoder.linear[2].parameters()
     with torch.no_grad():
         bias.fill_(1.0)
         weight.abs_()
         bias[[1, 4]] = -1e3
     samples = torch.rand(5, 12, 96, 96), torch.tensor([0, 3, 3, 8, 17])
-    before = coder.features(*samples)
+    before = autoencoder.features(*samples)
     assert (before <= 0).all(0).tolist() == [False, True, False, False, True, False]
-    assert coder.restart(before) == 2
-    after = coder.features(*samples)
+    assert autoencoder.restart(before) == 2
+    after = autoencoder.features(*samples)
     assert (after > 0).any(0).all()
     torch.testing.assert_close(after[:, [0, 2, 3, 5]], before[:, [0, 2, 3, 5]])
 
@@ -177,9 +180,9 @@ def test_the_autoencoder_learns_and_then_stays() -> None:
     losses = [learner.update()["reconstruction"] for _ in range(30)]
     assert losses[-1] < losses[0] / 2
     assert all(map(torch.equal, policy, learner.actor.parameters()))
-    coder = {name: value.clone() for name, value in learner._coder.state_dict().items()}
+    coder = {name: value.clone() for name, value in learner._autoencoder.state_dict().items()}
     assert learner.update()["reconstruction"] == losses[-1]
-    assert all(torch.equal(coder[name], value) for name, value in learner._coder.state_dict().items())
+    assert all(torch.equal(coder[name], value) for name, value in learner._autoencoder.state_dict().items())
     assert not all(map(torch.equal, policy, learner.actor.parameters()))
     learner.close()
 
@@ -196,7 +199,7 @@ def test_batches_are_half_and_half() -> None:
 
     def loss(samples: tuple[torch.Tensor, ...]) -> tuple[torch.Tensor, dict[str, float]]:
         seen.append(samples[2].tolist())
-        return learner._judge(*samples).sum(), {}
+        return learner._discriminator(*samples).sum(), {}
 
     learner.loss = loss
     learner.study(learner._ppo.collect())
@@ -230,7 +233,7 @@ def test_rewards_are_of_unaugmented_pictures_by_running_statistics() -> None:
     stacks, actions, tasks = learner.on_device(next(rollout.batches(16)))
     with torch.no_grad():
         whole = learner.reward(stacks, actions, tasks)
-        assert not learner._judge.training
+        assert not learner._discriminator.training
         alone = learner.reward(stacks[3:4], actions[3:4], tasks[3:4])
     torch.testing.assert_close(whole[3:4], alone)
     learner.close()
@@ -269,9 +272,9 @@ def test_what_is_resumed_ends_as_what_was_not_broken(method: str, changes: dict[
     resumed = make()
     resumed.restore(checkpoint.read(tmp_path / "kept.safetensors"))
     for _ in range(2):
-        figures = whole.update()
-        assert figures == resumed.update()
-        assert all(map(math.isfinite, figures.values()))
+        metrics = whole.update()
+        assert metrics == resumed.update()
+        assert all(map(math.isfinite, metrics.values()))
     assert torch.equal(weights(whole), weights(resumed))
     checkpoint.write(tmp_path / "whole.safetensors", whole.state())
     checkpoint.write(tmp_path / "resumed.safetensors", resumed.state())
@@ -281,10 +284,10 @@ def test_what_is_resumed_ends_as_what_was_not_broken(method: str, changes: dict[
 
 
 @pytest.mark.parametrize("method", PLAYERS)
-def test_figures_have_the_same_names_and_are_numbers(method: str) -> None:
+def test_metrics_have_the_same_names_and_are_numbers(method: str) -> None:
     learner = METHODS[method](playing(method, tasks="MoveToRegion,FixColour"))
-    figures = [learner.update() for _ in range(learner.updates)]
-    assert len({tuple(one) for one in figures}) == 1
-    assert all(isinstance(value, float) and math.isfinite(value) for one in figures for value in one.values())
-    assert {"score", "reward", "entropy", "kl"} <= set(figures[0])
+    metrics = [learner.update() for _ in range(learner.updates)]
+    assert len({tuple(one) for one in metrics}) == 1
+    assert all(isinstance(value, float) and math.isfinite(value) for one in metrics for value in one.values())
+    assert {"score", "reward", "entropy", "kl"} <= set(metrics[0])
     learner.close()

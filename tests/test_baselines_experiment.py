@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
+import signal
 import subprocess
 import sys
+import time
 from io import StringIO
 from pathlib import Path
 
@@ -14,11 +17,11 @@ from rich.console import Console
 from rich.progress import Progress as Bars
 
 import magical_mj
-from magical_mj.baselines import Progress, commands, conduct, runs
+from magical_mj.baselines import Progress, conduct, runs, watching
 from magical_mj.baselines.experiment import agreement
 from magical_mj.baselines.policy import POLICY
 from magical_mj.cli.app import run
-from magical_mj.errors import SettingsError, UnknownNameError
+from magical_mj.errors import MagicalError, SettingsError, UnknownNameError
 from magical_mj.evaluation.results import published_results
 from magical_mj.files import read_toml
 
@@ -133,6 +136,7 @@ def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
         ('"Demo"', '"Demos"', "Demo"),
         ("episodes = 2", "runs = 2", "episodes"),
         ("episodes = 2", 'episodes = "x"', "episodes = 'x'; it must look like: episodes = 100"),
+        ("episodes = 2", "episodes = 1_000_000_000", "at most 1000000"),
         ("episodes = 2", "episodes = 0", "episodes must be at least 1"),
         ("seeds = [0, 1]", "seeds = 3", "seeds = 3; it must look like"),
         ("seeds = [0, 1]", 'seeds = ["x"]', "seed must be a number"),
@@ -154,6 +158,58 @@ def test_wrong_experiments_are_refused(old: str, new: str, says: str, tmp_path: 
         runs(file, tmp_path / "out")
     with pytest.raises(SettingsError, match="cannot be read"):
         runs(tmp_path / "none.toml", tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({'["bc"]': '["bc", "goals"]'}, "goals are inferred from states"),
+        ({"demonstrations = 2": "demonstrations = 26"}, "there are 25"),
+        ({"evaluations = 0": 'evaluations = 0\ndevice = "abacus"'}, "no device 'abacus' here"),
+        ({}, "report.md is not of an earlier report"),
+    ],
+)
+def test_what_cannot_be_is_told_before_the_first_run(change: dict[str, str], says: str, tmp_path: Path) -> None:
+    text, out = EXPERIMENT, tmp_path / "out"
+    for old, new in change.items():
+        text = text.replace(old, new)
+    (tmp_path / "e.toml").write_text(text)
+    if not change:
+        (out / "report").mkdir(parents=True)
+        (out / "report" / "report.md").write_text("mine")
+    with pytest.raises(MagicalError, match=says):
+        next(conduct(runs(tmp_path / "e.toml", out), out))
+    assert not (out / "runs").exists()
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_an_experiment_tells_how_far_its_runs_are(
+    jobs: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Where there is no terminal, also of runs in other processes, and of evaluations."""
+    monkeypatch.setattr(watching, "MINUTE", 0.02)
+    file = tmp_path / "e.toml"
+    file.write_text(EXPERIMENT.replace("seeds = [0, 1]", "seeds = [0]").replace(', "FixColour"', ""))
+    assert run(["experiment", str(file), "--out", str(tmp_path / "out"), "--jobs", jobs]) == 0
+    printed = capfd.readouterr().out
+    assert re.search(r"0 of 1 runs are finished; bc-MoveToRegion-0: [01] of 2 episodes evaluated", printed)
+    if jobs == "2":
+        assert re.search(r"0 of 1 runs are finished; bc-MoveToRegion-0: [0-4] updates", printed)
+
+
+def test_an_experiment_that_is_stopped_says_how_to_continue(tmp_path: Path) -> None:
+    (tmp_path / "e.toml").write_text(EXPERIMENT.replace("bc.batches = 4", "bc.batches = 4000"))
+    out = tmp_path / "out"
+    deaf = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # background shells ignore it
+    program = f"{deaf}; import sys; from magical_mj.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", program, "experiment", str(tmp_path / "e.toml"), "--out", str(out)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    while not (out / "runs" / "bc-MoveToRegion-0" / "metrics.csv").exists():
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    assert "stopped; the same command continues" in process.communicate()[0]
+    assert process.returncode == 130
 
 
 def test_the_order_of_environments_is_compared_with_the_papers(tmp_path: Path) -> None:
@@ -194,9 +250,9 @@ def test_the_packages_experiments_can_be_run(file: Path, tmp_path: Path) -> None
 def test_the_line_of_each_minute_counts_any_number_of_updates(
     updates: int, left: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(commands, "MINUTE", 0)
+    monkeypatch.setattr(watching, "MINUTE", 0)
     screen = Console(file=StringIO())
-    watch = commands.Watch(screen, Bars(console=screen), "bc")
+    watch = watching.Watch(screen, Bars(console=screen), "bc")
     for update in (1, 2):
         watch(Progress(update, updates, {}, {}))
     assert f"2/{updates} updates" in screen.file.getvalue()

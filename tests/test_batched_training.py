@@ -17,7 +17,7 @@ from magical_mj import MagicalEnv, batched
 from magical_mj.baselines import TrainingSettings, checkpoint, load_policy, train
 from magical_mj.baselines.copies import SEEN, TASK
 from magical_mj.baselines.environments import Environments
-from magical_mj.baselines.run import CHECKPOINT
+from magical_mj.baselines.folder import CHECKPOINT
 from magical_mj.baselines.states import HISTORY
 from magical_mj.cli.app import app
 from magical_mj.errors import MissingExtraError, SettingsError

@@ -6,6 +6,7 @@ import base64
 import json
 import pickle
 import sys
+import warnings
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -123,8 +124,12 @@ def test_no_pickle_is_read_without_trust(tmp_path: Path, monkeypatch: pytest.Mon
     with zipfile.ZipFile("worse.zip", "w") as worse:
         worse.writestr("data", "{}")
         worse.writestr("policy.pth", pickle.dumps(Attack()))
-    with pytest.raises(SettingsError, match="weights that are not tensors"):
+    with (
+        warnings.catch_warnings(record=True) as told,
+        pytest.raises(SettingsError, match="weights that are not tensors"),
+    ):
         load_sb3(Path("worse.zip"))
+    assert not told
     assert not Path("attacked").exists()
 
 

@@ -123,13 +123,13 @@ def pages(out: Path) -> Found:
 
 
 def training(out: Path) -> Found:
-    """A checkpoint and a policy can be read; that of the last update, and the figures, depend on the settings alone."""
+    """A checkpoint and a policy can be read; that of the last update, and the metrics, depend on the settings alone."""
     from magical_mj.baselines import checkpoint
+    from magical_mj.baselines.folder import CHECKPOINT
     from magical_mj.baselines.metrics import read_metrics
     from magical_mj.baselines.policy import POLICY
-    from magical_mj.baselines.run import CHECKPOINT
 
-    found = {"figures": repr([row | {"seconds": ""} for row in read_metrics(out)]).encode()}
+    found = {"metrics": repr([row | {"seconds": ""} for row in read_metrics(out)]).encode()}
     for name in (CHECKPOINT, POLICY):
         if (out / name).exists():
             kept = checkpoint.read(out / name)
@@ -155,7 +155,7 @@ def scenes(out: Path) -> Found:
 def updates(out: Path) -> Found:
     """The updates of a training that are in its checkpoint; everything can be read."""
     from magical_mj.baselines import checkpoint
-    from magical_mj.baselines.run import CHECKPOINT
+    from magical_mj.baselines.folder import CHECKPOINT
 
     training(out)
     done = checkpoint.read(out / CHECKPOINT)["update"] if (out / CHECKPOINT).exists() else 0

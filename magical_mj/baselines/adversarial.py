@@ -20,8 +20,8 @@ from magical_mj.baselines.reinforced import RewardLearner, Samples
 from magical_mj.baselines.settings import Network, TrainingSettings
 from magical_mj.baselines.states import StateTorso
 
-Judge = Callable[[Tensor, Tensor, Tensor], Tensor]
-"""A function of observations, actions (n,) and tasks (n,) with one output for each sample, (n,)."""
+Samplewise = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""A discriminator: a function of observations, actions (n,) and tasks (n,) with one output for each sample, (n,)."""
 
 
 class Discriminator(nn.Module):
@@ -46,8 +46,9 @@ class Adversarial(RewardLearner):
         self._latest: list[Rollout] = []
         self._noise = torch.Generator(self.device).manual_seed(settings.seed)
         with seeded(settings.seed + 1):
-            self._judge = Discriminator(settings.network, len(settings.tasks), states=settings.states).to(self.device)
-        self._optimizer = torch.optim.Adam(self._judge.parameters(), settings.discriminator.learning_rate, fused=True)
+            made = Discriminator(settings.network, len(settings.tasks), states=settings.states).to(self.device)
+        self._discriminator = made
+        self._optimizer = torch.optim.Adam(made.parameters(), settings.discriminator.learning_rate, fused=True)
 
     def update(self) -> Mapping[str, float]:
         """A rollout, the discriminator's steps, and PPO's update on the new discriminator's rewards."""
@@ -58,8 +59,8 @@ class Adversarial(RewardLearner):
         steps = self.settings.discriminator.steps
         self._latest = [*self._latest, rollout][-self.settings.discriminator.rollouts :]
         played = joined(self._latest)
-        figures = [self._step(played) for _ in range(steps)]
-        return {name: sum(one[name] for one in figures) / steps for name in figures[0]}
+        metrics = [self._step(played) for _ in range(steps)]
+        return {name: sum(one[name] for one in metrics) / steps for name in metrics[0]}
 
     @abstractmethod
     def loss(self, samples: Samples) -> tuple[Tensor, Mapping[str, float]]:
@@ -67,7 +68,10 @@ class Adversarial(RewardLearner):
 
     def state(self) -> dict[str, Any]:
         """Of all that plays, of the discriminator and of the augmentations."""
-        kept: dict[str, Any] = {"judge": self._judge.state_dict(), "judge optimizer": self._optimizer.state_dict()}
+        kept: dict[str, Any] = {  # under the names of earlier versions, whose checkpoints can be continued
+            "judge": self._discriminator.state_dict(),
+            "judge optimizer": self._optimizer.state_dict(),
+        }
         before = (
             self._latest[1 - self.settings.discriminator.rollouts :] if self.settings.discriminator.rollouts > 1 else []
         )
@@ -77,7 +81,7 @@ class Adversarial(RewardLearner):
     def restore(self, state: dict[str, Any]) -> None:
         """Restores a `state`."""
         super().restore(state)
-        self._judge.load_state_dict(state["judge"])
+        self._discriminator.load_state_dict(state["judge"])
         restore_optimizer(self._optimizer, state["judge optimizer"])
         self._latest = [Rollout(**kept) for kept in state["latest"]]
         self._noise.set_state(state["noise"])
@@ -86,12 +90,12 @@ class Adversarial(RewardLearner):
         half = self.settings.discriminator.batch_size // 2
         sides = [self.on_device(side.sample(half, self._draw)) for side in (rollout, self._expert)]
         observations, actions, tasks = (torch.cat(pair) for pair in zip(*sides, strict=True))
-        self._judge.train()
-        loss, figures = self.loss((self._augment(observations, self._noise), actions, tasks))
+        self._discriminator.train()
+        loss, metrics = self.loss((self._augment(observations, self._noise), actions, tasks))
         self._optimizer.zero_grad()
         loss.backward()
         self._optimizer.step()
-        return {"loss": loss.item(), **figures}
+        return {"loss": loss.item(), **metrics}
 
 
 class GAIL(Adversarial):
@@ -99,13 +103,13 @@ class GAIL(Adversarial):
 
     def loss(self, samples: Samples) -> tuple[Tensor, Mapping[str, float]]:
         """The loss, and the share of correctly classified samples."""
-        policy, expert = self._judge(*samples).chunk(2)
+        policy, expert = self._discriminator(*samples).chunk(2)
         right = torch.cat([policy > 0, expert < 0]).float().mean().item()
         return gail_loss(policy, expert), {"accuracy": right}
 
     def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """-log D, shape (n,)."""
-        return nn.functional.softplus(-self._judge.eval()(observations, actions, tasks))
+        return nn.functional.softplus(-self._discriminator.eval()(observations, actions, tasks))
 
 
 class WGAILGP(Adversarial):
@@ -117,15 +121,15 @@ class WGAILGP(Adversarial):
 
     def loss(self, samples: Samples) -> tuple[Tensor, Mapping[str, float]]:
         """The loss, the difference between the two means of D, and the penalty without its weight."""
-        policy, expert = self._judge(*samples).chunk(2)
+        policy, expert = self._discriminator(*samples).chunk(2)
         distance = policy.mean() - expert.mean()
-        penalty = gradient_penalty(self._judge.eval(), *samples)
-        figures = {"distance": distance.item(), "penalty": penalty.item()}
-        return self.settings.discriminator.gradient_penalty * penalty - distance, figures
+        penalty = gradient_penalty(self._discriminator.eval(), *samples)
+        metrics = {"distance": distance.item(), "penalty": penalty.item()}
+        return self.settings.discriminator.gradient_penalty * penalty - distance, metrics
 
     def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """-D, shape (n,)."""
-        return -self._judge.eval()(observations, actions, tasks)
+        return -self._discriminator.eval()(observations, actions, tasks)
 
 
 def gail_loss(policy: Tensor, expert: Tensor) -> Tensor:
@@ -133,13 +137,14 @@ def gail_loss(policy: Tensor, expert: Tensor) -> Tensor:
     return nn.functional.softplus(-policy).mean() + nn.functional.softplus(expert).mean()
 
 
-def gradient_penalty(judge: Judge, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+def gradient_penalty(discriminator: Samplewise, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
     """Mean of (||gradient of D with respect to the stack||_2 - 1)^2.
 
-    The gradient is that of each sample's D with respect to its own stack. So `judge` must treat samples independently:
-    if it has batch norm, it must use the running statistics (eval mode), as it does for the rewards. With the
-    statistics of the batch, each D would depend on all samples.
+    The gradient is that of each sample's D with respect to its own stack. So the discriminator must treat samples
+    independently: if it has batch norm, it must use the running statistics (eval mode), as it does for the rewards.
+    With the statistics of the batch, each D would depend on all samples.
     """
     observations = observations.detach().requires_grad_()
-    (gradient,) = torch.autograd.grad(judge(observations, actions, tasks).sum(), observations, create_graph=True)
+    values = discriminator(observations, actions, tasks)
+    (gradient,) = torch.autograd.grad(values.sum(), observations, create_graph=True)
     return (gradient.flatten(1).norm(dim=1) - 1).square().mean()

@@ -17,7 +17,7 @@ from magical_mj.baselines.settings import Network, TrainingSettings
 from magical_mj.baselines.states import HISTORY, StateTorso
 from magical_mj.observations import STATE_NAMES
 
-FIGURES: Final[tuple[str, ...]] = ("reconstruction", "distance", "reward", "score", "entropy", "kl", "value loss")
+METRICS: Final[tuple[str, ...]] = ("reconstruction", "distance", "reward", "score", "entropy", "kl", "value loss")
 """The names of the metrics that updates return, in this order."""
 
 CHUNK: Final = 64
@@ -45,10 +45,10 @@ class Apprenticeship(RewardLearner):
         self.updates += settings.features.batches
         size, tasks = settings.features.size, len(settings.tasks)
         with seeded(settings.seed + 1):
-            self._coder = Autoencoder(settings.network, size, states=settings.states).to(self.device)
-        self._optimizer = torch.optim.Adam(self._coder.parameters(), settings.features.learning_rate, fused=True)
+            self._autoencoder = Autoencoder(settings.network, size, states=settings.states).to(self.device)
+        self._optimizer = torch.optim.Adam(self._autoencoder.parameters(), settings.features.learning_rate, fused=True)
         self._batches = 0
-        self._figures: dict[str, float] = dict.fromkeys(FIGURES, 0.0)
+        self._metrics: dict[str, float] = dict.fromkeys(METRICS, 0.0)
         self._demonstrated: Tensor | None = None
         self._weights = torch.zeros(tasks, size, device=self.device)
         self._latest = torch.zeros(tasks, 0, size, device=self.device)
@@ -56,11 +56,11 @@ class Apprenticeship(RewardLearner):
     def update(self) -> Mapping[str, float]:
         """First batches of the autoencoder, later rollouts, weights and PPO; the other's metrics stay constant."""
         if self._batches < self.settings.features.batches:
-            self._figures["reconstruction"] = self._reconstruct()
+            self._metrics["reconstruction"] = self._reconstruct()
             self._batches += 1
         else:
-            self._figures.update(self.play())
-        return dict(self._figures)
+            self._metrics.update(self.play())
+        return dict(self._metrics)
 
     def study(self, rollout: Rollout) -> Mapping[str, float]:
         """Computes new weights; returns the difference of mean features, w . (E_demonstrations Phi - E_policy Phi)."""
@@ -69,7 +69,7 @@ class Apprenticeship(RewardLearner):
         if self._demonstrated is None:
             self._demonstrated = self._demonstrated_means()
         played = (self.on_device(batch) for batch in rollout.batches(self.settings.ppo.minibatch))
-        novice = torch.cat([self._coder.features(observations, actions) for observations, actions, _ in played])
+        novice = torch.cat([self._autoencoder.features(observations, actions) for observations, actions, _ in played])
         novice = novice.reshape(len(rollout.actions), tasks, -1, novice.shape[1]).transpose(0, 1).flatten(1, 2)
         order = torch.randperm(novice.shape[1], generator=self._draw)  # so that any part of the rollout may be left out
         self._latest = torch.cat([self._latest, novice[:, order]], dim=1)[:, -each:]
@@ -79,25 +79,25 @@ class Apprenticeship(RewardLearner):
 
     def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """The rewards w . Phi(s, a), shape (n,)."""
-        return (self._coder.features(observations, actions) * self._weights[tasks]).sum(1)
+        return (self._autoencoder.features(observations, actions) * self._weights[tasks]).sum(1)
 
     def state(self) -> dict[str, Any]:
         """Of all that plays, of the autoencoder, and the policy's latest features."""
-        return {
+        return {  # under the names of earlier versions, whose checkpoints can be continued
             **super().state(),
-            "coder": self._coder.state_dict(),
+            "coder": self._autoencoder.state_dict(),
             "coder optimizer": self._optimizer.state_dict(),
             "batches": self._batches,
-            "figures": self._figures,
+            "figures": self._metrics,
             "latest": self._latest,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restores a `state`."""
         super().restore(state)
-        self._coder.load_state_dict(state["coder"])
+        self._autoencoder.load_state_dict(state["coder"])
         restore_optimizer(self._optimizer, state["coder optimizer"])
-        self._batches, self._figures = state["batches"], dict(state["figures"])
+        self._batches, self._metrics = state["batches"], dict(state["figures"])
         self._latest = state["latest"].to(self.device)
 
     def _demonstrated_means(self) -> Tensor:
@@ -105,20 +105,20 @@ class Apprenticeship(RewardLearner):
         sums = torch.zeros_like(self._weights)
         for batch in self._expert.batches(CHUNK):
             observations, actions, tasks = self.on_device(batch)
-            sums.index_add_(0, tasks, self._coder.features(observations, actions))
+            sums.index_add_(0, tasks, self._autoencoder.features(observations, actions))
         return sums / torch.tensor(self._expert.sizes, device=self.device)[:, None]
 
     def _reconstruct(self) -> float:
         batch = self._expert.sample(self.settings.features.batch_size, self._draw)
         observations, actions, _ = self.on_device(batch)
-        loss = self._coder.train().loss(observations, actions)
+        loss = self._autoencoder.train().loss(observations, actions)
         self._optimizer.zero_grad()
         loss.backward()
         self._optimizer.step()
         if (self._batches + 1) % RESTART == 0 and self._batches + RESTART < self.settings.features.batches:
             observations, actions, _ = self.on_device(self._expert.sample(512, self._draw))
             with seeded(self.settings.seed + self._batches):
-                self._coder.restart(self._coder.features(observations, actions))
+                self._autoencoder.restart(self._autoencoder.features(observations, actions))
         return loss.item()
 
 

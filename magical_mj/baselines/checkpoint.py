@@ -43,9 +43,12 @@ def read(path: Path) -> dict[str, Any]:
     try:
         with safe_open(path, "pt") as file:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (it is no dict)
-            return _unpacked(json.loads((file.metadata() or {})["tree"]), tensors)
-    except (OSError, SafetensorError, KeyError, ValueError) as error:
+            state = _unpacked(json.loads((file.metadata() or {})["tree"]), tensors)
+        if not isinstance(state, dict):
+            raise TypeError(f"it holds a {type(state).__name__}, and not values by name")
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise TrainingError(f"{path} cannot be read: {error}") from error
+    return state
 
 
 def _packed(value: Any, name: str, tensors: dict[str, torch.Tensor]) -> Any:

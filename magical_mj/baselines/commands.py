@@ -4,36 +4,22 @@ from __future__ import annotations
 
 import shlex
 import time
-from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    ProgressColumn,
-    Task,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
-from rich.table import Column
-from rich.text import Text
 
 from magical_mj import baselines
 from magical_mj.agents import AGENTS
 from magical_mj.baselines.config import check_changes, check_used, users, uses
+from magical_mj.baselines.watching import Watch, bars, each_minute, how_to_continue
 from magical_mj.cli.console import check_fits, console
-from magical_mj.cli.progress import LABEL
 from magical_mj.errors import SettingsError, check_name
 from magical_mj.parallel import Backend
 
 if TYPE_CHECKING:
     from magical_mj.baselines import Progress as Trained
 
-MINUTE = 60.0
-"""Seconds between two lines where no bar can be shown."""
 DAY = 86400.0
 """Seconds over which the speed of an experiment is averaged: a run may take hours."""
 
@@ -67,9 +53,10 @@ Address = Annotated[str | None, typer.Option(help="Of the cluster, such as tcp:/
 def experiment(file: File, out: Folder, jobs: Jobs = 1, backend: Where = "local", address: Address = None) -> None:
     """Train and evaluate methods x tasks x seeds. Called again, it continues."""
     planned = baselines.runs(file, out)
-    screen = console()
+    screen, began = console(), time.time()
     watches: dict[str, Watch] = {}
-    with Progress(*_columns(), console=screen, speed_estimate_period=DAY) as progress:
+    with how_to_continue(screen, "the same command continues"), bars(screen, DAY) as progress:
+        bar = progress.add_task("runs", total=len(planned), unit="runs", latest="")
 
         def watch(name: str, trained: Trained) -> None:
             watches[name] = watches.get(name) or Watch(screen, progress, name)
@@ -77,11 +64,20 @@ def experiment(file: File, out: Folder, jobs: Jobs = 1, backend: Where = "local"
             if trained.update == trained.updates:
                 progress.remove_task(watches.pop(name).bar)
 
-        bar = progress.add_task("runs", total=len(planned), unit="runs", figures="")
+        def tell() -> None:
+            """How far evaluations are, and trainings in other processes."""
+            found = [run.standing(began) for run in planned if run.name not in watches]
+            news = [text for text in found if text]
+            progress.update(bar, latest=", ".join(news))
+            if not (screen.is_terminal or watches):
+                done = f"{progress.tasks[0].completed:.0f} of {len(planned)} runs are finished"
+                screen.print("; ".join([done, *news]), soft_wrap=True)
+
         lines = baselines.conduct(planned, out, jobs=jobs, backend=backend, address=address, watch=watch)
-        for number, line in enumerate(lines, 1):
-            screen.print(line, soft_wrap=True)
-            progress.update(bar, completed=min(number, len(planned)))  # after the runs come lines about all of them
+        with each_minute(tell):
+            for number, line in enumerate(lines, 1):
+                screen.print(line, soft_wrap=True)
+                progress.update(bar, completed=min(number, len(planned)))  # after the runs come lines about all of them
 
 
 def train(
@@ -115,12 +111,8 @@ def train(
 
     keep_freed_memory()
     screen = console()
-    try:
-        with Progress(*_columns(), console=screen, speed_estimate_period=120) as progress:
-            baselines.train(settings, out, resume=resume, watch=Watch(screen, progress, method))
-    except KeyboardInterrupt:
-        screen.print("stopped; the same command with --resume continues")
-        raise
+    with how_to_continue(screen, "the same command with --resume continues"), bars(screen, 120) as progress:
+        baselines.train(settings, out, resume=resume, watch=Watch(screen, progress, method))
     folder = shlex.quote(f"./{out}" if str(out) in AGENTS else str(out))
     again = f"magical-mj evaluate --policy {folder} --tasks {','.join(settings.tasks)} --preset {settings.preset}"
     screen.print(f"the policy is in {out}; to evaluate it: {again} --out ...", soft_wrap=True)
@@ -131,57 +123,3 @@ def _change(text: str) -> tuple[str, str]:
     if not equals:
         raise SettingsError(f"--set wants NAME=VALUE, such as ppo.clip=0.02, not {text!r}")
     return name, value
-
-
-def _columns() -> list[ProgressColumn]:
-    rate = Rate(Column(no_wrap=True, overflow="ellipsis"))
-    return [LABEL, BarColumn(), rate, TimeElapsedColumn(), TimeRemainingColumn()]
-
-
-class Rate(ProgressColumn):
-    """Finished updates of the total, updates per second, and the latest metrics; or finished runs."""
-
-    def render(self, task: Task) -> Text:
-        """As text."""
-        done = f"{task.completed:.0f}/{task.total or 0:.0f} {task.fields['unit']}"
-        speed = f", {task.speed:.1f}/s" if task.speed and task.fields["unit"] == "updates" else ""
-        return Text(f"{done}{speed} {task.fields['figures']}")
-
-
-class Watch:
-    """Shows a training: a progress bar with the latest metrics, or a line per minute; and a line per evaluation.
-
-    Attributes:
-        bar: the number of its progress bar.
-    """
-
-    def __init__(self, screen: Console, progress: Progress, name: str) -> None:
-        self._screen, self._progress, self._name = screen, progress, name
-        self.bar = progress.add_task(name, total=None, unit="updates", figures="")
-        self._started = self._told = time.monotonic()
-        self._first, self._figures = 0, ""
-
-    def __call__(self, trained: Trained) -> None:
-        """Called after each update."""
-        self._progress.update(self.bar, completed=trained.update, total=trained.updates)
-        if trained.figures:
-            shown = "  ".join(f"{name} {value:.3g}" for name, value in trained.figures.items())
-            self._progress.update(self.bar, figures=shown)
-            self._figures = shown
-        if not self._screen.is_terminal and time.monotonic() - self._told >= MINUTE:
-            self._tell(trained)
-        self._first = self._first or trained.update
-        if trained.scores:
-            shown = ", ".join(f"{task} {score:.2f}" for task, score in trained.scores.items())
-            self._say(f"after {trained.update} updates: mean score on Demo: {shown}")
-
-    def _tell(self, trained: Trained) -> None:
-        self._told = time.monotonic()
-        rate = (trained.update - self._first) / (self._told - self._started)
-        more = trained.updates - trained.update
-        left = timedelta(seconds=round(more / rate)) if more < rate * timedelta.max.total_seconds() else "?"
-        done = f"{trained.update}/{trained.updates} updates, {rate:.2g}/s, {left} left"
-        self._say(f"{done}  {self._figures}")
-
-    def _say(self, line: str) -> None:
-        self._screen.print(f"{self._name}: {line}", soft_wrap=True)

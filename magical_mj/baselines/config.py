@@ -151,8 +151,8 @@ def check_used(changes: Iterable[str], methods: Collection[str]) -> None:
             raise SettingsError(f"{name} is for {', '.join(users(name))}, and of no use to {' or '.join(methods)}")
 
 
-def changed(settings: TrainingSettings, changes: Mapping[str, Any]) -> TrainingSettings:
-    """The settings with other values; values given as text are converted to the field's type.
+def changed(settings: T, changes: Mapping[str, Any]) -> T:
+    """The settings, or a part of them, with other values; values given as text are converted to the field's type.
 
     Raises:
         UnknownNameError: if there is no such field.

@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from operator import methodcaller
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.baselines.config import check_changes, check_used, flattened, load_settings, uses
-from magical_mj.baselines.learner import keep_freed_memory
-from magical_mj.baselines.run import METHODS, Progress, train
-from magical_mj.baselines.settings import TrainingSettings
-from magical_mj.episodes import is_blind
-from magical_mj.errors import SettingsError, check_name
-from magical_mj.evaluation.report import report
+from magical_mj.baselines.config import check_changes, check_used, flattened, load_settings
+from magical_mj.baselines.folder import check
+from magical_mj.baselines.learner import device
+from magical_mj.baselines.planned import Run, Watch
+from magical_mj.baselines.run import METHODS
+from magical_mj.baselines.settings import AT_MOST
+from magical_mj.errors import SettingsError, check_name, shown
+from magical_mj.evaluation.report import check_free, report
 from magical_mj.evaluation.results import gather, published_results
-from magical_mj.evaluation.run import evaluate
 from magical_mj.evaluation.scores import frame
 from magical_mj.evaluation.settings import EvaluationSettings, settings_from
 from magical_mj.evaluation.statistics import by_environment, rank_correlation
 from magical_mj.files import read_toml
 from magical_mj.parallel import check_backend, spread
-from magical_mj.registry import TASKS, listed, task_name, task_spec
+from magical_mj.registry import TASKS, listed, task_name
 
 ENTRIES: Final = {
     "methods": '["bc"]',
@@ -36,90 +35,8 @@ ENTRIES: Final = {
 }
 """The entries of an experiment's file, with examples; the first three are required."""
 EVALUATION: Final = {name: getattr(EvaluationSettings, name) for name in ("variants", "episodes", "rules")}
-SIDE_BY_SIDE: Final = {"pictures": 10, "states": 100}
-"""Episodes that are played at once, for networks like batches; pictures fill the memory."""
-NAMED: Final = ("preset", "augment", "device", "evaluations", "episodes", "checkpoints")
-"""Settings that are not listed in a method's name: it shows them otherwise, or they do not affect the result."""
 LEAST_PAIRS: Final = 5
 """The least number of environments for which a rank correlation is printed."""
-ABLATIONS: Final = {"all": "", "none": ", no aug.", "no-trans-rot": ", no trans./rot. aug."}
-
-
-Watch = Callable[[str, Progress], None]
-
-
-@dataclass(frozen=True)
-class Run:
-    """One run of an experiment.
-
-    Attributes:
-        settings: the settings of the training.
-        quick: whether they are the quick ones.
-        changes: the changed settings, except the seed.
-        evaluation: the settings of the evaluation, as in `EVALUATION`.
-        folder: the folder of the experiment.
-    """
-
-    settings: TrainingSettings
-    quick: bool
-    changes: dict[str, Any]
-    evaluation: dict[str, Any]
-    folder: Path
-
-    @property
-    def name(self) -> str:
-        """Of its folder: the method, the task and the seed."""
-        tasks = self.settings.tasks
-        return f"{self.settings.method}-{task_spec(tasks[0]).name if len(tasks) == 1 else 'multi'}-{self.settings.seed}"
-
-    @property
-    def method(self) -> str:
-        """The method's name in tables; runs of the same name are averaged."""
-        used = {name: value for name, value in self.changes.items() if uses(self.settings.method, name)}
-        changed = "".join(f", {name} {value}" for name, value in used.items() if name not in NAMED)
-        return f"{self.counterparts[0]}, ours{', quick' if self.quick else ''}{changed}"
-
-    @property
-    def counterparts(self) -> tuple[str, str]:
-        """The paper's row with these observations and augmentations, and with its usual ones; either may not exist."""
-        settings = self.settings
-        method, kind = settings.method.upper(), "ST" if len(settings.tasks) == 1 else "MT"
-        preset = {"LoRes4E": "", "LoRes4A": ", allo."}.get(settings.preset, f", {settings.preset}")
-        ablation = ABLATIONS[settings.augment] if uses(settings.method, "augment") else ""
-        return f"{method} ({kind}{preset}{ablation})", f"{method} ({kind})"
-
-    @property
-    def scores(self) -> Path:
-        """The folder of the evaluation."""
-        return self.folder / "evaluations" / self.name
-
-    def play(self, watch: Watch | None = None) -> str:
-        """Trains and evaluates, as far as that is not done yet; returns a line about it."""
-        trained = self.folder / "runs" / self.name
-        keep_freed_memory()
-        updates = 0
-
-        def count(progress: Progress) -> None:
-            nonlocal updates
-            updates += 1
-            if watch is not None:
-                watch(self.name, progress)
-
-        policy = train(self.settings, trained, resume=True, watch=count)
-        frame = evaluate(
-            {self.method: trained},
-            tasks=self.settings.tasks,
-            preset=self.settings.preset,
-            run=self.settings.seed,
-            out=self.scores,
-            resume=True,
-            envs=1 if is_blind(policy) else SIDE_BY_SIDE["states" if self.settings.states else "pictures"],
-            jobs=1,
-            **self.evaluation,
-        )
-        means = frame.groupby("variant", sort=False)["score"].mean()
-        shown = ", ".join(f"{variant} {mean:.2f}" for variant, mean in means.items())
-        return f"{self.name}: {'trained' if updates else 'was trained before'}; {shown}"
 
 
 def runs(file: Path, out: Path) -> list[Run]:
@@ -144,8 +61,10 @@ def runs(file: Path, out: Path) -> list[Run]:
             raise SettingsError(f"{file} gives {name} = {value!r}; it must look like: {name} = {example}")
     evaluation = table.get("evaluation", {})
     _check(f"entry of [evaluation] in {file}", evaluation, EVALUATION)
-    if not isinstance(evaluation.get("episodes", 1), int):
-        raise SettingsError(f"{file} gives episodes = {evaluation['episodes']!r}; it must look like: episodes = 100")
+    episodes = evaluation.get("episodes", 1)
+    if not isinstance(episodes, int) or episodes > AT_MOST["episodes"]:
+        at_most = f"it must look like: episodes = 100, and be at most {AT_MOST['episodes']}"
+        raise SettingsError(f"{file} gives episodes = {shown(episodes)}; {at_most}")
     evaluation = EVALUATION | evaluation
     tasks = [task_name(task) for task in listed(table["tasks"], TASKS)]
     for method in table["methods"]:
@@ -187,15 +106,28 @@ def conduct(
         watch: called with a run's name and progress after each of its updates, if the runs are not in other processes.
 
     Raises:
-        MagicalError: if a run fails. Called again, it continues.
+        MagicalError: if a run fails, or would do so from the start: then before the first run. Called again, it
+            continues.
     """
     check_backend(backend, jobs, address)
+    _check_runs(planned, out, backend == "local")
     if backend == "local" and jobs == 1:
         yield from (run.play(watch) for run in planned)
     else:
         yield from spread(methodcaller("play"), planned, jobs, backend, address)
     yield from agreement(planned)
     yield str(report([run.scores for run in planned], out / "report", with_published=True))
+
+
+def _check_runs(planned: list[Run], out: Path, here: bool) -> None:
+    """Raises the errors that would come after hours: those with which a run or the report would begin."""
+    check_free(out / "report")
+    for run in planned:
+        check(run.trained, run.settings, resume=True)
+        if here:
+            device(run.settings.device)
+    for run in {(run.settings.method, run.settings.tasks): run for run in planned}.values():
+        METHODS[run.settings.method].check(run.settings)
 
 
 def agreement(planned: list[Run]) -> Iterator[str]:

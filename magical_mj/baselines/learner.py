@@ -5,18 +5,19 @@ from __future__ import annotations
 import ctypes
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
 import torch
 
+from magical_mj import demos
+from magical_mj.baselines.data import drawn
 from magical_mj.baselines.network import Actor
 from magical_mj.baselines.policy import TrainedPolicy, save_policy
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.episodes import Policy
 from magical_mj.errors import SettingsError
-from magical_mj.evaluation.models import one_thread
 
 UNUSABLE: Final = {"mps": "has no numbers of 64 bits", "meta": "holds no numbers"}
 """Types of devices that PyTorch knows, and why nothing can be learnt on them."""
@@ -37,6 +38,16 @@ class Method(ABC):
 
     def __init__(self, settings: TrainingSettings) -> None:
         self.settings = settings
+
+    @classmethod
+    def check(cls, settings: TrainingSettings) -> None:
+        """Checks what a training needs, on any device, without beginning it: for plans of many trainings.
+
+        Raises:
+            SettingsError, DemonstrationError, MissingExtraError: the errors with which it would begin.
+        """
+        for task in settings.tasks:
+            drawn(task, settings.seed, settings.demonstrations, len(demos.load(task)))
 
     @abstractmethod
     def update(self) -> Mapping[str, float]:
@@ -134,13 +145,20 @@ def keep_freed_memory() -> None:
         mallopt(parameter, value)
 
 
-def threads_for(settings: TrainingSettings) -> AbstractContextManager[None]:
-    """A context for a training: PyTorch uses one thread for states.
+@contextmanager
+def threads_for(settings: TrainingSettings, begun: int | None = None) -> Iterator[None]:
+    """A context with PyTorch's threads for a training: one for states; else as many as it was begun with, if it was.
 
-    Their networks are so small that a second thread gains a tenth on idle cores. On busy cores, threads wait for each
-    other: with two, BC did 1.4 batches per second, and with one 106.
+    With another number, sums are rounded differently. The networks for states are so small that a second thread gains
+    a tenth on idle cores. On busy cores, threads wait for each other: with two, BC did 1.4 batches per second, and with
+    one 106.
     """
-    return one_thread() if settings.states else nullcontext()
+    before = torch.get_num_threads()
+    torch.set_num_threads(1 if settings.states else begun or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 @contextmanager

@@ -21,10 +21,12 @@ from magical_mj.errors import TrainingError
 
 METRICS: Final = "metrics.csv"
 TENSORBOARD: Final = "tensorboard"
+FIRST: Final = ["update", "seconds"]
+"""The first columns of metrics.csv."""
 
 
 class Metrics:
-    """Appends rows to a run's metrics.csv: updates done, seconds, the learner's figures, the scores by task.
+    """Appends rows to a run's metrics.csv: updates done, seconds, the learner's metrics, the scores by task.
 
     Args:
         folder: of the run.
@@ -39,20 +41,20 @@ class Metrics:
         self._write()
         self._board = _Board(folder / TENSORBOARD, update + 1)
 
-    def add(self, figures: Mapping[str, float]) -> None:
-        """Takes in the figures of one update."""
-        for name, value in figures.items():
+    def add(self, metrics: Mapping[str, float]) -> None:
+        """Takes in the metrics of one update."""
+        for name, value in metrics.items():
             self._sums[name] = self._sums.get(name, 0.0) + value
         self._count += 1
 
     def write(self, update: int, seconds: float, scores: Mapping[str, float]) -> dict[str, float]:
-        """Writes a row, and returns the means of the figures since the last one."""
+        """Writes a row, and returns the means of the metrics since the last one."""
         means = {name: total / self._count for name, total in self._sums.items()}
         self._sums, self._count = {}, 0
-        figures = {**means, **{f"score {task}": score for task, score in scores.items()}}
-        self._board.add(figures, update)
+        values = {**means, **{f"score {task}": score for task, score in scores.items()}}
+        self._board.add(values, update)
         row = {"update": str(update), "seconds": f"{seconds:.1f}"}
-        self._rows.append(row | {name: f"{value:.6g}" for name, value in figures.items()})
+        self._rows.append(row | {name: f"{value:.6g}" for name, value in values.items()})
         self._write()
         return means
 
@@ -65,8 +67,8 @@ class Metrics:
         self._board.close()
 
     def _write(self) -> None:
-        """The file as a whole: columns come when their first figure comes."""
-        columns = list(dict.fromkeys(name for row in self._rows for name in row)) or ["update", "seconds"]
+        """The file as a whole: columns come when their first value comes."""
+        columns = list(dict.fromkeys(name for row in self._rows for name in row)) or FIRST
         text = io.StringIO()
         writer = csv.DictWriter(text, columns)
         writer.writeheader()
@@ -80,7 +82,7 @@ class Metrics:
 
 
 class _Board:
-    """The same figures for TensorBoard, in a file of its own for each time that a run goes on.
+    """The same for TensorBoard, in a file of its own for each time that a run goes on.
 
     PyTorch's `SummaryWriter` writes from a thread, and where the disk is full, that thread is all that learns of it.
 
@@ -100,9 +102,9 @@ class _Board:
         self._write(Event(wall_time=time.time(), file_version="brain.Event:2"))
         self._write(Event(wall_time=time.time(), step=first, session_log=SessionLog(status=SessionLog.START)))
 
-    def add(self, figures: Mapping[str, float], update: int) -> None:
-        values = [Summary.Value(tag=name, simple_value=value) for name, value in figures.items()]
-        self._write(Event(wall_time=time.time(), step=update, summary=Summary(value=values)))
+    def add(self, values: Mapping[str, float], update: int) -> None:
+        summary = Summary(value=[Summary.Value(tag=name, simple_value=value) for name, value in values.items()])
+        self._write(Event(wall_time=time.time(), step=update, summary=summary))
 
     def close(self) -> None:
         with contextlib.suppress(OSError):  # which was told before
@@ -123,12 +125,15 @@ def read_metrics(folder: Path) -> list[dict[str, str]]:
     """The rows of a run's metrics.csv; none if there is no such file yet.
 
     Raises:
-        TrainingError: if it is damaged.
+        TrainingError: if it is damaged, or not one that a training has written.
     """
     path = folder / METRICS
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
+            reader = csv.DictReader(file)
+            rows, columns = list(reader), list(reader.fieldnames or [])
+        if columns[:2] != FIRST:
+            raise ValueError(f"its first columns are not {' and '.join(FIRST)}, as a training writes them")
         for row in rows:
             if None in row or None in row.values():  # which stands for fields without a column, or the reverse
                 raise ValueError(f"the row of update {row['update']} has another number of fields than the first line")
@@ -137,6 +142,6 @@ def read_metrics(folder: Path) -> list[dict[str, str]]:
         return []
     except (csv.Error, KeyError, ValueError) as error:
         raise TrainingError(
-            f"{path} is damaged: {error}; delete it, and the training continues without the rows so far"
+            f"{path} is damaged: {error}; delete it or move it away, and the training continues without the rows so far"
         ) from error
     return rows

@@ -12,11 +12,12 @@ import torch
 from numpy.typing import NDArray
 
 from magical_mj.baselines import checkpoint
+from magical_mj.baselines.config import changed
 from magical_mj.baselines.network import SHAPE, Actor, as_input
-from magical_mj.baselines.settings import STATE, Network, TrainingSettings
+from magical_mj.baselines.settings import LEARNABLE, STATE, Network, TrainingSettings
 from magical_mj.baselines.states import History
 from magical_mj.episodes import Episode
-from magical_mj.errors import SettingsError, TrainingError
+from magical_mj.errors import SettingsError, TrainingError, check_name, shown
 from magical_mj.evaluation.models import one_thread
 from magical_mj.observations import STATE_NAMES
 
@@ -99,15 +100,16 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
     Raises:
         TrainingError: if there is none, or the file is damaged.
     """
-    kept = checkpoint.read(Path(folder) / POLICY)
+    path = Path(folder) / POLICY
+    kept = checkpoint.read(path)
     try:
-        actor = Actor(
-            Network(**kept["network"]),
-            len(kept["tasks"]),
-            states=kept["preset"] == STATE,
-            batch_norm=kept["batch_norm"],
-        )
+        tasks, preset = kept["tasks"], kept["preset"]
+        if not tasks or not all(isinstance(task, str) for task in tasks):
+            raise TypeError(f"tasks are names, not {shown(tasks)}")
+        check_name("preset", preset, LEARNABLE)
+        network = changed(Network(), kept["network"])
+        actor = Actor(network, len(tasks), states=preset == STATE, batch_norm=kept["batch_norm"])
         actor.load_state_dict(kept["weights"])
-        return TrainedPolicy(actor, kept["tasks"], kept["preset"])
-    except (KeyError, TypeError, RuntimeError) as error:
-        raise TrainingError(f"{Path(folder) / POLICY} holds something else than a policy: {error}") from error
+    except Exception as error:
+        raise TrainingError(f"{path} holds something else than a policy: {error}") from error
+    return TrainedPolicy(actor, tasks, preset)

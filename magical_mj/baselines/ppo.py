@@ -207,12 +207,12 @@ class Improver(PPO):
         buffer.compute_returns_and_advantage(last, self._last_episode_starts)  # pyright: ignore[reportArgumentType]
         self._update_current_progress_remaining(self.num_timesteps - self._each, self._total_timesteps)
         self.train()
-        figures = self.logger.name_to_value
+        metrics = self.logger.name_to_value
         return {
             "score": self._scores.latest,
-            "entropy": -float(figures["train/entropy_loss"]),
-            "kl": float(figures["train/approx_kl"]),
-            "value loss": float(figures["train/value_loss"]),
+            "entropy": -float(metrics["train/entropy_loss"]),
+            "kl": float(metrics["train/approx_kl"]),
+            "value loss": float(metrics["train/value_loss"]),
         }
 
     def state(self) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from magical_mj.baselines.learner import Learner, seeded
 from magical_mj.baselines.network import Actor, Heads, Torso, as_input, standardise
 from magical_mj.baselines.ppo import Improver
 from magical_mj.baselines.settings import TrainingSettings
+from magical_mj.extras import check_extra
 
 Samples = tuple[Tensor, Tensor, Tensor]
 """A batch on the device: observations as of `as_input`, actions (n,) and numbers of tasks (n,)."""
@@ -48,6 +49,13 @@ class RewardLearner(Learner):
             self._ppo = Improver(settings, self._environments, actor, critic, self._draw, self.device)
         self._normalise = RewardNormaliser(settings.ppo.reward_deviation, self._environments.tasks)
 
+    @classmethod
+    def check(cls, settings: TrainingSettings) -> None:
+        """Also that batched worlds are installed, if these shall be played in."""
+        super().check(settings)
+        if settings.ppo.worlds == "batched":
+            check_extra("batched worlds", "gpu")
+
     @property
     def actor(self) -> Actor:
         """The average of the policies so far, of which the latest weigh most; with `ppo.averaging` 0, the latest."""
@@ -57,13 +65,13 @@ class RewardLearner(Learner):
         """One rollout, its rewards and PPO's step; stable-baselines3's draws from global generators stay in here."""
         with seeded(int(torch.randint(2**62, (), generator=self._draw))):
             rollout = self._ppo.collect()
-            figures = dict(self.study(rollout))
+            metrics = dict(self.study(rollout))
             with torch.no_grad():
                 parts = [self.reward(*self.on_device(batch)) for batch in rollout.batches(self.settings.ppo.minibatch)]
             rewards = torch.cat(parts).double().cpu().numpy().reshape(rollout.actions.shape)
-            figures |= {"reward": float(rewards.mean()), **self._ppo.improve(self._normalise(rewards))}
+            metrics |= {"reward": float(rewards.mean()), **self._ppo.improve(self._normalise(rewards))}
         self._average.update_parameters(self._actor)
-        return figures
+        return metrics
 
     @abstractmethod
     def study(self, rollout: Rollout) -> Mapping[str, float]:

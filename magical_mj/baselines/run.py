@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-import platform
 import shlex
-import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -18,29 +16,23 @@ from typing import Any, Final
 import torch
 
 from magical_mj import files
-from magical_mj._version import __version__
 from magical_mj.baselines import checkpoint
 from magical_mj.baselines.adversarial import GAIL, WGAILGP
 from magical_mj.baselines.apprenticeship import Apprenticeship
 from magical_mj.baselines.bc import BehaviouralCloning
-from magical_mj.baselines.config import MADE, from_toml, recorded, to_toml
+from magical_mj.baselines.config import recorded
+from magical_mj.baselines.folder import CHECKPOINT, CONFIG, begin, check, kept_policy, last_checkpoint, misfit, threads
 from magical_mj.baselines.goals.method import GoalInference
 from magical_mj.baselines.learner import Method, device, threads_for
 from magical_mj.baselines.metrics import Metrics
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.episodes import Policy
-from magical_mj.errors import SettingsError, TrainingError, check_name
-from magical_mj.evaluation.loading import sources
+from magical_mj.errors import TrainingError, check_name
 from magical_mj.evaluation.run import evaluate
-from magical_mj.evaluation.settings import MUJOCO_VERSION, check_unchanged
-from magical_mj.files import read_toml
-from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 
-METHODS: Final[Mapping[str, Callable[[TrainingSettings], Method]]] = MappingProxyType(
+METHODS: Final[Mapping[str, type[Method]]] = MappingProxyType(
     {"bc": BehaviouralCloning, "gail": GAIL, "wgail-gp": WGAILGP, "al": Apprenticeship, "goals": GoalInference}
 )
-CONFIG: Final = "config.toml"
-CHECKPOINT: Final = "checkpoint.safetensors"
 ROWS: Final = 200
 """Of metrics.csv for a whole training."""
 
@@ -52,13 +44,13 @@ class Progress:
     Attributes:
         update: the number of updates so far.
         updates: the number of updates of a whole training.
-        figures: the learner's metrics, means over the updates since the last report; empty between reports.
+        metrics: the learner's, means over the updates since the last report; empty between reports.
         scores: task -> mean score in the demo variant, if it was just measured.
     """
 
     update: int
     updates: int
-    figures: Mapping[str, float]
+    metrics: Mapping[str, float]
     scores: Mapping[str, float]
 
 
@@ -81,19 +73,22 @@ def train(
 
     Raises:
         SettingsError, UnknownNameError: if the settings are invalid, or differ from those of a resumed training.
-        TrainingError: if the folder or its checkpoint cannot be used, or a loss becomes NaN or infinite.
+        DemonstrationError: if a task has too few demonstrations.
+        TrainingError: if the folder or its checkpoint cannot be used, a loss becomes NaN or infinite, or memory runs
+            out.
     """
     folder = Path(out)
     if learner is None:
         check_name("method", settings.method, METHODS)
-    _check(folder, settings, resume)
-    policy = _policy(folder) if _is_finished(folder) else None
+    check(folder, settings, resume)
+    kept = last_checkpoint(folder, settings)
+    policy = kept_policy(folder, settings) if kept is not None and kept.finished else None
     if policy is not None:
         return policy
-    with threads_for(settings):
+    with threads_for(settings, threads(folder)), _enough_memory(folder):
         made = (learner or METHODS[settings.method])(settings)
         try:
-            _start(folder, settings)
+            begin(folder, settings)
             with (folder / CONFIG).open("rb") as config:
                 if not files.lock(config):
                     raise TrainingError(f"another process is training in {folder}; wait for it, or give a new folder")
@@ -102,62 +97,19 @@ def train(
             made.close()
 
 
-def _check(folder: Path, settings: TrainingSettings, resume: bool) -> None:
-    """Raises an error unless the folder is new, or holds a training with these settings that shall be resumed."""
-    config = folder / CONFIG
-    if not config.exists():
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise TrainingError(f"{folder} holds something else than a training; give a new folder")
-        return
-    if not resume:
-        raise TrainingError(f"{folder} holds a training already; --resume continues it (resume=True)")
-    check_unchanged(folder, recorded(from_toml(config)), recorded(settings))
-    begun = read_toml(config).get(MADE, {})
-    for name, number in (("protocol", PROTOCOL), ("demonstrations", DEMONSTRATIONS)):
-        if begun.get(name, number) != number:
-            raise TrainingError(
-                f"{folder} was begun with the {name} of number {begun[name]}, and this version has number {number}: "
-                f"continue with magical_mj {begun.get('magical_mj')}, or train anew in another folder"
-            )
-
-
-def _is_finished(folder: Path) -> bool:
-    if not (folder / CHECKPOINT).exists():
-        return False
-    kept = checkpoint.read(folder / CHECKPOINT)
-    return kept.get("update") == kept.get("updates", 0)
-
-
-def _policy(folder: Path) -> Any:
-    """The policy in a run's folder; None if it was lost or damaged, so that the checkpoint must make it again."""
+@contextmanager
+def _enough_memory(folder: Path) -> Iterator[None]:
+    """A context in which a lack of memory is told as a `TrainingError`."""
     try:
-        return sources(folder.resolve())[0].load()
-    except (SettingsError, TrainingError):
-        return None
-
-
-def _start(folder: Path, settings: TrainingSettings) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if not (folder / CONFIG).exists():
-            files.write(folder / CONFIG, f"{to_toml(settings)}\n[{MADE}]\n{_circumstances()}")
-    except OSError as error:
-        raise TrainingError(f"cannot write into {folder}: {error.strerror}") from error
-
-
-def _circumstances() -> str:
-    """The time, command and versions with which a run is started, as TOML."""
-    made = {
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": shlex.join(sys.argv),
-        "magical_mj": __version__,
-        "protocol": PROTOCOL,
-        "demonstrations": DEMONSTRATIONS,
-        "mujoco": MUJOCO_VERSION,
-        "torch": torch.__version__,
-        "python": platform.python_version(),
-    }
-    return "".join(f"{name} = {json.dumps(value)}\n" for name, value in made.items())
+        yield
+    except (MemoryError, RuntimeError) as error:  # PyTorch has a type of its own for accelerators only
+        known = isinstance(error, MemoryError | torch.OutOfMemoryError)
+        if not known and not (type(error) is RuntimeError and "allocate memory" in str(error)):
+            raise
+        raise TrainingError(
+            f"there is not enough memory for the training in {folder}: choose smaller sizes, such as batch sizes, in "
+            "another folder"
+        ) from error
 
 
 class _Run:
@@ -165,17 +117,16 @@ class _Run:
         self._folder, self._settings, self._learner = folder, settings, learner
         self._update, self._seconds = 0, 0.0
         self._device = device(settings.device).type
-        if (folder / CHECKPOINT).exists():
-            kept = checkpoint.read(folder / CHECKPOINT)
-            self._check_device(kept.get("device", self._device))
+        kept = last_checkpoint(folder, settings)
+        if kept is not None:
+            self._check_device(kept.device or self._device)
+            self._update, self._seconds = kept.update, kept.seconds
             try:
-                self._update, self._seconds = kept["update"], kept["seconds"]
-                learner.restore(kept["learner"])
-            except (KeyError, IndexError, TypeError, RuntimeError, ValueError) as error:
-                raise TrainingError(
-                    f"{folder / CHECKPOINT} does not fit this version of {settings.method} ({error!r}): continue with "
-                    "the version that its config.toml names, or train anew in another folder"
-                ) from error
+                if kept.update > learner.updates:
+                    raise ValueError(f"update {kept.update} of {learner.updates}")
+                learner.restore(kept.learner)
+            except Exception as error:
+                raise misfit(folder, settings, error) from error
         self._saved = self._update
 
     def _check_device(self, before: str) -> None:
@@ -190,15 +141,15 @@ class _Run:
     def play(self, watch: Callable[[Progress], None]) -> Policy:
         updates, settings = self._learner.updates, self._settings
         policy = self._learner.policy()
-        if self._update == updates and _policy(self._folder) is None:
+        if self._update == updates and kept_policy(self._folder, settings) is None:
             self._learner.save_policy(self._folder)
         started = time.monotonic() - self._seconds
-        with Metrics(self._folder, self._update) as metrics:
+        with Metrics(self._folder, self._update) as table:
             while self._update < updates:
-                figures = self._learner.update()
+                metrics = self._learner.update()
                 self._update += 1
-                self._check(figures)
-                metrics.add(figures)
+                self._check(metrics)
+                table.add(metrics)
                 save = _due(self._update, updates, settings.checkpoints)
                 evaluation = _due(self._update, updates, settings.evaluations)
                 if evaluation or save:
@@ -210,7 +161,7 @@ class _Run:
                 means: Mapping[str, float] = {}
                 if save or scores or _due(self._update, updates, ROWS):
                     self._seconds = time.monotonic() - started
-                    means = metrics.write(self._update, self._seconds, scores)
+                    means = table.write(self._update, self._seconds, scores)
                 if save:
                     self._save()
                 watch(Progress(self._update, updates, means, scores))
@@ -230,10 +181,10 @@ class _Run:
         )
         return {str(task): float(score) for task, score in frame.groupby("task")["score"].mean().items()}
 
-    def _check(self, figures: Mapping[str, float]) -> None:
-        wrong = [name for name, value in figures.items() if not math.isfinite(value)]
+    def _check(self, metrics: Mapping[str, float]) -> None:
+        wrong = [name for name, value in metrics.items() if not math.isfinite(value)]
         if wrong:
-            self._give_up(f"{wrong[0]} is {figures[wrong[0]]}")
+            self._give_up(f"{wrong[0]} is {metrics[wrong[0]]}")
 
     def _save(self) -> None:
         kept: dict[str, Any] = {
@@ -241,10 +192,14 @@ class _Run:
             "updates": self._learner.updates,
             "seconds": self._seconds,
             "device": self._device,
+            "settings": json.dumps(recorded(self._settings)),
             "learner": self._learner.state(),
         }
-        self._learner.save_policy(self._folder)  # first: a run with the last checkpoint is finished
+        if self._saved:  # before the checkpoint, since a run with the last checkpoint is finished
+            self._learner.save_policy(self._folder)
         checkpoint.write(self._folder / CHECKPOINT, kept)
+        if not self._saved:  # after the checkpoint: where there is a policy, there is one
+            self._learner.save_policy(self._folder)
         self._saved = self._update
 
     def _give_up(self, reason: str) -> None:

@@ -35,6 +35,14 @@ class Network:
     entity: int = 64  # of states: units for the robot, each block and each region
     attention: int = 1  # likewise: layers of attention between them
 
+    def __post_init__(self) -> None:
+        """Raises a `SettingsError` for sizes that cannot be."""
+        _check_numbers(self, "network.")
+        if self.first_kernel % 2 == 0:
+            raise SettingsError(f"network.first_kernel must be odd, not {self.first_kernel}")
+        if self.entity % HEADS:
+            raise SettingsError(f"network.entity must be a multiple of {HEADS}, not {self.entity}")
+
 
 @dataclass(frozen=True)
 class Cloning:
@@ -143,13 +151,9 @@ class TrainingSettings:
                 f"learners look at one stack of frames or at states: preset must be one of {', '.join(LEARNABLE)}"
             )
         check_name("augmentation", self.augment, AUGMENT)
-        _check_positive(self, "")
+        _check_numbers(self, "")
         if self.seed >= SEEDS:
             raise SettingsError(f"a training's seed must be below 2**63, not {shown(self.seed)}")
-        if self.network.first_kernel % 2 == 0:
-            raise SettingsError(f"network.first_kernel must be odd, not {self.network.first_kernel}")
-        if self.network.entity % HEADS:
-            raise SettingsError(f"network.entity must be a multiple of {HEADS}, not {self.network.entity}")
         for name, (value, allowed) in {
             "bc.optimizer": (self.bc.optimizer, ("sgd", "adam")),
             "bc.heads": (self.bc.heads, ("normal", "uniform")),
@@ -208,14 +212,27 @@ MAY_BE_ZERO: Final = {
 }  # fmt: skip
 
 
-def _check_positive(part: Any, prefix: str) -> None:
+AT_MOST: Final = {
+    "episodes": 10**6,
+    "network.first_kernel": 95, "network.first_stride": 95,  # the pictures have 96 pixels
+    "network.first_channels": 4096, "network.channels": 4096, "network.hidden": 4096,
+    "network.entity": 1024, "network.attention": 32,
+    "bc.batch_size": 2**16,
+    "ppo.environments": 2**16, "ppo.steps": 2**16, "ppo.minibatch": 2**16,
+    "discriminator.batch_size": 2**16, "discriminator.rollouts": 2**10,
+    "features.batch_size": 2**16, "features.size": 4096, "features.samples": 2**20,
+}  # fmt: skip
+"""Sizes for which no machine has the memory, or nobody the time, are above these."""
+
+
+def _check_numbers(part: Any, prefix: str) -> None:
     for item in fields(part):
         value, name = getattr(part, item.name), f"{prefix}{item.name}"
         if is_dataclass(value):
-            _check_positive(value, f"{name}.")
-        elif (
-            isinstance(value, int | float)
-            and not isinstance(value, bool)
-            and not (0 < value < inf or (value == 0 and name in MAY_BE_ZERO))
-        ):
-            raise SettingsError(f"{name} must be {'0 or more' if name in MAY_BE_ZERO else 'positive'}, not {value}")
+            _check_numbers(value, f"{name}.")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            if not (0 < value < inf or (value == 0 and name in MAY_BE_ZERO)):
+                least = "0 or more" if name in MAY_BE_ZERO else "positive"
+                raise SettingsError(f"{name} must be {least}, not {shown(value)}")
+            if value > AT_MOST.get(name, inf):
+                raise SettingsError(f"{name} must be at most {AT_MOST[name]}, not {shown(value)}")

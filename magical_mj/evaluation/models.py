@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import io
 import json
+import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -105,7 +106,8 @@ def _content(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     except Exception as error:
         raise SettingsError(f"{path} is not a stable-baselines3 archive: {reason(error)}") from error
     try:
-        return data, _named(torch.load(io.BytesIO(packed), map_location="cpu", weights_only=True))
+        with warnings.catch_warnings(action="ignore"):  # of pickles that are refused
+            return data, _named(torch.load(io.BytesIO(packed), map_location="cpu", weights_only=True))
     except Exception as error:
         raise SettingsError(f"{path} has weights that are not tensors; it is not loaded") from error
 

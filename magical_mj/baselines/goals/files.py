@@ -52,7 +52,7 @@ def from_json(text: str) -> dict[str, Goal]:
     """
     try:
         return {task: _goal(entry) for task, entry in json.loads(text).items()}
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, MagicalError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError, MagicalError) as error:
         raise TrainingError(f"these are no goals as a training writes them: {type(error).__name__}: {error}") from error
 
 

@@ -23,11 +23,16 @@ class GoalInference(Method):
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
-        if not settings.states:
-            raise SettingsError(f"goals are inferred from states, not from pictures: give --preset {STATE}")
+        _check_states(settings)
         self.updates = 1
         self._written = to_json({})
         self._policy = GoalPolicy({}, settings.tasks)
+
+    @classmethod
+    def check(cls, settings: TrainingSettings) -> None:
+        """Also that states are looked at."""
+        super().check(settings)
+        _check_states(settings)
 
     def update(self) -> Mapping[str, float]:
         """Infers all goals. Returns the fewest bits saved by any, and the smallest lead over an alternative."""
@@ -59,6 +64,11 @@ class GoalInference(Method):
     def _pursue(self, written: str) -> None:
         self._written = written
         self._policy.goals.update(from_json(written))
+
+
+def _check_states(settings: TrainingSettings) -> None:
+    if not settings.states:
+        raise SettingsError(f"goals are inferred from states, not from pictures: give --preset {STATE}")
 
 
 def ends(demonstration: Demonstration) -> tuple[Scene, Scene]:
