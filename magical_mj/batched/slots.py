@@ -57,7 +57,7 @@ def _solid_body(model: mujoco.MjModel, slot: int) -> int:
     return model.body(f"block{slot}").id + 1
 
 
-def _solid_geoms(model: mujoco.MjModel, slot: int) -> NDArray[np.int64]:
+def _collision_geoms(model: mujoco.MjModel, slot: int) -> NDArray[np.int64]:
     body = _solid_body(model, slot)
     return model.body_geomadr[body] + np.arange(model.body_geomnum[body])
 
@@ -67,7 +67,7 @@ def block_geoms(shape: Shape) -> BlockGeoms:
     """What MuJoCo makes of a block of this shape."""
     scene = Scene(Robot(0.0, -0.5, 0.0), (Block(shape, "red", 0.0, 0.5, 0.0),))
     model = mujoco.MjModel.from_xml_string(world_mjcf(scene, regions=""))
-    geoms = _solid_geoms(model, 0)
+    geoms = _collision_geoms(model, 0)
     bodies = [model.body("block0").id, _solid_body(model, 0)]
     columns = (model.geom_type, model.geom_contype, model.geom_conaffinity)
     kinds = [tuple(int(column[geom]) for column in columns) for geom in geoms]
@@ -124,7 +124,7 @@ class Slots:
 
     def __init__(self, model: mujoco.MjModel, blocks: int) -> None:
         self._model, self._blocks = model, blocks
-        self._geoms = [_solid_geoms(model, slot) for slot in range(blocks)]
+        self._geoms = [_collision_geoms(model, slot) for slot in range(blocks)]
         self._bodies = [(model.body(f"block{slot}").id, _solid_body(model, slot)) for slot in range(blocks)]
         self._joints = 3 * np.arange(blocks)
 
@@ -180,7 +180,7 @@ class Slots:
         """MuJoCo's `qpos` of the scenes, a row for each world."""
         model, slots = self._model, np.arange(self._blocks)
         qpos = np.repeat(model.qpos0[None], len(scenes.shapes), axis=0)
-        waiting = np.stack([OUTSIDE + 2.0 * slots, OUTSIDE + 0.0 * slots, 0.0 * slots], axis=-1)
+        waiting = np.stack([OUTSIDE + 2.0 * slots, np.full(len(slots), OUTSIDE), np.zeros(len(slots))], axis=-1)
         poses = scenes.poses.copy()
         poses[:, 1:] = np.where((scenes.shapes == ABSENT)[..., None], waiting, poses[:, 1:])
         qpos[:, planar(self._blocks)] = poses

@@ -109,7 +109,8 @@ class EvaluationSettings:
 
     def recorded(self) -> dict[str, Any]:
         """The settings that determine scores; an evaluation can be resumed only if they are the same."""
-        code = {f"code of {task}": code_digest(task) for task, _ in self.environments if task not in TASKS}
+        others = dict.fromkeys(task for task, _ in self.environments if task not in TASKS)
+        code = {f"code of {task}": code_digest(task) for task in others}
         return {
             "environments": [f"{task}-{variant}" for task, variant in self.environments],
             **{name: getattr(self, name) for name in ("episodes", "preset", "rules", "time_limit", "worlds")},
