@@ -13,6 +13,7 @@ MODULES: Final = {
     "gpu": ("mujoco_warp", "torch", "warp"),
     "ray": ("ray",),
     "il": ("kornia", "safetensors", "stable_baselines3", "tensorboard", "torch"),
+    "video": ("imageio_ffmpeg",),
 }
 """Extra -> the modules that are imported from its packages; see pyproject.toml."""
 

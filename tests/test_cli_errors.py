@@ -134,6 +134,18 @@ def test_missing_extra_is_one_line(extra: str, tmp_path: Path) -> None:
     assert result.stderr.count("\n") == 1
 
 
+def test_nothing_is_written_without_the_extra_for_videos(
+    shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played = tmp_path / "noop"
+    shell("evaluate", "--policy", "noop", "--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1, "--out", played)
+    before = sorted(tmp_path.rglob("*"))
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    for command in (("report", played, "--videos"), ("demo", "--out", tmp_path / "tour")):
+        assert 'pip install "magical-mj[video]"' in shell.fails(1, *command)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
 @pytest.mark.parametrize("backend", ["glfw", "osmesa", "mesa"])
 def test_no_opengl_is_one_line(backend: str, tmp_path: Path) -> None:
     """Backends that do not work: GLFW without a display, OSMesa where it is not installed, one that nobody knows."""

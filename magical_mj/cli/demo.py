@@ -21,6 +21,7 @@ from magical_mj.evaluation.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import ScoreFile, read_settings
 from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.extras import check_extra
 
 AGENTS: Final = ("expert", "random", "noop")
 SHEET: Final = "environments.png"
@@ -34,6 +35,7 @@ Episodes = Annotated[int, typer.Option(min=1, help="Of each agent in each enviro
 def demo(out: Out = Path("out/demo"), tasks: Tasks = "all", episodes: Episodes = 3, jobs: Jobs = None) -> None:
     """Evaluate the expert, the random and the no-op agent in all environments, and write the report."""
     settings = EvaluationSettings(tasks=tasks, episodes=episodes, jobs=jobs, out=out)
+    check_extra("videos", "video")
     with ExitStack() as stack:
         try:
             stack.enter_context(files.exclusive(claim_folder(out), wait=False))

@@ -22,7 +22,7 @@ from magical_mj.episodes import actions_of, play
 from magical_mj.errors import EvaluationError, check_name
 from magical_mj.evaluation.scores import Score
 from magical_mj.evaluation.statistics import SAME
-from magical_mj.extras import missing_extra
+from magical_mj.extras import check_extra
 from magical_mj.observations import CAMERAS
 from magical_mj.registry import check_rules, listed
 
@@ -122,10 +122,9 @@ def film(
         MissingExtraError: if imageio-ffmpeg is not installed.
         OSError: if the file cannot be written, or exists.
     """
-    try:
-        import imageio_ffmpeg
-    except ModuleNotFoundError:
-        raise missing_extra("writing a video", "video") from None
+    check_extra("videos", "video")
+    import imageio_ffmpeg
+
     # It warns about videos without frames, which are removed.
     logging.getLogger("imageio_ffmpeg").setLevel(logging.ERROR)
     rate = speed * CONTROL_RATE

@@ -17,6 +17,7 @@ from magical_mj.evaluation.report import begin, extremes, report
 from magical_mj.evaluation.results import gather
 from magical_mj.evaluation.scores import Score
 from magical_mj.evaluation.settings import UNOFFICIAL
+from magical_mj.extras import check_extra
 
 FILM_SIZE = 192  # pixels
 FILM_SPEED = 4  # times real time
@@ -51,6 +52,8 @@ def make_report(
     scores = gather(folders, mixed_presets)  # raises errors before anything is written
     if videos and any(score.worlds != "single" for score in scores):
         raise SettingsError(f"--videos replays episodes of single worlds only, not of batched ones: {UNOFFICIAL}")
+    if videos:
+        check_extra("videos", "video")
     out = claim_folder(out or folders[0] / "report")
     chosen = extremes(scores) if videos else []
     replaced = begin(out, film_names(chosen))
