@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from magical_mj import actions, observations, protocol
 from magical_mj._version import __version__
 from magical_mj.registration import env_id, register_all
 from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS, sample_scene, score
@@ -15,7 +16,7 @@ from magical_mj.rendering.backend import check_opengl, choose_backend
 from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
 
 if TYPE_CHECKING:
-    from magical_mj import batched, demos, experts, wrappers
+    from magical_mj import batched, demos, evaluation, experts, wrappers
     from magical_mj.environment import Environment, load, load_scene
     from magical_mj.evaluation import evaluate
     from magical_mj.export import export_mjcf
@@ -42,21 +43,25 @@ __all__ = [
     "Robot",
     "Scene",
     "__version__",
+    "actions",
     "batched",
     "demos",
     "env_id",
     "evaluate",
+    "evaluation",
     "experts",
     "export_mjcf",
     "load",
     "load_scene",
+    "observations",
+    "protocol",
     "sample_scene",
     "score",
     "wrappers",
 ]
 
 
-_LAZY_MODULES = ("batched", "demos", "experts", "wrappers")
+_LAZY_MODULES = ("batched", "demos", "evaluation", "experts", "wrappers")
 
 
 def __getattr__(name: str) -> Any:

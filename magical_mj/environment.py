@@ -124,7 +124,7 @@ class Environment(OpenEnvironment):
         """Restores a state of this environment, or of another one with the same task: what follows is exactly the same.
 
         Takes half a step's time, or as long as a reset if the state has another scene than the present one. The
-        environments may have different observations. The generator that draws later scenes is not changed.
+        environments may have different observations. The generator of later scenes stays as it is; no hook is called.
 
         Raises:
             StateError, InvalidSceneError: if it is not a state of a scene of this task.
@@ -147,8 +147,7 @@ class Environment(OpenEnvironment):
         Raises:
             StateError: if users have changed the hooks, observables or the MJCF tree of this environment.
         """
-        make, arguments = self.__reduce__()
-        return make(*arguments)
+        return _copied(*self.__reduce__()[1])
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For copying and pickling: the settings, the generator, and the state of the episode if one has begun."""
@@ -170,8 +169,10 @@ class Environment(OpenEnvironment):
             InvalidActionError: if the action is not one of the 18.
             dm_control.rl.control.PhysicsError: if the simulation becomes unstable.
         """
+        if self.over:  # if this reset failed, composer's own would let the episode that is over go on
+            return self.reset()
         simulation = self._open()
-        if self.over or self.extra_hooks or not self._is_plain:
+        if self.extra_hooks or not self._is_plain:
             return super().step(action)
         self.task.before_step(simulation, action, self.random_state)
         simulation.step(SUBSTEPS)

@@ -71,8 +71,9 @@ def export_mjcf(source: Scene | Environment, path: str | os.PathLike[str], *, ov
         OSError: if it cannot be written.
     """
     path = Path(path)
+    text = mjcf_text(source)
     path.parent.mkdir(parents=True, exist_ok=True)
-    files.write(path, mjcf_text(source), overwrite=overwrite)
+    files.write(path, text, overwrite=overwrite)
     return path
 
 

@@ -20,7 +20,7 @@ from magical_mj.env_settings import Reward
 from magical_mj.environment import Environment, load
 from magical_mj.errors import InvalidSceneError, SettingsError, check_name, shown
 from magical_mj.frames import Images, Stacks
-from magical_mj.observations import CAMERAS, FINGERS, STATE_NAMES, VIEWS
+from magical_mj.observations import CAMERAS, STATE_NAMES, VIEWS
 from magical_mj.presets import Preset, preset_named
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
@@ -94,14 +94,13 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._views = VIEWS if render_view == "both" else (render_view,)
         self._render_size = check_size(render_size, "render_size")
         self._preset = preset_named(preset)
-        needs_state = self._preset.layout == "state" or self._preset.fingers
         size = self._preset.image_size if image_size is None else check_size(image_size)
         self._stacks = Stacks(self._preset, size)
         self._env = load(
             task,
             variant,
             seed=0,  # for an episode that is never played, since every reset gives a seed
-            observations=["state"] if needs_state else [],  # pictures go to the stacks
+            observations=["state"] if self._preset.layout == "state" else [],  # pictures go to the stacks
             image_size=size,
             reward=reward,
             rules=rules,
@@ -159,7 +158,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         else:
             again = self._seeded if seed is None else seed
             first = self._env.reset(seed=int(self.np_random.integers(2**63)) if again is None else again)
-        super().reset(seed=seed)  # last, so that a reset that is refused changes nothing
+        super().reset(seed=seed)  # last, so that a reset that is refused leaves the generator as it was
         self._begun = True
         self._seeded = seed if scene is None and state is None else None
         stacks = self._stacks.start(self._see, None if state is None else state.frames)
@@ -188,6 +187,11 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._env.set_state(state)
         self._begun, self._seeded = True, None
         self._stacks.start(self._see, state.frames)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For copying and pickling: with the generator of later scenes, which Gymnasium makes when it is first used."""
+        _ = self.np_random
+        return self.__dict__
 
     def clone(self) -> MagicalEnv:
         """Another environment like this one, in the same state; both go on alike, later episodes included."""
@@ -240,7 +244,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         if self._preset.layout == "state":
             return seen["state"]
         if self._preset.fingers:
-            return {**stacks, "fingers": seen["state"][FINGERS]}
+            fingers = self._env.task.world.fingers(self._env.physics.data.qpos)
+            return {**stacks, "fingers": fingers.astype(np.float32)}
         return stacks if self._preset.layout == "dict" else next(iter(stacks.values()))
 
 

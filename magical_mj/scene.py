@@ -110,7 +110,11 @@ class GoalRegion:
 
 @dataclass(frozen=True, slots=True)
 class Dynamics:
-    """The five force caps of the world, all positive; the Dynamics variant draws other values."""
+    """The five force caps of the world, all positive; the Dynamics variant draws other values.
+
+    MuJoCo's least coefficient of friction bounds what they do: whatever smaller caps say,
+    blocks resist with at least 0.1, and the robot drives with at least 0.2.
+    """
 
     drive_force: float = c.DRIVE_FORCE
     turn_torque: float = c.TURN_TORQUE

@@ -91,5 +91,6 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         if terminated or truncated:
             score = np.float64(self._world.score())
             info = info | {"eval_score": score, "is_success": np.array(score == 1.0)}
-            reward = float(score) if self._world.task.settings.reward == "score" else reward
+            if self._world.task.settings.reward == "score" and not self._world.over:  # else it was paid already
+                reward = float(score)
         return observation, reward, terminated, truncated, info

@@ -146,6 +146,14 @@ def test_nothing_is_written_without_the_extra_for_videos(
     assert sorted(tmp_path.rglob("*")) == before
 
 
+def test_an_export_that_cannot_be_finished_is_not_begun(shell: Shell, tmp_path: Path) -> None:
+    taken = tmp_path / "FixColour-Demo-ego.hdf5"
+    taken.write_text("precious")
+    command = ("demos", "export", "--tasks", "MoveToRegion,FixColour", "--to", "robomimic")
+    assert "FixColour-Demo-ego.hdf5 exists already" in shell.fails(1, *command)
+    assert [path.name for path in tmp_path.iterdir()] == [taken.name]
+
+
 @pytest.mark.parametrize("backend", ["glfw", "osmesa", "mesa"])
 def test_no_opengl_is_one_line(backend: str, tmp_path: Path) -> None:
     """Backends that do not work: GLFW without a display, OSMesa where it is not installed, one that nobody knows."""

@@ -253,6 +253,23 @@ def test_closing_is_idempotent_and_final() -> None:
         env.reset()
 
 
+def test_an_episode_that_is_over_stays_over_if_the_next_cannot_start() -> None:
+    env = magical_mj.load("MoveToRegion", seed=0, observations=())
+    env.reset()
+    while not env.step(0).last():
+        pass
+    problems = [RuntimeError("no episode today")]
+
+    def fail_once(_: object, random_state: object) -> None:
+        if problems:
+            raise problems.pop()
+
+    env.add_extra_hook("initialize_episode", fail_once)
+    with pytest.raises(RuntimeError, match="no episode today"):
+        env.step(0)
+    assert env.step(0).first()
+
+
 def test_composer_hooks_of_users_run() -> None:
     """Substep hooks still see every substep, and the physics does not change by it."""
     env, twin = (magical_mj.load("MatchRegions", seed=0, observations=("state",)) for _ in range(2))

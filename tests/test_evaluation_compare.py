@@ -11,7 +11,7 @@ import pytest
 from evaluations import TEMPLATE, example, write
 
 from magical_mj.errors import EvaluationError, SettingsError
-from magical_mj.evaluation.compare import compare
+from magical_mj.evaluation.compare import choose, compare
 from magical_mj.evaluation.report import report
 from magical_mj.evaluation.scores import Score
 
@@ -62,6 +62,15 @@ def test_equal_policies_do_not_differ(tmp_path: Path) -> None:
     folder = write(tmp_path, example())
     found = compare(f"{folder}:noop", f"{folder}:noop")
     assert (found[["difference", "low", "high"]] == 0).all(axis=None)
+
+
+def test_names_of_policies_and_folders_may_hold_colons(tmp_path: Path) -> None:
+    folder = write(tmp_path / "at:noon", [replace(score, policy=f"{score.policy}:v2") for score in example()])
+    assert choose(f"{folder}:noop:v2")[0] == "noop:v2"
+    with pytest.raises(SettingsError, match="name one of them"):
+        choose(folder)
+    with pytest.raises(EvaluationError, match="gone:noop holds no scores"):
+        choose("gone:noop")
 
 
 def test_comparisons_need_names_and_common_scenes(tmp_path: Path) -> None:

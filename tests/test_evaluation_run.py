@@ -229,6 +229,7 @@ class Holding:
     [
         ("rndom", {}, "Did you mean 'random'"),
         ("", {}, "give a policy"),
+        ("BC=", {}, "BC= names no policy"),
         (3, {}, "3 is not a policy"),
         (Path("missing.zip"), {}, "no file missing.zip"),
         ("no_such_module:thing", {}, "no_such_module:thing cannot be imported"),

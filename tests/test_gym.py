@@ -6,6 +6,7 @@ import pickle
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -121,6 +122,19 @@ def test_fingers_are_those_of_the_scene() -> None:
         assert env.observation_space.contains(observation)
     assert open_by < np.ptp(observation["fingers"])  # closed, then opening
     env.close()
+
+
+def test_fingers_are_seen_in_scenes_that_the_state_vector_cannot_hold() -> None:
+    scene = magical_mj.sample_scene("ClusterColour", "Demo", 0)
+    spread = [
+        replace(scene.blocks[place % len(scene.blocks)], x=-0.75 + 0.3 * (place % 6), y=0.75 - 0.3 * (place // 6))
+        for place in range(12)
+    ]
+    env = gymnasium.make("magical_mj/ClusterColour-Demo-LoResFingers-v0").unwrapped
+    observation, _ = env.reset(
+        options={"scene": replace(scene, robot=magical_mj.Robot(0, -0.5, 0), blocks=tuple(spread))}
+    )
+    np.testing.assert_allclose(observation["fingers"], env.scene.robot.fingers, atol=1e-6)
 
 
 @pytest.mark.parametrize("task", magical_mj.TASKS)

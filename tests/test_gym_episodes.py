@@ -75,6 +75,14 @@ def test_the_score_behind_wrappers_of_ones_own() -> None:
     assert [info["eval_score"].tolist() for info in infos] == [[0.0, 0.0]] * 4 + [[0.25, 0.25]]
 
 
+def test_rewards_that_were_paid_and_changed_by_wrappers_stay() -> None:
+    """By hand: the tenfold score at the task's horizon; at a limit of one's own, the score itself."""
+    for limit, paid in ((None, 2.5), (7, 0.25)):
+        tenfold = wrappers.TransformReward(gymnasium.make(CLUSTER, reward="score"), lambda reward: 10 * float(reward))
+        env = ScoreAtTheEnd(tenfold if limit is None else wrappers.TimeLimit(tenfold, limit))
+        assert played(env)[-1][0] == paid
+
+
 def test_other_packages_environments_have_no_score() -> None:
     with pytest.raises(SettingsError, match="wraps the environments of magical_mj"):
         ScoreAtTheEnd(gymnasium.make("CartPole-v1"))

@@ -108,6 +108,25 @@ def test_drops_compare_the_tasks_that_have_the_variant() -> None:
     assert found.drops["All"].value == pytest.approx(0.75 * share)
 
 
+def test_drops_count_all_runs_and_have_an_interval_only_if_they_are_the_same() -> None:
+    """By hand: Demo's runs 0 and 1 are at 0.1 and 0.9, those of Jitter, 1 and 2, at 0.9 and 0.1: no drop, no pairs."""
+    scores = {("Demo", 0): 0.1, ("Demo", 1): 0.9, ("Jitter", 1): 0.9, ("Jitter", 2): 0.1, ("Layout", 0): 0.1}
+    some = [one for one in whole().episodes if one.task == "FixColour"]
+    played = [
+        one._replace(run=run, score=score)
+        for (variant, run), score in scores.items()
+        for one in some
+        if one.run == 0 and one.variant == variant
+    ]
+    drops = standing(replace(whole(), episodes=played)).drops
+    assert drops["Jitter"].value == pytest.approx(0)
+    assert np.isnan(drops["Jitter"].low)
+    assert drops["Layout"].value == pytest.approx(0.4)
+    level = {"Demo": 1.0, "Jitter": 0.5}
+    both = standing(scored(whole(), lambda one: level.get(one.variant, 0.0) - one.run / 10)).drops["Jitter"]
+    assert (both.low, both.high) == pytest.approx((0.5, 0.5))
+
+
 def test_the_weakest_variant_is_found_on_tasks_that_have_all() -> None:
     """By hand: MoveToRegion has no Shape. What it loses in Colour must not outweigh what others lose in Shape."""
 

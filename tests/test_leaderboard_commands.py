@@ -52,7 +52,7 @@ def test_the_commands_say_what_they_found(folder: Path, tmp_path: Path, capsys: 
     assert main(["submit", str(folder), "--out", str(path)]) == 0
     out = capsys.readouterr().out
     assert f"expert: {EPISODES} episodes of 1 run," in out
-    assert "the card does not say: description, authors, links, hardware (--card)" in out
+    assert "the card does not say: description, authors, links, demonstrations.set, demonstrations.per_task" in out
     assert "a partial entry: 1 of 5 runs, 1 of 60 environments, 96 of 100 episodes missing in the " in out
     rewrite(folder, tampered_score)
     assert main(["verify", str(folder)]) == 1

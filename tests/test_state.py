@@ -195,6 +195,15 @@ def test_wrapped_environments_are_copied_and_pickled() -> None:
         assert twin.action_space.sample() == here.action_space.sample()
 
 
+def test_copies_of_environments_without_a_seed_draw_the_same_scenes() -> None:
+    env = gymnasium.make("magical_mj/FindDupe-TestLayout-State-v0").unwrapped
+    env.reset(options={"scene": magical_mj.sample_scene("FindDupe", "Layout", 3)})
+    twins = [env.clone(), pickle.loads(pickle.dumps(env))]
+    for one in (env, *twins):
+        one.reset()
+    assert [twin.initial_scene for twin in twins] == [env.initial_scene] * 2
+
+
 def test_states_that_do_not_fit_are_refused_and_harm_nothing() -> None:
     env = magical_mj.load("FindDupe", seed=0, observations=())
     env.reset()

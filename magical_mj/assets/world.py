@@ -138,7 +138,8 @@ class World(composer.Entity):
 
     The model is written as text, which is forty times faster than building composer's tree of elements, and is compiled
     from a spec that was parsed from parts of this text. The tree is made only when `mjcf_model` is first read; from
-    then on the tree is compiled, with everything that users have added to it.
+    then on the tree is compiled, with everything that users have added to it, until an episode starts in another scene,
+    which is another world: what every episode needs is added in a hook, composer's `initialize_episode_mjcf`.
     """
 
     def _build(self, scene: Scene) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 import magical_mj
-from magical_mj.cli.console import Force, Tasks, Variants, check_fits, check_suffix, claim, claim_folder, console
+from magical_mj.cli.console import Force, Tasks, Variants, check_fits, check_suffix, claim, console
 from magical_mj.cli.demos import SUFFIX, Paths, files_of, read_chosen
 from magical_mj.errors import SettingsError
 from magical_mj.registry import environments
@@ -63,24 +63,27 @@ def export(
         raise typer.BadParameter(
             f"one data set holds one environment, but these are of {', '.join(names)}: drop --out."
         )
-    for name in names:
-        some = [demo for demo in demos if demo.name == name]
-        if to == "minari":
-            preset = "State" if preset is None else preset
-            made = magical_mj.demos.to_minari(some, out, preset, overwrite=force)
-        elif to == "robomimic":
-            views = _views("LoRes4E" if preset is None else preset)
-            path = Path(out or f"{name}-{views}.hdf5")
-            check_suffix(path, ".hdf5")
-            to_robomimic(some, claim(path, force), views=views, overwrite=force)
-            made = str(path)
+    chosen = {name: [demo for demo in demos if demo.name == name] for name in names}
+    if to == "minari":
+        preset = "State" if preset is None else preset
+        for some in chosen.values():
+            screen.print(magical_mj.demos.to_minari(some, out, preset, overwrite=force), soft_wrap=True)
+        return
+    views = _views("LoRes4E" if preset is None else preset)
+    ending = ".hdf5" if to == "robomimic" else f"{'-fingers' if fingers else ''}-lerobot"
+    made = {name: Path(out or f"{name}-{views}{ending}") for name in names}
+    for path in made.values():  # before the first one is made
+        if to == "robomimic":
+            check_suffix(path, ending)
+        elif path.exists():
+            raise FileExistsError(f"{path} exists already; give a new folder")
+        claim(path, force)
+    for name, path in made.items():
+        if to == "robomimic":
+            to_robomimic(chosen[name], path, views=views, overwrite=force)
         else:
-            views = _views("LoRes4E" if preset is None else preset)
-            folder = Path(out or f"{name}-{views}{'-fingers' if fingers else ''}-lerobot")
-            claim_folder(folder.parent)
-            to_lerobot(some, folder, views=views, fingers=fingers, video=video)
-            made = str(folder)
-        screen.print(made, soft_wrap=True)
+            to_lerobot(chosen[name], path, views=views, fingers=fingers, video=video)
+        screen.print(path, soft_wrap=True)
 
 
 def _views(preset: str) -> str:

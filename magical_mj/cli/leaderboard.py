@@ -60,12 +60,13 @@ def make_entry(folders: Folders, out: Out, card: Card = None, policy: Name = Non
     """Pack the evaluations of one method, with its card, into an entry for the leaderboard."""
     claim_folder(out.parent)
     entry = submit(folders, out, card=card, policy=policy, extend=extend)
-    unsaid = [name for name, value in entry.card.items() if value is None]
+    parts = {name: value if isinstance(value, dict) else {"": value} for name, value in entry.card.items()}
+    unsaid = [f"{name}.{inner}".rstrip(".") for name, part in parts.items() for inner in part if part[inner] is None]
     runs = "1 run" if len(entry.runs) == 1 else f"{len(entry.runs)} runs"
     screen = console()
     screen.print(f"{entry.method}: {len(entry.episodes)} episodes of {runs}, {out.stat().st_size / 1e6:.2f} MB")
     if unsaid:
-        screen.print(f"the card does not say: {', '.join(unsaid)} (--card)")
+        screen.print(f"the card does not say: {', '.join(unsaid)} (--card)", soft_wrap=True)
     missing = gaps(entry)
     if missing:
         screen.print(f"a partial entry: {', '.join(missing)}", soft_wrap=True)

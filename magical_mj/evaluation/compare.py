@@ -26,9 +26,9 @@ def choose(which: Path | str) -> tuple[str, list[Score]]:
         SettingsError: if the folder holds several policies and none is named, or the named one is not there.
         EvaluationError: if the folder is not an evaluation.
     """
-    folder, colon, policy = str(which).rpartition(":")
-    if not colon or Path(str(which)).is_dir():
-        folder, policy = str(which), ""
+    parts = str(which).split(":")  # names of folders and of policies may hold colons
+    splits = [(":".join(parts[:count]), ":".join(parts[count:])) for count in range(len(parts), 0, -1)]
+    folder, policy = next((split for split in splits if split[0] and Path(split[0]).is_dir()), splits[0])
     scores = read(Path(folder))
     names = list(dict.fromkeys(score.policy for score in scores))
     if policy not in names if policy else len(names) > 1:

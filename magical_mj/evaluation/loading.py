@@ -127,6 +127,8 @@ def _each(policies: Any) -> Iterator[Source]:
     elif isinstance(policies, str):
         for text in filter(None, (part.strip() for part in policies.split(","))):
             name, equals, origin = text.partition("=")
+            if equals and not origin:  # else it would be the working directory
+                raise SettingsError(f"{text} names no policy: {LEGEND}")
             yield Source(name, 0, origin) if equals else Source(_short(text), 0, text)
     elif isinstance(policies, Mapping):
         for name, given in policies.items():

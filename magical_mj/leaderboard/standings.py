@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -87,19 +87,20 @@ def standing(entry: Entry) -> Standing:
     """The standing of an entry."""
     episodes = frame(entry)
     runs = {
-        (str(task), str(variant)): [run["score"].to_numpy(float) for _, run in group.groupby("run")]
+        (str(task), str(variant)): {int(run): played["score"].to_numpy(float) for run, played in group.groupby("run")}
         for (task, variant), group in episodes.groupby(["task", "variant"], sort=False)
     }
-    means = {pair: np.array([scores.mean() for scores in runs[pair]]) for pair in ENVIRONMENTS if pair in runs}
+    there = [pair for pair in ENVIRONMENTS if pair in runs]
+    means = {pair: np.array([scores.mean() for scores in runs[pair].values()]) for pair in there}
     missing = tuple(gaps(entry))
     scores = {}
     for variant in (OVERALL, *VARIANTS):
-        mine = [runs[pair] for pair in means if variant in (OVERALL, pair[1])]
+        mine = [list(runs[pair].values()) for pair in there if variant in (OVERALL, pair[1])]
         if mine:
             found = summarise(mine)
             scores[variant] = Estimate(found.iqm, found.iqm_low, found.iqm_high)
     kind: Kind = "partial" if missing else "official"
-    return Standing(entry.method, kind, entry, missing, means, scores, _drops(means))
+    return Standing(entry.method, kind, entry, missing, means, scores, _drops(means, runs))
 
 
 def own_standings(folder: Path) -> dict[str, Standing]:
@@ -145,23 +146,24 @@ def published() -> list[Standing]:
             for variant in (OVERALL, *VARIANTS)
             if (values := [value for pair, value in means.items() if variant in (OVERALL, pair[1])])
         }
-        drops = {variant: Estimate(drop.value) for variant, drop in _drops(means).items()}
+        drops = {variant: Estimate(drop.value) for variant, drop in _drops(means, dict.fromkeys(means, ())).items()}
         found.append(Standing(str(policy), "published", None, (), means, scores, drops))
     return found
 
 
-def _drops(means: Mapping[Environment, Floats]) -> dict[str, Estimate]:
+def _drops(means: Mapping[Environment, Floats], runs: Mapping[Environment, Collection[int]]) -> dict[str, Estimate]:
+    """How much less is scored in each variant than in Demo, on the tasks that have both.
+
+    There is an interval only if the same runs were played in both: they are resampled together.
+    """
     drops = {}
     for variant in VARIANTS[1:]:
-        falls = [
-            means[task, "Demo"] - means[task, variant]
-            for task in TASKS
-            if (task, "Demo") in means
-            and (task, variant) in means
-            and len(means[task, variant]) == len(means[task, "Demo"])
-        ]
-        if falls:
-            drops[variant] = Estimate(float(np.mean([fall.mean() for fall in falls])), *mean_interval(falls))
+        pairs = [((task, "Demo"), (task, variant)) for task in TASKS if {(task, "Demo"), (task, variant)} <= set(means)]
+        if pairs:
+            value = float(np.mean([means[demo].mean() - means[other].mean() for demo, other in pairs]))
+            paired = all(list(runs[demo]) == list(runs[other]) for demo, other in pairs)
+            interval = mean_interval([means[demo] - means[other] for demo, other in pairs]) if paired else ()
+            drops[variant] = Estimate(value, *interval)
     return drops
 
 

@@ -64,7 +64,7 @@ class Collection:
         return token
 
     def participant(self, name: Any) -> str:
-        """The id `name` if it is that of a known participant who returns, else a new id."""
+        """The id `name` if it has the form of one, as of a participant who returns, else a new id."""
         return name if isinstance(name, str) and _PARTICIPANT.fullmatch(name) else secrets.token_hex(8)
 
     def next(self) -> dict[str, Any] | None:

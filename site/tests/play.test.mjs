@@ -126,6 +126,23 @@ test("nothing starts by itself, whatever was pressed or stands in the address", 
   assert.deepEqual(complaints, []);
 });
 
+test("a key that was released counts once, however often it repeated itself", async () => {
+  const actions = await page.evaluate(async () => {
+    const { Controls } = await import("./controls.js");
+    const controls = new Controls(document.body, []), taken = [];
+    const key = (type, repeat = false) => document.body.dispatchEvent(new KeyboardEvent(type, { code: "ArrowUp", repeat, bubbles: true }));
+    key("keydown");
+    taken.push(controls.next());
+    key("keydown", true);
+    taken.push(controls.next());
+    key("keydown", true);
+    key("keyup");
+    taken.push(controls.next());
+    return taken;
+  });
+  assert.deepEqual(actions, [1, 1, 0]);
+});
+
 test("impatient keys before the first scene do no harm", async () => {
   await page.route("**/scenes/*.json", async (route) => {
     await new Promise((resolve) => setTimeout(resolve, 500));

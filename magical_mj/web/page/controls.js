@@ -26,17 +26,12 @@ export class Controls {
       const elsewhere = event.target !== document.body && event.target !== arena;
       if (!command || elsewhere || event.ctrlKey || event.metaKey || event.altKey) return;
       event.preventDefault();  // the page must not scroll
-      this.#press(event.code, command);
+      this.held.set(event.code, command);
+      if (!event.repeat) this.tapped.add(command);  // else a key that is up again would count in the next action, too
     });
     addEventListener("keyup", (event) => this.held.delete(event.code));
     addEventListener("blur", () => this.held.clear());
     for (const button of buttons) this.#touch(button, /** @type {Command} */ (button.dataset.command));
-  }
-
-  /** @param {string | HTMLElement} by @param {Command} command */
-  #press(by, command) {
-    this.held.set(by, command);
-    this.tapped.add(command);
   }
 
   /** @param {HTMLButtonElement} button @param {Command} command */
@@ -44,7 +39,8 @@ export class Controls {
     button.addEventListener("pointerdown", (event) => {
       event.preventDefault();
       button.setPointerCapture(event.pointerId);
-      this.#press(button, command);
+      this.held.set(button, command);
+      this.tapped.add(command);
     });
     for (const end of ["pointerup", "pointercancel"]) button.addEventListener(end, () => this.held.delete(button));
     button.addEventListener("contextmenu", (event) => event.preventDefault());  // what a long press would open

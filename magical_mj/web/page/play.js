@@ -201,14 +201,16 @@ async function send() {
   const game = /** @type {Game} */ (shown.game);
   shown.sending = element("save").disabled = true;
   say("Sending …");
+  const choice = choices;
   try {
     const { score, next } = await /** @type {Seat} */ (seat).ask({ keep: recording(shown, catalogue.protocol) });
     game.sent = true;
-    const choice = choices;
+    const kept = `Kept, with score ${score.toFixed(2)}. Thank you!`;
+    if (choices !== choice) return say(kept);  // another scene was chosen meanwhile
     const opened = await chooseWanted(next);
-    if (next && choices !== choice + 1) return;  // another scene was chosen meanwhile
+    if (next && choices !== choice + 1) return;  // or while it was loaded
     const after = !next ? "That was everything" : opened ? "Press a key to go on" : `The next scene cannot be opened: ${shown.note}`;
-    say(`Kept, with score ${score.toFixed(2)}. Thank you! ${after}`);
+    say(`${kept} ${after}`);
   } catch (error) {
     say(/** @type {Error} */ (error));
   } finally {
