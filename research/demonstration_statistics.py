@@ -5,7 +5,7 @@
 The shipped set comes first, then folders of demonstrations, then episodes of people in the original simulation: a file
 of arrays ``<Task>/<number>/{actions, poses, fingers, score}``, poses of shape (steps + 1, 1 + blocks, 3), robot first.
 
-The table of statistics takes a minute. ``--learn`` adds a second one: behavioural cloning from states, from 10
+The table of statistics takes seconds. ``--learn`` adds a second one: behavioural cloning from states, from 10
 demonstrations of each task, played in our world. A training and its episodes take about a minute of one core.
 """
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
@@ -111,5 +112,6 @@ def picture(cases: Mapping[str, Case]) -> Image.Image:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     shown = picture(recordings(ROOT / "tests" / "data" / "probes.npz"))
     shown.quantize(64).save(ROOT / "docs" / "physics.png", optimize=True)

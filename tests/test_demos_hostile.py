@@ -12,6 +12,7 @@ import pytest
 
 import magical_mj
 from magical_mj import demos
+from magical_mj.actions import ACTIONS
 from magical_mj.cli import main
 from magical_mj.demos import Demonstration
 from magical_mj.demos.files import ARRAYS, _digest
@@ -90,6 +91,28 @@ def test_headers_are_checked(path: Path, header: Any, problem: str) -> None:
     forge(path, header)
     with pytest.raises(DemonstrationError, match=problem):
         demos.read(path)
+
+
+def test_damaged_files_and_wrong_folders_cost_nobody_the_episode(demo: Demonstration, tmp_path: Path) -> None:
+    first, _ = demos.keep(demo, tmp_path)
+    first.write_bytes(first.read_bytes()[:100])
+    second, is_new = demos.keep(demo, tmp_path)
+    assert is_new
+    assert demos.read(second).score == demo.score
+    assert demos.keep(demo, tmp_path) == (second, False)
+    with pytest.raises(FileExistsError, match=first.name):
+        demos.keep(demo, first)
+    with pytest.raises(DemonstrationError, match="there are no demonstrations"):
+        demos.load("FindDupe", "")  # as of a variable that is not set
+
+
+def test_actions_may_be_recorded_as_triples() -> None:
+    env = magical_mj.load("MoveToRegion", seed=0, observations=())
+    env.reset()
+    recorder = demos.Recorder(env)
+    for action in (ACTIONS[0], ACTIONS[10], 3):
+        recorder.step(action)
+    assert recorder.demonstration("MoveToRegion", "Demo", 0, "human", 0).actions.tolist() == [0, 10, 3]
 
 
 def test_a_small_file_that_unpacks_to_much_is_not_unpacked(path: Path) -> None:

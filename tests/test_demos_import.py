@@ -191,6 +191,11 @@ def test_folders_of_several_people_are_read_and_no_file_twice(
         path, _ = demos.keep(demo, tmp_path / person)
     (tmp_path / "token").write_text("secret")
     assert len(demos.load("FindDupe", tmp_path)) == 2
+    demos.write(demos.load("FixColour")[0], tmp_path / "FixColour-Demo-000.npz")  # which hides nobody's
+    assert main(["demos", "info", str(tmp_path), "--tasks", "FindDupe"]) == 0
+    (row,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("FindDupe-")]
+    assert row.split()[2] == "2"
+    (tmp_path / "FixColour-Demo-000.npz").unlink()
     assert main(["demos", "verify", str(tmp_path), str(path), str(path.parent), "--jobs", "1"]) == 0
     assert "2 of 2 replay" in capsys.readouterr().out
     assert main(["demos", "export", str(tmp_path), "--out", str(path.with_name("x.npz")), "--preset", "State"]) == 2

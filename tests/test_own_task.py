@@ -151,6 +151,16 @@ def test_it_is_demonstrated_exported_and_learnt(user: User) -> None:
     settings = " ".join(f"--set {setting}" for setting in TINY.split())
     user.does(f"train bc --tasks PushOut --quick --out run {settings}")
     user.does("evaluate --policy run --tasks PushOut --variants Demo --episodes 1 --out learnt")
+    user.does(f"demos generate --tasks push_out:SPEC --variants All --count 1 --out {folder}")
+    user.runs(  # of which learners see nothing
+        """
+        from magical_mj import demos
+        from magical_mj.baselines.data import shipped
+
+        assert [demo.variant for demo in demos.load("PushOut")] == ["All", "Demo"]
+        assert [demo.variant for demo in shipped("PushOut")] == ["Demo"]
+        """
+    )
     user.does("view PushOut All --out picture.png")
     assert user.does("export push_out:SPEC All --out models").strip() == "models/PushOut-All-0.xml"
     user.runs(

@@ -81,6 +81,9 @@ CHANCE = replace(GOOD, colour=lambda rng, scene: TURNED(scene))
 NOWHERE = replace(GOOD, plan=lambda initial, now, noise: None)
 PAIRS = replace(GOOD, plan=lambda initial, now, noise: [(0, (0.0, 0.0))])
 BEYOND = replace(GOOD, plan=lambda initial, now, noise: [Subgoal(99, (0.0, 0.0))])
+NAN = replace(GOOD, plan=lambda initial, now, noise: [Subgoal(0, (float("nan"), 0.0))])
+SOLID = replace(GOOD, plan=lambda initial, now, noise: [Subgoal(0, (0.0, 0.0, 0.0))])
+NUMBER = replace(GOOD, plan=lambda initial, now, noise: [Subgoal(None, 0.5)])
 MANY = lambda rng, scene: replace(scene, blocks=scene.blocks[:1] * (20 - int(rng.integers(8, 13))))
 CROWDED = replace(GOOD, count=MANY)
 RARELY = replace(GOOD, colour=lambda rng, scene: replace(scene, regions=()) if rng.random() < 0.1 else scene)
@@ -161,6 +164,13 @@ def test_a_scene_that_does_not_fit_the_state_vector_ends_no_episode(mine: str) -
     with pytest.raises(InvalidSceneError, match="the state vector holds 10 blocks"):
         env.reset(seed=seeds[0])
     env.step(1)
+
+
+@pytest.mark.parametrize("name", ["NAN", "SOLID", "NUMBER"])
+def test_targets_that_are_no_points_are_refused(mine: str, name: str) -> None:
+    spec = task_spec(f"{mine}:{name}")
+    with pytest.raises(TaskError, match=r"targets are points \(x, y\), and Mine.plan returned Subgoal"):
+        spec.subgoals(spec.demo, spec.demo, Noise(np.random.default_rng(0), 0.0))
 
 
 def test_rounding_makes_no_score_invalid(mine: str) -> None:

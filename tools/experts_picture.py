@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 from typing import Final
 
@@ -36,6 +37,7 @@ def label(task: str, width: int) -> np.ndarray:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     tasks = [task for task in magical_mj.TASKS if task != "MoveToRegion"]  # there is little to see in driving
     rows = {task: strip(magical_mj.demos.load(task)[0]) for task in tasks}
     labelled = [part for task, row in rows.items() for part in (label(task, row.shape[1]), row)]

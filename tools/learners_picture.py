@@ -29,7 +29,9 @@ def draw(runs: dict[str, Path]) -> Figure:
         if "score" in rows[-1]:  # of the episodes played for training
             points = [(float(row["seconds"]) / 60, float(row["score"])) for row in rows]
             axes.plot(*zip(*points, strict=True), color=PALE, linewidth=0.8)
-        losses = next(name for name in ("loss", "reconstruction") if name in rows[-1])
+        losses = next((name for name in ("loss", "reconstruction") if name in rows[-1]), None)
+        if losses is None:  # goals are inferred, without one
+            continue
         other = axes.twinx()
         times = [float(row["seconds"]) / 60 for row in rows if row[losses]]
         other.plot(times, [float(row[losses]) for row in rows if row[losses]], color="#999999", linewidth=0.8)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
@@ -220,6 +221,7 @@ def filled(text: str, tables: Mapping[str, str]) -> str:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     for page, tables in PAGES.items():
         path = ROOT / page
         path.write_text(filled(path.read_text(encoding="utf-8"), tables()), encoding="utf-8")

@@ -53,10 +53,26 @@ def shares(size: int, tasks: int, generator: torch.Generator) -> list[int]:
     return found
 
 
+def shipped(task: str) -> list[Demonstration]:
+    """The demonstrations that come with a task, from which runs draw: of its demo scene alone.
+
+    Raises:
+        DemonstrationError: if there are none.
+    """
+    found = demos.load(task)
+    chosen = [demo for demo in found if demo.variant == "Demo"]
+    if not chosen:
+        raise DemonstrationError(
+            f"policies learn from the demo scene, and all demonstrations that come with {task} are of others: "
+            f"{', '.join(sorted({demo.name for demo in found}))}"
+        )
+    return chosen
+
+
 def _found(task: str, demonstrations: Demonstrations | None) -> Sequence[Demonstration | Transitions]:
     """The demonstrations of a task to choose from."""
     if demonstrations is None:
-        return demos.load(task)
+        return shipped(task)
     if not isinstance(demonstrations, Mapping):
         raise DemonstrationError(f"give demonstrations by task, as {{{task!r}: [...]}}, not {shown(demonstrations)}")
     if task not in demonstrations:

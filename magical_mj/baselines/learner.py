@@ -11,8 +11,7 @@ from typing import Any, Final
 
 import torch
 
-from magical_mj import demos
-from magical_mj.baselines.data import drawn
+from magical_mj.baselines.data import drawn, shipped
 from magical_mj.baselines.network import Actor
 from magical_mj.baselines.policy import TrainedPolicy, save_policy
 from magical_mj.baselines.settings import TrainingSettings
@@ -47,7 +46,7 @@ class Method(ABC):
             SettingsError, DemonstrationError, MissingExtraError: the errors with which it would begin.
         """
         for task in settings.tasks:
-            drawn(task, settings.seed, settings.demonstrations, len(demos.load(task)))
+            drawn(task, settings.seed, settings.demonstrations, len(shipped(task)))
 
     @abstractmethod
     def update(self) -> Mapping[str, float]:

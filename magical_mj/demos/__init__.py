@@ -56,7 +56,7 @@ SHIPPED: Final = Path(__file__).parent / "data"
 def load(task: str, folder: Path | str | None = None) -> list[Demonstration]:
     """The demonstrations that come with a task, or those in a folder: its files ``<Task>-<anything>.npz``.
 
-    If the folder itself has none, those in its subfolders.
+    Those in its subfolders, such as one for each player, come after them.
 
     Raises:
         UnknownNameError: if there is no such task.
@@ -73,16 +73,16 @@ def paths_of(task: str, folder: Path | str | None = None) -> list[Path]:
         DemonstrationError: if there are none.
     """
     task, spec = task_name(task), task_spec(task)
-    folder = Path(folder or spec.demonstrations or SHIPPED)
+    folder = Path(spec.demonstrations or SHIPPED) if folder is None else Path(folder)
     paths = files_in_or_below(folder, f"{spec.name}-")
+    make = (
+        f"magical-mj play {task} --record" if spec.plan is None else f"magical-mj demos generate --tasks {task} --out"
+    )
     if not paths and spec.demonstrations is None and spec.name not in TASKS and folder == SHIPPED:
         raise DemonstrationError(
             f"{task} comes without demonstrations: name a folder in its TaskSpec (demonstrations=...), and fill it: "
-            f"magical-mj demos generate --tasks {task} --out FOLDER"
+            f"{make} FOLDER"
         )
     if not paths:
-        raise DemonstrationError(
-            f"there are no demonstrations of {task} in {folder}; to make some: "
-            f"magical-mj demos generate --tasks {task} --out {folder}"
-        )
+        raise DemonstrationError(f"there are no demonstrations of {task} in {folder}; to make some: {make} {folder}")
     return paths

@@ -66,9 +66,8 @@ def files_in(folder: Path | str, beginning: str = "") -> list[Path]:
 
 
 def files_in_or_below(folder: Path | str, beginning: str = "") -> list[Path]:
-    """What `files_in` finds, or if that is nothing, what it finds in the subfolders, such as one for each player."""
-    below = (found for inner in sorted(Path(folder).glob("*/")) for found in files_in(inner, beginning))
-    return files_in(folder, beginning) or list(below)
+    """What `files_in` finds, and then what it finds in the subfolders, such as one for each player."""
+    return [found for inner in (Path(folder), *sorted(Path(folder).glob("*/"))) for found in files_in(inner, beginning)]
 
 
 def keep(demo: Demonstration, folder: Path | str) -> tuple[Path, bool]:
@@ -77,11 +76,16 @@ def keep(demo: Demonstration, folder: Path | str) -> tuple[Path, bool]:
     Returns:
         Its path, and whether it was written: if the folder holds the same episode already, nothing is, and the path is
         that of the file which holds it.
+
+    Raises:
+        OSError: if it cannot be written.
     """
+    Path(folder).mkdir(parents=True, exist_ok=True)
     for path in files_in(folder, _beginning(demo)):
-        other = read(path, demo.task)
-        if (other.scene_seed, other.actions.tobytes()) == (demo.scene_seed, demo.actions.tobytes()):
-            return path, False
+        with contextlib.suppress(DemonstrationError):  # a damaged file must not cost this episode
+            other = read(path, demo.task)
+            if (other.scene_seed, other.actions.tobytes()) == (demo.scene_seed, demo.actions.tobytes()):
+                return path, False
     paths = (Path(folder) / f"{_beginning(demo)}{number:03}{SUFFIX}" for number in itertools.count())
     while True:
         path = next(path for path in paths if not path.exists())

@@ -94,11 +94,11 @@ def to_lerobot(
     environment, folder = only_environment(demos), Path(folder)
     name = f"magical-mj/{environment}-{views}{'-fingers' if fingers else ''}-p{PROTOCOL}d{DEMONSTRATIONS}"
     features = _features(keys, fingers=fingers, video=video)
-    beside = folder.with_name(f".{folder.name}.part")  # half a data set reads like a whole one
     folder.parent.mkdir(parents=True, exist_ok=True)
     with files.exclusive(folder.parent):
         if folder.exists():
             raise DemonstrationError(f"{folder} exists already; give a new folder")
+        beside = folder.with_name(f".{folder.name}.part")  # half a data set reads like a whole one
         shutil.rmtree(beside, ignore_errors=True)  # what an export left that was killed
         try:
             made = LeRobotDataset.create(

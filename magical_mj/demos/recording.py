@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import dm_env
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.actions import NOOP
+from magical_mj.actions import NOOP, action_number
 from magical_mj.demos.demonstration import Demonstration, Demonstrator
 from magical_mj.environment import Environment, load
 from magical_mj.episodes import forever, play
@@ -40,16 +40,17 @@ class Recorder:
         self._actions: list[int] = []
         self._states = [self._state()]
 
-    def step(self, action: int) -> dm_env.TimeStep:
-        """One action.
+    def step(self, action: Any) -> dm_env.TimeStep:
+        """One action, as the environment takes it.
 
         Raises:
             DemonstrationError: if the episode is over.
+            InvalidActionError: if the action is not one of the 18.
         """
         if self._env.over:
             raise DemonstrationError("the episode is over: reset the environment, and record with another Recorder")
         now = self._env.step(action)
-        self._actions.append(action)
+        self._actions.append(action_number(action))
         self._states.append(self._state())
         return now
 

@@ -140,6 +140,8 @@ class TaskSpec:
                     f"{self.name}.plan must return Subgoals of the robot (None) or of blocks 0 to "
                     f"{len(now.blocks) - 1}, and returned {shown(subgoal)}"
                 )
+            if not _is_point(subgoal.target):
+                raise TaskError(f"targets are points (x, y), and {self.name}.plan returned {shown(subgoal)}")
         return todo
 
     def check_plan(self) -> Plan:
@@ -156,3 +158,11 @@ def is_task_name(name: Any) -> bool:
 
 def _are_numbers(values: Any, count: int) -> bool:
     return isinstance(values, tuple | list) and len(values) == count and all(isinstance(x, int | float) for x in values)
+
+
+def _is_point(target: Any) -> bool:
+    try:
+        found = np.asarray(target, float)
+    except (TypeError, ValueError):
+        return False
+    return found.shape == (2,) and bool(np.isfinite(found).all())

@@ -98,6 +98,19 @@ test("a server that says nothing any more costs no episode, and no patience", as
     server.kill("SIGCONT");
     await page.click("#save");
     await untilStatus(page, "Kept");
+    await page.evaluate("confirm = () => true");  // now another scene is chosen before the answer comes
+    await page.keyboard.press("ArrowUp");
+    await untilStatus(page, "Over");
+    server.kill("SIGSTOP");
+    await page.click("#save");
+    await untilStatus(page, "Sending");
+    await page.selectOption("#variant", "Colour");
+    server.kill("SIGCONT");
+    await untilStatus(page, "Kept");
+    await page.waitForLoadState("networkidle");
+    assert.match(await page.evaluate("location.hash"), /^#MoveToRegion-Colour-/);
+    await page.keyboard.press("ArrowUp");
+    await untilStatus(page, "Over");
   } finally {
     await browser.close();
     server.kill("SIGKILL");

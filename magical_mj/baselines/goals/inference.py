@@ -53,7 +53,7 @@ class Goal:
         return float((off <= self.limits).all(axis=2).mean())
 
     def subgoals(self, initial: Scene, now: Scene, noise: Noise, stuck: Collection[int] = ()) -> tuple[Subgoal, ...]:
-        """The remaining subgoals; none if the goal is reached. Stuck blocks stay, if possible."""
+        """The remaining subgoals; none if the goal is reached. In lines and groups, stuck blocks stay, if possible."""
         if self.score(initial, now) == 1.0:
             return ()
         return tuple(self.relation.subgoals(Situation(initial, now, self.limits, noise, stuck)))

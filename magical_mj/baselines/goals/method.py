@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from magical_mj import demos
-from magical_mj.baselines.data import drawn
+from magical_mj.baselines.data import drawn, shipped
 from magical_mj.baselines.goals.files import from_json, save_goals, to_json
 from magical_mj.baselines.goals.inference import infer
 from magical_mj.baselines.goals.policy import GoalPolicy
@@ -38,9 +37,9 @@ class GoalInference(Method):
         """Infers all goals. Returns the fewest bits saved by any, and the smallest lead over an alternative."""
         found = {}
         for task in self.settings.tasks:
-            shipped = demos.load(task)
-            chosen = drawn(task, self.settings.seed, self.settings.demonstrations, len(shipped))
-            found[task] = infer([ends(shipped[number]) for number in chosen])
+            known = shipped(task)
+            chosen = drawn(task, self.settings.seed, self.settings.demonstrations, len(known))
+            found[task] = infer([ends(known[number]) for number in chosen])
         self._pursue(to_json(found))
         saved = [[*(goal.saved for goal in goals), 0.0] for goals in found.values()]
         return {"saved_bits": min(bits[0] for bits in saved), "ahead_bits": min(bits[0] - bits[1] for bits in saved)}

@@ -25,7 +25,7 @@ class Situation:
         now: the present scene.
         limits: the largest deviations at which the relation holds, one for each measure.
         noise: selects one of several good sets of subgoals.
-        stuck: blocks that should not be moved.
+        stuck: blocks that lines and groups should not move.
     """
 
     initial: Scene
@@ -59,7 +59,7 @@ class Relation(ABC):
 
     @abstractmethod
     def subgoals(self, at: Situation) -> list[Subgoal]:
-        """What to move where so that the relation holds. Stuck blocks stay, if there is another solution."""
+        """What to move where so that the relation holds; in lines and groups, stuck blocks stay, if possible."""
 
     @property
     @abstractmethod
