@@ -104,11 +104,11 @@ test("a server that says nothing any more costs no episode, and no patience", as
     server.kill("SIGSTOP");
     await page.click("#save");
     await untilStatus(page, "Sending");
-    await page.selectOption("#variant", "Colour");
+    await page.selectOption("#variant", "All");
     server.kill("SIGCONT");
     await untilStatus(page, "Kept");
     await page.waitForLoadState("networkidle");
-    assert.match(await page.evaluate("location.hash"), /^#MoveToRegion-Colour-/);
+    assert.match(await page.evaluate("location.hash"), /^#MoveToRegion-All-/);
     await page.keyboard.press("ArrowUp");
     await untilStatus(page, "Over");
   } finally {
