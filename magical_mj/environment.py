@@ -127,7 +127,7 @@ class Environment(OpenEnvironment):
         environments may have different observations. The generator of later scenes stays as it is; no hook is called.
 
         Raises:
-            StateError, InvalidSceneError: if it is not a state of a scene of this task.
+            StateError, InvalidSceneError: if it is none of this task. A damaged one of another scene ends the episode.
         """
         self._open()
         check_state(state)
