@@ -45,13 +45,15 @@ const PENDING = seat ? "Waiting for the server …" : "Loading MuJoCo …";
 async function choose(task, variant, seed, script = null) {
   if (unsent() && !confirm("This episode was not sent. Leave it?")) return showNames();
   const choice = ++choices;
+  const failed = (/** @type {Error} */ error) => choice === choices ? say(error) : undefined;
+  shown.note = "";  // what is said while the scene is loaded stays
   const isOther = task !== shown.task || variant !== shown.variant;
-  const environment = isOther ? await loadEnvironment(task, variant).catch(say) : shown.environment;
+  const environment = isOther ? await loadEnvironment(task, variant).catch(failed) : shown.environment;
   if (choice !== choices) return;
   if (!environment) return stay();
   const known = environment.scenes.find((entry) => entry.seed === seed);
   const entry = known ?? (seat ? { seed, expert: "", scene: null } : environment.scenes[0]);
-  Object.assign(shown, { task, variant, seed: entry.seed, environment, watching: script !== null, note: "" });
+  Object.assign(shown, { task, variant, seed: entry.seed, environment, watching: script !== null });
   showChoice(isOther);
   shown.game?.episode.close();
   shown.game = shown.again = null;
@@ -59,16 +61,14 @@ async function choose(task, variant, seed, script = null) {
   if (entry.scene) show(entry.scene, entry.scene);
   else element("status").textContent = PENDING;
   const actions = script === null ? null : fromLetters(script);
-  let started = false;
   const next = () => {
     if (actions) return actions[game.actions.length] ?? 0;
-    if (!started && controls.touched) {
-      started = true;
-      shown.note = "";
-    }
-    return started ? controls.next() : null;
+    if (game.actions.length) return controls.next();
+    if (!controls.touched) return null;
+    shown.note = "";
+    return controls.next();
   };
-  const episode = await open(environment, entry, task, variant).catch(say);
+  const episode = await open(environment, entry, task, variant).catch(failed);
   if (!episode || choice !== choices) return episode?.close();
   controls.tapped.clear();  // what was pressed before the scene was there does not start it
   const game = new Game(episode, catalogue.tasks[task].horizon, next, speed);
@@ -208,7 +208,7 @@ async function send() {
     const kept = `Kept, with score ${score.toFixed(2)}. Thank you!`;
     if (choices !== choice) return say(kept);  // another scene was chosen meanwhile
     const opened = await chooseWanted(next);
-    if (next && choices !== choice + 1) return;  // or while it was loaded
+    if (next && choices !== choice + 1) return say(kept);  // or while it was loaded
     const after = !next ? "That was everything" : opened ? "Press a key to go on" : `The next scene cannot be opened: ${shown.note}`;
     say(`${kept} ${after}`);
   } catch (error) {
