@@ -102,3 +102,8 @@ def only_environment(demos: Sequence[Demonstration]) -> str:
         found = f"these are of {', '.join(names)}" if names else "there are none"
         raise DemonstrationError(f"a data set holds demonstrations of one environment, and {found}")
     return names[0]
+
+
+def demonstrators(demos: Sequence[Demonstration]) -> list[str]:
+    """The kinds of demonstrators of these demonstrations, each once, sorted."""
+    return sorted({demo.demonstrator for demo in demos})

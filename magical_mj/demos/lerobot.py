@@ -20,12 +20,12 @@ from magical_mj import constants as c
 from magical_mj import files
 from magical_mj.actions import to_vector
 from magical_mj.assets.world import World
-from magical_mj.demos.demonstration import Demonstration, only_environment
+from magical_mj.demos.demonstration import Demonstration, demonstrators, only_environment
 from magical_mj.demos.learning import observations
 from magical_mj.demos.replay import see
 from magical_mj.errors import DemonstrationError, MagicalError, check_name
 from magical_mj.observations import STATE_NAMES
-from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
+from magical_mj.protocol import PROTOCOL
 from magical_mj.registry import task_spec
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def to_lerobot(
         video: store AV1 videos instead of PNG: smaller, but lossy (0.7 levels on average, at most 31).
 
     Returns:
-        The finished data set. Its id names task, variant, observations, protocol and demonstration set.
+        The finished data set. Its id names task, variant, demonstrators, observations and protocol.
 
     Raises:
         MagicalError: if lerobot is not installed.
@@ -92,7 +92,8 @@ def to_lerobot(
         raise missing_lerobot() from None
     keys = image_keys(views)
     environment, folder = only_environment(demos), Path(folder)
-    name = f"magical-mj/{environment}-{views}{'-fingers' if fingers else ''}-p{PROTOCOL}d{DEMONSTRATIONS}"
+    who, seen = "-".join(demonstrators(demos)), f"{views}{'-fingers' if fingers else ''}"
+    name = f"magical-mj/{environment}-{who}-{seen}-p{PROTOCOL}"
     features = _features(keys, fingers=fingers, video=video)
     folder.parent.mkdir(parents=True, exist_ok=True)
     with files.exclusive(folder.parent):

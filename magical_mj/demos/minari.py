@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 
 from magical_mj import files
-from magical_mj.demos.demonstration import Demonstration, only_environment
+from magical_mj.demos.demonstration import Demonstration, demonstrators, only_environment
 from magical_mj.demos.learning import observations
 from magical_mj.errors import DemonstrationError
 from magical_mj.extras import missing_extra
@@ -35,11 +35,7 @@ def minari_name(demos: Sequence[Demonstration], preset: str) -> str:
     It names all demonstrators, the preset of the observations and the number of the protocol, here 1.
     """
     task, variant = task_spec(demos[0].task).name, demos[0].variant
-    return f"magical-mj/{task}/{variant}-{'-'.join(_demonstrators(demos))}-{preset or 'views'}-p{PROTOCOL}-v0"
-
-
-def _demonstrators(demos: Sequence[Demonstration]) -> list[str]:
-    return sorted({demo.demonstrator for demo in demos})
+    return f"magical-mj/{task}/{variant}-{'-'.join(demonstrators(demos))}-{preset or 'views'}-p{PROTOCOL}-v0"
 
 
 def to_minari(
@@ -80,7 +76,7 @@ def to_minari(
         raise missing_extra("exporting to Minari", "minari") from None
     environment, first = only_environment(demos), demos[0]
     name = minari_name(demos, preset) if name is None else name
-    demonstrators = " and ".join(_demonstrators(demos))
+    who = " and ".join(demonstrators(demos))
     versions = {f"magical-mj=={demo.package}" for demo in demos} | {f"mujoco=={demo.mujoco}" for demo in demos}
     try:
         parse_dataset_id(name)
@@ -98,9 +94,9 @@ def to_minari(
             buffer=[EpisodeBuffer(**episode) for episode in episodes],
             env=env,
             eval_env=env,
-            algorithm_name=f"magical_mj {demonstrators}",
+            algorithm_name=f"magical_mj {who}",
             author=author,
-            description=f"{len(demos)} demonstrations of {environment} by the {demonstrators} of magical_mj",
+            description=f"{len(demos)} demonstrations of {environment} by the {who} of magical_mj",
             requirements=sorted(versions) if len(versions) == 2 else [],
             jpeg_encoding=False,
         )
