@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import dm_env
 import numpy as np
@@ -270,46 +271,25 @@ def test_an_episode_that_is_over_stays_over_if_the_next_cannot_start() -> None:
     assert env.step(0).first()
 
 
-def test_composer_hooks_of_users_run() -> None:
-    """Substep hooks still see every substep, and the physics does not change by it."""
-    env, twin = (magical_mj.load("MatchRegions", seed=0, observations=("state",)) for _ in range(2))
-    calls = []
-    env.add_extra_hook("before_substep", lambda physics, action, random_state: calls.append(physics.time()))
-    env.add_extra_hook("initialize_episode", lambda physics, random_state: calls.append("episode"))
-    for one in (env, twin):
-        one.reset()
-        seen = one.step(FORWARD)
-    assert calls[0] == "episode"
-    assert len(calls) == 1 + env.task.physics_steps_per_control_step
-    np.testing.assert_allclose(poses(env.scene), poses(twin.scene), atol=1e-9)
-    assert seen.observation["state"].shape == (len(STATE_NAMES),)
+RESETS = """
+from pathlib import Path
+import magical_mj
 
+envs = [magical_mj.load(task, variant, seed=0) for task, variant in magical_mj.ENVIRONMENTS]
 
-def test_changes_to_the_mjcf_tree_are_compiled() -> None:
-    """Whoever edits the composer entity's MJCF before an episode gets what they wrote."""
-    env = magical_mj.load_scene(Scene(Robot(0, 0, 0), (Block("square", "red", 0.5, 0.5, 0),)), observations=())
+def used_after(resets: int) -> int:
+    for number in range(resets):
+        envs[number % len(envs)].reset()
+    return int(Path("/proc/self/status").read_text().split("VmRSS:")[1].split()[0])
 
-    def add_site(random_state: object) -> None:
-        del random_state
-        root = env.task.root_entity.mjcf_model
-        if root.find("site", "mark") is None:
-            root.worldbody.add("site", name="mark", pos=(0.1, 0.2, 0))
-
-    env.add_extra_hook("initialize_episode_mjcf", add_site)
-    env.reset()
-    np.testing.assert_allclose(env.physics.named.data.site_xpos["mark"], [0.1, 0.2, 0])
+before = used_after(15 * len(envs))  # until the allocator has what it needs
+print(used_after(1500) - before)
+"""
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="only Linux says here how much memory is used")
 def test_memory_is_flat_over_a_thousand_resets() -> None:
-    import resource
-
-    envs = [magical_mj.load(task, variant, seed=0) for task, variant in magical_mj.ENVIRONMENTS]
-
-    def resets(count: int) -> float:
-        for number in range(count):
-            envs[number % len(envs)].reset()
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-    before = resets(3 * len(envs))
-    assert resets(1500) - before < 10.0
+    """In a process of its own, whose memory other tests have not cut into pieces; in kB."""
+    done = subprocess.run([sys.executable, "-c", RESETS], capture_output=True, text=True, check=True)
+    assert int(done.stdout) < 5_000
