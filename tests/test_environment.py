@@ -282,8 +282,8 @@ def used_after(resets: int) -> int:
         envs[number % len(envs)].reset()
     return int(Path("/proc/self/status").read_text().split("VmRSS:")[1].split()[0])
 
-before = used_after(15 * len(envs))  # until the allocator has what it needs
-print(used_after(1500) - before)
+before = used_after(1800)  # until the allocator has what it needs
+print(used_after(1200) - before)
 """
 
 
