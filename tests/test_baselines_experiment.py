@@ -26,7 +26,8 @@ from magical_mj.evaluation.results import published_results
 from magical_mj.files import read_toml
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
-SET = [f"--set={name}={value}" for name, value in {**TINY, "bc.batches": 8}.items() if name != "device"]
+PICTURES = {name: value for name, value in TINY.items() if name not in ("device", "network.entity")}
+SET = [f"--set={name}={value}" for name, value in {**PICTURES, "bc.batches": 8}.items()]
 TRAIN = ["train", "bc", "--tasks", "MoveToRegion", "--quick", "--device", "cpu", *SET]
 EXPERIMENT = """
 methods = ["bc"]
@@ -72,6 +73,14 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
         (
             ["train", "bc", "--tasks", "FindDupe", "--set", "ppo.clip=0.1"],
             "ppo.clip is for gail, wgail-gp, al, and of no use to bc",
+        ),
+        (
+            ["train", "bc", "--tasks", "FindDupe", "--preset", "State", "--set", "network.channels=8"],
+            "network.channels is for pictures, and of no use with the preset State",
+        ),
+        (
+            ["train", "bc", "--tasks", "FindDupe", "--set", "network.entity=8"],
+            "network.entity is for states, and of no",
         ),
         (["train", "gail", "--tasks", "FindDupe", "--set", "precision=bfloat16"], "precision is for bc, and of no use"),
         (["train", "al", "--tasks", "FindDupe", "--augment", "none"], "--augment has an effect only with bc, gail, wg"),
@@ -122,6 +131,12 @@ def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
     assert [line.split(":")[0] for line in again[:4] if ": trained;" in line] == ["bc-FixColour-1"]
     assert sum("was trained before" in line for line in again) == 3
     assert (out / "runs" / "bc-FixColour-1" / POLICY).read_bytes() == before  # in another process
+    moved = out.rename(tmp_path / "moved")
+    assert sum("was trained before" in line for line in conduct(runs(file, moved), moved)) == 4
+    file.write_text(EXPERIMENT.replace("[0, 1]", "[2, 0, 1]").replace("episodes = 2", "episodes = 3"))
+    with pytest.raises(SettingsError, match="episodes was 2 and is 3"):
+        next(conduct(runs(file, moved), moved))
+    assert not (moved / "runs" / "bc-MoveToRegion-2").exists()
 
 
 @pytest.mark.parametrize(
@@ -257,3 +272,15 @@ def test_the_line_of_each_minute_counts_any_number_of_updates(
         watch(Progress(update, updates, {}, {}))
     assert f"2/{updates} updates" in screen.file.getvalue()
     assert f", {left}" in screen.file.getvalue().splitlines()[-1]
+
+
+def test_a_training_that_goes_on_tells_its_present_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watching, "MINUTE", 0)
+    screen = Console(file=StringIO())
+    watch = watching.Watch(screen, Bars(console=screen), "gail")
+    for update in (2001, 2002):
+        time.sleep(0.05)
+        watch(Progress(update, 4000, {}, {}))
+    speeds = [float(speed) for speed in re.findall(r"updates, (\S+)/s", screen.file.getvalue())]
+    assert len(speeds) == 2
+    assert max(speeds) <= 20

@@ -253,3 +253,11 @@ def test_other_errors_of_a_learner_are_its_own(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="size") as error:
         train(state(), tmp_path / "run", learner=Wrong)
     assert not isinstance(error.value, MagicalError)
+
+
+def test_a_training_goes_on_whatever_stood_in_its_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["magical-mj", "train", "--out", "runs/\U0001f389", "\udcff"])
+    stopped(tmp_path / "run", state())
+    train(state(), tmp_path / "run", resume=True)
+    assert is_done(tmp_path / "run")
+    assert "\U0001f389" in read_toml(tmp_path / "run" / CONFIG)["made"]["command"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from learners import tiny
 
 from magical_mj import TASKS
 from magical_mj.baselines import load_settings
-from magical_mj.baselines.config import QUICK, changed, flattened, from_toml, names, to_toml
+from magical_mj.baselines.config import QUICK, changed, flattened, from_toml, names, quoted, to_toml
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.errors import SettingsError, UnknownNameError
 
@@ -160,3 +161,9 @@ def test_files_that_are_no_settings_are_refused(text: str, tmp_path: Path) -> No
 def test_a_method_is_a_name() -> None:
     with pytest.raises(SettingsError, match="the method must be a name"):
         load_settings(np.ones(3), "MoveToRegion")  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("text", ["runs/bc-\U0001f389", 'a\x7f\n"b\\', "no UTF-8: \udcff", "Zürich"])
+def test_any_text_is_written_as_toml(text: str) -> None:
+    read = tomllib.loads(f"text = {quoted(text)}")["text"]
+    assert read == text.encode(errors="backslashreplace").decode()

@@ -6,6 +6,8 @@ import os
 import signal
 import subprocess
 import sys
+import time
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ import magical_mj
 from magical_mj.errors import EvaluationError, MissingExtraError, SettingsError
 from magical_mj.evaluation import Score
 from magical_mj.evaluation.scores import read
+from magical_mj.parallel import spread
 
 SETTINGS: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo,Layout,Colour", "episodes": 40}
 
@@ -55,6 +58,35 @@ def test_dask_cluster_that_loses_a_worker(tmp_path: Path) -> None:
         )
     assert killed
     assert rows(read(tmp_path / "there")) == rows(read(tmp_path / "here"))
+
+
+def who(_: int) -> tuple[int, float, float]:
+    """The process, and when it worked."""
+    begun = time.monotonic()
+    time.sleep(0.1)
+    return os.getpid(), begun, time.monotonic()
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("workers", [1, 2])
+def test_dask_works_on_the_cluster_and_on_no_more_pieces_than_asked_for(workers: int, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.dask.config.set({"temporary-directory": str(tmp_path)}),
+        distributed.LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            dashboard_address=None,
+            env={"PYTHONPATH": str(Path(__file__).parent)},
+        ) as cluster,
+    ):
+        address = cluster.scheduler_address
+        for jobs, together in ((1, False), (None, workers > 1)):
+            found = sorted(spread(who, range(6), jobs, "dask", address), key=lambda one: one[1])
+            assert len(found) == 6
+            assert {pid for pid, _, _ in found} <= {nanny.process.pid for nanny in cluster.workers.values()}
+            assert any(first[2] > second[1] for first, second in pairwise(found)) == together
 
 
 @pytest.mark.filterwarnings("ignore")

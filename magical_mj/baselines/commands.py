@@ -44,13 +44,18 @@ File = Annotated[
 ]
 Folder = Annotated[Path, typer.Option(help="The folder for runs, evaluations and the report.", show_default=False)]
 Jobs = Annotated[
-    int | None, typer.Option(min=1, help="Number of simultaneous runs, each on one core; a single run uses all cores.")
+    int | None,
+    typer.Option(
+        min=1,
+        help="Number of simultaneous runs, each on one core; a single run uses all cores.",
+        show_default="one, or as many as a cluster can do",
+    ),
 ]
 Where = Annotated[Backend, typer.Option(help="Where the runs execute: on this machine or on a cluster.")]
 Address = Annotated[str | None, typer.Option(help="Of the cluster, such as tcp://host:8786.", show_default=False)]
 
 
-def experiment(file: File, out: Folder, jobs: Jobs = 1, backend: Where = "local", address: Address = None) -> None:
+def experiment(file: File, out: Folder, jobs: Jobs = None, backend: Where = "local", address: Address = None) -> None:
     """Train and evaluate methods x tasks x seeds. Called again, it continues."""
     planned = baselines.runs(file, out)
     screen, began = console(), time.time()
@@ -100,7 +105,7 @@ def train(
     given = {"seed": seed, "augment": augment, "preset": preset, "device": device, "ppo.worlds": worlds}
     others = dict(_change(text) for text in change or [])
     check_changes(others, ("method", "tasks", "quick", *given))
-    check_used(others, [method])
+    check_used({"preset": preset, **others}, [method])
     check_fits(context, uses(method, "augment"), f"with {', '.join(users('augment'))}", "augment")
     settings = baselines.load_settings(method, tasks, quick=quick, **given, **others)
     if len(settings.tasks) > 1 and not multi_task:

@@ -34,6 +34,8 @@ _USERS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     }
 )
 """Setting -> the methods that use it, where these are not all that use its part."""
+_OF_PICTURES: Final = ("network.first_kernel", "network.first_stride", "network.first_channels", "network.channels")
+_OF_STATES: Final = ("network.entity", "network.attention")
 
 _SHORT: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -144,9 +146,13 @@ def uses(method: str, name: str) -> bool:
     return method not in PARTS or method in users(name)
 
 
-def check_used(changes: Iterable[str], methods: Collection[str]) -> None:
-    """Raises a `SettingsError` if one of the changes is of a setting that none of the methods uses."""
+def check_used(changes: Mapping[str, Any], methods: Collection[str]) -> None:
+    """Raises a `SettingsError` if a change is of a setting that none of the methods uses, or not with this preset."""
+    preset = changes.get("preset", TrainingSettings.preset)
     for name in changes:
+        if name in (_OF_PICTURES if preset == STATE else _OF_STATES):
+            seen = "pictures" if preset == STATE else "states"
+            raise SettingsError(f"{name} is for {seen}, and of no use with the preset {preset}")
         if users(name) and not any(uses(method, name) for method in methods):
             raise SettingsError(f"{name} is for {', '.join(users(name))}, and of no use to {' or '.join(methods)}")
 
@@ -251,4 +257,10 @@ def flattened(table: dict[str, Any]) -> dict[str, Any]:
 def _value(value: Any) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(_value(item) for item in value)}]"
-    return json.dumps(value) if isinstance(value, str | bool) else repr(value)
+    return quoted(value) if isinstance(value, str) else json.dumps(value) if isinstance(value, bool) else repr(value)
+
+
+def quoted(text: str) -> str:
+    """A text as TOML. What cannot be encoded, such as bytes of a file's name that are no UTF-8, is escaped twice."""
+    plain = text.encode(errors="backslashreplace").decode()
+    return json.dumps(plain, ensure_ascii=False).replace("\x7f", "\\u007f")

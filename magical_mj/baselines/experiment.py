@@ -17,8 +17,8 @@ from magical_mj.baselines.settings import AT_MOST
 from magical_mj.errors import SettingsError, check_name, shown
 from magical_mj.evaluation.report import check_free, report
 from magical_mj.evaluation.results import gather, published_results
-from magical_mj.evaluation.scores import frame
-from magical_mj.evaluation.settings import EvaluationSettings, settings_from
+from magical_mj.evaluation.scores import SETTINGS, frame, read_settings
+from magical_mj.evaluation.settings import EvaluationSettings, check_unchanged, settings_from
 from magical_mj.evaluation.statistics import by_environment, rank_correlation
 from magical_mj.files import read_toml
 from magical_mj.parallel import check_backend, spread
@@ -81,8 +81,8 @@ def runs(file: Path, out: Path) -> list[Run]:
         for method in table["methods"]:
             for group in groups:
                 settings = load_settings(method, group, quick=quick, **{**changes, "seed": seed})
-                settings_from({**evaluation, "tasks": list(group), "run": seed})  # an error now, not after the training
-                found.append(Run(settings, quick, changes, evaluation, out))
+                found.append(Run(settings, quick, changes, evaluation, out.absolute()))  # workers are in other folders
+                settings_from(found[-1].played)  # an error now, not after the training
     return found
 
 
@@ -90,7 +90,7 @@ def conduct(
     planned: list[Run],
     out: Path,
     *,
-    jobs: int | None = 1,
+    jobs: int | None = None,
     backend: str = "local",
     address: str | None = None,
     watch: Watch | None = None,
@@ -100,7 +100,8 @@ def conduct(
     Args:
         planned: the `runs`.
         out: the folder of the experiment.
-        jobs: the number of simultaneous runs, each on one thread; a single run uses all cores.
+        jobs: the number of simultaneous runs, each on one thread; a single run uses all cores. None: one here, or as
+            many as the cluster can do.
         backend: "local", "dask" or "ray".
         address: the cluster's address.
         watch: called with a run's name and progress after each of its updates, if the runs are not in other processes.
@@ -111,7 +112,7 @@ def conduct(
     """
     check_backend(backend, jobs, address)
     _check_runs(planned, out, backend == "local")
-    if backend == "local" and jobs == 1:
+    if backend == "local" and jobs in (None, 1):
         yield from (run.play(watch) for run in planned)
     else:
         yield from spread(methodcaller("play"), planned, jobs, backend, address)
@@ -124,6 +125,8 @@ def _check_runs(planned: list[Run], out: Path, here: bool) -> None:
     check_free(out / "report")
     for run in planned:
         check(run.trained, run.settings, resume=True)
+        if (run.scores / SETTINGS).exists():
+            check_unchanged(run.scores, read_settings(run.scores), settings_from(run.played).recorded())
         if here:
             device(run.settings.device)
     for run in {(run.settings.method, run.settings.tasks): run for run in planned}.values():

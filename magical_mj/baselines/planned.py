@@ -76,6 +76,12 @@ class Run:
         """The folder of the evaluation."""
         return self.folder / "evaluations" / self.name
 
+    @property
+    def played(self) -> dict[str, Any]:
+        """The settings of the evaluation that determine scores."""
+        settings = self.settings
+        return {**self.evaluation, "tasks": settings.tasks, "preset": settings.preset, "run": settings.seed}
+
     def play(self, watch: Watch | None = None) -> str:
         """Trains and evaluates, as far as that is not done yet; returns a line about it."""
         keep_freed_memory()
@@ -90,14 +96,11 @@ class Run:
         policy = train(self.settings, self.trained, resume=True, watch=count)
         frame = evaluate(
             {self.method: self.trained},
-            tasks=self.settings.tasks,
-            preset=self.settings.preset,
-            run=self.settings.seed,
             out=self.scores,
             resume=True,
             envs=1 if is_blind(policy) else SIDE_BY_SIDE["states" if self.settings.states else "pictures"],
             jobs=1,
-            **self.evaluation,
+            **self.played,
         )
         means = frame.groupby("variant", sort=False)["score"].mean()
         shown = ", ".join(f"{variant} {mean:.2f}" for variant, mean in means.items())

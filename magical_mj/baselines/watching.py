@@ -78,10 +78,11 @@ class Watch:
         self._screen, self._progress, self._name = screen, progress, name
         self.bar = progress.add_task(name, total=None, unit="updates", latest="")
         self._started = self._told = time.monotonic()
-        self._first, self._metrics = 0, ""
+        self._updates, self._metrics = 0, ""
 
     def __call__(self, trained: Trained) -> None:
         """Called after each update."""
+        self._updates += 1
         self._progress.update(self.bar, completed=trained.update, total=trained.updates)
         if trained.metrics:
             shown = "  ".join(f"{name} {value:.3g}" for name, value in trained.metrics.items())
@@ -89,14 +90,13 @@ class Watch:
             self._metrics = shown
         if not self._screen.is_terminal and time.monotonic() - self._told >= MINUTE:
             self._tell(trained)
-        self._first = self._first or trained.update
         if trained.scores:
             shown = ", ".join(f"{task} {score:.2f}" for task, score in trained.scores.items())
             self._say(f"after {trained.update} updates: mean score on Demo: {shown}")
 
     def _tell(self, trained: Trained) -> None:
         self._told = time.monotonic()
-        rate = (trained.update - self._first) / (self._told - self._started)
+        rate = self._updates / (self._told - self._started)
         more = trained.updates - trained.update
         left = timedelta(seconds=round(more / rate)) if more < rate * timedelta.max.total_seconds() else "?"
         done = f"{trained.update}/{trained.updates} updates, {rate:.2g}/s, {left} left"

@@ -263,10 +263,19 @@ def begin(folder: Path, settings: dict[str, Any]) -> list[Score]:
         EvaluationError, SettingsError: as `prepare`.
     """
     if (folder / SCORES).stat().st_size:
-        check_unchanged(folder, read_settings(folder), settings)
+        check_unchanged(folder, _wherever(read_settings(folder)), _wherever(settings))
         return read(folder)
     files.write(folder / SETTINGS, json.dumps(settings, indent=2) + "\n", overwrite=True)
     return []
+
+
+def _wherever(settings: dict[str, Any]) -> dict[str, Any]:
+    """The settings without the paths of policies that a hash identifies: folders may be moved, or written otherwise."""
+    policies = settings.get("policies")
+    if not isinstance(policies, list):
+        return settings
+    known = [dict(one) for one in policies if isinstance(one, dict)]
+    return {**settings, "policies": [{**one, "origin": None} if "sha256" in one else one for one in known]}
 
 
 def read_settings(folder: Path) -> dict[str, Any]:

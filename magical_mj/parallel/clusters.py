@@ -1,10 +1,10 @@
-"""Worker processes of a dask or ray cluster, through joblib."""
+"""Worker processes of a dask cluster, or of a ray cluster through joblib."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from itertools import islice
 from typing import Any, Final, TypeVar
 
 from magical_mj.errors import WorkerError
@@ -23,30 +23,37 @@ def spread_there(
     function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int | None, backend: str, address: str | None
 ) -> Iterator[Result]:
     """See `magical_mj.parallel.spread`."""
-    try:
-        import joblib
-    except ModuleNotFoundError:
-        raise missing_extra(f"the {backend} backend", backend) from None
+    yield from (_through_dask if backend == "dask" else _through_ray)(function, pieces, jobs, address)
+
+
+def _through_dask(
+    function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int | None, address: str | None
+) -> Iterator[Result]:
+    """At most `jobs` pieces are on the cluster at once; None: all."""
+    with _dask_client(address) as client:
+        from distributed import KilledWorker, as_completed
+
+        waiting = (client.submit(function, piece, pure=False) for piece in pieces)
+        running = as_completed(islice(waiting, jobs))
+        try:
+            for future in running:
+                yield future.result()
+                running.update(islice(waiting, 1))
+        except KilledWorker as error:
+            raise WorkerError(f"several workers of the cluster died of the same piece of work: {error}") from error
+
+
+def _through_ray(
+    function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int | None, address: str | None
+) -> Iterator[Result]:
+    _start_ray(address)
+    import joblib
+
     task, arguments = joblib.delayed(function), {"n_jobs": jobs or -1, "batch_size": 1}
-    if backend == "dask":
-        with _dask_client(address) as client, joblib.parallel_config("dask", client=client), _deaths():
-            yield from joblib.Parallel(return_as="generator_unordered", **arguments)(task(piece) for piece in pieces)
-    else:
-        _start_ray(address)
-        with joblib.parallel_config("ray"):
-            size = ROUND * joblib.effective_n_jobs(arguments["n_jobs"])
-            for start in range(0, len(pieces), size):
-                yield from joblib.Parallel(**arguments)(task(piece) for piece in pieces[start : start + size])
-
-
-@contextmanager
-def _deaths() -> Iterator[None]:
-    from distributed import KilledWorker
-
-    try:
-        yield
-    except KilledWorker as error:
-        raise WorkerError(f"several workers of the cluster died of the same piece of work: {error}") from error
+    with joblib.parallel_config("ray"):
+        size = ROUND * joblib.effective_n_jobs(arguments["n_jobs"])
+        for start in range(0, len(pieces), size):
+            yield from joblib.Parallel(**arguments)(task(piece) for piece in pieces[start : start + size])
 
 
 def _dask_client(address: str | None) -> Any:
