@@ -15,7 +15,7 @@ import pytest
 from magical_mj.registry import VARIANTS
 
 PAGE = (Path(__file__).parent.parent / "docs" / "adding-a-task.md").read_text()
-TINY = "network.first_stride=4 network.first_channels=4 network.channels=4 network.hidden=8 network.entity=8 "
+TINY = "network.first_stride=4 network.first_channels=4 network.channels=4 network.hidden=8 "
 TINY += "bc.batches=4 bc.batch_size=4 evaluations=0 checkpoints=1 demonstrations=1"
 
 

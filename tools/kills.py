@@ -56,10 +56,8 @@ sampler = SceneSampler([("FindDupe", "All")] * 256, Capacity(10, 3, 42), workers
 while number := number + 1:
     files.write(out / str(number), sampler.scenes(range(256)).poses.tobytes(), overwrite=True)
 """  # the scenes of batched worlds, sampled ahead by workers without end; without a guard for `__main__`
-TINY: Final = (
-    *("network.first_stride=4", "network.first_channels=4", "network.channels=4", "network.hidden=8"),
-    *("network.entity=8", "demonstrations=2", "evaluations=2", "episodes=2", "checkpoints=16"),
-)
+TINY: Final = ("network.hidden=8", "demonstrations=2", "evaluations=2", "episodes=2", "checkpoints=16")
+PICTURES: Final = ("network.first_stride=4", "network.first_channels=4", "network.channels=4")
 GAIL: Final = (
     *("ppo.environments=4", "ppo.steps=4", "ppo.minibatch=8", "ppo.epochs=2", "ppo.total_steps=512"),
     *("discriminator.steps=2", "discriminator.batch_size=8"),
@@ -180,9 +178,9 @@ def kinds(scores: Path) -> dict[str, Kind]:
         "generate": Kind((*MAIN, *generate), demonstrations, demonstrations),
         "play": Kind((sys.executable, "-c", PLAYER, *play), demonstrations, None),
         "scenes": Kind((sys.executable, "-c", SAMPLER), scenes, None),
-        "train-bc-state": train("bc", ("--preset", "State"), "bc.batches=800"),
-        "train-bc": train("bc", ("--quick",), "bc.batches=32", "bc.batch_size=8"),
-        "train-gail": train("gail", ("--quick",), *GAIL),
+        "train-bc-state": train("bc", ("--preset", "State"), "network.entity=8", "bc.batches=800"),
+        "train-bc": train("bc", ("--quick",), *PICTURES, "bc.batches=32", "bc.batch_size=8"),
+        "train-gail": train("gail", ("--quick",), *PICTURES, *GAIL),
     }
 
 
