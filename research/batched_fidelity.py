@@ -92,7 +92,7 @@ def sequences(
     for task in tasks:
         for demo in magical_mj.demos.load(task)[:count]:
             yield "expert", task, demo.scene, demo.actions.astype(np.int64)
-    if human is not None and human.exists():
+    if human is not None:
         with np.load(human) as data:
             for task in tasks:
                 found = [key for key in data.files if key.startswith(f"{task}/") and key.endswith("/actions")]
@@ -137,6 +137,8 @@ def main() -> None:
     parser.add_argument("--human", type=Path, help="an archive of people's sequences, task/number/actions")
     parser.add_argument("--count", type=int, default=25, help="sequences of each task, of experts and of people")
     chosen = parser.parse_args()
+    if chosen.human is not None and not chosen.human.is_file():
+        parser.error(f"there is no {chosen.human}")
     if chosen.what == "actions":
         compare(chosen.states, chosen.steps, chosen.device)
     else:

@@ -60,5 +60,6 @@ def episodes(scores: Sequence[Score]) -> str:
 
 if __name__ == "__main__":
     found = read(Path(sys.argv[1]))
-    PAGE.write_text(page(found), encoding="utf-8")
-    EXPERT.write_text(episodes(found), encoding="utf-8")
+    texts = {PAGE: page(found), EXPERT: episodes(found)}  # both, before either is written
+    for path, text in texts.items():
+        path.write_text(text, encoding="utf-8")

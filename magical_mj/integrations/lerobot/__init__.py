@@ -3,9 +3,9 @@
 LeRobot's commands find this module by ``--env.discover_packages_path=magical_mj.integrations.lerobot``; the options
 ``--env.type=magical --env.task=FindDupe --env.variant=Layout`` then choose environments (comma lists make one suite
 for each task). Observations are ``pixels`` (96 px pictures, height x width x channels, uint8; a dict of views with
-``--env.views=both``) and, with ``--env.fingers=true``, ``agent_pos``, the angles of the two fingers. Actions are
-vectors (drive, turn, grip), and the score is the reward of the last step. ``--seed=0 --eval.n_episodes=100`` plays
-the scenes of seeds 0 to 99.
+``--env.views=both``), or with ``--env.views=state`` ``environment_state``; and ``agent_pos``: three zeros, or with
+``--env.fingers=true`` the angles of the two fingers. Actions are vectors (drive, turn, grip), and the
+score is the reward of the last step. ``--seed=0 --eval.n_episodes=100`` plays the scenes of seeds 0 to 99.
 """
 
 from __future__ import annotations
