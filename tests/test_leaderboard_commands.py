@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import gzip
 import json
+import lzma
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +20,7 @@ from magical_mj.leaderboard.entry import packed, unpacked
 @pytest.mark.parametrize("name", ["leaderboard.html", "leaderboard.md"])
 def test_pages_of_others_are_kept(name: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """And the command says so before it replays anything; pages of its own are replaced."""
-    submit([folder], tmp_path / "entry.json.gz")
+    submit([folder], tmp_path / "entry.json.xz")
     for _ in range(2):
         assert main(["leaderboard", str(tmp_path)]) == 0
     (tmp_path / name).write_text("# Mine, on the leaderboard\n")
@@ -36,11 +36,11 @@ def test_pages_of_others_are_kept(name: str, folder: Path, tmp_path: Path, capsy
 
 def test_a_sample_is_repeated_by_its_seed(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rewrite(folder, lambda rows: [row.update(score=0.5) for row in rows])
-    submit([folder], tmp_path / "entry.json.gz")
+    submit([folder], tmp_path / "entry.json.xz")
     assert main(["leaderboard", str(tmp_path)]) == 1
     out, error = capsys.readouterr()
     (seed,) = re.findall(r"--seed (\d+) chooses the same again", out)
-    assert "entry.json.gz differs: run 0, MoveToRegion Layout" in error
+    assert "entry.json.xz differs: run 0, MoveToRegion Layout" in error
     assert main(["leaderboard", str(tmp_path), "--seed", seed]) == 1
     assert capsys.readouterr().err == error
     assert main(["leaderboard", str(tmp_path), "--all", "--seed", seed]) == 2
@@ -48,7 +48,7 @@ def test_a_sample_is_repeated_by_its_seed(folder: Path, tmp_path: Path, capsys: 
 
 
 def test_the_commands_say_what_they_found(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "entry.json.gz"
+    path = tmp_path / "entry.json.xz"
     assert main(["submit", str(folder), "--out", str(path)]) == 0
     out = capsys.readouterr().out
     assert f"expert: {EPISODES} episodes of 1 run," in out
@@ -69,21 +69,21 @@ def test_a_leaderboard_names_bad_entries_and_shows_the_others(
     assert main(["leaderboard", str(tmp_path)]) == 1
     assert "holds no entries" in capsys.readouterr().err
     entries.mkdir()
-    submit([folder], entries / "good.json.gz")
+    submit([folder], entries / "good.json.xz")
     assert main(["leaderboard", str(entries), "--all"]) == 0
-    assert f"good.json.gz: expert; {EPISODES} episodes replayed" in capsys.readouterr().out
-    (entries / "cut.json.gz").write_bytes((entries / "good.json.gz").read_bytes()[:-20])
-    (entries / "folder.json.gz").mkdir()
-    (entries / "half.json.gz").write_bytes(gzip.compress(b'{"card": "\\ud800"}'))
+    assert f"good.json.xz: expert; {EPISODES} episodes replayed" in capsys.readouterr().out
+    (entries / "cut.json.xz").write_bytes((entries / "good.json.xz").read_bytes()[:-20])
+    (entries / "folder.json.xz").mkdir()
+    (entries / "half.json.xz").write_bytes(lzma.compress(b'{"card": "\\ud800"}'))
     rewrite(folder, tampered_score)
     (tmp_path / "card.toml").write_text('method = "Liar"')
-    submit([folder], entries / "lie.json.gz", card=tmp_path / "card.toml")
+    submit([folder], entries / "lie.json.xz", card=tmp_path / "card.toml")
     assert main(["leaderboard", str(entries), "--all", "--out", str(tmp_path / "pages")]) == 1
     error = capsys.readouterr().err
-    assert "cut.json.gz cannot be read" in error
-    assert "folder.json.gz cannot be read: Is a directory" in error
-    assert "half.json.gz cannot be read: 'utf-8' codec" in error
-    assert "lie.json.gz differs: run 0, MoveToRegion Layout, seed 2: the score is 0.5" in error
+    assert "cut.json.xz cannot be read" in error
+    assert "folder.json.xz cannot be read: Is a directory" in error
+    assert "half.json.xz cannot be read: 'utf-8' codec" in error
+    assert "lie.json.xz differs: run 0, MoveToRegion Layout, seed 2: the score is 0.5" in error
     assert "entries that are not what they claim, and are not on the page: 4" in error
     text = (tmp_path / "pages" / "leaderboard.md").read_text()
     assert "| expert | paper | no observations |" in text
@@ -96,14 +96,14 @@ def test_what_somebody_else_played_is_no_entry(
     (tmp_path / "card.toml").write_text('method = "My own"')
     entries = tmp_path / "entries"
     entries.mkdir()
-    submit([folder], entries / "a.json.gz")
-    submit([folder], entries / "b.json.gz", card=tmp_path / "card.toml")
+    submit([folder], entries / "a.json.xz")
+    submit([folder], entries / "b.json.xz", card=tmp_path / "card.toml")
     assert main(["leaderboard", str(entries)]) == 1
-    assert "b.json.gz is not shown: its run 0 has the same actions as run 0 in a.json.gz" in capsys.readouterr().err
+    assert "b.json.xz is not shown: its run 0 has the same actions as run 0 in a.json.xz" in capsys.readouterr().err
     text = (entries / "leaderboard.md").read_text()
     assert "| expert | paper |" in text
     assert "My own" not in text
-    assert main(["leaderboard", str(entries / "b.json.gz"), "--out", str(tmp_path / "pages")]) == 0
+    assert main(["leaderboard", str(entries / "b.json.xz"), "--out", str(tmp_path / "pages")]) == 0
     assert "My own" in (tmp_path / "pages" / "leaderboard.md").read_text()
 
 
@@ -113,14 +113,14 @@ def test_one_training_is_one_run(folder: Path, tmp_path: Path) -> None:
     settings["policies"] = [{"name": "expert", "run": run, "origin": "a", "sha256": "c0ffee"} for run in (0, 1)]
     (folder / "run.json").write_text(json.dumps(settings))
     with pytest.raises(EvaluationError, match=r"the runs 0, 1 of expert played with equal policies \(sha256 c0ffee"):
-        submit([folder], tmp_path / "entry.json.gz")
+        submit([folder], tmp_path / "entry.json.xz")
 
 
 @pytest.mark.parametrize("name", [" ", "a\u200b", "\u202eTSB", "a\u2028b", "BC ⭐"])
 def test_names_are_what_they_look_like(name: str, folder: Path, tmp_path: Path) -> None:
     (tmp_path / "card.toml").write_text(f"method = {json.dumps(name)}")
     with pytest.raises(SettingsError, match="method"):
-        submit([folder], tmp_path / "entry.json.gz", card=tmp_path / "card.toml")
+        submit([folder], tmp_path / "entry.json.xz", card=tmp_path / "card.toml")
     entry = whole(runs=1)
     with pytest.raises(EvaluationError, match="method"):
         unpacked(packed(replace(entry, card={**entry.card, "method": name})))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import lzma
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -34,7 +35,7 @@ hours = 1.5
 
 def test_an_entry_says_everything_and_checks(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "card.toml").write_text(CARD)
-    path = tmp_path / "entry.json.gz"
+    path = tmp_path / "entry.json.xz"
     made = submit([folder], path, card=tmp_path / "card.toml")
     entry, found = check_entry(path, everything=True)
     assert entry == made
@@ -57,11 +58,11 @@ def test_an_entry_says_everything_and_checks(folder: Path, tmp_path: Path) -> No
 def test_episodes_of_other_tasks_are_no_entry(folder: Path, tmp_path: Path) -> None:
     rewrite(folder, lambda rows: rows[0].update(task="PushOut"))
     with pytest.raises(EvaluationError, match="not in PushOut-Layout"):
-        submit([folder], tmp_path / "entry.json.gz")
+        submit([folder], tmp_path / "entry.json.xz")
 
 
 def test_what_the_card_does_not_say_is_null(folder: Path, tmp_path: Path) -> None:
-    card = submit([folder], tmp_path / "entry.json.gz").card
+    card = submit([folder], tmp_path / "entry.json.xz").card
     assert card.pop("method") == "expert"
     said = [value for part in card.values() for value in (part.values() if isinstance(part, dict) else [part])]
     assert said == [None] * len(said)
@@ -69,13 +70,13 @@ def test_what_the_card_does_not_say_is_null(folder: Path, tmp_path: Path) -> Non
 
 def test_the_same_entry_has_the_same_bytes(folder: Path, tmp_path: Path) -> None:
     for name in ("a", "b"):
-        submit([folder], tmp_path / f"{name}.json.gz")
+        submit([folder], tmp_path / f"{name}.json.xz")
         rewrite(folder, list.reverse)
-    assert (tmp_path / "a.json.gz").read_bytes() == (tmp_path / "b.json.gz").read_bytes()
+    assert (tmp_path / "a.json.xz").read_bytes() == (tmp_path / "b.json.xz").read_bytes()
 
 
 def content(path: Path) -> dict[str, Any]:
-    return json.loads(gzip.decompress(path.read_bytes()))
+    return json.loads(lzma.decompress(path.read_bytes()))
 
 
 @pytest.mark.parametrize(
@@ -88,14 +89,14 @@ def content(path: Path) -> dict[str, Any]:
         ({"environments": {"FindDupe-Everything": [[0, 0, None, 0, "", None]]}}, "which is no environment"),
         ({"environments": {"FindDupe-All": [[0, 0, None, 2, "", None]]}}, r"at \$.environments.*2 is greater"),
         ({"environments": {"FindDupe-All": [[0, 1.0, None, 0, "", None]]}}, "in FindDupe-All that are not written as"),
-        ({"observations": "\ud800"}, "entry.json.gz cannot be read: 'utf-8' codec"),
+        ({"observations": "\ud800"}, "entry.json.xz cannot be read: 'utf-8' codec"),
         ({"observations": "State |\n| **Planner ★**"}, r"does not follow the schema at \$.observations"),
     ],
 )
 def test_what_is_no_entry_is_named(folder: Path, tmp_path: Path, change: dict[str, Any], problem: str) -> None:
-    path = tmp_path / "entry.json.gz"
+    path = tmp_path / "entry.json.xz"
     submit([folder], path)
-    path.write_bytes(gzip.compress(json.dumps({**content(path), **change}).encode()))
+    path.write_bytes(lzma.compress(json.dumps({**content(path), **change}).encode()))
     with pytest.raises(EvaluationError, match=problem):
         check_entry(path)
 
@@ -103,19 +104,21 @@ def test_what_is_no_entry_is_named(folder: Path, tmp_path: Path, change: dict[st
 DAMAGED = {
     "empty": b"",
     "text": b"no",
-    "half": gzip.compress(b"[1"),
-    "list": gzip.compress(b"[]"),
-    "cut": b"\x1f\x8b",
-    "bits": gzip.compress(b"{}")[:10] + b"\xff" * 20,
-    "deep": gzip.compress(b"[" * 10**5),
+    "half": lzma.compress(b"[1"),
+    "list": lzma.compress(b"[]"),
+    "cut": lzma.compress(b"{}")[:-1],
+    "longer": lzma.compress(b"{}") + b"{}",
+    "another format": gzip.compress(b"{}"),
+    "bits": lzma.compress(b"{}")[:10] + b"\xff" * 20,
+    "deep": lzma.compress(b"[" * 10**5),
 }
 
 
 @pytest.mark.parametrize("data", DAMAGED.values(), ids=DAMAGED)
 def test_damaged_files_are_named(tmp_path: Path, data: bytes) -> None:
-    (tmp_path / "entry.json.gz").write_bytes(data)
-    with pytest.raises(EvaluationError, match=r"entry.json.gz (cannot be read|does not follow)"):
-        check_entry(tmp_path / "entry.json.gz")
+    (tmp_path / "entry.json.xz").write_bytes(data)
+    with pytest.raises(EvaluationError, match=r"entry.json.xz (cannot be read|does not follow)"):
+        check_entry(tmp_path / "entry.json.xz")
 
 
 @pytest.mark.parametrize(("change", "problem"), TAMPERED[:3])
@@ -123,14 +126,14 @@ def test_an_entry_with_a_proper_hash_is_still_replayed(
     folder: Path, tmp_path: Path, change: Callable[[list[Row]], None], problem: str
 ) -> None:
     rewrite(folder, change)
-    submit([folder], tmp_path / "entry.json.gz")
-    _, found = check_entry(tmp_path / "entry.json.gz", everything=True)
+    submit([folder], tmp_path / "entry.json.xz")
+    _, found = check_entry(tmp_path / "entry.json.xz", everything=True)
     assert problem in found.differing[-1]
 
 
 @pytest.mark.parametrize("method", ["BC\n", "BC (ST) ★", "BC (ST)†", "BC | 1.00", ""])
 def test_names_look_like_no_other_line_of_a_table(folder: Path, tmp_path: Path, method: str) -> None:
-    path = tmp_path / "entry.json.gz"
+    path = tmp_path / "entry.json.xz"
     submit([folder], path)
     entry = check_entry(path)[0]
     path.write_bytes(packed(replace(entry, card={**entry.card, "method": method})))
@@ -139,10 +142,10 @@ def test_names_look_like_no_other_line_of_a_table(folder: Path, tmp_path: Path, 
 
 
 def test_numbers_that_are_too_large_are_named(folder: Path, tmp_path: Path) -> None:
-    path = tmp_path / "entry.json.gz"
+    path = tmp_path / "entry.json.xz"
     submit([folder], path)
-    text = gzip.decompress(path.read_bytes()).replace(b'"hours":null', b'"hours":1e999')
-    path.write_bytes(gzip.compress(text))
+    text = lzma.decompress(path.read_bytes()).replace(b'"hours":null', b'"hours":1e999')
+    path.write_bytes(lzma.compress(text))
     with pytest.raises(EvaluationError, match="1e999 is not a finite number"):
         check_entry(path)
 
@@ -150,7 +153,7 @@ def test_numbers_that_are_too_large_are_named(folder: Path, tmp_path: Path) -> N
 def test_a_policy_that_saw_the_simulation_is_another_kind(folder: Path, tmp_path: Path) -> None:
     rewrite(folder, lambda rows: rows[0].update(preset="LoRes4E"))
     with pytest.raises(EvaluationError, match="saw the simulation instead of pictures or states"):
-        submit([folder], tmp_path / "entry.json.gz")
+        submit([folder], tmp_path / "entry.json.xz")
 
 
 def test_episodes_that_do_not_count_hide_none_that_do(tmp_path: Path) -> None:
@@ -158,8 +161,8 @@ def test_episodes_that_do_not_count_hide_none_that_do(tmp_path: Path) -> None:
     lies = [Claim(0, "MoveToRegion", "Demo", seed, None, 0.7, "a" * 40, None) for seed in range(99)]
     lies.append(Claim(0, "MoveToRegion", "Demo", 99, None, 0.7, "a", None))
     padding = [Claim(0, "MoveToRegion", "Demo", seed, None, 0.0, "", "no") for seed in range(100, 100_000)]
-    (tmp_path / "entry.json.gz").write_bytes(packed(replace(whole(runs=1), episodes=[*lies, *padding])))
-    found = check_entry(tmp_path / "entry.json.gz")[1]
+    (tmp_path / "entry.json.xz").write_bytes(packed(replace(whole(runs=1), episodes=[*lies, *padding])))
+    found = check_entry(tmp_path / "entry.json.xz")[1]
     assert found.episodes == 10
     assert len(found.differing) == 11
     assert "run 0, MoveToRegion Demo, seed 99: it has 1 actions, and episodes have 40" in found.differing
@@ -169,8 +172,8 @@ def test_a_random_part_is_checked(tmp_path: Path) -> None:
     """A tenth of 100 episodes that all lie; only who knows the seed can tell which."""
     episodes = [Claim(0, "MoveToRegion", "Demo", seed, None, 0.7, "a" * 40, None) for seed in range(100)]
     entry = replace(unpacked(packed(whole(runs=1))), episodes=episodes)
-    (tmp_path / "entry.json.gz").write_bytes(packed(entry))
-    found, again, *others = (check_entry(tmp_path / "entry.json.gz", seed=seed)[1] for seed in (0, 0, 1, None, None))
+    (tmp_path / "entry.json.xz").write_bytes(packed(entry))
+    found, again, *others = (check_entry(tmp_path / "entry.json.xz", seed=seed)[1] for seed in (0, 0, 1, None, None))
     assert len(found.differing) == found.episodes == 10
     assert found.differing == again.differing
     assert len({tuple(sorted(one.differing)) for one in (found, *others)}) == 4
@@ -178,8 +181,8 @@ def test_a_random_part_is_checked(tmp_path: Path) -> None:
 
 def test_an_entry_without_the_protocol_s_scenes_is_not_shown(tmp_path: Path) -> None:
     lone = Claim(0, "MoveToRegion", "Demo", 100, None, 0.0, "", "ValueError: no")
-    (tmp_path / "entry.json.gz").write_bytes(packed(replace(whole(runs=1), episodes=[lone])))
-    assert check_entry(tmp_path / "entry.json.gz")[1].unfit == [
+    (tmp_path / "entry.json.xz").write_bytes(packed(replace(whole(runs=1), episodes=[lone])))
+    assert check_entry(tmp_path / "entry.json.xz")[1].unfit == [
         "none of its episodes starts in the scenes of seeds 0 to 99"
     ]
 
@@ -197,7 +200,7 @@ def test_an_entry_without_the_protocol_s_scenes_is_not_shown(tmp_path: Path) -> 
         ("[training]\nhours = inf", {}, SettingsError, "training.hours must be a finite number, and is inf"),
         ("", {"folders": []}, SettingsError, "give at least one folder"),
         ("", {"policy": "nobody"}, UnknownNameError, "unknown policy 'nobody'"),
-        ("", {"out": "entry.json"}, SettingsError, "must end in .json.gz"),
+        ("", {"out": "entry.json"}, SettingsError, "must end in .json.xz"),
     ],
 )
 def test_bad_submissions_are_explained(
@@ -205,7 +208,7 @@ def test_bad_submissions_are_explained(
 ) -> None:
     (tmp_path / "card.toml").write_text(card)
     with pytest.raises(error, match=problem):
-        submit(**{"folders": [folder], "out": tmp_path / "entry.json.gz", "card": tmp_path / "card.toml", **arguments})
+        submit(**{"folders": [folder], "out": tmp_path / "entry.json.xz", "card": tmp_path / "card.toml", **arguments})
 
 
 @pytest.mark.parametrize("number", [[1], "1", True, 0])
@@ -213,15 +216,15 @@ def test_a_protocol_that_is_no_number_is_explained(folder: Path, tmp_path: Path,
     settings = json.loads((folder / SETTINGS).read_text())
     (folder / SETTINGS).write_text(json.dumps({**settings, "protocol": number}))
     with pytest.raises(EvaluationError, match=r"the protocol in .*run.json must be a number such as 1, and is"):
-        submit([folder], tmp_path / "entry.json.gz")
-    assert not (tmp_path / "entry.json.gz").exists()
+        submit([folder], tmp_path / "entry.json.xz")
+    assert not (tmp_path / "entry.json.xz").exists()
     assert not list(tmp_path.glob("entry*"))
 
 
 def test_an_episode_is_submitted_once(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(EvaluationError, match=r"holds an episode twice: .* again with another --run"):
-        submit([folder, folder], tmp_path / "entry.json.gz")
-    assert not (tmp_path / "entry.json.gz").exists()
+        submit([folder, folder], tmp_path / "entry.json.xz")
+    assert not (tmp_path / "entry.json.xz").exists()
 
 
 def test_what_is_no_evaluation_of_one_method_is_explained(folder: Path, tmp_path: Path) -> None:
@@ -229,40 +232,40 @@ def test_what_is_no_evaluation_of_one_method_is_explained(folder: Path, tmp_path
     training.mkdir()
     (training / "policy.safetensors").touch()
     with pytest.raises(EvaluationError, match=r"training holds a policy, .* --policy .*training --out ANOTHER"):
-        submit([training], tmp_path / "entry.json.gz")
+        submit([training], tmp_path / "entry.json.xz")
     rewrite(folder, lambda rows: rows[0].update(policy="bc-1"))
     with pytest.raises(SettingsError, match=r"bc-1, expert: .*\(--policy NAME\).*--policy BC=runs/a,BC=runs/b"):
-        submit([folder], tmp_path / "entry.json.gz")
+        submit([folder], tmp_path / "entry.json.xz")
 
 
 def test_an_entry_is_extended_by_further_runs(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "card.toml").write_text(CARD)
-    submit([folder], tmp_path / "one.json.gz", card=tmp_path / "card.toml")
+    submit([folder], tmp_path / "one.json.xz", card=tmp_path / "card.toml")
     rewrite(folder, lambda rows: [row.update(run=1, mujoco="3.18.0") for row in rows])
     with pytest.raises(SettingsError, match=r"is of 'Oracle', and the folders hold 'expert': .*\(--policy expert, or"):
-        submit([folder], tmp_path / "two.json.gz", extend=tmp_path / "one.json.gz")
-    two = submit([folder], tmp_path / "two.json.gz", policy="expert", extend=tmp_path / "one.json.gz")
-    entry, found = check_entry(tmp_path / "two.json.gz", everything=True)
+        submit([folder], tmp_path / "two.json.xz", extend=tmp_path / "one.json.xz")
+    two = submit([folder], tmp_path / "two.json.xz", policy="expert", extend=tmp_path / "one.json.xz")
+    entry, found = check_entry(tmp_path / "two.json.xz", everything=True)
     assert entry == replace(two, episodes=sorted(two.episodes))
     assert (entry.runs, found.episodes, found.differing) == ([0, 1], 2 * EPISODES, [])
-    assert entry.card == check_entry(tmp_path / "one.json.gz")[0].card
+    assert entry.card == check_entry(tmp_path / "one.json.xz")[0].card
     assert len(entry.versions["mujoco"]) == 2
-    with pytest.raises(EvaluationError, match=r"two.json.gz with these folders holds an episode twice"):
-        submit([folder], tmp_path / "three.json.gz", policy="expert", extend=tmp_path / "two.json.gz")
+    with pytest.raises(EvaluationError, match=r"two.json.xz with these folders holds an episode twice"):
+        submit([folder], tmp_path / "three.json.xz", policy="expert", extend=tmp_path / "two.json.xz")
     (tmp_path / "card.toml").write_text('method = "Another"')
     with pytest.raises(FileNotFoundError):
-        submit([folder], tmp_path / "three.json.gz", extend=tmp_path / "none.json.gz")
-    again = submit([folder], tmp_path / "three.json.gz", card=tmp_path / "card.toml", extend=tmp_path / "one.json.gz")
+        submit([folder], tmp_path / "three.json.xz", extend=tmp_path / "none.json.xz")
+    again = submit([folder], tmp_path / "three.json.xz", card=tmp_path / "card.toml", extend=tmp_path / "one.json.xz")
     assert (again.method, again.runs) == ("Another", [0, 1])
 
 
 @pytest.mark.parametrize(("what", "value"), [("rules", "released"), ("preset", "LoRes4A")])
 def test_an_entry_is_extended_by_its_own_kind_only(folder: Path, tmp_path: Path, what: str, value: str) -> None:
-    submit([folder], tmp_path / "one.json.gz")
+    submit([folder], tmp_path / "one.json.xz")
     rewrite(folder, lambda rows: [row.update({"run": 1, what: value}) for row in rows])
     with pytest.raises(EvaluationError, match=f"cannot be extended by these folders: .*, {value} here"):
-        submit([folder], tmp_path / "two.json.gz", extend=tmp_path / "one.json.gz")
-    assert not (tmp_path / "two.json.gz").exists()
+        submit([folder], tmp_path / "two.json.xz", extend=tmp_path / "one.json.xz")
+    assert not (tmp_path / "two.json.xz").exists()
 
 
 def test_a_thousand_rows_too_few_are_named() -> None:

@@ -27,7 +27,7 @@ from magical_mj.leaderboard.standings import gaps, standings
 SHOWN: Final = 20
 """The largest number of problems that are printed; the others are counted."""
 
-Entries = Annotated[Path, typer.Argument(help="The folder with the entries (*.json.gz), or one.", show_default=False)]
+Entries = Annotated[Path, typer.Argument(help="The folder with the entries (*.json.xz), or one.", show_default=False)]
 Pages = Annotated[Path | None, typer.Option("--out", help="The folder for the pages.", show_default="FOLDER")]
 All = Annotated[bool, typer.Option("--all", help="Replay all episodes of each entry, not only a random part.")]
 Sample = Annotated[
@@ -35,7 +35,7 @@ Sample = Annotated[
 ]
 Folder = Annotated[Path, typer.Argument(help="The folder of an evaluation.", show_default=False)]
 Folders = Annotated[list[Path], typer.Argument(help="Folders of evaluations of one method.", show_default=False)]
-Out = Annotated[Path, typer.Option(help="The entry's file, which ends in .json.gz.", show_default=False)]
+Out = Annotated[Path, typer.Option(help="The entry's file, which ends in .json.xz.", show_default=False)]
 Card = Annotated[Path | None, typer.Option(help="A TOML file that describes the method; see docs/leaderboard.md.")]
 Name = Annotated[
     str | None,

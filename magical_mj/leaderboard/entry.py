@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import gzip
 import hashlib
-import io
 import json
+import lzma
 import math
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files as resources
@@ -21,9 +19,11 @@ from magical_mj.registry import ENVIRONMENTS
 from magical_mj.tasks.spec import Rules
 
 FORMAT: Final = 1
-SUFFIX: Final = ".json.gz"
+SUFFIX: Final = ".json.xz"
 MOST_BYTES: Final = 60_000_000
 """The largest size of an unpacked entry in bytes: a small file may expand to a huge one."""
+_MEMORY: Final = 100_000_000
+"""How much memory in bytes unpacking may take: a file says how much it wants. Ours need 66 MB."""
 
 
 def entries(folder: Path | str) -> list[Path]:
@@ -95,7 +95,7 @@ def packed(entry: Entry) -> bytes:
         raise EvaluationError(
             f"an entry has {MOST_BYTES / 1e6:.0f} MB at most, and this {len(text) / 1e6:.0f}: take fewer runs"
         )
-    return gzip.compress(text, compresslevel=9, mtime=0)
+    return lzma.compress(text, preset=9 | lzma.PRESET_EXTREME)  # a sixth smaller than with gzip
 
 
 def _text(content: dict[str, Any]) -> str:
@@ -144,13 +144,15 @@ def unpacked(data: bytes, name: object = "the entry") -> Entry:
 
 def _content(data: bytes, name: object) -> dict[str, Any]:
     try:
-        with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
-            text = file.read(MOST_BYTES + 1)
+        file = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=_MEMORY)
+        text = file.decompress(data, MOST_BYTES + 1)
         if len(text) > MOST_BYTES:
             raise ValueError("it is too large")
+        if not file.eof or file.unused_data:
+            raise ValueError("it is cut short" if not file.eof else "something follows its end")
         content = json.loads(text, parse_constant=_no_number, parse_float=_finite)
         _text(content).encode()  # raises an error for half a character, which JSON can name and UTF-8 cannot hold
-    except (OSError, EOFError, ValueError, RecursionError, zlib.error) as error:
+    except (ValueError, RecursionError, lzma.LZMAError) as error:
         raise EvaluationError(f"{name} cannot be read: {error}") from error
     return content
 

@@ -44,7 +44,7 @@ def submit(
 
     Args:
         folders: evaluations of one method, such as one for each run.
-        out: the file, whose name must end in .json.gz; an existing file is not replaced.
+        out: the file, whose name must end in .json.xz; an existing file is not replaced.
         card: a TOML file with fields of `CARD`; missing fields are null, and the method then has its name in the
             evaluations.
         policy: the name of the method in the folders, if they hold several, or if the earlier entry calls it otherwise.

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import gzip
 import io
 import json
+import lzma
 import random
 import shutil
 from functools import cache
@@ -39,10 +39,10 @@ READERS: Final[dict[str, tuple[tuple[str, ...], ...]]] = {
             ("compare", "scores", "scores"),
             ("verify", "scores", "--jobs", "1"),
         ),
-        *(("submit", "scores", "--out", "new.json.gz"), SHORT),
+        *(("submit", "scores", "--out", "new.json.xz"), SHORT),
     ),
-    "scores/run.json": (SHORT, ("verify", "scores", "--jobs", "1"), ("submit", "scores", "--out", "new.json.gz")),
-    "entries/a.json.gz": (("leaderboard", "entries", "--out", "page", "--jobs", "1", "--all"),),
+    "scores/run.json": (SHORT, ("verify", "scores", "--jobs", "1"), ("submit", "scores", "--out", "new.json.xz")),
+    "entries/a.json.xz": (("leaderboard", "entries", "--out", "page", "--jobs", "1", "--all"),),
     "demos/MoveToRegion-Demo-000.npz": (
         *(("demos", "verify", "demos", "--jobs", "1"), ("demos", "info", "demos")),
         ("demos", "export", "demos", "--preset", "State", "--out", "out.npz"),
@@ -50,7 +50,7 @@ READERS: Final[dict[str, tuple[tuple[str, ...], ...]]] = {
         ("demos", "generate", "--tasks", "MoveToRegion", "--count", "1", "--out", "demos", "--jobs", "1"),
     ),
     "played.json": (("demos", "import", "played.json", "--out", "mine"),),
-    "card.toml": (("submit", "scores", "--card", "card.toml", "--out", "new.json.gz"),),
+    "card.toml": (("submit", "scores", "--card", "card.toml", "--out", "new.json.xz"),),
     "run/config.toml": (TRAIN, (*EVALUATE[:2], "run", *EVALUATE[3:], "--episodes", "1", "--jobs", "1", "--out", "o")),
     "run/checkpoint.safetensors": (TRAIN,),
     "run/metrics.csv": (TRAIN,),
@@ -93,7 +93,7 @@ def stock(folder: Path) -> Path:
         )
         Path("card.toml").write_text(CARD)
         Path("experiment.toml").write_text(EXPERIMENT)
-        for command in (SHORT, ("submit", "scores", "--out", "entries/a.json.gz"), TRAIN):
+        for command in (SHORT, ("submit", "scores", "--out", "entries/a.json.xz"), TRAIN):
             if main(list(command)) != 0:
                 raise RuntimeError(f"cannot make the stock: {command}")
     (folder / "making").rename(made)
@@ -114,7 +114,7 @@ def damaged_files(rng: random.Random, folder: Path) -> None:
     path.write_bytes(_damaged(path, sound, rng))
     command = rng.choice(READERS[name])
     code = run(command, allowed=name.startswith("run/"))
-    if code == 0 and name.endswith((".npz", ".json.gz")) and _content(path) != _content_of(sound, path.suffix):
+    if code == 0 and name.endswith((".npz", ".json.xz")) and _content(path) != _content_of(sound, path.suffix):
         raise FindError(f"nobody noticed that {name} says something else now: {' '.join(command)}")
     if code != 0:
         raise MagicalError("refused by the command line")
@@ -124,8 +124,8 @@ def _damaged(path: Path, data: bytes, rng: random.Random) -> bytes:
     """The file with something wrong in it; where it has a structure, that may be whole."""
     if rng.random() < 0.4:
         return spoilt_bytes(data, rng)
-    if path.suffix == ".gz":
-        return gzip.compress(json.dumps(spoilt_tree(json.loads(gzip.decompress(data)), rng)).encode())
+    if path.suffix == ".xz":
+        return lzma.compress(json.dumps(spoilt_tree(json.loads(lzma.decompress(data)), rng)).encode())
     if path.suffix == ".json":
         return json.dumps(spoilt_tree(json.loads(data), rng)).encode()
     if path.suffix == ".jsonl":
@@ -177,8 +177,8 @@ def _content(path: Path) -> Any:
 
 def _content_of(data: bytes, suffix: str) -> Any:
     """What the bytes say, whatever their packing."""
-    if suffix == ".gz":
-        return json.loads(gzip.decompress(data))
+    if suffix == ".xz":
+        return json.loads(lzma.decompress(data))
     with np.load(io.BytesIO(data)) as archive:
         header = json.loads(archive["header"].tobytes())
         return None if header.get("digest") else header  # a digest that fits was forged with knowledge

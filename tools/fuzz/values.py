@@ -17,7 +17,7 @@ NOT_FINITE: Final = (float("nan"), float("inf"), float("-inf"))
 TEXTS: Final = (
     *("", " ", "\0", "\n", "a" * 5000, "../..", "/", "~", "%s", "{}", "[red]x[/red]", "-1", "1e9", "None", "nan"),
     *("MoveToRegion", "Demo", "all", ",", "a,b", "State", "é\u202e\u0301", "\ud800", "os:system", "magical_mj:TASKS"),
-    *("1" * 5000, "NaN=x", "=", "x.npz", "x.json.gz", "none", "score", "paper"),
+    *("1" * 5000, "NaN=x", "=", "x.npz", "x.json.xz", "none", "score", "paper"),
 )
 JSON: Final = (None, True, False, *NUMBERS, *NOT_FINITE, *TEXTS, [], {}, [[]], {"": None}, [1, 2, 3], {"format": 1})
 OTHERS: Final = (
