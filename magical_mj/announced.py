@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import fields
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from pathlib import Path
-from sysconfig import get_path
-from traceback import extract_tb
 from types import MappingProxyType
 from typing import Any, Final
 
 from magical_mj.errors import InvalidSceneError, MagicalError, TaskError, UnknownNameError, shown
 from magical_mj.geometry import check_scene
-from magical_mj.references import is_reference, resolve, source_of
+from magical_mj.references import is_reference, place, resolve, source_of, with_place
 from magical_mj.scene import Scene
 from magical_mj.tasks import RULES, SPECS, TaskSpec
 from magical_mj.tasks.spec import is_task_name
@@ -27,8 +23,6 @@ GROUP: Final = "magical_mj.tasks"
 """The entry-point group in which installed packages announce tasks, such as ``PushOut = "push_out:SPEC"``."""
 DRAWS: Final = 3
 """How often each variant's first scene is drawn again, to see whether it is always the same."""
-_PACKAGE: Final = f"{Path(__file__).parent}{os.sep}"
-_STANDARD_LIBRARY: Final = f"{get_path('stdlib')}{os.sep}"
 _CHECKED: Final[dict[str, TaskSpec]] = {}
 """The last task that was checked for each name and reference."""
 
@@ -77,7 +71,7 @@ def load_spec(task: str) -> TaskSpec:
     except ImportError as error:
         raise UnknownNameError(f"the task {shown(task)} cannot be imported: {error}") from error
     except (Exception, SystemExit) as error:
-        raise TaskError(f"the task {shown(task)} cannot be imported: {_with_place(error)}") from error
+        raise TaskError(f"the task {shown(task)} cannot be imported: {with_place(error)}") from error
     if _CHECKED.get(task) is spec:
         return spec
     check_spec(spec, task)
@@ -125,9 +119,9 @@ def check_spec(spec: Any, task: str) -> None:
     except TaskError:
         raise
     except MagicalError as error:
-        raise TaskError(f"{task} cannot be played: {error}{_place(error)}") from error
+        raise TaskError(f"{task} cannot be played: {error}{place(error)}") from error
     except Exception as error:
-        raise TaskError(f"{task} cannot be played: {_with_place(error)}") from error
+        raise TaskError(f"{task} cannot be played: {with_place(error)}") from error
 
 
 def check_drawn(spec: TaskSpec, variant: str, seed: int, scene: Scene) -> None:
@@ -138,21 +132,3 @@ def check_drawn(spec: TaskSpec, variant: str, seed: int, scene: Scene) -> None:
     except InvalidSceneError as error:
         drawn = "its own demo scene" if variant == "Demo" else f"the scene of {variant} that seed {seed} draws"
         raise TaskError(f"no episode of {spec.name} can start in {drawn}: {error}") from error
-
-
-def _with_place(error: BaseException) -> str:
-    """The error's type, message and place."""
-    where = "" if isinstance(error, SyntaxError) else _place(error)  # whose message names the place
-    return f"{type(error).__name__}: {error}{where}"
-
-
-def _place(error: BaseException) -> str:
-    """The last place from which the error came that is neither in this package nor in Python, if there is one."""
-    frames = [frame for frame in extract_tb(error.__traceback__) if _is_theirs(frame.filename)]
-    return f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
-
-
-def _is_theirs(file: str) -> bool:
-    if file.startswith((_PACKAGE, "<")):
-        return False
-    return "site-packages" in Path(file).parts or not file.startswith(_STANDARD_LIBRARY)

@@ -9,7 +9,7 @@ import numpy as np
 
 from magical_mj.announced import announced, check_drawn, load_spec
 from magical_mj.errors import InvalidSceneError, SettingsError, shown, unknown_name
-from magical_mj.references import is_reference
+from magical_mj.references import errors_of_task, is_reference
 from magical_mj.scene import Scene, check_scene_type
 from magical_mj.tasks import RULES, SPECS, Rules, TaskSpec
 from magical_mj.variants import VARIANTS as _VARIANTS
@@ -149,11 +149,13 @@ def sample_scene(task: str, variant: str, seed: int) -> Scene:
         UnknownNameError: if there is no such task or variant, or the task does not have this variant.
         InvalidSeedError: if the seed is not an integer, or negative; any size will do.
         PlacementError: if no legal placement was found (not known to happen in the benchmark).
-        TaskError: if the task of another package draws a scene in which it cannot start.
+        TaskError: if the task of another package draws a scene in which it cannot start, or its code raises an error.
     """
     spec, variant = task_spec(task), variant_name(variant)
-    scene = vary(spec, variant, seed)
-    if spec.name not in SPECS:  # those of the benchmark are known to be right
+    if spec.name in SPECS:
+        return vary(spec, variant, seed)  # known to be right
+    with errors_of_task(f"{spec.name}-{variant} cannot be drawn from seed {shown(seed)}"):
+        scene = vary(spec, variant, seed)
         check_drawn(spec, variant, seed, scene)
     return scene
 
@@ -170,13 +172,14 @@ def score(task: str, initial: Scene, final: Scene, rules: Rules = "paper") -> fl
     Raises:
         UnknownNameError: if there is no such task or set of rules.
         InvalidSceneError: if `initial` is not a scene of the task, or `final` has other blocks or regions.
-        TaskError: if the task of another package returns anything but a number in [0, 1].
+        TaskError: if the task of another package returns anything but a number in [0, 1], or its code raises an error.
     """
     spec = task_spec(task)
     rules = check_rules(rules)
     for scene in (initial, final):
         check_scene_type(scene)
-    spec.check(initial)
+    with errors_of_task(f"{spec.name}.check failed"):
+        spec.check(initial)
     _check_same(initial, final)
     return spec.checked_score(initial, final, rules)
 

@@ -156,7 +156,7 @@ def test_a_file_that_changes_meanwhile_is_no_policy_of_the_evaluation(tmp_path: 
 
 @pytest.fixture
 def excessive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """A task whose score is too high in some scenes, and whose count rule sometimes draws too many blocks."""
+    """Tasks whose score is too high in some scenes, whose count rule draws too many blocks, and whose score fails."""
     name = f"excessive_{tmp_path.name}"
     (tmp_path / f"{name}.py").write_text(
         "from dataclasses import replace\n"
@@ -167,6 +167,9 @@ def excessive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
         "    return replace(scene, blocks=scene.blocks[:1] * int(rng.integers(8, 13)))\n"
         'SPEC = replace(OURS, name="Excessive", score=score)\n'
         'CROWDED = replace(OURS, name="Crowded", count=count)\n'
+        "def broken(initial, final, rules):\n"
+        "    return 0.0 if final.robot == initial.robot else 1 / 0\n"
+        'BROKEN = replace(OURS, name="Broken", score=broken)\n'
     )
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", sys.path[:])
@@ -180,6 +183,8 @@ def excessive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 def test_errors_of_a_task_are_no_failures_of_a_policy(excessive: str, envs: int) -> None:
     with pytest.raises(TaskError, match=r"Excessive.score must return a number in \[0, 1\], and returned 2.0"):
         magical_mj.evaluate(Remembering(), tasks=f"{excessive}:SPEC", variants="Jitter", episodes=6, envs=envs, **STATE)
+    with pytest.raises(TaskError, match=r"Broken.score failed: ZeroDivisionError: division by zero \(.*excessive_"):
+        magical_mj.evaluate(Remembering(), tasks=f"{excessive}:BROKEN", variants="Demo", episodes=2, envs=envs, **STATE)
     with pytest.raises(
         TaskError, match=r"no episode can start in the scene of seed .*the state vector holds 10 blocks"
     ):

@@ -78,6 +78,10 @@ ROUNDED = replace(GOOD, score=lambda initial, final, rules: 0.05 + 0.55 + 0.3 + 
 PURPLE = replace(GOOD, colour=lambda rng, scene: replace(scene, blocks=(replace(scene.blocks[0], colour="purple"),)))
 TURNED = lambda scene: scene.moved(robot=(scene.robot.x, scene.robot.y, float(np.random.default_rng().uniform())))
 CHANCE = replace(GOOD, colour=lambda rng, scene: TURNED(scene))
+LOST = lambda initial, now: 1 / 0 if now.robot != initial.robot else None
+FAILS = replace(GOOD, score=lambda initial, final, rules: LOST(initial, final) or 0.0)
+NO_PLAN = replace(GOOD, plan=lambda initial, now, noise: LOST(initial, now) or (Subgoal(k / 0, (0, 0)) for k in (0,)))
+ERRS = replace(GOOD, colour=lambda rng, scene: 1 / 0 if rng.random() < 0.1 else scene)
 NOWHERE = replace(GOOD, plan=lambda initial, now, noise: None)
 PAIRS = replace(GOOD, plan=lambda initial, now, noise: [(0, (0.0, 0.0))])
 BEYOND = replace(GOOD, plan=lambda initial, now, noise: [Subgoal(99, (0.0, 0.0))])
@@ -126,7 +130,7 @@ def test_tasks_of_ones_own_are_played_by_reference(mine: str) -> None:
         ("NOT_ITS_OWN", "no episode of .* can start in its own demo scene: this is not a scene of MatchRegions"),
         ("TWO", r"Mine.score must return a number in \[0, 1\], and returned 2.0"),
         ("TEXT", r"Mine.score must return a number in \[0, 1\], and returned 'all'"),
-        ("NO_RULES", r"mine.*:NO_RULES cannot be played: TypeError: .*takes 2 positional arguments but 3 were given"),
+        ("NO_RULES", r"Mine.score failed: TypeError: .*takes 2 positional arguments but 3 were given"),
         ("YES", "Mine.check must raise InvalidSceneError or return None, not True"),
         ("WRONG_ERROR", r"cannot be played: ZeroDivisionError: division by zero \(.*mine_.*, line \d+\)"),
         ("PURPLE", r"Block.colour is 'purple'; it must be one of .* \(.*mine_.*, line \d+\)"),
@@ -153,6 +157,22 @@ def test_later_scores_and_scenes_of_ones_own_are_checked_too(mine: str) -> None:
         TaskError, match=r"no episode of Mine can start in the scene of Colour that seed \d+ draws: this"
     ):
         [sample_scene(f"{mine}:RARELY", "Colour", seed) for seed in range(100)]
+
+
+def test_errors_in_the_code_of_ones_own_task_say_where(mine: str) -> None:
+    """Also in code that runs later than the checks of a task."""
+    where = r"ZeroDivisionError: .* \(.*mine_.*\.py, line \d+\)$"
+    env = load(f"{mine}:FAILS", observations=(), seed=0)
+    env.reset()
+    env.step(2)
+    with pytest.raises(TaskError, match=f"^Mine.score failed: {where}"):
+        env.score()
+    spec = task_spec(f"{mine}:NO_PLAN")
+    for now in (spec.demo, spec.demo.moved(robot=(0.0, 0.0, 0.0))):  # in the generator, and in the function
+        with pytest.raises(TaskError, match=f"^Mine.plan failed: {where}"):
+            spec.subgoals(spec.demo, now, Noise(np.random.default_rng(0), 0.0))
+    with pytest.raises(TaskError, match=rf"^Mine-Colour cannot be drawn from seed \d+: {where}"):
+        [sample_scene(f"{mine}:ERRS", "Colour", seed) for seed in range(100)]
 
 
 def test_a_scene_that_does_not_fit_the_state_vector_ends_no_episode(mine: str) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from magical_mj.constants import ARENA_HALF_WIDTH
 from magical_mj.errors import TaskError, shown
 from magical_mj.planning import Noise, Subgoal
+from magical_mj.references import errors_of_task
 from magical_mj.scene import Scene
 
 Rules = Literal["paper", "released"]
@@ -116,9 +117,10 @@ class TaskSpec:
         """What `score` returns, which must be a number in [0, 1] up to rounding; what rounding adds is cut off.
 
         Raises:
-            TaskError: if it is anything else.
+            TaskError: if it is anything else, or `score` raises an error that is not one of this package's.
         """
-        score: Any = self.score(initial, final, rules)
+        with errors_of_task(f"{self.name}.score failed"):
+            score: Any = self.score(initial, final, rules)
         if not isinstance(score, int | float | np.number) or not -_ROUNDING <= score <= 1.0 + _ROUNDING:
             raise TaskError(f"{self.name}.score must return a number in [0, 1], and returned {shown(score)}")
         return min(max(float(score), 0.0), 1.0)
@@ -127,13 +129,15 @@ class TaskSpec:
         """The remaining subgoals; none if the task is solved by these rules.
 
         Raises:
-            TaskError: if the task has no plan, or it returns anything else.
+            TaskError: if the task has no plan, or it returns anything else, or raises an error that is not one of this
+                package's.
         """
         plan = self.check_plan()
         if self.checked_score(initial, now, rules) == 1.0:
             return ()
-        returned: Any = plan(initial, now, noise)
-        todo = tuple(returned) if isinstance(returned, Iterable) else (returned,)
+        with errors_of_task(f"{self.name}.plan failed"):
+            returned: Any = plan(initial, now, noise)
+            todo = tuple(returned) if isinstance(returned, Iterable) else (returned,)  # a generator runs here
         for subgoal in todo:
             if not isinstance(subgoal, Subgoal) or subgoal.block not in (None, *range(len(now.blocks))):
                 raise TaskError(
