@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -170,3 +172,44 @@ def test_numbers_of_numpy_are_seeds_too(tmp_path: Path) -> None:
     assert demos.read(tmp_path / "a.npz").scene_seed == 3
     with pytest.raises(InvalidSeedError, match="is not a seed"):
         demos.demonstrate("MoveToRegion", "Demo", -1)
+
+
+@pytest.fixture
+def broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """A module with a task whose plan fails anywhere but in the demo scene, and with two tasks of one name."""
+    name = f"broken_{tmp_path.name}"
+    (tmp_path / f"{name}.py").write_text(
+        "from dataclasses import replace\n"
+        "from magical_mj.tasks.move_to_region import SPEC as OURS\n"
+        "def plan(initial, now, noise):\n"
+        "    return OURS.plan(initial, now, noise) if now.robot == OURS.demo.robot else 1 / 0\n"
+        'FAILS = replace(OURS, name="Fails", plan=plan)\n'
+        'ONE, OTHER = replace(OURS, name="Same"), replace(OURS, name="Same", demo=FAILS.demo)\n'
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    yield name
+    del sys.modules[name]
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_a_plan_that_fails_is_named_in_a_line(
+    broken: str, tmp_path: Path, jobs: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["demos", "generate", "--tasks", f"{broken}:FAILS", "--variants", "Jitter", "--count", "2"]
+    assert main([*command, "--jobs", jobs, "--out", str(tmp_path / "demos")]) != 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "Fails.plan failed: ZeroDivisionError: division by zero" in said
+    assert "Traceback" not in said
+
+
+def test_two_tasks_of_one_name_take_two_folders(
+    broken: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In one folder, the second one's demonstrations would be taken as made already."""
+    tasks = f"{broken}:ONE,{broken}:OTHER"
+    assert main(["demos", "generate", "--tasks", tasks, "--count", "1", "--out", str(tmp_path / "demos")]) == 2
+    assert "are both called Same, and so would be their files: use two folders" in " ".join(
+        capsys.readouterr().err.split()
+    )
+    assert not (tmp_path / "demos").exists()

@@ -27,7 +27,7 @@ from magical_mj.cli.console import (
 )
 from magical_mj.cli.film import film
 from magical_mj.cli.progress import with_bar
-from magical_mj.errors import DemonstrationError, MagicalError
+from magical_mj.errors import DemonstrationError, MagicalError, SettingsError
 from magical_mj.evaluation.settings import MOST
 from magical_mj.parallel import spread
 from magical_mj.registry import environments, score, task_spec
@@ -72,6 +72,7 @@ def generate(
 ) -> None:
     """Make demonstrations by the expert. Called again, it continues; nothing is overwritten."""
     pairs = environments(tasks, variants)
+    check_files_differ([task for task, _ in pairs])
     claim_folder(out)
     screen = console()
     keys = [(*pair, number) for pair in pairs for number in range(count)]
@@ -86,6 +87,17 @@ def generate(
     describe([magical_mj.demos.read(path, key[0]) for key, path in paths.items() if path.exists()])
     if failures:
         raise DemonstrationError(f"{len(failures)} demonstrations are missing: {'; '.join(sorted(failures))}")
+
+
+def check_files_differ(tasks: Sequence[str]) -> None:
+    """Raise a `SettingsError` if two tasks of other packages have one name, and so their files too."""
+    named: dict[str, str] = {}
+    for task in tasks:
+        other = named.setdefault(name := task_spec(task).name, task)
+        if other != task:
+            raise SettingsError(
+                f"{other} and {task} are both called {name}, and so would be their files: use two folders"
+            )
 
 
 def make(work: tuple[str, str, int, float, Path]) -> str:
