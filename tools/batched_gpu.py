@@ -2,12 +2,12 @@
 
     python tools/batched_gpu.py --list                       # the names of all parts
     python tools/batched_gpu.py --out out/batched            # all parts that are not done yet
-    python tools/batched_gpu.py --out out/batched --only speed-FixColour-Demo
+    python tools/batched_gpu.py --out out/batched --only speed-FixColour-Demo-State
     python tools/batched_gpu.py --out out/rehearsal --rehearse --device cpu
 
 A part that is done has a file in the folder, with what it printed, and is skipped: start the script again after an
-interruption. Trainings are stopped after ten minutes and go on from their checkpoint when the part is started again.
-If a part fails, the others are still done, and the exit code is 1.
+interruption. Each part is stopped after ten minutes: trainings and evaluations go on where they were when the script is
+started again; any other part has failed. If a part fails, the others are still done, and the exit code is 1.
 
 What the machine needs: Python 3.11 to 3.13, this repository, an NVIDIA driver that PyTorch's build for CUDA supports,
 and the extras `gpu` and `eval`. The largest wheels are PyTorch for CUDA (for Linux, that is the one on PyPI) with
@@ -32,6 +32,7 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Final
 
@@ -49,7 +50,7 @@ class Amounts:
 
     tasks: tuple[str, ...]
     variants: tuple[str, ...]
-    presets: str
+    presets: tuple[str, ...]
     worlds: str
     states: int
     replays: int
@@ -60,7 +61,7 @@ class Amounts:
 FULL: Final = Amounts(
     tasks=magical_mj.TASKS,
     variants=("Demo", "All"),
-    presets="State,LoRes4E",
+    presets=("State", "LoRes4E"),
     worlds="256,1024,4096,16384",
     states=200,
     replays=25,
@@ -73,7 +74,7 @@ FULL: Final = Amounts(
 REHEARSAL: Final = Amounts(
     tasks=("MoveToRegion",),
     variants=("Demo",),
-    presets="LoRes4E",
+    presets=("LoRes4E",),
     worlds="2",
     states=2,
     replays=1,
@@ -96,9 +97,9 @@ def parts(device: str, out: Path, amounts: Amounts) -> Mapping[str, list[str]]:
         "fidelity-replays": [*FIDELITY, "replays", *on, "--count", str(amounts.replays), *tasks],
     }
     for task in amounts.tasks:
-        for variant in amounts.variants:
-            chosen = ["--tasks", task, "--variants", variant, "--presets", amounts.presets]
-            made[f"speed-{task}-{variant}"] = [*COMMAND, "bench", "--batched", "--worlds", amounts.worlds, *on, *chosen]
+        for variant, preset in product(amounts.variants, amounts.presets):
+            chosen = ["--tasks", task, "--variants", variant, "--presets", preset, "--worlds", amounts.worlds]
+            made[f"speed-{task}-{variant}-{preset}"] = [*COMMAND, "bench", "--batched", *on, *chosen]
     where = ["--tasks", "MoveToRegion", "--preset", "LoRes4E"]
     for name, settings in amounts.trainings.items():
         run, scores = str(out / name), str(out / f"{name}-scores")
@@ -117,7 +118,9 @@ def run(command: list[str], done: Path) -> str:
         try:
             code = process.wait(LIMIT)
         except subprocess.TimeoutExpired:
-            return f"stopped, see {partial}; a training goes on when it is started again"
+            if "--resume" in command:
+                return f"stopped, see {partial}; it goes on when this is started again"
+            return f"failed: not done after {LIMIT} s, see {partial}"
         finally:
             with suppress(ProcessLookupError):  # all have ended
                 os.killpg(process.pid, signal.SIGKILL)

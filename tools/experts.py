@@ -58,8 +58,19 @@ def episodes(scores: Sequence[Score]) -> str:
     return json.dumps(table, indent=0) + "\n"
 
 
+def check(scores: Sequence[Score]) -> None:
+    """Ends with a message unless these are the expert's scores alone, and all scenes that the site shows are there."""
+    others = {score.policy for score in scores} - {"expert"}
+    there = {(score.task, score.variant, score.seed) for score in scores}
+    missing = [pair for pair in ENVIRONMENTS if not all((*pair, seed) in there for seed in range(SCENES))]
+    if others or missing:
+        names = ", ".join("-".join(pair) for pair in missing)
+        sys.exit(f"not an evaluation of the expert alone: {others}" if others else f"episodes are missing in {names}")
+
+
 if __name__ == "__main__":
     found = read(Path(sys.argv[1]))
+    check(found)
     texts = {PAGE: page(found), EXPERT: episodes(found)}  # both, before either is written
     for path, text in texts.items():
         path.write_text(text, encoding="utf-8")
