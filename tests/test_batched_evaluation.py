@@ -123,8 +123,8 @@ def test_they_are_no_entries(approximate: Path, tmp_path: Path) -> None:
     assert "batched worlds" in verify(approximate).unfit[0]
     assert not verify(approximate).good
     with pytest.raises(EvaluationError, match="batched worlds, and cannot be an entry"):
-        submit([approximate], tmp_path / "entry.json.gz")
-    assert not (tmp_path / "entry.json.gz").exists()
+        submit([approximate], tmp_path / "entry.json.xz")
+    assert not (tmp_path / "entry.json.xz").exists()
 
 
 def test_reports_say_so_and_hold_nothing_else(approximate: Path, official: Path, tmp_path: Path) -> None:

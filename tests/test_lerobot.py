@@ -57,7 +57,7 @@ def test_a_data_set_read_back_replays_to_the_full_score(task: str, plugin: Any, 
     made = to_lerobot(demos, tmp_path / "set")
     read = LeRobotDataset(made.repo_id, root=tmp_path / "set")
     assert (read.num_episodes, read.num_frames) == (len(demos), sum(len(demo.actions) for demo in demos))
-    env = plugin.PixelsAndFingers(task, "Demo")
+    env = plugin.LeRobotEnv(task, "Demo")
     number = 0
     for demo in demos:
         observation, _ = env.reset(seed=0, options={"scene": demo.scene, "lerobot_new_rollout": True})
@@ -79,7 +79,7 @@ def test_a_data_set_read_back_replays_to_the_full_score(task: str, plugin: Any, 
 def test_both_views_and_the_fingers(plugin: Any, tmp_path: Path) -> None:
     demo = magical_mj.demos.load("FixColour")[0]
     made = to_lerobot([demo], tmp_path / "set", views="both", fingers=True)
-    env = plugin.PixelsAndFingers("FixColour", "Demo", "both", fingers=True)
+    env = plugin.LeRobotEnv("FixColour", "Demo", "both", fingers=True)
     observation, _ = env.reset(seed=0)
     row = made[0]
     np.testing.assert_allclose(row["observation.state"].numpy(), observation["agent_pos"], atol=1e-7)
@@ -93,7 +93,7 @@ def test_states_instead_of_pictures(plugin: Any, tmp_path: Path) -> None:
     demo = magical_mj.demos.load("FixColour")[0]
     made = to_lerobot([demo], tmp_path / "set", views="state")
     wanted = magical_mj.demos.observations(demo, "State")
-    env = plugin.PixelsAndFingers("FixColour", "Demo", "state")
+    env = plugin.LeRobotEnv("FixColour", "Demo", "state")
     observation, _ = env.reset(options={"scene": demo.scene})
     assert set(observation) == {"environment_state", "agent_pos"}
     for number, action in enumerate(demo.actions[:5]):
@@ -153,7 +153,7 @@ def test_half_a_data_set_never_has_its_name(tmp_path: Path, end: str) -> None:
 @pytest.mark.parametrize("options", [{}, {"views": "both"}, {"views": "allo", "fingers": True}, {"views": "state"}])
 @pytest.mark.filterwarnings("ignore")
 def test_gymnasium_finds_nothing_wrong(plugin: Any, options: dict[str, Any]) -> None:
-    env = plugin.PixelsAndFingers("MoveToRegion", "Demo", **options)
+    env = plugin.LeRobotEnv("MoveToRegion", "Demo", **options)
     check_env(env, skip_render_check=True)
     env.close()
 
@@ -192,7 +192,7 @@ def test_workers_of_their_own_give_the_same(plugin: Any) -> None:
 @needs_lerobot
 @pytest.mark.parametrize("action", [[np.nan, 0, 0], [0, np.inf, 0], [0, 0], [0, 0, 0, 0]])
 def test_actions_that_are_none_are_refused(plugin: Any, action: list[float]) -> None:
-    env = plugin.PixelsAndFingers("MoveToRegion", "Demo", "state")
+    env = plugin.LeRobotEnv("MoveToRegion", "Demo", "state")
     env.reset(seed=0)
     with pytest.raises(InvalidActionError, match="three finite numbers"):
         env.step(np.array(action, np.float32))
@@ -204,6 +204,6 @@ def test_unknown_environments_are_named(plugin: Any) -> None:
     with pytest.raises(UnknownNameError, match="MoveToRegion"):
         plugin.MagicalConfig(task="MoveToRegoin").create_envs(1)
     with pytest.raises(UnknownNameError, match="unknown choice of views 'top'"):
-        plugin.PixelsAndFingers("MoveToRegion", "Demo", "top")
+        plugin.LeRobotEnv("MoveToRegion", "Demo", "top")
     with pytest.raises(SettingsError, match="n_envs must be at least 1, not 0"):
         plugin.MagicalConfig(task="MoveToRegion").create_envs(0)

@@ -85,7 +85,7 @@ def test_a_checkpoint_sees_here_what_it_sees_in_lerobot(tmp_path: Path, options:
 
     folder = tiny_checkpoint(tmp_path / "pretrained_model", **options)
     policy, theirs = plugin.load_checkpoint(folder), ACTPolicy.from_pretrained(folder).eval()
-    env, ours = plugin.PixelsAndFingers("FixColour", "Demo", **options), gymnasium.make(
+    env, ours = plugin.LeRobotEnv("FixColour", "Demo", **options), gymnasium.make(
         magical_mj.env_id("FixColour", "Demo", preset)
     )  # fmt: skip
     seen, _ = env.reset(seed=3)

@@ -10,7 +10,7 @@ score is the reward of the last step. ``--seed=0 --eval.n_episodes=100`` plays t
 
 from __future__ import annotations
 
-from magical_mj.integrations.lerobot.environments import MagicalConfig, PixelsAndFingers
+from magical_mj.integrations.lerobot.environments import LeRobotEnv, MagicalConfig
 from magical_mj.integrations.lerobot.policy import LeRobotPolicy, load_checkpoint
 
-__all__ = ["LeRobotPolicy", "MagicalConfig", "PixelsAndFingers", "load_checkpoint"]
+__all__ = ["LeRobotEnv", "LeRobotPolicy", "MagicalConfig", "load_checkpoint"]

@@ -35,7 +35,7 @@ except ImportError:
     raise missing_lerobot() from None
 
 
-class PixelsAndFingers(gymnasium.ObservationWrapper[dict[str, Any], NDArray[np.float32], NDArray[np.float32]]):
+class LeRobotEnv(gymnasium.ObservationWrapper[dict[str, Any], NDArray[np.float32], NDArray[np.float32]]):
     """One environment with the names and shapes that LeRobot reads.
 
     Args:
@@ -128,7 +128,7 @@ class MagicalConfig(EnvConfig):
         mode = gymnasium.vector.AutoresetMode.SAME_STEP
         suites: dict[str, dict[int, gymnasium.vector.VectorEnv[Any, Any, Any]]] = {}
         for task, variant in environments(self.task or "all", self.variant):
-            make = [partial(PixelsAndFingers, task, variant, self.views, fingers=self.fingers)] * n_envs
+            make = [partial(LeRobotEnv, task, variant, self.views, fingers=self.fingers)] * n_envs
             suite = suites.setdefault(task, {})
             if use_async_envs and n_envs > 1:  # spawned: OpenGL does not survive a fork
                 made: Any = gymnasium.vector.AsyncVectorEnv(make, context="spawn", autoreset_mode=mode)
