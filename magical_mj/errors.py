@@ -42,6 +42,17 @@ class DemonstrationError(MagicalError, ValueError):
     """A demonstration that is damaged, of another version or task, or does not fit its world."""
 
 
+class UntrustedTaskError(DemonstrationError):
+    """A demonstration of a task in a module that may not be imported. Its `task` is the reference to that task."""
+
+    def __init__(self, task: str) -> None:
+        super().__init__(
+            f"demonstrations of {task} are read only if you name that task, since reading them runs its code: "
+            f"if you trust it, add --tasks {task} (in Python, trusted=[...])"
+        )
+        self.task = task
+
+
 class StateError(MagicalError, ValueError):
     """A state that is damaged or does not fit, or an environment that cannot be copied."""
 

@@ -93,6 +93,7 @@ def test_text_values_are_read_as_the_fields_kind() -> None:
         ({"bc.batches": True}, "bc.batches must be a number"),
         ({"bc.heads": "odd"}, "bc.heads must be normal or uniform, not 'odd'"),
         ({"bc.optimizer": "rmsprop"}, "sgd or adam"),
+        ({"bc.optimizer": "adam", "bc.momentum": 0.5}, "bc.momentum is of bc.optimizer=sgd"),
         ({"precision": "half"}, "float32 or bfloat16"),
         ({"precision": 16}, "precision must be text"),
         ({"ppo.anneal_clip": 1}, "ppo.anneal_clip must be true or false"),

@@ -17,6 +17,7 @@ import pytest
 
 import magical_mj
 from magical_mj import demos
+from magical_mj.cli import main
 from magical_mj.demos import Demonstration
 from magical_mj.errors import DemonstrationError
 from magical_mj.protocol import PROTOCOL
@@ -51,6 +52,20 @@ def test_npz_export(demo: Demonstration, tmp_path: Path) -> None:
         busy = np.flatnonzero(demo.actions)
         assert np.array_equal(archive["steps"], busy)
         assert archive["observations_ego"].shape == archive["observations_allo"].shape == (len(busy), 384, 384, 3)
+
+
+@pytest.mark.parametrize("seed", [2**63, 2**64])
+def test_seeds_that_do_not_fit_the_format_are_refused(
+    demo: Demonstration, seed: int, tmp_path: Path, minari: Any
+) -> None:
+    """NumPy makes one floating-point column of them and smaller ones."""
+    large = replace(demo, scene_seed=seed)
+    with pytest.raises(DemonstrationError, match=f"seed {seed} does not fit the 64-bit integers"):
+        demos.to_npz([demo, large], tmp_path / "out.npz", "State")
+    with pytest.raises(DemonstrationError, match=f"seed {seed} does not fit the 64-bit integers"):
+        demos.to_minari([demo, large])
+    assert not (tmp_path / "out.npz").exists()
+    assert minari.list_local_datasets() == {}
 
 
 @pytest.fixture
@@ -90,6 +105,20 @@ def test_minari_sets_name_everybody_who_made_them(demo: Demonstration, minari: A
     metadata = minari.load_dataset(name).storage.metadata
     assert metadata["description"] == "2 demonstrations of FixColour-Demo by the expert and human of magical_mj"
     assert not metadata.get("requirements"), "of two versions, neither is required"
+
+
+def test_all_ids_are_checked_before_the_first_minari_set_is_made(
+    demo: Demonstration, minari: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = demos.demonstrate("MoveToRegion", "Jitter", 5)
+    for one in (demo, other):
+        demos.write(one, tmp_path / f"{one.name}.npz")
+    there = demos.to_minari([other])  # the second one
+    assert main(["demos", "export", str(tmp_path), "--to", "minari"]) == 2
+    assert "there is a data set" in " ".join(capsys.readouterr().err.split())
+    assert list(minari.list_local_datasets()) == [there]
+    assert main(["demos", "export", str(tmp_path), "--to", "minari", "--force"]) == 0
+    assert len(minari.list_local_datasets()) == 2
 
 
 def test_minari_sets_of_other_presets_and_variants_stand_side_by_side(demo: Demonstration, minari: Any) -> None:

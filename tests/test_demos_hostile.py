@@ -75,6 +75,22 @@ def test_a_file_chooses_no_code(
     assert Path("ran").exists()
 
 
+def test_strangers_tasks_beside_those_that_were_asked_for_do_not_matter(
+    path: Path, demo: Demonstration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    forge(path, {"task": "stranger:SPEC"})
+    demos.write(demo, path.with_name("good.npz"))
+    for command in ("info", "verify"):
+        assert main(["demos", command, str(path.parent), "--tasks", "MoveToRegion"]) == 0
+        out, error = capsys.readouterr()
+        assert "MoveToRegion-Demo" in out or "1 of 1 replay" in out
+        assert "stranger" not in out + error
+        assert main(["demos", command, str(path.parent)]) != 0
+        assert "stranger:SPEC are read only if you name that task" in " ".join(capsys.readouterr().err.split())
+    assert main(["demos", "info", str(path.parent), "--tasks", "FindDupe"]) == 2
+    assert "there are MoveToRegion-Demo, stranger:SPEC" in " ".join(capsys.readouterr().err.split())
+
+
 @pytest.mark.parametrize(
     ("header", "problem"),
     [

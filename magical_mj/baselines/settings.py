@@ -162,6 +162,8 @@ class TrainingSettings:
         }.items():
             if value not in allowed:
                 raise SettingsError(f"{name} must be {' or '.join(allowed)}, not {value!r}")
+        if self.bc.optimizer == "adam" and self.bc.momentum != Cloning.momentum:
+            raise SettingsError("bc.momentum is of bc.optimizer=sgd: with adam, it would have no effect")
         if self.bc.final_learning_rate > self.bc.learning_rate:
             raise SettingsError(
                 f"learning rates fall: bc.final_learning_rate={self.bc.final_learning_rate} must be at most "

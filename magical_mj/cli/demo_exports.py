@@ -45,6 +45,7 @@ def export(
     check_fits(context, to != "lerobot", "with other data sets: LeRobot's are written into new folders only", "force")
     check_fits(context, to == "npz", "with --to npz: other data sets keep the no-ops", "drop_noop")
     from magical_mj.demos.lerobot import to_lerobot  # which loads the simulator
+    from magical_mj.demos.minari import check_new, minari_name
     from magical_mj.demos.robomimic import to_robomimic
 
     demos = read_chosen(paths, tasks, variants)
@@ -66,8 +67,12 @@ def export(
     chosen = {name: [demo for demo in demos if demo.name == name] for name in names}
     if to == "minari":
         preset = "State" if preset is None else preset
-        for some in chosen.values():
-            screen.print(magical_mj.demos.to_minari(some, out, preset, overwrite=force), soft_wrap=True)
+        ids = {name: out or minari_name(some, preset) for name, some in chosen.items()}
+        if out is None and not force:
+            for made in ids.values():  # before the first one is made
+                check_new(made)
+        for name, some in chosen.items():
+            screen.print(magical_mj.demos.to_minari(some, ids[name], preset, overwrite=force), soft_wrap=True)
         return
     views = _views("LoRes4E" if preset is None else preset)
     ending = ".hdf5" if to == "robomimic" else f"{'-fingers' if fingers else ''}-lerobot"

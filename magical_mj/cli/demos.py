@@ -27,7 +27,7 @@ from magical_mj.cli.console import (
 )
 from magical_mj.cli.film import film
 from magical_mj.cli.progress import with_bar
-from magical_mj.errors import DemonstrationError, MagicalError, SettingsError
+from magical_mj.errors import DemonstrationError, MagicalError, SettingsError, UntrustedTaskError
 from magical_mj.evaluation.settings import MOST
 from magical_mj.parallel import spread
 from magical_mj.registry import environments, score, task_spec
@@ -208,6 +208,8 @@ def check(wanted: Collection[tuple[str, str]] | None, path: Path) -> tuple[Path,
         if wanted is not None and (demo.task, demo.variant) not in wanted:
             return path, None
         return path, magical_mj.demos.verify(demo)
+    except UntrustedTaskError as error:
+        return path, str(error) if wanted is None else None
     except DemonstrationError as error:
         return path, str(error)
     except MagicalError as error:
@@ -256,13 +258,23 @@ def video(
 def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str) -> list[Demonstration]:
     """The demonstrations of these tasks and variants in files and folders, by default those that come with tasks."""
     pairs = environments(tasks, variants)
-    demos = [magical_mj.demos.read(path, trusted=[task for task, _ in pairs]) for path in files_of(paths, pairs)]
-    if (tasks, variants) == ("all", "all"):
-        return demos
-    chosen = [demo for demo in demos if (demo.task, demo.variant) in pairs]
+    everything = (tasks, variants) == ("all", "all")
+    chosen: list[Demonstration] = []
+    others: set[str] = set()
+    for path in files_of(paths, pairs):
+        try:
+            demo = magical_mj.demos.read(path, trusted=[task for task, _ in pairs])
+        except UntrustedTaskError as error:
+            if everything:
+                raise
+            others.add(error.task)
+            continue
+        if everything or (demo.task, demo.variant) in pairs:
+            chosen.append(demo)
+        else:
+            others.add(demo.name)
     if not chosen:
-        names = sorted({demo.name for demo in demos})
-        raise DemonstrationError(f"there are none of these tasks and variants; there are {', '.join(names)}")
+        raise DemonstrationError(f"there are none of these tasks and variants; there are {', '.join(sorted(others))}")
     return chosen
 
 

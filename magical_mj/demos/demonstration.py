@@ -104,6 +104,20 @@ def only_environment(demos: Sequence[Demonstration]) -> str:
     return names[0]
 
 
+def check_seeds(demos: Sequence[Demonstration]) -> None:
+    """For files that hold seeds as 64-bit integers; a scene's may have any size.
+
+    Raises:
+        DemonstrationError: if a scene's seed has more.
+    """
+    for demo in demos:
+        if demo.scene_seed >= 2**63:
+            raise DemonstrationError(
+                f"the scene's seed {shown(demo.scene_seed)} does not fit the 64-bit integers of this format: choose "
+                "demonstrations whose seeds are below 2**63"
+            )
+
+
 def demonstrators(demos: Sequence[Demonstration]) -> list[str]:
     """The kinds of demonstrators of these demonstrations, each once, sorted."""
     return sorted({demo.demonstrator for demo in demos})

@@ -26,7 +26,7 @@ import numpy as np
 from magical_mj import files
 from magical_mj.announced import announced_name
 from magical_mj.demos.demonstration import Demonstration
-from magical_mj.errors import DemonstrationError, MagicalError
+from magical_mj.errors import DemonstrationError, MagicalError, UntrustedTaskError
 from magical_mj.references import is_reference
 from magical_mj.scene import Scene
 
@@ -110,8 +110,8 @@ def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] 
             somebody else's, and must not choose which code runs.
 
     Raises:
-        DemonstrationError: if it is truncated, altered, of another version or of another task, or its task is a
-            reference that is not trusted.
+        DemonstrationError: if it is truncated, altered, of another version or of another task.
+        UntrustedTaskError: if its task is a reference that is not trusted.
         OSError: if there is no such file, or it cannot be read.
     """
     parts = _parts(Path(path))
@@ -132,10 +132,7 @@ def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] 
     if task is not None and header["task"] != announced_name(task):
         raise DemonstrationError(f"{path} is a demonstration of {header['task']}, not of {task}")
     if is_reference(header["task"]) and header["task"] not in (task, *trusted):
-        raise DemonstrationError(
-            f"demonstrations of {header['task']} are read only if you name that task, since reading them runs its "
-            f"code: if you trust it, add --tasks {header['task']} (in Python, trusted=[...])"
-        )
+        raise UntrustedTaskError(header["task"])
     try:
         scene = Scene.from_json(json.dumps(header["scene"]))
         return Demonstration(**{name: header[name] for name in TEXTS}, scene=scene, **arrays)

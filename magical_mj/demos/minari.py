@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 
 from magical_mj import files
-from magical_mj.demos.demonstration import Demonstration, demonstrators, only_environment
+from magical_mj.demos.demonstration import Demonstration, check_seeds, demonstrators, only_environment
 from magical_mj.demos.learning import observations
 from magical_mj.errors import DemonstrationError
 from magical_mj.extras import missing_extra
@@ -64,8 +64,8 @@ def to_minari(
 
     Raises:
         MissingExtraError: if minari is not installed.
-        DemonstrationError: if the demonstrations are not of one environment, the id is invalid, or the data set
-            exists already.
+        DemonstrationError: if the demonstrations are not of one environment, a scene's seed is 2**63 or more, the id is
+            invalid, or the data set exists already.
     """
     try:
         import minari
@@ -75,6 +75,7 @@ def to_minari(
     except ModuleNotFoundError:
         raise missing_extra("exporting to Minari", "minari") from None
     environment, first = only_environment(demos), demos[0]
+    check_seeds(demos)
     name = minari_name(demos, preset) if name is None else name
     who = " and ".join(demonstrators(demos))
     versions = {f"magical-mj=={demo.package}" for demo in demos} | {f"mujoco=={demo.mujoco}" for demo in demos}
@@ -101,6 +102,20 @@ def to_minari(
             jpeg_encoding=False,
         )
     return name
+
+
+def check_new(name: str) -> None:
+    """Raises a `DemonstrationError` if there is a data set of this id, and a `MissingExtraError` without minari."""
+    try:
+        from minari.storage import get_dataset_path
+    except ModuleNotFoundError:
+        raise missing_extra("exporting to Minari", "minari") from None
+    _check_new(get_dataset_path(name))
+
+
+def _check_new(path: Path) -> None:
+    if path.exists():
+        raise DemonstrationError(f"there is a data set {path} already; give it another id, or overwrite it (--force)")
 
 
 def _size(data: Any) -> int:
@@ -131,10 +146,8 @@ def _new_folder(path: Path, overwrite: bool) -> Iterator[None]:
         with files.exclusive(path.parent):
             old, new, discarded = (path.with_name(f".{path.name}.{what}") for what in ("old", "new", "discarded"))
             _restore(path, old, new, discarded)
-            if path.exists() and not overwrite:
-                raise DemonstrationError(
-                    f"there is a data set {path} already; give it another id, or overwrite it (--force)"
-                )
+            if not overwrite:
+                _check_new(path)
             if path.exists():
                 path.rename(old)
             else:

@@ -10,7 +10,7 @@ import numpy as np
 
 from magical_mj import files
 from magical_mj.actions import NOOP
-from magical_mj.demos.demonstration import Demonstration
+from magical_mj.demos.demonstration import Demonstration, check_seeds
 from magical_mj.demos.learning import stream
 from magical_mj.errors import DemonstrationError
 
@@ -38,12 +38,13 @@ def to_npz(
         overwrite: replace an existing file.
 
     Raises:
-        DemonstrationError: if there are no demonstrations.
+        DemonstrationError: if there are no demonstrations, or a scene's seed is 2**63 or more.
         FileExistsError: if the file exists.
     """
     demos = list(demos)
     if not demos:
         raise DemonstrationError("there are no demonstrations to write")
+    check_seeds(demos)
     columns: dict[str, list[Any]] = {}
 
     def add(**values: Any) -> None:
