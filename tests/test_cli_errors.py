@@ -106,6 +106,8 @@ def test_a_task_whose_module_fails_is_one_line(shell: Shell, broken: str, tmp_pa
 def test_the_tour_replaces_only_what_it_has_made(shell: Shell, tmp_path: Path) -> None:
     """It starts anew where it was called before; scores of other evaluations may have taken days."""
     few = ("--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1)
+    assert shell("evaluate", "--policy", "expert,random,noop", "--preset", "State", "--out", "states", *few)[0] == 0
+    assert "give another folder" in shell.fails(1, "demo", *few, "--out", "states")
     evaluate = ("evaluate", "--policy", "expert,random,noop", "--variants", "Demo", "--out", "mine")
     assert shell(*evaluate, *few)[0] == 0
     scores = (tmp_path / "mine" / "scores.jsonl").read_bytes()

@@ -55,7 +55,7 @@ def test_a_policy_that_fails_is_told_and_filmed(shell: Shell, tmp_path: Path) ->
     """In its own words, which rich's markup would change."""
     (tmp_path / "wrong.py").write_text("def act(observation):\n    raise ValueError('[batch, 12] is not in [/data]')\n")
     policy = "my [red] one=wrong:act"
-    code, out, _ = shell("rollout", "MoveToRegion", "--policy", policy, "--video", "a.mp4", "--size", 32)
+    code, out, _ = shell("rollout", "MoveToRegion", "--policy", policy, "--video", "a:b.mp4", "--size", 32)
     assert code == 1
     assert "score 0.00 after 0 steps; the policy failed: ValueError: [batch, 12] is not in [/data]\n" in out
     assert "my [red] one: mean of 1 0.000" in out

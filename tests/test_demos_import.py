@@ -190,6 +190,7 @@ def test_folders_of_several_people_are_read_and_no_file_twice(
     for person in ("one", "two"):
         path, _ = demos.keep(demo, tmp_path / person)
     (tmp_path / "token").write_text("secret")
+    demos.keep(demo, tmp_path / ".old")  # hidden, and so not read
     assert len(demos.load("FindDupe", tmp_path)) == 2
     demos.write(demos.load("FixColour")[0], tmp_path / "FixColour-Demo-000.npz")  # which hides nobody's
     assert main(["demos", "info", str(tmp_path), "--tasks", "FindDupe"]) == 0

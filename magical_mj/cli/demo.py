@@ -25,7 +25,7 @@ from magical_mj.extras import check_extra
 
 AGENTS: Final = ("expert", "random", "noop")
 SHEET: Final = "environments.png"
-SAME: Final = ("environments", "episodes", "rules")
+SAME: Final = ("environments", "episodes", "preset", "rules", "time_limit", "worlds")
 """The settings by which an earlier run of the same tour is recognised; those that a new version changes are not."""
 
 Out = Annotated[Path, typer.Option(help="The folder for all results; those of the same tour are replaced.")]

@@ -140,7 +140,7 @@ def film(
     with files.new_file(path, overwrite=overwrite) as unfinished:
         made = Film(send, size, views, pause=PAUSE * rate)
         writer = imageio_ffmpeg.write_frames(
-            str(unfinished),
+            str(unfinished.absolute()),  # ffmpeg takes "a:b.mp4" for a protocol
             (made.width, made.height),
             fps=rate,
             macro_block_size=2,

@@ -66,8 +66,10 @@ def files_in(folder: Path | str, beginning: str = "") -> list[Path]:
 
 
 def files_in_or_below(folder: Path | str, beginning: str = "") -> list[Path]:
-    """What `files_in` finds, and then what it finds in the subfolders, such as one for each player."""
-    return [found for inner in (Path(folder), *sorted(Path(folder).glob("*/"))) for found in files_in(inner, beginning)]
+    """What `files_in` finds, and then what it finds in subfolders that are not hidden, such as one for each player."""
+    return [
+        found for inner in (Path(folder), *sorted(Path(folder).glob("[!.]*/"))) for found in files_in(inner, beginning)
+    ]
 
 
 def keep(demo: Demonstration, folder: Path | str) -> tuple[Path, bool]:

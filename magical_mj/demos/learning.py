@@ -17,7 +17,7 @@ from magical_mj.frames import FrameStack, seen
 from magical_mj.observations import StateEncoder
 from magical_mj.presets import Preset, preset_named
 
-Observations = NDArray[Any] | dict[str, NDArray[np.uint8]]
+Observations = NDArray[Any] | dict[str, NDArray[Any]]
 """One array with a row for each time; for presets with the layout "dict" one for each name in it."""
 
 

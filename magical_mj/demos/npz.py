@@ -25,8 +25,8 @@ def to_npz(
 ) -> None:
     """Writes transitions as one numpy archive without pickles.
 
-    Arrays with a row for each transition: `observations` (for presets with several views, `observations_ego` and
-    `observations_allo`), `actions`, `episodes` (the number of the episode) and `steps` (the number of the step in it,
+    Arrays with a row for each transition: `observations` (for presets with several parts, one for each, such as
+    `observations_ego`), `actions`, `episodes` (the number of the episode) and `steps` (the number of the step in it,
     from 0). Arrays with a row for each episode: `tasks`, `variants`, `seeds` (of the scenes), `demonstrators`,
     `lengths` (in steps) and `scores`.
 
