@@ -13,6 +13,7 @@ from typing import Any
 
 import dm_env
 import numpy as np
+from dm_control.rl.control import PhysicsError
 from numpy.typing import NDArray
 
 from magical_mj.assets.contacts import SUBSTEPS
@@ -108,7 +109,11 @@ class Environment(OpenEnvironment):
         if len(given) > 1:
             raise SettingsError(f"an episode starts from one of seed, scene and state, not from {' and '.join(given)}")
         if state is not None:
-            return self._resume(state)
+            check_state(state)
+            if self.horizon is not None and state.steps >= self.horizon:
+                raise StateError(f"the episode of this state is over, after {state.steps} steps; give an earlier state")
+            self.set_state(state)
+            return dm_env.restart(self._updater.get_observation())
         if scene is not None:
             self.task.settings.check(scene)
             self.task.next_scene, self.task.next_seed = scene, None
@@ -167,22 +172,23 @@ class Environment(OpenEnvironment):
 
         Raises:
             InvalidActionError: if the action is not one of the 18.
-            dm_control.rl.control.PhysicsError: if the simulation becomes unstable.
+            dm_control.rl.control.PhysicsError: if the simulation becomes unstable, which ends the episode.
         """
         if self.over:  # if this reset failed, composer's own would let the episode that is over go on
             return self.reset()
         simulation = self._open()
-        if self.extra_hooks or not self._is_plain:
-            return super().step(action)
-        self.task.before_step(simulation, action, self.random_state)
-        simulation.step(SUBSTEPS)
+        try:
+            if self.extra_hooks or not self._is_plain:
+                return super().step(action)
+            self.task.before_step(simulation, action, self.random_state)
+            simulation.step(SUBSTEPS)
+        except PhysicsError:
+            self.over = True  # MuJoCo has put everything back to the start
+            raise
         self.over = self.task.should_terminate_episode(simulation)
-        return dm_env.TimeStep(
-            dm_env.StepType.LAST if self.over else dm_env.StepType.MID,
-            self.task.get_reward(simulation),
-            self.task.get_discount(simulation),
-            self._updater.get_observation(),
-        )
+        kind = dm_env.StepType.LAST if self.over else dm_env.StepType.MID
+        reward, discount = self.task.get_reward(simulation), self.task.get_discount(simulation)
+        return dm_env.TimeStep(kind, reward, discount, self._updater.get_observation())
 
     def close(self) -> None:
         """Frees the simulation. Closing twice is fine."""
@@ -195,13 +201,6 @@ class Environment(OpenEnvironment):
         if self._compiled is None:
             raise ClosedError("the environment is closed, or its model could not be compiled; load another one")
         return self._compiled[1]
-
-    def _resume(self, state: State) -> dm_env.TimeStep:
-        check_state(state)
-        if self.horizon is not None and state.steps >= self.horizon:
-            raise StateError(f"the episode of this state is over, after {state.steps} steps; give an earlier state")
-        self.set_state(state)
-        return dm_env.restart(self._updater.get_observation())
 
     def _enabled(self) -> dict[str, Any]:
         return {name: entry for name, entry in self.task.observables.items() if entry.enabled}

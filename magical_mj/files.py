@@ -30,6 +30,7 @@ def write(path: Path | str, data: str | bytes, *, overwrite: bool = False) -> No
 
     Raises:
         FileExistsError: if the file exists and `overwrite` is false.
+        IsADirectoryError: if it is a folder.
         OSError: if it cannot be written; its `filename` is the path. An existing file is kept.
     """
     with new_file(path, overwrite=overwrite) as beside:
@@ -46,6 +47,8 @@ def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
         FileExistsError, OSError: as `write`.
     """
     path = Path(path)
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "is a folder", str(path))
     mine = f"{platform.node()}-{os.getpid()}-{threading.get_ident()}"
     unfinished = path.with_name(f".{path.stem}.{mine}.part{path.suffix}")
     try:

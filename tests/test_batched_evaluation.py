@@ -108,6 +108,9 @@ def test_official_tables_are_not_played_in_them() -> None:
     ("settings", "says"),
     [
         ({"approximate": True}, "give --worlds batched as well"),
+        ({"device": "cpu"}, "device is that of batched worlds, not 'cpu'"),
+        ({"vectorization": "async"}, "vectorization async is of several single worlds"),
+        ({**BATCHED, "vectorization": "async"}, "vectorization async is of several single worlds"),
         ({**BATCHED, "worlds": "many"}, "many"),
         ({**BATCHED, "device": "cuda:7"}, "no device 'cuda:7'"),
         (BATCHED, "noop uses no observations"),

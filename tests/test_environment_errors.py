@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
+from dm_control.rl.control import PhysicsError
+from gymnasium.error import ResetNeeded
 
 import magical_mj
 from magical_mj.actions import Action, Drive, Gripper, Turn
@@ -166,3 +169,31 @@ def test_heaps_in_which_some_bodies_sleep_are_restored_or_refused() -> None:
         assert env.get_state() == before
     assert 0 < len(refused) < 300
     assert all("MuJoCo cannot continue from it" in problem for problem in refused)
+
+
+def test_an_unstable_simulation_can_be_left() -> None:
+    env = magical_mj.load("ClusterShape", seed=0, observations=())
+    env.reset()
+    env.step(4)
+    state = env.get_state()
+    env.physics.data.qvel[:] = 1e30
+    with pytest.raises(PhysicsError):
+        env.step(4)
+    env.set_state(state)
+    assert env.get_state() == state
+    assert env.step(4).mid()
+
+
+@pytest.mark.parametrize("hooked", [False, True])
+def test_an_unstable_simulation_ends_the_episode(hooked: bool) -> None:
+    env: Any = gymnasium.make("magical_mj/ClusterShape-Demo-State-v0").unwrapped
+    if hooked:
+        env.dm_env.add_extra_hook("before_substep", lambda *_: None)
+    env.reset(seed=0)
+    env.step(4)
+    env.dm_env.physics.data.qvel[:] = 1e30
+    with pytest.raises(PhysicsError):
+        env.step(4)
+    with pytest.raises(ResetNeeded):
+        env.step(4)
+    assert env.dm_env.step(4).first()

@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 import magical_mj
 from magical_mj.cli.results import film_episodes
-from magical_mj.errors import EvaluationError, InvalidActionError, SettingsError, TaskError
-from magical_mj.evaluation import Episode, EvaluationSettings
+from magical_mj.errors import ClosedError, EvaluationError, InvalidActionError, SettingsError, TaskError
+from magical_mj.evaluation import Episode, EvaluationSettings, rollouts
 from magical_mj.evaluation.loading import sources
 from magical_mj.evaluation.scores import SCORES
 from magical_mj.evaluation.worker import plan
 
 STATE: dict[str, Any] = {"preset": "State"}
+SINGLY: dict[str, Any] = {"autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
 
 
 class Remembering:
@@ -191,6 +192,68 @@ def test_errors_of_a_task_are_no_failures_of_a_policy(excessive: str, envs: int)
         magical_mj.evaluate(
             Remembering(), tasks=f"{excessive}:CROWDED", variants="CountPlus", episodes=8, envs=envs, **STATE
         )
+
+
+@pytest.mark.parametrize("side_by_side", [False, True])
+def test_errors_of_the_environment_are_no_failures_of_a_policy(side_by_side: bool) -> None:
+    name = "magical_mj/MoveToRegion-Demo-State-v0"
+
+    def make(kind: str = name, **settings: Any) -> Any:
+        if side_by_side:
+            return gymnasium.make_vec(kind, 2, vectorization_mode="sync", vector_kwargs=SINGLY, **settings)
+        return gymnasium.make(kind, **settings).unwrapped
+
+    def played(env: Any) -> list[Any]:
+        return list(rollouts(env, Remembering(), [Episode("MoveToRegion", "Demo", 0)]))
+
+    assert played(make())[0].failure is None
+    with pytest.raises((InvalidActionError, AssertionError)):  # Gymnasium's own check asserts
+        played(make(action="continuous"))
+    with pytest.raises(EvaluationError, match="make one whose id begins with magical_mj/"):
+        played(make("CartPole-v1"))
+    closed = make()
+    closed.close()
+    with pytest.raises((ClosedError, gymnasium.error.ClosedEnvironmentError)):
+        played(closed)
+
+
+class Exploding:
+    """Makes the simulation unstable in its first episode."""
+
+    blind = True
+
+    def reset(self, episode: Episode) -> None:
+        assert episode.env is not None
+        if episode.seed == 0:
+            episode.env.physics.data.qvel[:] = 1e30
+
+    def __call__(self, observation: Any) -> int:
+        return 0
+
+
+def test_an_unstable_simulation_costs_one_episode() -> None:
+    failures = evaluate(Exploding(), variants="Demo", **STATE)["failure"]
+    assert failures[0].startswith("PhysicsError: ")
+    assert failures[1:].isna().all()
+
+
+class TooFew:
+    """Forgets one of the environments."""
+
+    def reset_batch(self, episodes: Sequence[Episode]) -> None:
+        """Starts nothing."""
+
+    def act_batch(self, observations: Any) -> list[int]:
+        return [0] * (len(observations) - 1)
+
+    def __call__(self, observation: Any) -> int:
+        return 1
+
+
+def test_an_action_is_needed_for_each_environment() -> None:
+    envs = gymnasium.make_vec("magical_mj/MoveToRegion-Demo-State-v0", 2, vectorization_mode="sync")
+    (outcome,) = rollouts(envs, TooFew(), [Episode("MoveToRegion", "Demo", 0)])
+    assert outcome.failure == "InvalidActionError: 1 actions for 2 environments"
 
 
 def test_tasks_may_be_a_word_and_an_iterator() -> None:

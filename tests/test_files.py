@@ -67,6 +67,15 @@ def test_errors_name_the_file(tmp_path: Path) -> None:
     assert caught.value.filename == str(tmp_path / "nowhere" / "a.txt")
 
 
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_folder_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overwrite: bool) -> None:
+    monkeypatch.chdir(tmp_path)
+    for folder in (".", "..", tmp_path):
+        with pytest.raises(IsADirectoryError, match="is a folder"):
+            files.write(folder, "x", overwrite=overwrite)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_full_disk_names_the_file_and_leaves_nothing(tmp_path: Path) -> None:
     """A process that may write no more than 1 kB, as if the disk were full."""
     program = (

@@ -107,6 +107,11 @@ def test_fixed_blocks_stay(seed: int) -> None:
     assert line_targets(points[:4], is_line, noise(seed), fixed={seed})[seed] is None
 
 
+def test_blocks_too_many_for_a_line_stay() -> None:
+    points = [(0.15 * number - 0.8, 0.1 * (number % 3)) for number in range(12)]
+    assert line_targets(points, is_line, noise(0)) == [None] * 12
+
+
 @pytest.mark.parametrize("count", [5, 8])
 def test_more_kinds_than_corners_are_clustered_too(count: int) -> None:
     points = [(0.3 * (number % 5) - 0.6, 0.4 * (number // 5) - 0.3) for number in range(2 * count)]

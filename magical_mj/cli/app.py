@@ -85,7 +85,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         complain(str(error))
         return 2 if isinstance(error, ValueError) else 1
     except ModuleNotFoundError as error:
-        if error.name != "dm_control":
+        if (error.name or "").partition(".")[0] != "dm_control":
             raise
         complain(NO_DM_CONTROL)
         return 1

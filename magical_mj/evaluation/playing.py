@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
@@ -24,6 +25,7 @@ from magical_mj.episodes import Episode, begin, is_blind, word_of
 from magical_mj.episodes import play as play_actions
 from magical_mj.errors import (
     EvaluationError,
+    InvalidActionError,
     InvalidSceneError,
     PlacementError,
     RenderingError,
@@ -44,6 +46,7 @@ Envs = gymnasium.vector.VectorEnv[Any, Any, Any]
 Env: TypeAlias = "Environment | gymnasium.Env[Any, Any]"
 
 REASON_LENGTH: Final = 300
+NO_SCORE: Final = "only environments of this package have a score: make one whose id begins with magical_mj/"
 
 
 @dataclass(frozen=True)
@@ -77,12 +80,41 @@ def environment_for(policy: Act, task: str, variant: str, preset: str, rules: Ru
 
 
 def simulation(env: Env) -> Environment:
-    """The dm_env environment itself, or the one inside a Gymnasium environment."""
-    return env.unwrapped.dm_env if isinstance(env, gymnasium.Env) else env  # type: ignore[attr-defined]
+    """The dm_env environment itself, or the one inside a Gymnasium environment, which must be of this package."""
+    if not isinstance(env, gymnasium.Env):
+        return env
+    inside = getattr(env.unwrapped, "dm_env", None)
+    if inside is None:
+        raise EvaluationError(NO_SCORE)
+    return inside
+
+
+class _PolicyError(Exception):
+    """An error that a policy has raised."""
+
+
+@contextmanager
+def _acting() -> Iterator[None]:
+    """Where errors are failures of the policy, unless they say that they are not."""
+    try:
+        yield
+    except (RenderingError, TaskError):
+        raise
+    except (Exception, SystemExit) as error:  # a policy may raise anything
+        raise _PolicyError(reason(error)) from error
+
+
+def _instability(error: Exception) -> str:
+    """One line about a simulation that a policy's actions made unstable; raises any other error again."""
+    from dm_control.rl.control import PhysicsError  # imported late: it loads the simulator
+
+    if not isinstance(error, PhysicsError | FloatingPointError):
+        raise error
+    return reason(error)
 
 
 def play(env: Env, policy: Act, episode: Episode) -> Outcome:
-    """Plays one episode. If the policy raises an error, the episode has failed with score 0.
+    """Plays one episode. If the policy raises an error, or makes the simulation unstable, its score is 0.
 
     Args:
         env: one of the package's environments, with or without wrappers.
@@ -92,26 +124,32 @@ def play(env: Env, policy: Act, episode: Episode) -> Outcome:
     Raises:
         RenderingError, TaskError: if no pictures can be drawn on this machine, or the task has no scene for the seed
             or an invalid score, which is not the policy's fault.
+        EvaluationError: if it is no environment of this package.
+        Exception: whatever else the environment raises.
     """
     start = time.perf_counter()
     actions: list[int] = []
     score, failure = 0.0, None
+    inside = simulation(env)
     try:
         observation = _observation(_reset(env, episode.seed))
-        begin(policy, replace(episode, env=simulation(env)) if is_blind(policy) else episode)
+        with _acting():
+            begin(policy, replace(episode, env=inside) if is_blind(policy) else episode)
 
         def answers() -> Iterator[int]:
             while True:
-                yield action_number(policy(observation))
+                with _acting():
+                    action = action_number(policy(observation))
+                yield action
 
         for action, result in play_actions(env, answers()):
             actions.append(action)
             observation = _observation(result)
-        score = simulation(env).score()
-    except (RenderingError, TaskError):
-        raise
-    except (Exception, SystemExit) as error:  # noqa: BLE001 a policy may raise anything
-        failure = reason(error)
+        score = inside.score()
+    except _PolicyError as error:
+        failure = str(error)
+    except Exception as error:  # noqa: BLE001 raised again if it is another
+        failure = _instability(error)
     return Outcome(score, word_of(actions), time.perf_counter() - start, failure)
 
 
@@ -174,7 +212,7 @@ def rollouts(
         episodes: the episodes, which hold the seeds of the scenes.
 
     Raises:
-        RenderingError, TaskError: see `play`.
+        RenderingError, TaskError, EvaluationError, Exception: see `play`.
         SettingsError: if the policy must be copied, and cannot be.
     """
     if isinstance(env, gymnasium.vector.VectorEnv):
@@ -188,7 +226,7 @@ def rollouts(
 
 
 def play_side_by_side(envs: Envs, policy: BatchPolicy, episodes: Sequence[Episode]) -> list[Outcome]:
-    """Plays at most one episode per environment. If the policy raises an error, all of them have failed."""
+    """Plays at most one episode per environment. All of them have failed if one would have in `play`."""
     start = time.perf_counter()
     count = len(episodes)
     padded = [*episodes, *[episodes[-1]] * (envs.num_envs - count)]
@@ -196,11 +234,16 @@ def play_side_by_side(envs: Envs, policy: BatchPolicy, episodes: Sequence[Episod
     scores, failure = np.zeros(count), None
     try:
         observations, _ = _reset(envs, [episode.seed for episode in padded])
-        policy.reset_batch(padded)
+        with _acting():
+            policy.reset_batch(padded)
 
         def answers() -> Iterator[Any]:
             while True:
-                yield np.array([action_number(action) for action in policy.act_batch(observations)])
+                with _acting():
+                    actions = [action_number(action) for action in policy.act_batch(observations)]
+                    if len(actions) != len(padded):
+                        raise InvalidActionError(f"{len(actions)} actions for {len(padded)} environments")
+                yield np.array(actions)
 
         for actions, result in play_actions(envs, answers()):
             taken.append(actions)
@@ -210,11 +253,13 @@ def play_side_by_side(envs: Envs, policy: BatchPolicy, episodes: Sequence[Episod
                 raise FloatingPointError("the state of a simulation is not finite any more")
             if ended.any() and not ended.all():
                 raise EvaluationError("the vector holds environments whose episodes differ in length")
-            scores = info.get("eval_score", scores)
-    except (RenderingError, TaskError, EvaluationError):
-        raise
-    except (Exception, SystemExit) as error:  # noqa: BLE001 a policy may raise anything
-        failure, scores = reason(error), np.zeros(count)
+            if "eval_score" not in info:
+                raise EvaluationError(NO_SCORE)
+            scores = info["eval_score"]
+    except _PolicyError as error:
+        failure, scores = str(error), np.zeros(count)
+    except Exception as error:  # noqa: BLE001 raised again if it is another
+        failure, scores = _instability(error), np.zeros(count)
     seconds = (time.perf_counter() - start) / count
     words = [word_of(actions[place] for actions in taken) for place in range(count)]
     return [Outcome(float(score), word, seconds, failure) for score, word in zip(scores, words, strict=False)]

@@ -23,6 +23,7 @@ from magical_mj.tasks.spec import Rules
 Vectorization = Literal["sync", "async"]
 Worlds = Literal["single", "batched"]
 WORLDS: Final[tuple[Worlds, ...]] = get_args(Worlds)
+DEVICE: Final = "cuda"
 UNOFFICIAL: Final = (
     "official scores come from MuJoCo in double precision, where an episode played again ends the same; batched worlds "
     "calculate in single precision, and their scores are approximate"
@@ -83,7 +84,7 @@ class EvaluationSettings:
         Worlds, About("Each in MuJoCo by itself (single), or ENVS of them in one batch on DEVICE (batched, extra gpu).")
     ] = "single"
     approximate: Annotated[bool, About("Play in batched worlds, although their scores are not official.")] = False
-    device: Annotated[str, About("Of batched worlds: cuda, cuda:1 or cpu.")] = "cuda"
+    device: Annotated[str, About("Of batched worlds: cuda, cuda:1 or cpu.")] = DEVICE
     trust: Annotated[bool, About("Load model files that contain code, and run it.")] = False
 
     def __post_init__(self) -> None:
@@ -96,6 +97,10 @@ class EvaluationSettings:
             raise SettingsError(f"{UNOFFICIAL}: --approximate (approximate=True) plays in them, and marks the scores")
         if self.approximate and not self.batched:
             raise SettingsError("approximate scores are those of batched worlds: give --worlds batched as well")
+        if self.device != DEVICE and not self.batched:
+            raise SettingsError(f"device is that of batched worlds, not {shown(self.device)}: give --worlds batched")
+        if self.vectorization == "async" and (self.batched or self.envs == 1):
+            raise SettingsError("vectorization async is of several single worlds: give --envs 2 or more")
 
     @property
     def batched(self) -> bool:

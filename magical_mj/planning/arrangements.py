@@ -70,6 +70,8 @@ def line_targets(
     lines = places * np.array(SPACINGS)[:, None, None, None, None] * along[None, None, :, None, :]
     slots = (here[:, None, None, None, None, :] + lines[None]).reshape(-1, count, 2)
     slots = slots[(np.abs(slots) <= LINE_LIMIT).all(axis=(1, 2))]
+    if not len(slots):  # of so many blocks
+        return [None] * count
     ways = np.linalg.norm(slots[:, :, None] - here[None, None], axis=-1)  # (line, slot, block)
     costs = np.where(ways <= STAYS, 0.0, LINE_COSTS[0] + LINE_COSTS[1] * ways)
     costs[:, :, list(fixed)] += FIXED_COST * (ways[:, :, list(fixed)] > STAYS)
