@@ -79,16 +79,28 @@ def content(path: Path) -> dict[str, Any]:
     return json.loads(lzma.decompress(path.read_bytes()))
 
 
+def columns(environment: str = "FindDupe-All", **changed: list[Any]) -> dict[str, dict[str, list[Any]]]:
+    """What a file holds of one episode."""
+    episode = {"run": [0], "seed": [0], "scene": [None], "score": [0], "actions": [""], "failure": [None]}
+    return {field: {environment: values} for field, values in {**episode, **changed}.items()}
+
+
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
         ({"rules": "released"}, "was altered after it was made"),
         ({"rules": "mine"}, r"does not follow the schema at \$.rules"),
-        ({"format": 2}, r"does not follow the schema at \$.format"),
+        ({"format": 1}, r"does not follow the schema at \$.format"),
         ({"surprise": 1}, "does not follow the schema"),
-        ({"environments": {"FindDupe-Everything": [[0, 0, None, 0, "", None]]}}, "which is no environment"),
-        ({"environments": {"FindDupe-All": [[0, 0, None, 2, "", None]]}}, r"at \$.environments.*2 is greater"),
-        ({"environments": {"FindDupe-All": [[0, 1.0, None, 0, "", None]]}}, "in FindDupe-All that are not written as"),
+        ({"episodes": columns("FindDupe-Everything")}, "which is no environment"),
+        ({"episodes": columns(score=[2])}, r"at \$.episodes.score.*2 is greater"),
+        ({"episodes": columns(seed=[1.0])}, "in FindDupe-All that are not written as integers"),
+        ({"episodes": columns(score=[])}, r"at \$.episodes.score.* \[\] should be non-empty"),
+        ({"episodes": columns(seed=[0, 1])}, "not all fields of all episodes in FindDupe-All: run 1, seed 2, scene 1"),
+        (
+            {"episodes": {**columns(), "run": {"FindDupe-Demo": [0]}}},
+            "not all fields .* in FindDupe-All: run 0, seed 1",
+        ),
         ({"observations": "\ud800"}, "entry.json.xz cannot be read: 'utf-8' codec"),
         ({"observations": "State |\n| **Planner ★**"}, r"does not follow the schema at \$.observations"),
     ],

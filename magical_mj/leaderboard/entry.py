@@ -18,7 +18,10 @@ from magical_mj.protocol import PROTOCOL
 from magical_mj.registry import ENVIRONMENTS
 from magical_mj.tasks.spec import Rules
 
-FORMAT: Final = 1
+FORMAT: Final = 2
+FIELDS: Final = tuple(field for field in Claim._fields if field not in ("task", "variant"))
+"""The fields of an episode in a file, which holds one list of each for an environment: values of one kind compress best
+side by side."""
 SUFFIX: Final = ".json.xz"
 MOST_BYTES: Final = 60_000_000
 """The largest size of an unpacked entry in bytes: a small file may expand to a huge one."""
@@ -88,7 +91,7 @@ def packed(entry: Entry) -> bytes:
         "protocol": entry.protocol,
         "versions": entry.versions,
         "runs": entry.runs,
-        "environments": _environments(entry.episodes),
+        "episodes": _columns(entry.episodes),
     }
     text = _text({**content, "sha256": _hash(content)}).encode()
     if len(text) > MOST_BYTES:
@@ -106,12 +109,13 @@ def _hash(content: dict[str, Any]) -> str:
     return hashlib.sha256(_text(content).encode()).hexdigest()
 
 
-def _environments(episodes: Sequence[Claim]) -> dict[str, list[Any]]:
-    """Environment -> a row for each episode: run, seed, scene, score, actions, failure."""
-    rows: dict[str, list[Any]] = {}
-    for run, task, variant, seed, *rest in sorted(episodes, key=lambda episode: episode[:4]):
-        rows.setdefault(f"{task}-{variant}", []).append([run, seed, *rest])
-    return rows
+def _columns(episodes: Sequence[Claim]) -> dict[str, dict[str, list[Any]]]:
+    """Field -> environment -> that field of its episodes."""
+    columns: dict[str, dict[str, list[Any]]] = {field: {} for field in FIELDS}
+    for episode in sorted(episodes, key=lambda episode: episode[:4]):
+        for field, column in columns.items():
+            column.setdefault(f"{episode.task}-{episode.variant}", []).append(getattr(episode, field))
+    return columns
 
 
 def unpacked(data: bytes, name: object = "the entry") -> Entry:
@@ -130,10 +134,11 @@ def unpacked(data: bytes, name: object = "the entry") -> Entry:
         raise EvaluationError(f"{name} was altered after it was made: its hash is not that of its content")
     if content["protocol"] not in (None, PROTOCOL):
         raise EvaluationError(f"{name} follows protocol {content['protocol']}, and this version plays {PROTOCOL}")
+    columns = content["episodes"]
     episodes = [
         Claim(run, *environment.split("-", 1), *rest)
-        for environment, rows in content["environments"].items()
-        for run, *rest in rows
+        for environment in columns["run"]
+        for run, *rest in zip(*(columns[field][environment] for field in FIELDS), strict=True)
     ]
     check_unique(episodes, name)
     if content["runs"] != sorted({episode.run for episode in episodes}):
@@ -182,10 +187,16 @@ def _check_schema(content: Any, name: object) -> None:
     method = content["card"]["method"]
     if not is_readable(method):
         raise EvaluationError(f"{name} has a method whose name {method!r} {UNREADABLE}")
-    for environment, rows in content["environments"].items():
+    columns = content["episodes"]
+    for environment in sorted({environment for column in columns.values() for environment in column}):
         if tuple(environment.split("-", 1)) not in ENVIRONMENTS:
             raise EvaluationError(f"{name} has results in {environment}, which is no environment")
-        if any(type(number) is not int for row in rows for number in row[:2]):  # to the schema, 1.0 is an integer
+        lengths = {field: len(columns[field].get(environment, ())) for field in FIELDS}
+        if len(set(lengths.values())) > 1:
+            counts = ", ".join(f"{field} {length}" for field, length in lengths.items())
+            raise EvaluationError(f"{name} has not all fields of all episodes in {environment}: {counts}")
+        numbers = columns["run"][environment] + columns["seed"][environment]
+        if any(type(number) is not int for number in numbers):  # to the schema, 1.0 is an integer
             raise EvaluationError(f"{name} has runs or seeds in {environment} that are not written as integers")
 
 
