@@ -16,16 +16,14 @@ from numpy.typing import NDArray
 
 from magical_mj import constants as c
 from magical_mj.actions import ACTIONS, to_discrete
-from magical_mj.env_settings import Reward
-from magical_mj.environment import Environment, load
+from magical_mj.environment import Environment, State, load
 from magical_mj.errors import InvalidSceneError, SettingsError, check_name, shown
 from magical_mj.frames import Images, Stacks
 from magical_mj.observations import CAMERAS, STATE_NAMES, VIEWS
 from magical_mj.presets import Preset, preset_named
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
-from magical_mj.state import State
-from magical_mj.tasks.spec import Rules
+from magical_mj.tasks.spec import Reward, Rules
 from magical_mj.variants import check_seed
 from magical_mj.wrappers import continuous_space
 
