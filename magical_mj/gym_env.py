@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import warnings
 from collections.abc import Mapping
 from typing import Any, Final, Literal, get_args
 
@@ -16,16 +15,15 @@ from numpy.typing import NDArray
 
 from magical_mj import constants as c
 from magical_mj.actions import ACTIONS, to_discrete
-from magical_mj.env_settings import Reward
-from magical_mj.environment import Environment, load
-from magical_mj.errors import InvalidSceneError, SettingsError, check_name, shown
+from magical_mj.environment import Environment, State, load
+from magical_mj.errors import InvalidSceneError, check_name
 from magical_mj.frames import Images, Stacks
-from magical_mj.observations import CAMERAS, STATE_NAMES, VIEWS
-from magical_mj.presets import Preset, preset_named
+from magical_mj.observations import CAMERAS, VIEWS
+from magical_mj.presets import observation_space, preset_named
 from magical_mj.rendering.renderer import check_size
+from magical_mj.reset_options import ResetOptions
 from magical_mj.scene import Scene
-from magical_mj.state import State
-from magical_mj.tasks.spec import Rules
+from magical_mj.tasks.spec import Reward, Rules
 from magical_mj.variants import check_seed
 from magical_mj.wrappers import continuous_space
 
@@ -34,7 +32,6 @@ ACTION_FORMS: Final[tuple[str, ...]] = get_args(ActionForm)
 Observation = NDArray[Any] | dict[str, NDArray[Any]]
 
 RENDER_VIEWS: Final = (*CAMERAS, "both")
-STATE_BOUND: Final = 1000.0  # of any entry of the state vector; angles add up to 100 rad in the longest episode
 
 
 class MagicalEnv(gymnasium.Env[Observation, Any]):
@@ -111,7 +108,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._score_every_step = score_every_step
         self._begun = False
         self._seeded: int | None = None
-        self._unknown_options: set[str] = set()
+        self._options = ResetOptions("scene", "state")
 
     @property
     def dm_env(self) -> Environment:
@@ -146,13 +143,11 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             InvalidSeedError: if the seed is not an integer, or negative.
             InvalidSceneError: if the scene is not one of the task.
             StateError: if the state is none of an episode of the task that goes on.
+            SettingsError: if the options are no dict.
         """
         seed = None if seed is None else check_seed(seed)
-        options = {} if options is None else options
-        if not isinstance(options, Mapping):
-            raise SettingsError(f'options are a dict such as {{"scene": scene}}, not {shown(options)}')
-        self._warn_of_unknown(options)
-        scene, state = _scene_option(options), options.get("state")
+        given = self._options.checked(options)
+        scene, state = _scene_option(given), given.get("state")
         if scene is not None or state is not None:
             first = self._env.reset(scene=scene, state=state)
         else:
@@ -230,13 +225,6 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         info = {"eval_score": np.float64(reached), "is_success": np.array(reached == 1.0)}
         return info | {"score": np.float64(score)} if self._score_every_step else info
 
-    def _warn_of_unknown(self, options: Mapping[str, Any]) -> None:
-        unknown = options.keys() - {"scene", "state"} - self._unknown_options
-        if unknown:
-            self._unknown_options |= unknown
-            names = ", ".join(sorted(map(repr, unknown)))
-            warnings.warn(f'reset ignores the options {names}; it knows "scene" and "state"', stacklevel=3)
-
     def _see(self, view: str, place: Images) -> None:
         self._env.render(view, len(place), out=place)
 
@@ -247,21 +235,6 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             fingers = self._env.task.world.fingers(self._env.physics.data.qpos)
             return {**stacks, "fingers": fingers.astype(np.float32)}
         return stacks if self._preset.layout == "dict" else next(iter(stacks.values()))
-
-
-def observation_space(preset: Preset, shapes: Mapping[str, tuple[int, ...]]) -> spaces.Space[Any]:
-    """The space of a preset's observations.
-
-    Args:
-        preset: the preset.
-        shapes: of the stacks of frames by name; ignored if the preset observes the state.
-    """
-    if preset.layout == "state":
-        return spaces.Box(-STATE_BOUND, STATE_BOUND, (len(STATE_NAMES),), np.float32)
-    boxes: dict[str, spaces.Space[Any]] = {name: spaces.Box(0, 255, shape, np.uint8) for name, shape in shapes.items()}
-    if preset.fingers:
-        boxes["fingers"] = spaces.Box(-np.pi, np.pi, (2,), np.float32)  # rad, the left one first
-    return spaces.Dict(boxes) if preset.layout == "dict" else next(iter(boxes.values()))
 
 
 def _scene_option(options: Mapping[str, Any]) -> Scene | None:

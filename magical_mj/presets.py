@@ -5,11 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final, Literal
+from typing import Any, Final, Literal
+
+import numpy as np
+from gymnasium import spaces
 
 from magical_mj.errors import check_name
+from magical_mj.observations import STATE_NAMES
 
 Layout = Literal["dict", "hwc", "chw", "state"]
+
+STATE_BOUND: Final = 1000.0  # of any entry of the state vector; angles add up to 100 rad in the longest episode
 
 
 @dataclass(frozen=True)
@@ -55,3 +61,18 @@ def preset_named(name: str) -> Preset:
     if not isinstance(name, str) or name:
         check_name("preset", name, filter(None, PRESETS))
     return PRESETS[name]
+
+
+def observation_space(preset: Preset, shapes: Mapping[str, tuple[int, ...]]) -> spaces.Space[Any]:
+    """The space of a preset's observations.
+
+    Args:
+        preset: the preset.
+        shapes: of the stacks of frames by name; ignored if the preset observes the state.
+    """
+    if preset.layout == "state":
+        return spaces.Box(-STATE_BOUND, STATE_BOUND, (len(STATE_NAMES),), np.float32)
+    boxes: dict[str, spaces.Space[Any]] = {name: spaces.Box(0, 255, shape, np.uint8) for name, shape in shapes.items()}
+    if preset.fingers:
+        boxes["fingers"] = spaces.Box(-np.pi, np.pi, (2,), np.float32)  # rad, the left one first
+    return spaces.Dict(boxes) if preset.layout == "dict" else next(iter(boxes.values()))

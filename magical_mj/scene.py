@@ -213,10 +213,11 @@ def _not_default(value: Any) -> Any:
     return told
 
 
-def check_scene_type(scene: object) -> None:
-    """Raise `InvalidSceneError` unless it is a `Scene`."""
+def check_scene_type(scene: object) -> Scene:
+    """The scene; raises `InvalidSceneError` if it is anything else."""
     if not isinstance(scene, Scene):
         raise InvalidSceneError(f"{shown(scene)} is not a magical_mj.Scene; Scene.from_json reads one from JSON")
+    return scene
 
 
 _Thing = TypeVar("_Thing", Robot, Block)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -245,6 +246,9 @@ def test_without_autoreset_worlds_wait_for_a_mask() -> None:
             made.reset(seed=seed)
     with pytest.warns(UserWarning, match="reset ignores the options 'scene'"):
         made.reset(options={"scene": 3})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made.reset(options={"scene": 4})  # once is enough
     with pytest.raises(SettingsError, match="options are a dict"):
         made.reset(options=["scene"])  # type: ignore[arg-type]
     made.close()

@@ -11,7 +11,7 @@ from dm_control import composer, mjcf
 from dm_control.mjcf import physics as mjcf_physics
 
 PACKAGE = Path(__file__).parent.parent / "magical_mj"
-INTERNALS = PACKAGE / "composer_internals.py"
+INTERNALS = PACKAGE / "environment" / "internals.py"
 
 
 class Empty(composer.Task):
@@ -49,7 +49,7 @@ def test_dm_control_still_has_every_private_name_that_we_use(name: str, stock: d
     used = set(private_names(classes[name]))
     assert len(used) > 3
     gone = used - stock[name]
-    assert not gone, f"this version of dm_control has no {', '.join(sorted(gone))} any more: see {INTERNALS.name}"
+    assert not gone, f"this version of dm_control has no {', '.join(sorted(gone))} any more: see {INTERNALS}"
 
 
 @pytest.mark.parametrize("module", sorted(PACKAGE.rglob("*.py")), ids=lambda path: path.relative_to(PACKAGE).as_posix())

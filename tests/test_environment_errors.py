@@ -101,8 +101,8 @@ def test_what_is_no_name_is_no_name() -> None:
             magical_mj.MagicalEnv("FindDupe", preset=wrong)
         with pytest.raises(UnknownNameError, match="unknown view"):
             magical_mj.load("FindDupe", observations=()).render(wrong)
-        with pytest.raises(InvalidSceneError, match=r"magical_mj\.Scene"):
-            magical_mj.load_scene(wrong)
+        with pytest.raises(InvalidSceneError, match=r"is not a magical_mj\.Scene; Scene\.from_json"):
+            magical_mj.load_scene(wrong, seed=-1)
 
 
 def test_closed_environments_say_so() -> None:

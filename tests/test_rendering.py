@@ -14,10 +14,10 @@ import magical_mj
 from magical_mj import constants as c
 from magical_mj.assets import style
 from magical_mj.assets.world import World
+from magical_mj.environment.simulation import Simulation
 from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS
 from magical_mj.rendering.renderer import LARGEST, Renderer, check_size, on_white
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
-from magical_mj.simulation import Simulation
 
 IMAGES = Path(__file__).parent / "data" / "images"
 VIEWS = ("ego", "allo")

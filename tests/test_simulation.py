@@ -13,9 +13,9 @@ import pytest
 import magical_mj
 from magical_mj.assets.region import DASHES, dash_count, rewrite_region
 from magical_mj.assets.world import World, world_spec
+from magical_mj.environment.simulation import Simulation
 from magical_mj.registry import task_spec
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
-from magical_mj.simulation import Simulation
 from magical_mj.variants.placement import jitter
 
 

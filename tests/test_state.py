@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import magical_mj
+from magical_mj.environment import State
 from magical_mj.errors import ClosedError, InvalidSceneError, StateError
 from magical_mj.presets import PRESETS
-from magical_mj.state import State
 
 STEPS = 24
 

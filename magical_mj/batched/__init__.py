@@ -16,11 +16,10 @@ from typing import TYPE_CHECKING
 
 from gymnasium.vector import AutoresetMode
 
-from magical_mj.env_settings import Reward
 from magical_mj.errors import SettingsError, shown
 from magical_mj.extras import check_extra
 from magical_mj.registry import environments
-from magical_mj.tasks.spec import Rules
+from magical_mj.tasks.spec import Reward, Rules
 
 if TYPE_CHECKING:
     from magical_mj.batched.environment import BatchedEnv

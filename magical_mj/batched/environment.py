@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Final
@@ -24,13 +23,13 @@ from magical_mj.batched.sampling import Pair, SceneSampler, sample
 from magical_mj.batched.saved import check_state
 from magical_mj.batched.scenes import Capacity, SceneArrays
 from magical_mj.batched.scores import SCORES, Start, score
-from magical_mj.env_settings import REWARDS, Reward
 from magical_mj.errors import ClosedError, InvalidActionError, SettingsError, check_name, shown
 from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS
 from magical_mj.presets import preset_named
 from magical_mj.registry import check_rules, sample_scene, task_spec
 from magical_mj.rendering.renderer import check_size
-from magical_mj.tasks.spec import Rules
+from magical_mj.reset_options import ResetOptions
+from magical_mj.tasks.spec import REWARDS, Reward, Rules
 from magical_mj.variants import check_seed, varied_axes
 
 MODES: Final = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
@@ -106,6 +105,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.observation_space = gymnasium.vector.utils.batch_space(self.observer.space, self.num_envs)
         self.single_action_space = spaces.Discrete(len(ACTIONS))
         self.action_space = spaces.MultiDiscrete([len(ACTIONS)] * self.num_envs)
+        self._options = ResetOptions("reset_mask")
         self._steps = torch.zeros(self.num_envs, dtype=torch.int64, device=device)
         self._running = torch.zeros(self.num_envs, dtype=torch.bool, device=device)
         self._sampler = SceneSampler(pairs, capacity, workers)  # last: its workers would outlive an error
@@ -126,16 +126,12 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
         Raises:
             InvalidSeedError: if a seed is not an integer, or negative.
-            SettingsError: if there is not one seed, or one entry of the mask, for each world.
+            SettingsError: if there is not one seed, or entry of the mask, for each world; if the options are no dict.
             ClosedError: if the environment is closed.
         """
         self._check_open()
-        options = {} if options is None else options
-        if not isinstance(options, Mapping):
-            raise SettingsError(f'options are a dict such as {{"reset_mask": mask}}, not {shown(options)}')
-        if others := sorted(map(repr, options.keys() - {"reset_mask"})):
-            warnings.warn(f'reset ignores the options {", ".join(others)}; it knows "reset_mask"', stacklevel=2)
-        chosen = self._masked(options.get("reset_mask"))
+        mask = self._options.checked(options).get("reset_mask")
+        chosen = self._masked(mask)
         seeds = None
         if seed is not None:
             each: list[Any]
@@ -143,7 +139,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 each = list(seed)
             else:
                 each = [check_seed(seed) + world for world in range(self.num_envs)]
-                if options.get("reset_mask") is None:
+                if mask is None:
                     self._sampler.seed(each[0])
             if len(each) != self.num_envs:
                 raise SettingsError(f"there are {self.num_envs} worlds, and {len(each)} seeds were given")

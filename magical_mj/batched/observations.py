@@ -13,9 +13,8 @@ from torch import Tensor
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter, View
 from magical_mj.batched.scenes import ABSENT, SceneArrays
-from magical_mj.gym_env import observation_space
 from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
-from magical_mj.presets import Preset, preset_named
+from magical_mj.presets import Preset, observation_space, preset_named
 
 Observation = Tensor | dict[str, Tensor]
 

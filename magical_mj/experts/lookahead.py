@@ -13,7 +13,7 @@ from magical_mj.experts.hand import Hand
 from magical_mj.scene import Pose, Scene
 
 SavedState = NDArray[np.float64]
-"""A saved state: the array that `magical_mj.simulation.Simulation.save` returns."""
+"""A saved state: the array that `magical_mj.environment.simulation.Simulation.save` returns."""
 Point = tuple[float, float]
 
 

@@ -19,6 +19,10 @@ Rules = Literal["paper", "released"]
 """Which scores and horizons: those of the paper's appendix, or of the original's released code where it differs."""
 RULES: Final[tuple[Rules, ...]] = get_args(Rules)
 
+Reward = Literal["none", "score"]
+"""The reward of the last step: 0 as at all other steps, since the benchmark has no reward, or the score."""
+REWARDS: Final[tuple[Reward, ...]] = get_args(Reward)
+
 _ROUNDING: Final = 1e-9
 
 Plan = Callable[[Scene, Scene, Noise], Iterable[Subgoal]]

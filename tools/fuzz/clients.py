@@ -19,9 +19,9 @@ from values import FindError, value
 
 import magical_mj
 from magical_mj.actions import ACTIONS
+from magical_mj.environment import State
 from magical_mj.errors import MagicalError
 from magical_mj.presets import PRESETS
-from magical_mj.state import State
 from magical_mj.wrappers import ContinuousActions
 
 WRAPPERS: Final = (

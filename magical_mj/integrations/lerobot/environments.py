@@ -23,9 +23,10 @@ from magical_mj.demos.lerobot import (
     state,
 )
 from magical_mj.errors import SettingsError, check_name, shown
-from magical_mj.gym_env import STATE_BOUND, MagicalEnv
+from magical_mj.gym_env import MagicalEnv
 from magical_mj.observations import FINGERS as WHERE_FINGERS
 from magical_mj.observations import STATE_NAMES
+from magical_mj.presets import STATE_BOUND
 from magical_mj.registry import environments, task_spec
 
 try:

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, get_args
+from typing import cast
 
 from magical_mj.errors import InvalidSceneError, SettingsError, check_name, shown
 from magical_mj.geometry import check_scene
-from magical_mj.observations import OBSERVATIONS, VIEWS, StateEncoder
+from magical_mj.observations import OBSERVATIONS, StateEncoder
 from magical_mj.registry import check_rules, environment_axes, sample_scene, task_spec, variant_name
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene, check_scene_type
-from magical_mj.tasks.spec import Rules
-
-Reward = Literal["none", "score"]
-REWARDS: Final[tuple[Reward, ...]] = get_args(Reward)
+from magical_mj.tasks.spec import REWARDS, Reward, Rules
 
 
 @dataclass(frozen=True)
@@ -28,12 +25,12 @@ class EnvironmentSettings:
     """
 
     task: str | None
-    variant: str = "Demo"
-    scene: Scene | None = None
-    observations: Sequence[str] = VIEWS
-    image_size: int = 96
-    reward: Reward = "none"
-    rules: Rules = "paper"
+    variant: str
+    scene: Scene | None
+    observations: Sequence[str]
+    image_size: int
+    reward: Reward
+    rules: Rules
 
     def __post_init__(self) -> None:
         """Checks every setting."""
@@ -44,12 +41,12 @@ class EnvironmentSettings:
         check_name("reward", self.reward, REWARDS)
         check_size(self.image_size)
         object.__setattr__(self, "observations", check_observations(self.observations))
-        if self.scene is not None:
+        if self.task is None or self.scene is not None:
             self.check(self.scene)
 
-    def check(self, scene: Scene) -> None:
-        """Raises `InvalidSceneError` unless an episode can start in `scene`."""
-        check_scene_type(scene)
+    def check(self, scene: object) -> None:
+        """Raises `InvalidSceneError` unless it is a `Scene` in which an episode can start."""
+        scene = check_scene_type(scene)
         check_scene(scene)
         if "state" in self.observations:
             StateEncoder(scene)
@@ -58,10 +55,8 @@ class EnvironmentSettings:
 
     def sample(self, seed: int) -> Scene:
         """The scene of the episode with this seed."""
-        if self.scene is not None:
-            return self.scene
-        if self.task is None:
-            raise InvalidSceneError("without a task there must be a magical_mj.Scene")
+        if self.task is None or self.scene is not None:
+            return cast("Scene", self.scene)  # without a task there is one, as checked at the start
         scene = sample_scene(self.task, self.variant, seed)
         if "state" in self.observations:
             StateEncoder(scene)  # while the present episode can still go on

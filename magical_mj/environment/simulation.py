@@ -14,7 +14,7 @@ from magical_mj.actions import action_number
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import control_signal
 from magical_mj.assets.world import World, world_model
-from magical_mj.composer_internals import UnindexedPhysics
+from magical_mj.environment.internals import UnindexedPhysics
 from magical_mj.errors import StateError
 from magical_mj.fields import MAX_NUMBER
 from magical_mj.observations import SOLID_VIEW

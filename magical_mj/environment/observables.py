@@ -10,8 +10,8 @@ import numpy as np
 from dm_control.composer.observation import observable
 from dm_env import specs
 
+from magical_mj.environment.simulation import Simulation
 from magical_mj.observations import STATE_NAMES
-from magical_mj.simulation import Simulation
 
 
 class CurrentObservable(observable.Generic):

@@ -1,4 +1,4 @@
-"""The dm_control environment, and how it is loaded.
+"""`Environment`: composer's environment, which knows its scene and saves and restores its states.
 
 A control step writes the controls once and runs all substeps in one call of MuJoCo: composer's own Python loop over
 substeps takes longer than the physics. Environments with users' hooks, or with observables that have a buffer or a
@@ -7,8 +7,7 @@ delay, still use composer's loop.
 
 from __future__ import annotations
 
-import secrets
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from typing import Any
 
 import dm_env
@@ -17,18 +16,16 @@ from dm_control.rl.control import PhysicsError
 from numpy.typing import NDArray
 
 from magical_mj.assets.contacts import SUBSTEPS
-from magical_mj.composer_internals import OpenEnvironment
-from magical_mj.composer_observables import CurrentObservable, CurrentUpdater
-from magical_mj.env_settings import EnvironmentSettings, Reward
+from magical_mj.environment.internals import OpenEnvironment
+from magical_mj.environment.observables import CurrentObservable, CurrentUpdater
+from magical_mj.environment.settings import EnvironmentSettings
+from magical_mj.environment.simulation import Simulation
+from magical_mj.environment.state import State, check_state
+from magical_mj.environment.task import SceneTask
 from magical_mj.errors import ClosedError, SettingsError, StateError, check_name
-from magical_mj.observations import CAMERAS, VIEWS
-from magical_mj.registry import task_spec
+from magical_mj.observations import CAMERAS
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
-from magical_mj.scene_task import SceneTask
-from magical_mj.simulation import Simulation
-from magical_mj.state import State, check_state
-from magical_mj.tasks.spec import Rules
 from magical_mj.variants import check_seed
 
 
@@ -240,60 +237,3 @@ def _copied(settings: EnvironmentSettings, first: Scene, seeds: tuple[Any, ...],
     generator, env.task.seed, env.task.next_seed = seeds
     env.random_state.set_state(generator)
     return env
-
-
-def _loaded(settings: EnvironmentSettings, seed: int | None) -> Environment:
-    seed = secrets.randbits(63) if seed is None else check_seed(seed)
-    env = Environment(settings, settings.sample(seed), seed)
-    if settings.scene is None:
-        env.task.seed = env.task.next_seed = seed
-    return env
-
-
-def load(
-    task: str,
-    variant: str = "Demo",
-    *,
-    seed: int | None = None,
-    scene: Scene | None = None,
-    observations: Sequence[str] = VIEWS,
-    image_size: int = 96,
-    reward: Reward = "none",
-    rules: Rules = "paper",
-) -> Environment:
-    """A dm_env environment of the benchmark.
-
-    Args:
-        task: one of `magical_mj.TASKS`, a task that a package announces, or ``"package.module:SPEC"``.
-        variant: one of `magical_mj.VARIANTS` that the task has.
-        seed: the first episode starts in `sample_scene(task, variant, seed)`, the following ones in scenes
-            drawn from a generator with this seed. None: seeded from the system's entropy.
-        scene: start every episode in this scene instead.
-        observations: any of "ego", "allo" and "state".
-        image_size: side of the pictures in pixels.
-        reward: "none" (always 0: the benchmark has no reward) or "score" (the score, at the last step).
-        rules: "paper", or "released" for the scores and horizons of the original's released code.
-
-    Raises:
-        UnknownNameError: for an unknown task, variant, observation, reward or rules, or an unsupported pair.
-        TaskError: if the task of another package is invalid.
-        InvalidSceneError: if the scene is illegal or not one of the task.
-        InvalidSeedError, SettingsError: for a bad seed; for a bad image size or list of observations.
-    """
-    task_spec(task)  # None, too, is no task
-    return _loaded(EnvironmentSettings(task, variant, scene, observations, image_size, reward, rules), seed)
-
-
-def load_scene(
-    scene: Scene,
-    *,
-    seed: int | None = None,
-    observations: Sequence[str] = VIEWS,
-    image_size: int = 96,
-) -> Environment:
-    """A dm_env environment that starts every episode in `scene`: no task, so no score and no horizon.
-
-    Raises:
-        UnknownNameError, InvalidSceneError, InvalidSeedError, SettingsError: as `load`.
-    """
-    return _loaded(EnvironmentSettings(None, "Demo", scene, observations, image_size), seed)

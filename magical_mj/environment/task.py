@@ -15,11 +15,11 @@ from magical_mj import constants as c
 from magical_mj.actions import ACTIONS
 from magical_mj.assets.contacts import SUBSTEPS, TIMESTEP
 from magical_mj.assets.world import World
-from magical_mj.composer_observables import CurrentObservable, picture, state
-from magical_mj.env_settings import EnvironmentSettings
+from magical_mj.environment.observables import CurrentObservable, picture, state
+from magical_mj.environment.settings import EnvironmentSettings
+from magical_mj.environment.simulation import Simulation
 from magical_mj.observations import StateEncoder
 from magical_mj.scene import Scene
-from magical_mj.simulation import Simulation
 
 
 class SceneTask(composer.Task):
