@@ -12,7 +12,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code: 0, or 2 for wrong use, 1 for a failure, 130 after Ctrl-C."""
     try:
         from magical_mj.cli.app import run
-    except KeyboardInterrupt:  # while the modules are loaded, which takes a second
+    except KeyboardInterrupt:  # while the command's modules are loaded; importing the package came before
         return 130
     except ModuleNotFoundError as error:
         if error.name not in EXTRA:
