@@ -16,10 +16,11 @@ from magical_mj.cli.environments import contact_sheet
 from magical_mj.cli.evaluate import show_progress, summary
 from magical_mj.cli.results import film_episodes
 from magical_mj.errors import EvaluationError
+from magical_mj.evaluation.folder import read_settings
 from magical_mj.evaluation.loading import sources
 from magical_mj.evaluation.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
-from magical_mj.evaluation.scores import ScoreFile, read_settings
+from magical_mj.evaluation.scores import ScoreFile
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.extras import check_extra
 

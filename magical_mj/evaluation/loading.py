@@ -16,11 +16,10 @@ from magical_mj.agents import AGENTS
 from magical_mj.errors import SettingsError, shown, unknown_name
 from magical_mj.evaluation.models import LOADERS
 from magical_mj.evaluation.playing import Act, reason
+from magical_mj.evaluation.policy_folders import FOLDERS, loader_in
 from magical_mj.references import resolve, source_of
 
 LEGEND: Final = f"{', '.join(AGENTS)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
-FOLDERS: Final = "magical_mj.policy_folders"
-"""The group of entry points that load the policy in a folder; see pyproject.toml. Other packages may add some."""
 
 
 @dataclass(frozen=True)
@@ -154,18 +153,13 @@ def _short(origin: str) -> str:
     return origin.rpartition(":")[2]
 
 
-def holds_policy(folder: Path | str) -> bool:
-    """Whether the folder is one that `evaluate` takes as a policy, such as that of a training."""
-    return any((Path(folder) / loader.name).is_file() for loader in entry_points(group=FOLDERS))
-
-
 def _folder_loader(folder: str) -> EntryPoint:
-    """The entry point that loads the policy in a folder: its name is the name of a file in the folder."""
-    known = list(entry_points(group=FOLDERS))
-    for loader in known:
-        if (Path(folder) / loader.name).is_file():
-            return loader
-    raise SettingsError(f"the folder {folder} holds no policy: no {' or '.join(loader.name for loader in known)}")
+    """The entry point that loads the policy in a folder."""
+    found = loader_in(Path(folder))
+    if found is None:
+        known = " or ".join(loader.name for loader in entry_points(group=FOLDERS))
+        raise SettingsError(f"the folder {folder} holds no policy: no {known}")
+    return found
 
 
 def _imported(origin: str) -> Act:

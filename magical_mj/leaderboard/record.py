@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from magical_mj.errors import EvaluationError, shown
-from magical_mj.evaluation.scores import SETTINGS, Score, read_settings
+from magical_mj.evaluation.folder import SETTINGS, read_settings
+from magical_mj.evaluation.scores import Score
 from magical_mj.leaderboard.claims import claim_of
 from magical_mj.registry import ENVIRONMENTS
 
