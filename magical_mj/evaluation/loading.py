@@ -14,8 +14,9 @@ from typing import Any, Final
 
 from magical_mj.agents import AGENTS
 from magical_mj.errors import SettingsError, shown, unknown_name
+from magical_mj.evaluation.failures import reason
 from magical_mj.evaluation.models import LOADERS
-from magical_mj.evaluation.playing import Act, reason
+from magical_mj.evaluation.playing import Act
 from magical_mj.evaluation.policy_folders import FOLDERS, loader_in
 from magical_mj.references import resolve, source_of
 

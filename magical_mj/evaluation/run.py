@@ -14,9 +14,9 @@ import cloudpickle
 from magical_mj._version import __version__
 from magical_mj.episodes import is_blind
 from magical_mj.errors import EvaluationError, SettingsError, WorkerError
+from magical_mj.evaluation.failures import reason
 from magical_mj.evaluation.folder import load_or_start, prepare
 from magical_mj.evaluation.loading import Source, sources
-from magical_mj.evaluation.playing import reason
 from magical_mj.evaluation.policies import check_fit
 from magical_mj.evaluation.scores import Key, Score, ScoreFile, frame
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings, described, settings_from
