@@ -16,8 +16,9 @@ from magical_mj.baselines.run import METHODS
 from magical_mj.baselines.settings import AT_MOST
 from magical_mj.errors import SettingsError, check_name, shown
 from magical_mj.evaluation.folder import SETTINGS, read_settings
+from magical_mj.evaluation.published import published_results
 from magical_mj.evaluation.report import check_free, report
-from magical_mj.evaluation.results import gather, published_results
+from magical_mj.evaluation.results import gather
 from magical_mj.evaluation.scores import frame
 from magical_mj.evaluation.settings import EvaluationSettings, check_unchanged, settings_from
 from magical_mj.evaluation.statistics import by_environment, rank_correlation

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.evaluation.results import PUBLISHED_RULES, published_results
+from magical_mj.evaluation.published import PUBLISHED_RULES, published_results
 from magical_mj.evaluation.statistics import SAME, bootstrap, interquartile_mean, mean_interval, summarise
 from magical_mj.leaderboard.claims import SEEDS, Claim
 from magical_mj.leaderboard.duplicates import copies
