@@ -10,7 +10,7 @@ import dataclasses
 import json
 import os
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final, Self, get_type_hints
@@ -175,23 +175,20 @@ class ScoreFile:
     def __init__(self, folder: Path) -> None:
         self._path = folder / SCORES
         self._file: IO[str] | None = None
+        self._open = ExitStack()
 
     def __enter__(self) -> Self:
-        self._file = self._path.open("a", encoding="utf-8")
-        try:
-            if not files.lock(self._file):
-                raise EvaluationError(f"another evaluation is writing to {self._path}")
+        with ExitStack() as stack:
+            self._file = stack.enter_context(self._path.open("a", encoding="utf-8"))
+            busy = EvaluationError(f"another evaluation is writing to {self._path}")
+            stack.enter_context(files.locked(self._path, busy=busy))
             _repair(self._path)
-        except BaseException:
-            self._file.close()
-            raise
+            self._open = stack.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._file is not None:
-            with suppress(OSError):  # of what could not be written, which `add` has told
-                files.unlock(self._file)
-                self._file.close()
+        with suppress(OSError):  # of what could not be written, which `add` has told
+            self._open.close()
 
     def clear(self) -> None:
         """Removes all episodes."""
