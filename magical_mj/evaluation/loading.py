@@ -20,7 +20,9 @@ from magical_mj.evaluation.playing import Act
 from magical_mj.evaluation.policy_folders import FOLDERS, loader_in
 from magical_mj.references import resolve, source_of
 
-LEGEND: Final = f"{', '.join(AGENTS)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
+ACCEPTED_POLICIES: Final = (
+    f"{', '.join(AGENTS)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
+)
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
         found.append(replace(source, run=run + seen[source.name], trust=trust))
         seen[source.name] += 1
     if not found:
-        raise SettingsError(f"give a policy: {LEGEND}")
+        raise SettingsError(f"give a policy: {ACCEPTED_POLICIES}")
     return found
 
 
@@ -128,7 +130,7 @@ def _each(policies: Any) -> Iterator[Source]:
         for text in filter(None, (part.strip() for part in policies.split(","))):
             name, equals, origin = text.partition("=")
             if equals and not origin:  # else it would be the working directory
-                raise SettingsError(f"{text} names no policy: {LEGEND}")
+                raise SettingsError(f"{text} names no policy: {ACCEPTED_POLICIES}")
             yield Source(name, 0, origin) if equals else Source(_short(text), 0, text)
     elif isinstance(policies, Mapping):
         for name, given in policies.items():
@@ -142,7 +144,7 @@ def _each(policies: Any) -> Iterator[Source]:
     elif callable(policies):
         yield Source(getattr(policies, "__name__", type(policies).__name__), 0, policies)
     else:
-        raise SettingsError(f"{shown(policies)} is not a policy: it must be callable, or one of {LEGEND}")
+        raise SettingsError(f"{shown(policies)} is not a policy: it must be callable, or one of {ACCEPTED_POLICIES}")
 
 
 def _short(origin: str) -> str:

@@ -29,7 +29,7 @@ T = TypeVar("T")
 
 SEEDS_PER_UNIT: Final = 10
 """About the number of episodes in a unit: a few seconds, so that killed runs lose little, and units cost little."""
-ENVIRONMENTS: Final = ("environment", "vector")
+CLOSABLE: Final = ("environment", "vector")
 """What a player keeps and must close."""
 
 
@@ -174,7 +174,7 @@ class Player:
     def _drop(self, what: str) -> None:
         """Closes an environment. Policies are not closed, since they may be users' objects."""
         _, made = self._kept.pop(what)
-        if what in ENVIRONMENTS:
+        if what in CLOSABLE:
             made.close()
 
     def _forget(self) -> None:
