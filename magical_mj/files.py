@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 from magical_mj.errors import SettingsError
 
@@ -67,27 +67,6 @@ def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
             unfinished.unlink()
 
 
-def lock(file: IO[Any]) -> bool:
-    """Locks an open file until it is closed, and returns whether it was free. On Windows there is no lock."""
-    try:
-        import fcntl
-    except ImportError:
-        return True
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
-
-
-def unlock(file: IO[Any]) -> None:
-    """Unlocks an open file. Closing it is not enough if a process that was forked meanwhile still holds it open."""
-    with suppress(ImportError):  # on Windows
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_UN)
-
-
 def is_unfinished(path: Path) -> bool:
     """Whether this is a temporary file of `new_file`, which a process that was killed may have left."""
     return _UNFINISHED.fullmatch(path.name) is not None
@@ -99,27 +78,28 @@ def is_empty(folder: Path) -> bool:
 
 
 @contextmanager
-def exclusive(folder: Path, *, wait: bool = True) -> Iterator[None]:
-    """A context that one process at a time enters for a folder, which must exist. Not on Windows.
+def locked(path: Path, *, busy: Exception | None = None) -> Iterator[None]:
+    """A context that one process at a time enters for a file or folder, which must exist. Not on Windows.
 
     Args:
-        folder: the folder.
-        wait: for the process that is in it.
-
-    Raises:
-        BlockingIOError: if another process is in it, and this one does not wait.
+        path: the file or folder.
+        busy: what is raised if another process is in it; None: this one waits.
     """
     try:
         import fcntl
     except ImportError:
         yield
         return
-    descriptor = os.open(folder, os.O_RDONLY)
+    mode = os.O_RDONLY if path.is_dir() else os.O_RDWR  # NFS locks no file that is open for reading only
+    descriptor = os.open(path, mode)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX if busy is None else fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise busy or error from None
         yield
     finally:
-        fcntl.flock(descriptor, fcntl.LOCK_UN)  # closing is not enough: see `unlock`
+        fcntl.flock(descriptor, fcntl.LOCK_UN)  # closing is not enough if a child, forked meanwhile, lives on
         os.close(descriptor)
 
 

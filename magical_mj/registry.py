@@ -24,7 +24,10 @@ TASKS: Final[tuple[str, ...]] = tuple(SPECS)
 VARIANTS: Final[tuple[str, ...]] = tuple(_VARIANTS)
 """The variants: Demo, then the paper's test variants in its order."""
 
-ENVIRONMENTS: Final[tuple[tuple[str, str], ...]] = tuple(
+Pair = tuple[str, str]
+"""A task and a variant, which name an environment."""
+
+ENVIRONMENTS: Final[tuple[Pair, ...]] = tuple(
     (task, variant) for task, spec in SPECS.items() for variant in variants_of(spec)
 )
 """All (task, variant) pairs of the benchmark; which exist follows from the axes that each task supports."""
@@ -84,7 +87,7 @@ def environment_axes(task: str, variant: str) -> tuple[Axis, ...]:
     return varied_axes(task_spec(task), variant_name(variant))
 
 
-def environments(tasks: Names = "all", variants: Names = "all") -> list[tuple[str, str]]:
+def environments(tasks: Names = "all", variants: Names = "all") -> list[Pair]:
     """The existing (task, variant) pairs of these tasks and variants: first the benchmark's in its order, then others.
 
     Args:

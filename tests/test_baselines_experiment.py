@@ -22,7 +22,7 @@ from magical_mj.baselines.experiment import agreement
 from magical_mj.baselines.policy import POLICY
 from magical_mj.cli.app import run
 from magical_mj.errors import MagicalError, SettingsError, UnknownNameError
-from magical_mj.evaluation.results import published_results
+from magical_mj.evaluation.published import published_results
 from magical_mj.files import read_toml
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import re
 import signal
 import subprocess
@@ -67,6 +68,22 @@ def test_a_folder_belongs_to_one_training_at_a_time(tmp_path: Path) -> None:
     train(settings, run, watch=second)
     assert f"another process is training in {run}" in errors[0]
     assert is_done(run)
+
+
+def test_what_a_training_forked_does_not_keep_its_folder_locked(tmp_path: Path) -> None:
+    child = multiprocessing.get_context("fork").Process(target=time.sleep, args=(60,), daemon=True)
+
+    def stop(_: Progress) -> None:
+        child.start()
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(tiny(), tmp_path / "run", watch=stop)
+    train(tiny(), tmp_path / "run", resume=True)
+    assert child.is_alive()
+    assert is_done(tmp_path / "run")
+    child.kill()
+    child.join()
 
 
 def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:

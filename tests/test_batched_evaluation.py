@@ -19,8 +19,9 @@ from magical_mj.batched.arrays import Arrays
 from magical_mj.cli.app import app
 from magical_mj.errors import EvaluationError, SettingsError, UnknownNameError
 from magical_mj.evaluation import Episode, rollouts
+from magical_mj.evaluation.folder import SETTINGS
 from magical_mj.evaluation.report import report
-from magical_mj.evaluation.scores import SETTINGS, read
+from magical_mj.evaluation.scores import read
 from magical_mj.leaderboard import submit, verify
 
 pytestmark = [pytest.mark.xdist_group("warp"), pytest.mark.filterwarnings("default")]

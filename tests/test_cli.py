@@ -99,7 +99,7 @@ def test_export_loads_in_plain_mujoco(shell: Shell, tmp_path: Path) -> None:
 def test_a_demo_leaves_alone_what_it_must(shell: Shell, tmp_path: Path) -> None:
     """Another demo that is running, and files of others, but not what a killed process has left."""
     command = ("demo", "--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1, "--out", tmp_path)
-    with files.exclusive(tmp_path):
+    with files.locked(tmp_path):
         assert f"another demo is running in {tmp_path}; wait for it" in shell.fails(1, *command)
     (tmp_path / "notes.txt").write_text("mine")
     assert "holds files that this command has not made" in shell.fails(1, *command)

@@ -14,9 +14,10 @@ from magical_mj.errors import EvaluationError, SettingsError
 from magical_mj.evaluation.compare import choose, compare
 from magical_mj.evaluation.report import report
 from magical_mj.evaluation.scores import Score
+from magical_mj.registry import Pair
 
 
-def side(folder: Path, values: dict[tuple[str, str], list[float]], run: int = 0) -> list[Score]:
+def side(folder: Path, values: dict[Pair, list[float]], run: int = 0) -> list[Score]:
     return [
         replace(TEMPLATE, policy=folder.name, run=run, task=task, variant=variant, seed=seed, score=value)
         for (task, variant), given in values.items()

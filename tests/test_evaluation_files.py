@@ -20,8 +20,9 @@ from evaluations import SMALL, rows
 import magical_mj
 from magical_mj.errors import EvaluationError, SettingsError
 from magical_mj.evaluation import Episode, Score
+from magical_mj.evaluation.folder import SETTINGS
 from magical_mj.evaluation.run import Evaluation
-from magical_mj.evaluation.scores import SCORES, SETTINGS, ScoreFile, read
+from magical_mj.evaluation.scores import SCORES, ScoreFile, read
 from magical_mj.evaluation.settings import EvaluationSettings
 
 TESTS = Path(__file__).parent

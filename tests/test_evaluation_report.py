@@ -21,8 +21,8 @@ from PIL import Image
 from magical_mj.errors import EvaluationError
 from magical_mj.evaluation import figures, results, tables
 from magical_mj.evaluation.figures import bars, heat_map
+from magical_mj.evaluation.published import published_results
 from magical_mj.evaluation.report import extremes, report
-from magical_mj.evaluation.results import published_results
 from magical_mj.evaluation.scores import SCORES
 from magical_mj.registry import ENVIRONMENTS, TASKS
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import multiprocessing
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -111,3 +113,20 @@ def test_what_a_killed_process_left_goes_with_the_next_attempt(tmp_path: Path) -
     assert [other.name for other in tmp_path.iterdir()] != []
     files.write(path, "whole")
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_lock_is_for_one_at_a_time_and_ends_with_its_context(tmp_path: Path) -> None:
+    """Although a child that was forked meanwhile lives on, and holds the same descriptor."""
+    (tmp_path / "a.txt").write_text("text")
+    busy = ValueError("busy")
+    for path in (tmp_path, tmp_path / "a.txt"):
+        child = multiprocessing.get_context("fork").Process(target=time.sleep, args=(60,), daemon=True)
+        with files.locked(path):
+            child.start()
+            with pytest.raises(ValueError, match="busy"), files.locked(path, busy=busy):
+                pytest.fail("two are in it")
+        with files.locked(path, busy=busy):
+            assert child.is_alive()
+        child.kill()
+        child.join()
+    assert (tmp_path / "a.txt").read_text() == "text"

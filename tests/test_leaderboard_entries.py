@@ -15,7 +15,7 @@ from entries import EPISODES, TAMPERED, Row, rewrite, whole
 
 import magical_mj
 from magical_mj.errors import EvaluationError, SettingsError, UnknownNameError
-from magical_mj.evaluation.scores import SETTINGS
+from magical_mj.evaluation.folder import SETTINGS
 from magical_mj.leaderboard import check_entry, submit
 from magical_mj.leaderboard.claims import Claim, missing
 from magical_mj.leaderboard.entry import packed, unpacked

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from entries import EPISODES, TAMPERED, Row, rewrite, swapped_scene
 
-from magical_mj.evaluation.scores import SETTINGS
+from magical_mj.evaluation.folder import SETTINGS
 from magical_mj.leaderboard import verify
 from magical_mj.registry import ENVIRONMENTS, task_spec
 

@@ -13,12 +13,13 @@ from magical_mj.baselines.folder import check
 from magical_mj.baselines.learner import device
 from magical_mj.baselines.planned import Run, Watch
 from magical_mj.baselines.run import METHODS
-from magical_mj.baselines.settings import AT_MOST
 from magical_mj.errors import SettingsError, check_name, shown
+from magical_mj.evaluation.folder import SETTINGS, read_settings
+from magical_mj.evaluation.published import published_results
 from magical_mj.evaluation.report import check_free, report
-from magical_mj.evaluation.results import gather, published_results
-from magical_mj.evaluation.scores import SETTINGS, frame, read_settings
-from magical_mj.evaluation.settings import EvaluationSettings, check_unchanged, settings_from
+from magical_mj.evaluation.results import gather
+from magical_mj.evaluation.scores import frame
+from magical_mj.evaluation.settings import LARGEST_SETTING, EvaluationSettings, check_unchanged, settings_from
 from magical_mj.evaluation.statistics import by_environment, rank_correlation
 from magical_mj.files import read_toml
 from magical_mj.parallel import check_backend, spread
@@ -62,8 +63,8 @@ def runs(file: Path, out: Path) -> list[Run]:
     evaluation = table.get("evaluation", {})
     _check(f"entry of [evaluation] in {file}", evaluation, EVALUATION)
     episodes = evaluation.get("episodes", 1)
-    if not isinstance(episodes, int) or episodes > AT_MOST["episodes"]:
-        at_most = f"it must look like: episodes = 100, and be at most {AT_MOST['episodes']}"
+    if not isinstance(episodes, int) or episodes > LARGEST_SETTING:
+        at_most = f"it must look like: episodes = 100, and be at most {LARGEST_SETTING}"
         raise SettingsError(f"{file} gives episodes = {shown(episodes)}; {at_most}")
     evaluation = EVALUATION | evaluation
     tasks = [task_name(task) for task in listed(table["tasks"], TASKS)]

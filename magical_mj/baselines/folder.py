@@ -9,7 +9,6 @@ import shlex
 import sys
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,7 +21,8 @@ from magical_mj.baselines.config import MADE, from_toml, quoted, recorded, to_to
 from magical_mj.baselines.metrics import METRICS
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.errors import SettingsError, TrainingError, shown
-from magical_mj.evaluation.loading import FOLDERS, sources
+from magical_mj.evaluation.loading import sources
+from magical_mj.evaluation.policy_folders import loader_in
 from magical_mj.evaluation.settings import MUJOCO_VERSION, check_unchanged
 from magical_mj.files import read_toml
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
@@ -74,11 +74,11 @@ def check(folder: Path, settings: TrainingSettings, resume: bool) -> None:
                 f"{folder} was begun with the {name} of number {begun[name]}, and this version has number {number}: "
                 f"continue with magical_mj {begun.get('magical_mj')}, or train anew in another folder"
             )
-    policies = [loader.name for loader in entry_points(group=FOLDERS) if (folder / loader.name).is_file()]
-    if policies and not (folder / CHECKPOINT).exists():
+    policy = loader_in(folder)
+    if policy is not None and not (folder / CHECKPOINT).exists():
         raise TrainingError(
-            f"{folder} holds a policy ({policies[0]}), and {CHECKPOINT} is missing, from which its training would go "
-            f"on: put it back; or delete {policies[0]} and {METRICS}, and the training begins anew"
+            f"{folder} holds a policy ({policy.name}), and {CHECKPOINT} is missing, from which its training would go "
+            f"on: put it back; or delete {policy.name} and {METRICS}, and the training begins anew"
         )
 
 

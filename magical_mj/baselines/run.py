@@ -89,9 +89,8 @@ def train(
         made = (learner or METHODS[settings.method])(settings)
         try:
             begin(folder, settings)
-            with (folder / CONFIG).open("rb") as config:
-                if not files.lock(config):
-                    raise TrainingError(f"another process is training in {folder}; wait for it, or give a new folder")
+            busy = TrainingError(f"another process is training in {folder}; wait for it, or give a new folder")
+            with files.locked(folder / CONFIG, busy=busy):
                 return _Run(folder, settings, made).play(watch)
         finally:
             made.close()

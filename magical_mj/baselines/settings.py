@@ -7,7 +7,7 @@ from math import inf
 from typing import Any, Final
 
 from magical_mj.errors import SettingsError, check_name, shown
-from magical_mj.evaluation.settings import WORLDS
+from magical_mj.evaluation.settings import LARGEST_SETTING, WORLDS
 from magical_mj.presets import PRESETS, preset_named
 from magical_mj.registry import task_spec
 
@@ -215,7 +215,7 @@ MAY_BE_ZERO: Final = {
 
 
 AT_MOST: Final = {
-    "episodes": 10**6,
+    "episodes": LARGEST_SETTING,
     "network.first_kernel": 95, "network.first_stride": 95,  # the pictures have 96 pixels
     "network.first_channels": 4096, "network.channels": 4096, "network.hidden": 4096,
     "network.entity": 1024, "network.attention": 32,

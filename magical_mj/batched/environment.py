@@ -19,14 +19,14 @@ from magical_mj.actions import ACTIONS
 from magical_mj.assets.region import DASHES
 from magical_mj.batched.observations import Frames, Observation, States
 from magical_mj.batched.physics import Physics, check_device
-from magical_mj.batched.sampling import Pair, SceneSampler, sample
+from magical_mj.batched.sampling import SceneSampler, sample
 from magical_mj.batched.saved import check_state
 from magical_mj.batched.scenes import Capacity, SceneArrays
 from magical_mj.batched.scores import SCORES, Start, score
 from magical_mj.errors import ClosedError, InvalidActionError, SettingsError, check_name, shown
 from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS
 from magical_mj.presets import preset_named
-from magical_mj.registry import check_rules, sample_scene, task_spec
+from magical_mj.registry import Pair, check_rules, sample_scene, task_spec
 from magical_mj.rendering.renderer import check_size
 from magical_mj.reset_options import ResetOptions
 from magical_mj.tasks.spec import REWARDS, Reward, Rules

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -16,10 +15,11 @@ from magical_mj.cli.environments import contact_sheet
 from magical_mj.cli.evaluate import show_progress, summary
 from magical_mj.cli.results import film_episodes
 from magical_mj.errors import EvaluationError
+from magical_mj.evaluation.folder import read_settings
 from magical_mj.evaluation.loading import sources
 from magical_mj.evaluation.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
-from magical_mj.evaluation.scores import ScoreFile, read_settings
+from magical_mj.evaluation.scores import ScoreFile
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.extras import check_extra
 
@@ -36,13 +36,8 @@ def demo(out: Out = Path("out/demo"), tasks: Tasks = "all", episodes: Episodes =
     """Evaluate the expert, the random and the no-op agent in all environments, and write the report."""
     settings = EvaluationSettings(tasks=tasks, episodes=episodes, jobs=jobs, out=out)
     check_extra("videos", "video")
-    with ExitStack() as stack:
-        try:
-            stack.enter_context(files.exclusive(claim_folder(out), wait=False))
-        except BlockingIOError as error:
-            raise EvaluationError(
-                f"another demo is running in {out}; wait for it, or give another folder by --out"
-            ) from error
+    busy = EvaluationError(f"another demo is running in {out}; wait for it, or give another folder by --out")
+    with files.locked(claim_folder(out), busy=busy):
         _tour(console(), out, settings)
 
 

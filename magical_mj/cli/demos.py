@@ -28,9 +28,9 @@ from magical_mj.cli.console import (
 from magical_mj.cli.film import film
 from magical_mj.cli.progress import with_bar
 from magical_mj.errors import DemonstrationError, MagicalError, SettingsError, UntrustedTaskError
-from magical_mj.evaluation.settings import MOST
+from magical_mj.evaluation.settings import LARGEST_SETTING
 from magical_mj.parallel import spread
-from magical_mj.registry import environments, score, task_spec
+from magical_mj.registry import Pair, environments, score, task_spec
 
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
     from magical_mj.demos import Demonstration, Imported, Verdict
@@ -43,7 +43,7 @@ Paths = Annotated[
 ]
 Recordings = Annotated[list[Path], typer.Argument(help="The JSON files that the browser saved.", show_default=False)]
 Count = Annotated[
-    int, typer.Option(min=1, max=MOST, help="Number in each environment, in the scenes of seeds 0, 1, ...")
+    int, typer.Option(min=1, max=LARGEST_SETTING, help="Number in each environment, in the scenes of seeds 0, 1, ...")
 ]
 Folder = Annotated[Path, typer.Option("--out", help="The folder; existing files are kept.", show_default=False)]
 Least = Annotated[float, typer.Option(min=0, max=1, help="The least score of a demonstration.")]
@@ -201,7 +201,7 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
         raise typer.Exit(1)
 
 
-def check(wanted: Collection[tuple[str, str]] | None, path: Path) -> tuple[Path, Verdict | str | None]:
+def check(wanted: Collection[Pair] | None, path: Path) -> tuple[Path, Verdict | str | None]:
     """The work of one process: checks one file; (path, None) if its environment was not asked for."""
     try:
         demo = magical_mj.demos.read(path, trusted=[task for task, _ in wanted or ()])
@@ -278,7 +278,7 @@ def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str) -> list
     return chosen
 
 
-def files_of(paths: Sequence[Path] | None, pairs: Sequence[tuple[str, str]]) -> list[Path]:
+def files_of(paths: Sequence[Path] | None, pairs: Sequence[Pair]) -> list[Path]:
     """The files, each once, even if it is given in several ways; by default those that come with the pairs' tasks."""
     if not paths:
         return [path for task in dict.fromkeys(task for task, _ in pairs) for path in magical_mj.demos.paths_of(task)]

@@ -33,9 +33,9 @@ from magical_mj.evaluation.loading import sources
 from magical_mj.evaluation.policies import check_fit
 from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES, Score
-from magical_mj.evaluation.settings import MOST, EvaluationSettings
+from magical_mj.evaluation.settings import LARGEST_SETTING, EvaluationSettings
 from magical_mj.evaluation.worker import Unit, player
-from magical_mj.registry import task_name, task_spec, variant_name
+from magical_mj.registry import Pair, task_name, task_spec, variant_name
 
 _POLICIES = (
     "expert, random, noop, module:object, the folder of a training, or a file (.zip of stable-baselines3, .onnx); "
@@ -57,7 +57,10 @@ Preset = Annotated[
     typer.Option(help="The observations: a preset's name, or an empty one.", autocompletion=COMPLETIONS["preset"]),
 ]
 Number = Annotated[
-    int, typer.Option("--episodes", min=1, max=MOST, help="Number of episodes, in the scenes of SEED, SEED + 1, ...")
+    int,
+    typer.Option(
+        "--episodes", min=1, max=LARGEST_SETTING, help="Number of episodes, in the scenes of SEED, SEED + 1, ..."
+    ),
 ]
 Video = Annotated[Path | None, typer.Option(help="Write an MP4 video of the episodes.", show_default=False)]
 Trust = Annotated[bool, typer.Option("--trust", help="Load model files that contain code, and run it.")]
@@ -154,7 +157,7 @@ def show_progress(screen: Console, evaluation: Evaluation) -> None:
 
 def summary(scores: list[Score]) -> list[str]:
     """A line for each policy: its mean score over environments, and its failed episodes."""
-    by_policy: dict[str, dict[tuple[str, str], list[Score]]] = defaultdict(lambda: defaultdict(list))
+    by_policy: dict[str, dict[Pair, list[Score]]] = defaultdict(lambda: defaultdict(list))
     for score in scores:
         by_policy[score.policy][score.task, score.variant].append(score)
     lines = []

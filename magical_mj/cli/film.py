@@ -21,7 +21,7 @@ from magical_mj.constants import CONTROL_RATE
 from magical_mj.episodes import actions_of, play
 from magical_mj.errors import EvaluationError, check_name
 from magical_mj.evaluation.scores import Score
-from magical_mj.evaluation.statistics import SAME
+from magical_mj.evaluation.statistics import SCORE_TOLERANCE
 from magical_mj.extras import check_extra
 from magical_mj.observations import CAMERAS
 from magical_mj.registry import check_rules, listed
@@ -186,7 +186,7 @@ def replay(made: Film, score: Score) -> None:
         found = env.score()
     finally:
         env.close()
-    if score.failure is None and abs(found - score.score) > SAME:
+    if score.failure is None and abs(found - score.score) > SCORE_TOLERANCE:
         raise EvaluationError(
             f"{title} ends with {found:.2f} now, not {score.score:.2f}: "
             f"it was played with magical_mj {score.version} and MuJoCo {score.mujoco}"

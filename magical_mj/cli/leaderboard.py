@@ -17,7 +17,7 @@ from magical_mj.cli.progress import Bars
 from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.scores import read
 from magical_mj.leaderboard import Findings, check_entry, submit, verify
-from magical_mj.leaderboard.check import MOST, SHARE
+from magical_mj.leaderboard.check import MOST_REPLAYED, SHARE
 from magical_mj.leaderboard.claims import Checked
 from magical_mj.leaderboard.duplicates import copied
 from magical_mj.leaderboard.entry import Entry, entries
@@ -89,7 +89,8 @@ def make_leaderboard(
     if not everything:
         seed = secrets.randbits(32) if seed is None else seed
         screen.print(
-            f"replaying {SHARE:.0%} of each entry, {MOST} episodes at most; --seed {seed} chooses the same again"
+            f"replaying {SHARE:.0%} of each entry, {MOST_REPLAYED} episodes at most; "
+            f"--seed {seed} chooses the same again"
         )
     good, bad = dict[str, Entry](), 0
     for path in paths:

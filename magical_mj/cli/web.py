@@ -14,7 +14,7 @@ import typer
 from magical_mj.cli.console import claim_folder, console
 from magical_mj.errors import SettingsError, shown
 from magical_mj.extras import missing_extra
-from magical_mj.registry import ENVIRONMENTS, TASKS
+from magical_mj.registry import ENVIRONMENTS, TASKS, Pair
 
 if TYPE_CHECKING:
     from magical_mj.web.server import PlayServer
@@ -49,7 +49,7 @@ Origin = Annotated[
 
 def serve_page(
     first: tuple[str, str, int] | None,
-    environments: Sequence[tuple[str, str]],
+    environments: Sequence[Pair],
     collect: Path | None,
     wanted: int | None,
     host: str,

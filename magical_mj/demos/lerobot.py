@@ -96,7 +96,7 @@ def to_lerobot(
     name = f"magical-mj/{environment}-{who}-{seen}-p{PROTOCOL}"
     features = _features(keys, fingers=fingers, video=video)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    with files.exclusive(folder.parent):
+    with files.locked(folder.parent):
         if folder.exists():
             raise DemonstrationError(f"{folder} exists already; give a new folder")
         beside = folder.with_name(f".{folder.name}.part")  # half a data set reads like a whole one

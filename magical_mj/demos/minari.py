@@ -143,7 +143,7 @@ def _new_folder(path: Path, overwrite: bool) -> Iterator[None]:
     missing = [folder for folder in path.parents if not folder.exists()]
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        with files.exclusive(path.parent):
+        with files.locked(path.parent):
             old, new, discarded = (path.with_name(f".{path.name}.{what}") for what in ("old", "new", "discarded"))
             _restore(path, old, new, discarded)
             if not overwrite:

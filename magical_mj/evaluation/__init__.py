@@ -6,11 +6,12 @@
 from __future__ import annotations
 
 from magical_mj.episodes import Episode, Policy
-from magical_mj.evaluation.playing import Outcome, rollouts
+from magical_mj.evaluation.playing import Outcome
 from magical_mj.evaluation.policies import BatchPolicy
 from magical_mj.evaluation.run import Evaluation, evaluate
 from magical_mj.evaluation.scores import Score
 from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.evaluation.side_by_side import rollouts
 
 __all__ = [
     "BatchPolicy",

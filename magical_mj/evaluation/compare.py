@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from magical_mj.errors import EvaluationError, SettingsError
 from magical_mj.evaluation.results import check_same, check_scenes
 from magical_mj.evaluation.scores import Score, read
-from magical_mj.evaluation.statistics import SAME, mean_interval
+from magical_mj.evaluation.statistics import SCORE_TOLERANCE, mean_interval
 from magical_mj.extras import check_extra
 from magical_mj.registry import VARIANTS
 
@@ -101,8 +101,8 @@ def _row(variant: str, both: pd.DataFrame, paired: pd.DataFrame) -> dict[str, An
         "difference": float(means["first"] - means["second"]),
         "low": low,
         "high": high,
-        "better": int((difference > SAME).sum()),
-        "worse": int((difference < -SAME).sum()),
+        "better": int((difference > SCORE_TOLERANCE).sum()),
+        "worse": int((difference < -SCORE_TOLERANCE).sum()),
         "scenes": len(paired),
         "environments": len(strata),
         "unpaired": len(both) - len(paired),

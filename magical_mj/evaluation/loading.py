@@ -14,13 +14,15 @@ from typing import Any, Final
 
 from magical_mj.agents import AGENTS
 from magical_mj.errors import SettingsError, shown, unknown_name
+from magical_mj.evaluation.failures import reason
 from magical_mj.evaluation.models import LOADERS
-from magical_mj.evaluation.playing import Act, reason
+from magical_mj.evaluation.playing import Act
+from magical_mj.evaluation.policy_folders import FOLDERS, loader_in
 from magical_mj.references import resolve, source_of
 
-LEGEND: Final = f"{', '.join(AGENTS)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
-FOLDERS: Final = "magical_mj.policy_folders"
-"""The group of entry points that load the policy in a folder; see pyproject.toml. Other packages may add some."""
+ACCEPTED_POLICIES: Final = (
+    f"{', '.join(AGENTS)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
+)
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
         found.append(replace(source, run=run + seen[source.name], trust=trust))
         seen[source.name] += 1
     if not found:
-        raise SettingsError(f"give a policy: {LEGEND}")
+        raise SettingsError(f"give a policy: {ACCEPTED_POLICIES}")
     return found
 
 
@@ -128,7 +130,7 @@ def _each(policies: Any) -> Iterator[Source]:
         for text in filter(None, (part.strip() for part in policies.split(","))):
             name, equals, origin = text.partition("=")
             if equals and not origin:  # else it would be the working directory
-                raise SettingsError(f"{text} names no policy: {LEGEND}")
+                raise SettingsError(f"{text} names no policy: {ACCEPTED_POLICIES}")
             yield Source(name, 0, origin) if equals else Source(_short(text), 0, text)
     elif isinstance(policies, Mapping):
         for name, given in policies.items():
@@ -142,7 +144,7 @@ def _each(policies: Any) -> Iterator[Source]:
     elif callable(policies):
         yield Source(getattr(policies, "__name__", type(policies).__name__), 0, policies)
     else:
-        raise SettingsError(f"{shown(policies)} is not a policy: it must be callable, or one of {LEGEND}")
+        raise SettingsError(f"{shown(policies)} is not a policy: it must be callable, or one of {ACCEPTED_POLICIES}")
 
 
 def _short(origin: str) -> str:
@@ -154,18 +156,13 @@ def _short(origin: str) -> str:
     return origin.rpartition(":")[2]
 
 
-def holds_policy(folder: Path | str) -> bool:
-    """Whether the folder is one that `evaluate` takes as a policy, such as that of a training."""
-    return any((Path(folder) / loader.name).is_file() for loader in entry_points(group=FOLDERS))
-
-
 def _folder_loader(folder: str) -> EntryPoint:
-    """The entry point that loads the policy in a folder: its name is the name of a file in the folder."""
-    known = list(entry_points(group=FOLDERS))
-    for loader in known:
-        if (Path(folder) / loader.name).is_file():
-            return loader
-    raise SettingsError(f"the folder {folder} holds no policy: no {' or '.join(loader.name for loader in known)}")
+    """The entry point that loads the policy in a folder."""
+    found = loader_in(Path(folder))
+    if found is None:
+        known = " or ".join(loader.name for loader in entry_points(group=FOLDERS))
+        raise SettingsError(f"the folder {folder} holds no policy: no {known}")
+    return found
 
 
 def _imported(origin: str) -> Act:

@@ -23,7 +23,7 @@ from gymnasium import spaces
 from magical_mj.actions import ACTIONS
 from magical_mj.episodes import Episode
 from magical_mj.errors import MissingExtraError, SettingsError
-from magical_mj.evaluation.playing import reason
+from magical_mj.evaluation.failures import reason
 from magical_mj.evaluation.policies import Shape
 from magical_mj.extras import missing_extra
 

@@ -8,6 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 from magical_mj.episodes import Episode, is_blind
 from magical_mj.errors import SettingsError
 from magical_mj.presets import PRESETS
+from magical_mj.registry import Pair
 from magical_mj.rendering.backend import check_opengl
 
 Shape = tuple[int | None, ...]
@@ -26,7 +27,7 @@ class BatchPolicy(Protocol):
         ...
 
 
-def check_fit(policy: object, pairs: Sequence[tuple[str, str]], preset: str) -> None:
+def check_fit(policy: object, pairs: Sequence[Pair], preset: str) -> None:
     """Raises a `SettingsError` if the policy's attributes say that it was trained for something else.
 
     Args:

@@ -4,28 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
 from magical_mj.errors import EvaluationError, shown
+from magical_mj.evaluation.published import (
+    PUBLISHED_EPISODES,
+    PUBLISHED_RULES,
+    PUBLISHED_RUNS,
+    published_by_environment,
+    published_by_variant,
+    published_results,
+)
 from magical_mj.evaluation.scores import Key, Score, frame, read
 from magical_mj.evaluation.settings import UNOFFICIAL
-from magical_mj.evaluation.statistics import COLUMNS, by_environment, by_variant
+from magical_mj.evaluation.statistics import by_environment, by_variant
 from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS, in_order
 
 if TYPE_CHECKING:
     import pandas as pd
 
-PUBLISHED_RULES: Final = "released"
-"""The paper's results were scored by the authors' code, in its simulator: AL scores 0.00 on ClusterShape's demo, where
-by the paper's formula an agent that does nothing has 0.25."""
 APPROXIMATE: Final = "Approximate, no official results"
-PUBLISHED_RUNS: Final = 5
-PUBLISHED_EPISODES: Final = 100
-"""Of each run in each environment."""
 
 
 @dataclass(frozen=True)
@@ -230,43 +229,3 @@ def _notes(scores: pd.DataFrame, variants: pd.DataFrame, with_published: bool) -
             f"† Published results: in the original simulator, {PUBLISHED_RUNS} runs of {PUBLISHED_EPISODES} episodes, "
             f"scored by the rules {PUBLISHED_RULES!r}{others}."
         )
-
-
-def published_results() -> pd.DataFrame:
-    """The results in the paper (Toyer et al. 2020, appendix): 11 methods in all environments.
-
-    Returns:
-        A frame with method, task, variant, and the mean and standard deviation over the mean scores of five runs.
-    """
-    import pandas as pd
-
-    with (files("magical_mj.evaluation") / "paper_results.csv").open(encoding="utf-8") as file:
-        return pd.read_csv(file).rename(columns={"method": "policy"})
-
-
-def published_by_environment() -> pd.DataFrame:
-    """The published results with the columns of `statistics.by_environment`."""
-    table = published_results()
-    table["runs"], table["episodes"], table["failures"] = PUBLISHED_RUNS, PUBLISHED_RUNS * PUBLISHED_EPISODES, 0
-    return _completed(table)
-
-
-def published_by_variant() -> pd.DataFrame:
-    """The published results over tasks, as in the paper's Table 1, with the columns of `statistics.by_variant`."""
-    import pandas as pd
-
-    rows = []
-    for (policy, variant), group in published_results().groupby(["policy", "variant"], sort=False):
-        means, stds = group["mean"].to_numpy(float), group["std"].to_numpy(float)
-        spread = float(np.sqrt((stds**2).mean() + means.var()))  # of all run means: within tasks and between them
-        counts = {
-            "tasks": len(group),
-            "runs": PUBLISHED_RUNS,
-            "episodes": PUBLISHED_RUNS * PUBLISHED_EPISODES * len(group),
-        }
-        rows.append({"policy": policy, "variant": variant, "mean": means.mean(), "std": spread, **counts})
-    return _completed(pd.DataFrame(rows))
-
-
-def _completed(table: pd.DataFrame) -> pd.DataFrame:
-    return table.assign(**{name: np.nan for name in COLUMNS if name not in table})

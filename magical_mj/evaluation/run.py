@@ -14,10 +14,11 @@ import cloudpickle
 from magical_mj._version import __version__
 from magical_mj.episodes import is_blind
 from magical_mj.errors import EvaluationError, SettingsError, WorkerError
+from magical_mj.evaluation.failures import reason
+from magical_mj.evaluation.folder import load_or_start, prepare
 from magical_mj.evaluation.loading import Source, sources
-from magical_mj.evaluation.playing import reason
 from magical_mj.evaluation.policies import check_fit
-from magical_mj.evaluation.scores import Key, Score, ScoreFile, begin, frame, prepare
+from magical_mj.evaluation.scores import Key, Score, ScoreFile, frame
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings, described, settings_from
 from magical_mj.evaluation.worker import Unit, plan, play_unit, player
 from magical_mj.extras import check_extra
@@ -105,7 +106,7 @@ class Evaluation:
         """Plays the remaining episodes and yields each score once it is in the file."""
         with ScoreFile(self._out) if self._out else nullcontext() as file:
             if self._out:
-                self.scores = begin(self._out, self._recorded)  # another process may have added some by now
+                self.scores = load_or_start(self._out, self._recorded)  # another process may have added some by now
             self.units = self._remaining()
             fine = {(score.policy, score.run) for score in self.scores}
             for found in _without_hopeless(self._play_units(), fine, self._first_episodes()):

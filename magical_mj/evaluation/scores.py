@@ -1,6 +1,7 @@
-"""The folder of an evaluation: its settings in ``run.json``, and ``scores.jsonl`` with a line per finished episode.
+"""The scores of an evaluation: the file ``scores.jsonl`` in its folder, with a line per finished episode.
 
-Lines are only appended, never rewritten. An evaluation can be resumed only with the settings with which it was started.
+Lines are appended, and none is altered. What a killed process left half written is cut off before more is appended, and
+`ScoreFile.clear` removes all lines.
 """
 
 from __future__ import annotations
@@ -9,17 +10,16 @@ import dataclasses
 import json
 import os
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Final, Self
+from typing import IO, Any, Final, Self, get_type_hints
 
 from magical_mj import files
 from magical_mj.errors import EvaluationError, shown
-from magical_mj.evaluation.settings import check_unchanged
+from magical_mj.evaluation.policy_folders import loader_in
 
 SCORES: Final = "scores.jsonl"
-SETTINGS: Final = "run.json"
 
 Key = tuple[str, int, str, str, int]
 """Identifies an episode: policy, run, task, variant, seed."""
@@ -77,13 +77,11 @@ class Score:
         return json.dumps(dataclasses.asdict(self), ensure_ascii=False) + "\n"
 
 
-_TYPES: Final[dict[str, tuple[type, ...]]] = {
-    **dict.fromkeys(("policy", "task", "variant", "rules", "version", "mujoco", "gl", "actions", "worlds"), (str,)),
-    **dict.fromkeys(("run", "seed", "steps"), (int,)),
-    **dict.fromkeys(("score", "seconds"), (int, float)),
-    **dict.fromkeys(("preset", "failure", "scene"), (str, type(None))),
+_TYPES: Final[dict[str, Any]] = {
+    name: int | float if kind is float else kind for name, kind in get_type_hints(Score).items()
 }
-
+_ADDED_LATER: Final = {"scene", "worlds"}
+"""What lines of older versions do not have."""
 
 _BEGINNING: Final = b'{"policy": "'
 """Of each line."""
@@ -99,14 +97,10 @@ def parse(line: str) -> Score:
         if error.msg != "Extra data":
             raise
         raise ValueError("more than one episode; each must have a line of its own") from None
-    if isinstance(entry, dict):
-        entry.setdefault("scene", None)
-        entry.setdefault("worlds", "single")
-    if not isinstance(entry, dict) or entry.keys() != _TYPES.keys():
+    if not isinstance(entry, dict) or entry.keys() | _ADDED_LATER != _TYPES.keys():
         raise ValueError(f"it must be an object with the keys {', '.join(_TYPES)}")
-    for name, types in _TYPES.items():
-        value = entry[name]
-        if not isinstance(value, types) or isinstance(value, bool):
+    for name, value in entry.items():
+        if not isinstance(value, _TYPES[name]) or isinstance(value, bool):
             raise ValueError(f"{name} must not be {shown(value)}")
         if isinstance(value, str) and not (_is_unicode(value) if name == "failure" else value.isprintable()):
             raise ValueError(f"{name} must be a text of printable characters, not {shown(value)}")
@@ -132,9 +126,7 @@ def read(folder: Path) -> list[Score]:
             raise EvaluationError(
                 f"{folder} is a file, and not the folder of an evaluation; magical-mj leaderboard checks entries"
             )
-        from magical_mj.evaluation.loading import holds_policy  # imported late: it loads what plays policies
-
-        if holds_policy(folder):
+        if loader_in(folder) is not None:
             raise EvaluationError(
                 f"{folder} holds a policy, and no evaluation of it; to make one in another folder: "
                 f"magical-mj evaluate --policy {folder} --out ANOTHER"
@@ -183,23 +175,20 @@ class ScoreFile:
     def __init__(self, folder: Path) -> None:
         self._path = folder / SCORES
         self._file: IO[str] | None = None
+        self._open = ExitStack()
 
     def __enter__(self) -> Self:
-        self._file = self._path.open("a", encoding="utf-8")
-        try:
-            if not files.lock(self._file):
-                raise EvaluationError(f"another evaluation is writing to {self._path}")
+        with ExitStack() as stack:
+            self._file = stack.enter_context(self._path.open("a", encoding="utf-8"))
+            busy = EvaluationError(f"another evaluation is writing to {self._path}")
+            stack.enter_context(files.locked(self._path, busy=busy))
             _repair(self._path)
-        except BaseException:
-            self._file.close()
-            raise
+            self._open = stack.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._file is not None:
-            with suppress(OSError):  # of what could not be written, which `add` has told
-                files.unlock(self._file)
-                self._file.close()
+        with suppress(OSError):  # of what could not be written, which `add` has told
+            self._open.close()
 
     def clear(self) -> None:
         """Removes all episodes."""
@@ -234,58 +223,3 @@ def frame(scores: Sequence[Score]) -> Any:
 
     rows = [dataclasses.asdict(score) for score in sorted(scores, key=lambda score: score.key)]
     return pd.DataFrame(rows, columns=[field.name for field in dataclasses.fields(Score)])
-
-
-def prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[Score]:
-    """Makes the folder, or reads what is in it. An evaluation without finished episodes is started anew.
-
-    Raises:
-        EvaluationError: if it cannot be written to, holds something else, or holds an evaluation and `resume` is false.
-        SettingsError: if it was started with other settings.
-    """
-    path = folder / SCORES
-    if path.exists() and path.stat().st_size and not resume:
-        raise EvaluationError(f"{folder} holds an evaluation already; --resume continues it (resume=True)")
-    if (folder / SETTINGS).exists() and "policies" not in read_settings(folder):
-        raise EvaluationError(f"{folder / SETTINGS} is not of an evaluation; choose another folder")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with ScoreFile(folder):
-            return begin(folder, settings)
-    except OSError as error:
-        raise EvaluationError(f"cannot write into {folder}: {error.strerror}") from error
-
-
-def begin(folder: Path, settings: dict[str, Any]) -> list[Score]:
-    """The finished episodes in a folder whose `ScoreFile` is open; if there are none, its settings become these.
-
-    Raises:
-        EvaluationError, SettingsError: as `prepare`.
-    """
-    if (folder / SCORES).stat().st_size:
-        check_unchanged(folder, _wherever(read_settings(folder)), _wherever(settings))
-        return read(folder)
-    files.write(folder / SETTINGS, json.dumps(settings, indent=2) + "\n", overwrite=True)
-    return []
-
-
-def _wherever(settings: dict[str, Any]) -> dict[str, Any]:
-    """The settings without the paths of policies that a hash identifies: folders may be moved, or written otherwise."""
-    policies = settings.get("policies")
-    if not isinstance(policies, list):
-        return settings
-    known = [dict(one) for one in policies if isinstance(one, dict)]
-    return {**settings, "policies": [{**one, "origin": None} if "sha256" in one else one for one in known]}
-
-
-def read_settings(folder: Path) -> dict[str, Any]:
-    """The settings with which the evaluation in a folder was started.
-
-    Raises:
-        EvaluationError: if they cannot be read.
-    """
-    try:
-        known = dict(json.loads((folder / SETTINGS).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError, RecursionError) as error:
-        raise EvaluationError(f"{folder / SETTINGS} cannot be read ({error}); start again in another folder") from error
-    return {"worlds": "single", **known}  # older versions knew no others

@@ -17,7 +17,7 @@ from magical_mj.errors import SettingsError, check_name, shown
 from magical_mj.parallel import Backend, check_backend
 from magical_mj.presets import preset_named
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
-from magical_mj.registry import TASKS, Names, environments
+from magical_mj.registry import TASKS, Names, Pair, environments
 from magical_mj.tasks.spec import Rules
 
 Vectorization = Literal["sync", "async"]
@@ -31,7 +31,7 @@ UNOFFICIAL: Final = (
 
 MUJOCO_VERSION: Final = version("mujoco")
 """Read from its package's metadata: importing it may fail where there is no OpenGL, and takes a while."""
-MOST: Final = 1_000_000
+LARGEST_SETTING: Final = 1_000_000
 """The greatest number that a setting may be: more episodes, workers or seconds than anybody waits for."""
 SHOWN: Final = 300
 """The number of characters of a setting that an error shows."""
@@ -108,7 +108,7 @@ class EvaluationSettings:
         return self.worlds == "batched"
 
     @property
-    def environments(self) -> list[tuple[str, str]]:
+    def environments(self) -> list[Pair]:
         """The pairs of tasks and variants that are played."""
         return environments(self.tasks, self.variants)
 
@@ -142,8 +142,8 @@ def _fitting(name: str, value: Any, kind: Any, about: About) -> Any:
             raise SettingsError(f"{name} must be {said}, not {shown(value)}")
         if not value >= about.least:
             raise SettingsError(f"{name} must be at least {about.least}, not {shown(value)}")
-        if value > MOST:
-            raise SettingsError(f"{name} must be at most {MOST}, not {shown(value)}")
+        if value > LARGEST_SETTING:
+            raise SettingsError(f"{name} must be at most {LARGEST_SETTING}, not {shown(value)}")
         value = float(value) if kind is float else int(value)
     elif kind == Names:
         value = list(value) if isinstance(value, Iterator) else value  # which is read more than once

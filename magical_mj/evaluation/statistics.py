@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 RESAMPLES: Final = 2000
 CONFIDENCE: Final = 0.95
 
-SAME: Final = 1e-9
+SCORE_TOLERANCE: Final = 1e-9
 """Scores that differ by less than this are equal."""
 
 COLUMNS: Final = ("mean", "std", "low", "high", "iqm", "iqm_low", "iqm_high")

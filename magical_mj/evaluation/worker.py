@@ -14,20 +14,13 @@ import gymnasium
 
 from magical_mj._version import __version__
 from magical_mj.episodes import Episode, is_blind
+from magical_mj.evaluation.failures import reason
 from magical_mj.evaluation.loading import Source
-from magical_mj.evaluation.playing import (
-    Act,
-    Envs,
-    Outcome,
-    PolicyCopies,
-    environment_for,
-    play,
-    play_side_by_side,
-    reason,
-)
+from magical_mj.evaluation.playing import Act, Envs, Outcome, environment_for, play
 from magical_mj.evaluation.policies import BatchPolicy
 from magical_mj.evaluation.scores import Key, Score
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
+from magical_mj.evaluation.side_by_side import PolicyCopies, play_side_by_side
 from magical_mj.evaluation.time_limit import TimeLimitedCaller, TimeLimitError
 from magical_mj.registration import env_id
 from magical_mj.registry import sample_scene, task_spec
@@ -36,7 +29,7 @@ T = TypeVar("T")
 
 SEEDS_PER_UNIT: Final = 10
 """About the number of episodes in a unit: a few seconds, so that killed runs lose little, and units cost little."""
-ENVIRONMENTS: Final = ("environment", "vector")
+CLOSABLE: Final = ("environment", "vector")
 """What a player keeps and must close."""
 
 
@@ -181,7 +174,7 @@ class Player:
     def _drop(self, what: str) -> None:
         """Closes an environment. Policies are not closed, since they may be users' objects."""
         _, made = self._kept.pop(what)
-        if what in ENVIRONMENTS:
+        if what in CLOSABLE:
             made.close()
 
     def _forget(self) -> None:

@@ -20,7 +20,7 @@ from magical_mj.demos.lerobot import IMAGE_SIZE
 from magical_mj.environment import Environment, load
 from magical_mj.errors import MissingExtraError, check_name
 from magical_mj.observations import VIEWS
-from magical_mj.registry import environments, task_spec
+from magical_mj.registry import Pair, environments, task_spec
 
 try:
     from vla_eval.benchmarks.base import StepBenchmark, StepResult  # pyright: ignore[reportMissingImports]
@@ -61,7 +61,7 @@ class MagicalBenchmark(StepBenchmark):
             check_name("view", view, VIEWS)
         self._size = image_size
         self._env: Environment | None = None
-        self._made_for: tuple[str, str] | None = None
+        self._made_for: Pair | None = None
 
     @classmethod
     def configure_render(cls, mode: str) -> dict[str, str]:

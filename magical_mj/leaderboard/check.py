@@ -25,7 +25,7 @@ from magical_mj.tasks.spec import Rules
 
 SHARE: Final = 0.1
 """The share of an entry's episodes that are replayed by default."""
-MOST: Final = 1000
+MOST_REPLAYED: Final = 1000
 """The largest number of an entry's episodes that are replayed by default."""
 
 Watch = Callable[[Checked], None]
@@ -160,5 +160,5 @@ def check_entry(
 
 
 def _sample(episodes: Sequence[Claim], seed: int | None) -> list[Claim]:
-    count = min(MOST, math.ceil(SHARE * len(episodes)))
+    count = min(MOST_REPLAYED, math.ceil(SHARE * len(episodes)))
     return random.Random(secrets.randbits(64) if seed is None else seed).sample(episodes, count)  # noqa: S311

@@ -9,9 +9,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from magical_mj.episodes import LETTERS, actions_of, play
-from magical_mj.evaluation.statistics import SAME
+from magical_mj.evaluation.statistics import SCORE_TOLERANCE
 from magical_mj.parallel import spread
-from magical_mj.registry import ENVIRONMENTS, sample_scene
+from magical_mj.registry import ENVIRONMENTS, Pair, sample_scene
 from magical_mj.rendering.backend import check_opengl
 from magical_mj.tasks.spec import Rules
 
@@ -82,7 +82,7 @@ def check_claims(episodes: Iterable[Claim], rules: Rules, jobs: int | None = Non
         rules: the rules by which they were scored.
         jobs: the number of processes; None: one per core.
     """
-    environments: dict[tuple[str, str], list[Claim]] = defaultdict(list)
+    environments: dict[Pair, list[Claim]] = defaultdict(list)
     for episode in episodes:
         environments[episode.task, episode.variant].append(episode)
     chunks = [found[start : start + CHUNK] for found in environments.values() for start in range(0, len(found), CHUNK)]
@@ -120,7 +120,7 @@ def check_claim(claim: Claim, env: Environment) -> str | None:
     env.reset(seed=claim.seed)
     for _ in play(env, actions_of(claim.actions)):
         pass
-    if abs(env.score() - claim.score) > SAME:
+    if abs(env.score() - claim.score) > SCORE_TOLERANCE:
         return f"the score is {claim.score:g}, and its actions lead to {env.score():g}"
     return None
 

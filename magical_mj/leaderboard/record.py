@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from magical_mj.errors import EvaluationError, shown
-from magical_mj.evaluation.scores import SETTINGS, Score, read_settings
+from magical_mj.evaluation.folder import SETTINGS, read_settings
+from magical_mj.evaluation.scores import Score
 from magical_mj.leaderboard.claims import claim_of
-from magical_mj.registry import ENVIRONMENTS
+from magical_mj.registry import ENVIRONMENTS, Pair
 
 FIELDS: Final = ("preset", "version", "mujoco")
 """What each episode says as well. The OpenGL backend is not among them: workers of a cluster choose their own."""
@@ -58,7 +59,7 @@ class Plan:
         runs: the numbers of the runs of each method.
     """
 
-    environments: frozenset[tuple[str, str]]
+    environments: frozenset[Pair]
     runs: Mapping[str, frozenset[int]]
 
     @classmethod

@@ -10,19 +10,18 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.evaluation.results import PUBLISHED_RULES, published_results
-from magical_mj.evaluation.statistics import SAME, bootstrap, interquartile_mean, mean_interval, summarise
+from magical_mj.evaluation.published import PUBLISHED_RULES, published_results
+from magical_mj.evaluation.statistics import SCORE_TOLERANCE, bootstrap, interquartile_mean, mean_interval, summarise
 from magical_mj.leaderboard.claims import SEEDS, Claim
 from magical_mj.leaderboard.duplicates import copies
 from magical_mj.leaderboard.entry import SUFFIX, Entry, entries, unpacked
-from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS
+from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS, Pair
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Floats = NDArray[np.float64]
 Kind = Literal["official", "partial", "published"]
-Environment = tuple[str, str]
 
 LEAST_RUNS: Final = 5
 """The least number of runs of an official entry: the paper's number."""
@@ -58,7 +57,7 @@ class Standing:
     kind: Kind
     entry: Entry | None
     gaps: tuple[str, ...]
-    means: Mapping[Environment, Floats]
+    means: Mapping[Pair, Floats]
     scores: Mapping[str, Estimate]
     drops: Mapping[str, Estimate]
 
@@ -74,12 +73,12 @@ class Standing:
         tasks = [task for task in TASKS if all((task, axis) in self.means for axis in axes)]
         totals = {axis: sum(self.means[task, axis].mean() for task in tasks) for axis in axes}
         lowest = min(axes, key=lambda axis: totals[axis])
-        return lowest if totals[lowest] < totals["Demo"] - SAME else None
+        return lowest if totals[lowest] < totals["Demo"] - SCORE_TOLERANCE else None
 
     @property
     def profile(self) -> Floats:
         """The share of environments and runs with a mean score of at least each of the `THRESHOLDS`."""
-        shares = [(values[:, None] >= THRESHOLDS - SAME).mean(axis=0) for values in self.means.values()]
+        shares = [(values[:, None] >= THRESHOLDS - SCORE_TOLERANCE).mean(axis=0) for values in self.means.values()]
         return np.mean(shares, axis=0)
 
 
@@ -151,7 +150,7 @@ def published() -> list[Standing]:
     return found
 
 
-def _drops(means: Mapping[Environment, Floats], runs: Mapping[Environment, Collection[int]]) -> dict[str, Estimate]:
+def _drops(means: Mapping[Pair, Floats], runs: Mapping[Pair, Collection[int]]) -> dict[str, Estimate]:
     """How much less is scored in each variant than in Demo, on the tasks that have both.
 
     There is an interval only if the same runs were played in both: they are resampled together.
@@ -188,7 +187,7 @@ def improvement(first: Standing, second: Standing) -> Estimate:
 def _better(first: Floats, second: Floats) -> Any:
     """Shapes (..., n) and (..., m) -> (...): the share of pairs in which the first is larger than the second."""
     difference = first[..., :, None] - second[..., None, :]
-    return ((difference > SAME) + 0.5 * (np.abs(difference) <= SAME)).mean(axis=(-1, -2))
+    return ((difference > SCORE_TOLERANCE) + 0.5 * (np.abs(difference) <= SCORE_TOLERANCE)).mean(axis=(-1, -2))
 
 
 def standings(found: Sequence[Entry]) -> list[Standing]:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from magical_mj import demos
 from magical_mj.protocol import PROTOCOL
-from magical_mj.registry import task_spec
+from magical_mj.registry import Pair, task_spec
 from magical_mj.scene import Scene
 from magical_mj.web.look import look
 
@@ -33,7 +33,7 @@ def sections(task: str) -> dict[str, str]:
     return {name: dedent("\n".join(content)).strip() for name, content in found.items()}
 
 
-def catalogue(environments: Sequence[tuple[str, str]], simulation: Simulation) -> dict[str, Any]:
+def catalogue(environments: Sequence[Pair], simulation: Simulation) -> dict[str, Any]:
     """The data that the page needs before the first scene, as JSON data.
 
     Args:

@@ -14,6 +14,7 @@ from typing import Any, Final
 from magical_mj import demos, files
 from magical_mj.demos.files import SUFFIX
 from magical_mj.errors import DemonstrationError, SettingsError
+from magical_mj.registry import Pair
 
 _PARTICIPANT: Final = re.compile("[0-9a-f]{16}")
 _TOKEN: Final = re.compile("[A-Za-z0-9_-]{16,}")
@@ -32,7 +33,7 @@ class Collection:
         DemonstrationError: if a demonstration in it is damaged.
     """
 
-    def __init__(self, folder: Path, environments: Sequence[tuple[str, str]], wanted: int | None = None) -> None:
+    def __init__(self, folder: Path, environments: Sequence[Pair], wanted: int | None = None) -> None:
         self._folder = folder
         self._environments = environments
         self._wanted = wanted

@@ -22,6 +22,7 @@ from typing import Any
 
 from magical_mj.environment import Environment, load
 from magical_mj.errors import MagicalError
+from magical_mj.registry import Pair
 from magical_mj.scene import Scene
 from magical_mj.web.catalogue import scene_data
 from magical_mj.web.collection import Collection
@@ -35,12 +36,12 @@ class Seat:
         collection: where recordings are saved; None: nowhere.
     """
 
-    def __init__(self, environments: Container[tuple[str, str]], collection: Collection | None = None) -> None:
+    def __init__(self, environments: Container[Pair], collection: Collection | None = None) -> None:
         self._environments = environments
         self._collection = collection
         self._participant: str | None = None
         self._env: Environment | None = None
-        self._name: tuple[str, str] | None = None
+        self._name: Pair | None = None
 
     def answer(self, text: str | bytes) -> str:
         """The answer to a message; errors are answered, never raised."""

@@ -22,6 +22,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from magical_mj.registry import Pair
 from magical_mj.web import PAGE
 from magical_mj.web.catalogue import catalogue
 from magical_mj.web.collection import Collection
@@ -50,7 +51,7 @@ class PlayServer:
         collection: where recordings are saved; None: nowhere.
     """
 
-    environments: Sequence[tuple[str, str]]
+    environments: Sequence[Pair]
     host: str = "127.0.0.1"
     port: int = 8008
     token: str = field(default_factory=lambda: secrets.token_urlsafe(16))
