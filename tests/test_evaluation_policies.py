@@ -207,14 +207,23 @@ def test_errors_of_the_environment_are_no_failures_of_a_policy(side_by_side: boo
         return list(rollouts(env, Remembering(), [Episode("MoveToRegion", "Demo", 0)]))
 
     assert played(make())[0].failure is None
-    with pytest.raises((InvalidActionError, AssertionError)):  # Gymnasium's own check asserts
+    with pytest.raises(EvaluationError, match=r"the environment takes .*Box.*to_discrete\(vector\)"):
         played(make(action="continuous"))
+    with pytest.raises(EvaluationError, match="the environment is FixColour All, and an episode MoveToRegion Demo"):
+        played(make("magical_mj/FixColour-TestAll-State-v0"))
     with pytest.raises(EvaluationError, match="make one whose id begins with magical_mj/"):
         played(make("CartPole-v1"))
     closed = make()
     closed.close()
     with pytest.raises((ClosedError, gymnasium.error.ClosedEnvironmentError)):
         played(closed)
+
+
+def test_infos_that_a_wrapper_has_made_a_list_are_explained() -> None:
+    envs = gymnasium.make_vec("magical_mj/MoveToRegion-Demo-State-v0", 2, vectorization_mode="sync")
+    listed = gymnasium.wrappers.vector.DictInfoToList(envs)
+    with pytest.raises(EvaluationError, match="infos must be a dict, not list"):
+        list(rollouts(listed, Remembering(), [Episode("MoveToRegion", "Demo", 0)]))
 
 
 class Exploding:

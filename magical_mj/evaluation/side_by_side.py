@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.spaces import Discrete
 from gymnasium.vector.utils import iterate
 from numpy.typing import NDArray
 
@@ -22,8 +23,9 @@ from magical_mj.episodes import Episode, begin, word_of
 from magical_mj.episodes import play as play_actions
 from magical_mj.errors import EvaluationError, InvalidActionError, SettingsError
 from magical_mj.evaluation.failures import PolicyError, acting, instability, reason
-from magical_mj.evaluation.playing import NO_SCORE, Act, Envs, Outcome, play, reset
+from magical_mj.evaluation.playing import NO_SCORE, Act, Envs, Outcome, play, reset, simulation
 from magical_mj.evaluation.policies import BatchPolicy
+from magical_mj.registry import task_name
 
 
 class PolicyCopies:
@@ -56,15 +58,18 @@ def rollouts(
     """Plays the episodes in an environment, or side by side in a vector environment; yields their outcomes in order.
 
     Args:
-        env: one of the package's environments (with or without wrappers), or a vector environment of one of them.
+        env: one of the package's environments (with or without wrappers), or a vector environment of one of them. Its
+            actions are the 18.
         policy: the agent; for single environments it takes single observations. In a vector environment, a
             `BatchPolicy` acts for all environments at once; of any other policy, each environment gets a copy.
         episodes: the episodes, which hold the seeds of the scenes.
 
     Raises:
+        EvaluationError: if the environment has other actions, or is not that of the episodes.
         RenderingError, TaskError, EvaluationError, Exception: see `play`.
         SettingsError: if the policy must be copied, and cannot be.
     """
+    _check_fits(env, episodes)
     if isinstance(env, gymnasium.vector.VectorEnv):
         batch = policy if isinstance(policy, BatchPolicy) else PolicyCopies(policy, env)
         for start in range(0, len(episodes), env.num_envs):
@@ -73,6 +78,23 @@ def rollouts(
         yield from (play(env, policy, episode) for episode in episodes)
     else:
         raise EvaluationError(f"{type(policy).__name__} takes only batches, and the environment is a single one")
+
+
+def _check_fits(env: gymnasium.Env[Any, Any] | Envs, episodes: Sequence[Episode]) -> None:
+    if isinstance(env, gymnasium.vector.VectorEnv):
+        space, made = env.single_action_space, {} if env.spec is None else env.spec.kwargs
+        task, variant = made.get("task"), made.get("variant")
+    else:
+        space, settings = env.action_space, simulation(env).task.settings
+        task, variant = settings.task, settings.variant
+    if not isinstance(space, Discrete):
+        raise EvaluationError(
+            f"policies give one of the 18 actions, and the environment takes {space}: make it without continuous "
+            "actions, and end the policy in magical_mj.actions.to_discrete(vector)"
+        )
+    other = [one for one in episodes if task is not None and (one.task, one.variant) != (task_name(task), variant)]
+    if other:
+        raise EvaluationError(f"the environment is {task} {variant}, and an episode {other[0].task} {other[0].variant}")
 
 
 def play_side_by_side(envs: Envs, policy: BatchPolicy, episodes: Sequence[Episode]) -> list[Outcome]:
@@ -98,6 +120,8 @@ def play_side_by_side(envs: Envs, policy: BatchPolicy, episodes: Sequence[Episod
         for actions, result in play_actions(envs, answers()):
             taken.append(actions)
             observations, _, _, ended, info = result
+            if not isinstance(info, Mapping):
+                raise EvaluationError(f"infos must be a dict, not {type(info).__name__}: leave out the wrapper")
             info = info.get("final_info", info)  # the former if the next episodes have begun
             if np.any(info.get("broken", False)):  # of batched worlds
                 raise FloatingPointError("the state of a simulation is not finite any more")
