@@ -11,7 +11,7 @@ import typer
 
 from magical_mj import baselines
 from magical_mj.agents import AGENTS
-from magical_mj.baselines.config import check_changes, check_used, users, uses
+from magical_mj.baselines.method_settings import check_changes, check_used, users, uses
 from magical_mj.baselines.watching import Watch, bars, how_to_continue, repeating
 from magical_mj.cli.console import check_fits, console
 from magical_mj.errors import SettingsError, check_name

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from magical_mj.baselines import checkpoint
-from magical_mj.baselines.config import changed
+from magical_mj.baselines.method_settings import changed
 from magical_mj.baselines.network import SHAPE, Actor, as_input
 from magical_mj.baselines.settings import LEARNABLE, STATE, Network, TrainingSettings
 from magical_mj.baselines.states import History
