@@ -12,15 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from magical_mj.batched.scenes import Capacity, SceneArrays
+from magical_mj.batched.scenes import Capacity, Pair, SceneArrays
 from magical_mj.parallel.local import Pool
 from magical_mj.registry import sample_scene
 
 CHUNK = 64
 """Scenes that one worker samples at a time."""
-
-Pair = tuple[str, str]
-"""Task and variant."""
 
 
 def sample(pairs: Sequence[Pair], seeds: Sequence[int], capacity: Capacity) -> SceneArrays:
