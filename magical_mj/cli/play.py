@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -60,15 +61,14 @@ def play(
         return
     if task is None:
         raise typer.BadParameter("give TASK, or --web to choose in the browser.")
-    env = magical_mj.load(task, variant, seed=seed, observations=())
     browser = "; without one, play in a browser: magical-mj play --web" if task_name(task) in TASKS else ""
-    window = Window(f"{task} {variant_name(variant)}", size, speed, browser)
-    try:
+    title = f"{task} {variant_name(variant)}"
+    with (
+        closing(magical_mj.load(task, variant, seed=seed, observations=())) as env,
+        closing(Window(title, size, speed, browser)) as window,
+    ):
         episodes = Episodes(None if record is None else claim_folder(record))
         play_in(window, env, task, variant, seed, size, episodes)
-    finally:
-        window.close()
-        env.close()
 
 
 class Episodes:
