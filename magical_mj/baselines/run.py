@@ -28,6 +28,7 @@ from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.baselines.settings_file import recorded
 from magical_mj.episodes import Policy
 from magical_mj.errors import TrainingError, check_name
+from magical_mj.evaluation.models import torch_threads
 from magical_mj.evaluation.run import evaluate
 
 METHODS: Final[Mapping[str, type[Method]]] = MappingProxyType(
@@ -85,7 +86,7 @@ def train(
     policy = kept_policy(folder, settings) if kept is not None and kept.finished else None
     if policy is not None:
         return policy
-    with threads_for(settings, threads(folder)), _enough_memory(folder):
+    with torch_threads(threads_for(settings, threads(folder))), _enough_memory(folder):
         made = (learner or METHODS[settings.method])(settings)
         try:
             begin(folder, settings)

@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 
 from magical_mj import files
-from magical_mj.cli.console import Jobs, Tasks, claim_folder, console
+from magical_mj.cli.console import Jobs, Tasks, console, make_writable_folder
 from magical_mj.cli.environments import contact_sheet
 from magical_mj.cli.evaluate import show_progress, summary
 from magical_mj.cli.results import film_episodes
@@ -38,7 +38,7 @@ def demo(out: Out = Path("out/demo"), tasks: Tasks = "all", episodes: Episodes =
     check_extra("videos", "video")
     with ExitStack() as stack:
         try:
-            stack.enter_context(files.exclusive(claim_folder(out), wait=False))
+            stack.enter_context(files.exclusive(make_writable_folder(out), wait=False))
         except BlockingIOError as error:
             raise EvaluationError(
                 f"another demo is running in {out}; wait for it, or give another folder by --out"

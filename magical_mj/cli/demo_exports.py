@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 import magical_mj
-from magical_mj.cli.console import Force, Tasks, Variants, check_fits, check_suffix, claim, console
+from magical_mj.cli.console import Force, Tasks, Variants, check_fits, check_suffix, check_writable, console
 from magical_mj.cli.demo_files import Paths, files_of, read_chosen
 from magical_mj.errors import SettingsError
 
@@ -57,7 +57,7 @@ def export(
         check_suffix(path, SUFFIX)
         if path.resolve().parent in {file.resolve().parent for file in files_of(paths, tasks, variants)}:
             raise typer.BadParameter(f"{path} would lie among the demonstrations; give --out in another folder.")
-        magical_mj.demos.to_npz(demos, claim(path, force), preset, drop_noop=drop_noop, overwrite=force)
+        magical_mj.demos.to_npz(demos, check_writable(path, force), preset, drop_noop=drop_noop, overwrite=force)
         screen.print(path, soft_wrap=True)
         return
     if out is not None and len(names) > 1:
@@ -82,7 +82,7 @@ def export(
             check_suffix(path, ending)
         elif path.exists():
             raise FileExistsError(f"{path} exists already; give a new folder")
-        claim(path, force)
+        check_writable(path, force)
     for name, path in made.items():
         if to == "robomimic":
             to_robomimic(chosen[name], path, views=views, overwrite=force)

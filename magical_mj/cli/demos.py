@@ -20,10 +20,10 @@ from magical_mj.cli.console import (
     Tasks,
     Variants,
     check_suffix,
-    claim,
-    claim_folder,
+    check_writable,
     complain,
     console,
+    make_writable_folder,
 )
 from magical_mj.cli.demo_files import Paths, asked_for, files_of, read_asked, read_chosen
 from magical_mj.cli.film import film
@@ -70,7 +70,7 @@ def generate(
 
     pairs = environments(tasks, variants)
     check_files_differ([task for task, _ in pairs])
-    claim_folder(out)
+    make_writable_folder(out)
     screen = console()
     keys = [(*pair, number) for pair in pairs for number in range(count)]
     paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}-{key[2]:03}{SUFFIX}" for key in keys}
@@ -113,7 +113,7 @@ def make(work: tuple[str, str, int, float, Path]) -> str:
 def import_recordings(files: Recordings, out: Folder) -> None:
     """Import episodes that were saved in the browser: they are replayed and scored here."""
     made = [(file, _replayed(file)) for file in files]  # replay all before anything is written
-    claim_folder(out)
+    make_writable_folder(out)
     screen = console()
     for file, (demo, deviation, suspect) in made:
         path, is_new = magical_mj.demos.keep(demo, out)
@@ -231,7 +231,7 @@ def video(
     """Make a video of demonstrations, with both views side by side."""
     check_suffix(out, ".mp4")
     demos = read_chosen(paths, tasks, variants)[:count]
-    claim(out, force)
+    check_writable(out, force)
     with film(out, size, speed, overwrite=force) as made:
         for demo in demos:
             title = f"{demo.task} {demo.variant}, seed {demo.scene_seed}: {demo.demonstrator}"

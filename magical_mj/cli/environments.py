@@ -22,7 +22,7 @@ from magical_mj.cli.console import (
     Variant,
     check_fits,
     check_suffix,
-    claim,
+    check_writable,
     complain,
     console,
     file_name,
@@ -84,13 +84,13 @@ def view(
         if task is not None:
             raise typer.BadParameter("give either TASK or --grid, not both.")
         check_fits(context, False, "for one environment: the grid shows all from above", "camera")
-        path = claim(out or Path(f"environments-{seed}.png"), force)
+        path = check_writable(out or Path(f"environments-{seed}.png"), force)
         picture = contact_sheet(seed, size or 128)
     else:
         if task is None:
             raise typer.BadParameter("give TASK, or --grid for all environments.")
         with closing(magical_mj.load(task, variant, seed=seed, observations=())) as env:
-            path = claim(out or Path(file_name(task, variant, seed, ".png")), force)
+            path = check_writable(out or Path(file_name(task, variant, seed, ".png")), force)
             env.reset()
             picture = Image.fromarray(side_by_side(env, size or 384, views))
     with files.new_file(path, overwrite=force) as unfinished:
@@ -101,7 +101,7 @@ def view(
 def export(task: Task, out: Folder, variant: Variant = "Demo", seed: Seed = 0, force: Force = False) -> None:
     """Write a scene as a self-contained MJCF model."""
     with closing(magical_mj.load(task, variant, seed=seed, observations=())) as env:
-        path = claim(out / file_name(task, variant, seed, ".xml"), force)
+        path = check_writable(out / file_name(task, variant, seed, ".xml"), force)
         env.reset()
         console().print(magical_mj.export_mjcf(env, path, overwrite=force), soft_wrap=True)
 

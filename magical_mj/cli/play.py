@@ -10,7 +10,7 @@ import typer
 
 import magical_mj
 from magical_mj.actions import NOOP
-from magical_mj.cli.console import OptionalTask, Seed, Size, Variant, check_fits, claim_folder, console
+from magical_mj.cli.console import OptionalTask, Seed, Size, Variant, check_fits, console, make_writable_folder
 from magical_mj.cli.film import side_by_side
 from magical_mj.cli.web import Collect, Host, Origin, Port, Tasks, Variants, Wanted, serve_page
 from magical_mj.cli.window import Window
@@ -67,7 +67,7 @@ def play(
         closing(magical_mj.load(task, variant, seed=seed, observations=())) as env,
         closing(Window(title, size, speed, browser)) as window,
     ):
-        episodes = Episodes(None if record is None else claim_folder(record))
+        episodes = Episodes(None if record is None else make_writable_folder(record))
         play_in(window, env, task, variant, seed, size, episodes)
 
 
