@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final
+from typing import Final, cast
 
 import numpy as np
 
 from magical_mj.announced import announced, check_drawn, load_spec
-from magical_mj.errors import InvalidSceneError, SettingsError, shown, unknown_name
+from magical_mj.errors import InvalidSceneError, SettingsError, check_name, shown, unknown_name
 from magical_mj.references import errors_of_task, is_reference
 from magical_mj.scene import Scene, check_scene_type
 from magical_mj.tasks import RULES, SPECS, Rules, TaskSpec
@@ -137,10 +137,8 @@ def check_rules(rules: str) -> Rules:
     Raises:
         UnknownNameError: if it is anything else.
     """
-    for known in RULES:
-        if isinstance(rules, str) and rules == known:
-            return known
-    raise unknown_name("set of rules", rules, RULES)
+    check_name("set of rules", rules, RULES)
+    return cast("Rules", rules)
 
 
 def sample_scene(task: str, variant: str, seed: int) -> Scene:

@@ -14,12 +14,12 @@ from pathlib import Path
 import pytest
 from learners import TINY
 from rich.console import Console
-from rich.progress import Progress as Bars
 
 import magical_mj
 from magical_mj.baselines import Progress, conduct, runs, watching
 from magical_mj.baselines.experiment import agreement
 from magical_mj.baselines.policy import POLICY
+from magical_mj.cli import progress
 from magical_mj.cli.app import run
 from magical_mj.errors import MagicalError, SettingsError, UnknownNameError
 from magical_mj.evaluation.published import published_results
@@ -202,14 +202,16 @@ def test_an_experiment_tells_how_far_its_runs_are(
     jobs: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Where there is no terminal, also of runs in other processes, and of evaluations."""
-    monkeypatch.setattr(watching, "MINUTE", 0.02)
+    for name in ("FIRST", "MINUTE"):
+        monkeypatch.setattr(progress, name, 0.01)
+    monkeypatch.setattr(watching, "PAUSE", 0.02)
     file = tmp_path / "e.toml"
     file.write_text(EXPERIMENT.replace("seeds = [0, 1]", "seeds = [0]").replace(', "FixColour"', ""))
     assert run(["experiment", str(file), "--out", str(tmp_path / "out"), "--jobs", jobs]) == 0
     printed = capfd.readouterr().out
-    assert re.search(r"0 of 1 runs are finished; bc-MoveToRegion-0: [01] of 2 episodes evaluated", printed)
+    assert re.search(r"experiment 0/1 runs bc-MoveToRegion-0: [01] of 2 episodes evaluated", printed)
     if jobs == "2":
-        assert re.search(r"0 of 1 runs are finished; bc-MoveToRegion-0: [0-4] updates", printed)
+        assert re.search(r"experiment 0/1 runs bc-MoveToRegion-0: [0-4] updates", printed)
 
 
 def test_an_experiment_that_is_stopped_says_how_to_continue(tmp_path: Path) -> None:
@@ -261,26 +263,31 @@ def test_the_packages_experiments_can_be_run(file: Path, tmp_path: Path) -> None
     assert len({run.name for run in planned}) == len(planned) == len(table["methods"]) * groups * len(table["seeds"])
 
 
-@pytest.mark.parametrize(("updates", "left"), [(10, "0:00:0"), (10**30, "?"), (10**400, "?")])
+@pytest.mark.parametrize(
+    ("updates", "left"), [(10, r" \d+:\d\d:\d\d left"), (10**30, r" \d+:\d\d:\d\d left"), (10**400, "")]
+)
 def test_the_line_of_each_minute_counts_any_number_of_updates(
     updates: int, left: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(watching, "MINUTE", 0)
-    screen = Console(file=StringIO())
-    watch = watching.Watch(screen, Bars(console=screen), "bc")
+    for name in ("FIRST", "MINUTE"):
+        monkeypatch.setattr(progress, name, 0)
+    written = StringIO()
+    watch = watching.Watch(watching.bars(Console(file=written)), "bc")
     for update in (1, 2):
-        watch(Progress(update, updates, {}, {}))
-    assert f"2/{updates} updates" in screen.file.getvalue()
-    assert f", {left}" in screen.file.getvalue().splitlines()[-1]
+        watch(Progress(update, updates, {"loss": 1 / 3}, {}))
+        time.sleep(0.001)
+    line = written.getvalue().splitlines()[-1]
+    assert re.match(rf"bc 2/{updates} updates, \S+/s loss 0.333 0:00:00{left}$", line)
 
 
 def test_a_training_that_goes_on_tells_its_present_speed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(watching, "MINUTE", 0)
-    screen = Console(file=StringIO())
-    watch = watching.Watch(screen, Bars(console=screen), "gail")
-    for update in (2001, 2002):
-        time.sleep(0.05)
+    for name in ("FIRST", "MINUTE"):
+        monkeypatch.setattr(progress, name, 0)
+    written = StringIO()
+    watch = watching.Watch(watching.bars(Console(file=written)), "gail")
+    for update in (2001, 2002, 2003):
         watch(Progress(update, 4000, {}, {}))
-    speeds = [float(speed) for speed in re.findall(r"updates, (\S+)/s", screen.file.getvalue())]
+        time.sleep(0.05)
+    speeds = [float(speed) for speed in re.findall(r"updates, (\S+)/s", written.getvalue())]
     assert len(speeds) == 2
     assert max(speeds) <= 20

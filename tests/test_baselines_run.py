@@ -19,11 +19,11 @@ from learners import is_done, playing, stopped, tiny
 import magical_mj
 from magical_mj.baselines import checkpoint, load_policy, train
 from magical_mj.baselines.bc import CALIBRATION
-from magical_mj.baselines.config import from_toml, recorded
 from magical_mj.baselines.folder import CHECKPOINT, CONFIG
 from magical_mj.baselines.metrics import read_metrics
 from magical_mj.baselines.policy import POLICY, TrainedPolicy
 from magical_mj.baselines.run import Progress
+from magical_mj.baselines.settings_file import from_toml, recorded
 from magical_mj.episodes import Episode
 from magical_mj.errors import MagicalError, SettingsError, TrainingError, UnknownNameError
 from magical_mj.evaluation import evaluate

@@ -13,8 +13,9 @@ from learners import tiny
 
 from magical_mj import TASKS
 from magical_mj.baselines import load_settings
-from magical_mj.baselines.config import QUICK, changed, flattened, from_toml, names, quoted, to_toml
+from magical_mj.baselines.method_settings import QUICK, changed, names
 from magical_mj.baselines.settings import TrainingSettings
+from magical_mj.baselines.settings_file import flattened, from_toml, to_toml, toml_value
 from magical_mj.errors import SettingsError, UnknownNameError
 
 
@@ -166,5 +167,5 @@ def test_a_method_is_a_name() -> None:
 
 @pytest.mark.parametrize("text", ["runs/bc-\U0001f389", 'a\x7f\n"b\\', "no UTF-8: \udcff", "Zürich"])
 def test_any_text_is_written_as_toml(text: str) -> None:
-    read = tomllib.loads(f"text = {quoted(text)}")["text"]
+    read = tomllib.loads(f"text = {toml_value(text)}")["text"]
     assert read == text.encode(errors="backslashreplace").decode()

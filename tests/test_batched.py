@@ -21,7 +21,7 @@ from magical_mj import batched
 from magical_mj.batched import physics as physics_module
 from magical_mj.batched.arrays import Arrays
 from magical_mj.batched.physics import Physics
-from magical_mj.batched.pictures import Painter, View
+from magical_mj.batched.pictures import Painter
 from magical_mj.batched.scenes import Capacity, SceneArrays
 from magical_mj.errors import InvalidSeedError, SettingsError
 from magical_mj.presets import PRESETS
@@ -57,7 +57,7 @@ def running(scenes: list[Scene]) -> list[magical_mj.Environment]:
 
 
 @pytest.mark.parametrize("view", ["ego", "allo"])
-def test_pictures_of_all_environments(view: View) -> None:
+def test_pictures_of_all_environments(view: str) -> None:
     scenes = [magical_mj.sample_scene(*pair, 1) for pair in magical_mj.ENVIRONMENTS]
     out = torch.zeros((len(scenes), 96, 96, 3), dtype=torch.uint8)
     Painter(arrays(scenes)).draw(view, out)

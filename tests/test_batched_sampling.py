@@ -16,7 +16,7 @@ def test_scenes_do_not_depend_on_who_samples_them() -> None:
     pairs = [("FindDupe", "All")] * 3
     sampled = []
     for workers, order in ((0, [[0, 1, 2], [1], [0, 1, 2]]), (1, [[0, 1, 2], [1], [0, 1, 2]]), (0, [[1], [1], [0, 1]])):
-        sampler = SceneSampler(pairs, Capacity(10, 3, 42), workers)
+        sampler = SceneSampler(pairs, Capacity(10, 3), workers)
         sampler.seed(7)
         sampled.append([sampler.scenes(worlds) for worlds in order])
         sampler.close()
@@ -28,7 +28,7 @@ def test_scenes_do_not_depend_on_who_samples_them() -> None:
 
 def test_workers_sample_ahead_after_given_seeds_too() -> None:
     pairs = [("MoveToRegion", "All")] * 2
-    here, ahead = (SceneSampler(pairs, Capacity(1, 1, 42), workers) for workers in (0, 1))
+    here, ahead = (SceneSampler(pairs, Capacity(1, 1), workers) for workers in (0, 1))
     for sampler in (here, ahead):
         sampler.seed(3)
         sampler.scenes([0, 1], [8, 9])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 
+import pytest
 from rich.console import Console
 from rich.progress import MofNCompleteColumn
 
@@ -22,8 +23,13 @@ def shown(total: int | None, terminal: bool) -> list[str]:
     return [line for line in written.getvalue().splitlines() if line.startswith("[files]")]
 
 
-def test_a_line_after_some_seconds_then_one_a_minute() -> None:
-    assert shown(20, terminal=False) == [
+@pytest.mark.parametrize(("terminal", "kind"), [(False, "xterm"), (True, "dumb")])
+def test_a_line_after_some_seconds_then_one_a_minute(
+    terminal: bool, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In files and pipes, and on terminals that cannot move the cursor."""
+    monkeypatch.setenv("TERM", kind)
+    assert shown(20, terminal) == [
         "[files]  2/20 0:02:06 left",  # after 14 s
         "[files] 11/20 0:01:03 left",  # after 77 s
         "[files] 20/20 0:00:00 left",  # after 140 s
@@ -34,5 +40,6 @@ def test_the_amount_may_be_unknown() -> None:
     assert shown(None, terminal=False)[0] == "[files] 2/?"
 
 
-def test_terminals_show_the_bar_alone() -> None:
+def test_terminals_show_the_bar_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm")
     assert shown(20, terminal=True) == []

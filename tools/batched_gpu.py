@@ -98,7 +98,7 @@ def parts(device: str, out: Path, amounts: Amounts) -> Mapping[str, list[str]]:
     }
     for task in amounts.tasks:
         for variant, preset in product(amounts.variants, amounts.presets):
-            chosen = ["--tasks", task, "--variants", variant, "--presets", preset, "--worlds", amounts.worlds]
+            chosen = ["--tasks", task, "--variants", variant, "--presets", preset, "--num-envs", amounts.worlds]
             made[f"speed-{task}-{variant}-{preset}"] = [*COMMAND, "bench", "--batched", *on, *chosen]
     where = ["--tasks", "MoveToRegion", "--preset", "LoRes4E"]
     for name, settings in amounts.trainings.items():

@@ -52,7 +52,7 @@ from magical_mj.batched.sampling import SceneSampler
 from magical_mj.batched.scenes import Capacity
 out, number = pathlib.Path(sys.argv[-1]), 0
 out.mkdir(exist_ok=True)
-sampler = SceneSampler([("FindDupe", "All")] * 256, Capacity(10, 3, 42), workers=2)
+sampler = SceneSampler([("FindDupe", "All")] * 256, Capacity(10, 3), workers=2)
 while number := number + 1:
     files.write(out / str(number), sampler.scenes(range(256)).poses.tobytes(), overwrite=True)
 """  # the scenes of batched worlds, sampled ahead by workers without end; without a guard for `__main__`

@@ -17,9 +17,9 @@ from magical_mj.extras import check_extra
 
 if TYPE_CHECKING:
     from magical_mj.baselines.bc import clone
-    from magical_mj.baselines.config import load_settings
     from magical_mj.baselines.experiment import conduct, runs
     from magical_mj.baselines.learner import Learner
+    from magical_mj.baselines.method_settings import load_settings
     from magical_mj.baselines.policy import TrainedPolicy, load_policy
     from magical_mj.baselines.run import METHODS, Progress, train
 from magical_mj.baselines.settings import TrainingSettings
@@ -32,7 +32,7 @@ _LAZY = {  # loaded at first use: the command line knows these commands before a
     "clone": "bc",
     "conduct": "experiment",
     "load_policy": "policy",
-    "load_settings": "config",
+    "load_settings": "method_settings",
     "runs": "experiment",
     "train": "run",
 }

@@ -15,6 +15,7 @@ from magical_mj.baselines.network import Actor, as_input
 from magical_mj.baselines.policy import TrainedPolicy
 from magical_mj.baselines.settings import Cloning, TrainingSettings
 from magical_mj.errors import SettingsError
+from magical_mj.evaluation.models import torch_threads
 
 CALIBRATION: Final = 20
 """Batches over which batch norm's averages are taken."""
@@ -115,7 +116,7 @@ def clone(settings: TrainingSettings, demonstrations: Demonstrations | None = No
     """
     if settings.method != "bc":
         raise SettingsError(f"clone does behavioural cloning, and these settings are of {settings.method}: see train")
-    with threads_for(settings):
+    with torch_threads(threads_for(settings)):
         learner = BehaviouralCloning(settings, demonstrations)
         for _ in range(learner.updates):
             learner.update()

@@ -11,17 +11,14 @@ import typer
 
 from magical_mj import baselines
 from magical_mj.agents import AGENTS
-from magical_mj.baselines.config import check_changes, check_used, users, uses
-from magical_mj.baselines.watching import Watch, bars, each_minute, how_to_continue
+from magical_mj.baselines.method_settings import check_changes, check_used, users, uses
+from magical_mj.baselines.watching import Watch, bars, how_to_continue, repeating
 from magical_mj.cli.console import check_fits, console
 from magical_mj.errors import SettingsError, check_name
 from magical_mj.parallel import Backend
 
 if TYPE_CHECKING:
     from magical_mj.baselines import Progress as Trained
-
-DAY = 86400.0
-"""Seconds over which the speed of an experiment is averaged: a run may take hours."""
 
 Method = Annotated[str, typer.Argument(help="bc, gail, wgail-gp, al or goals.", show_default=False)]
 Tasks = Annotated[str, typer.Option(help="A task; with --multi-task several, separated by commas, or all.")]
@@ -60,29 +57,27 @@ def experiment(file: File, out: Folder, jobs: Jobs = None, backend: Where = "loc
     planned = baselines.runs(file, out)
     screen, began = console(), time.time()
     watches: dict[str, Watch] = {}
-    with how_to_continue(screen, "the same command continues"), bars(screen, DAY) as progress:
-        bar = progress.add_task("runs", total=len(planned), unit="runs", latest="")
+    with how_to_continue(screen, "the same command continues"), bars(screen) as progress:
+        bar = progress.add_task("experiment", total=len(planned), unit="runs", latest="")
 
         def watch(name: str, trained: Trained) -> None:
-            watches[name] = watches.get(name) or Watch(screen, progress, name)
+            watches[name] = watches.get(name) or Watch(progress, name)
             watches[name](trained)
             if trained.update == trained.updates:
                 progress.remove_task(watches.pop(name).bar)
 
-        def tell() -> None:
-            """How far evaluations are, and trainings in other processes."""
-            found = [run.standing(began) for run in planned if run.name not in watches]
-            news = [text for text in found if text]
-            progress.update(bar, latest=", ".join(news))
-            if not (screen.is_terminal or watches):
-                done = f"{progress.tasks[0].completed:.0f} of {len(planned)} runs are finished"
-                screen.print("; ".join([done, *news]), soft_wrap=True)
+        def look() -> None:
+            """How far evaluations are, and trainings in other processes; one in this process tells by itself."""
+            if not watches:
+                news = filter(None, (run.standing(began) for run in planned))
+                progress.update(bar, latest=", ".join(news))
 
         lines = baselines.conduct(planned, out, jobs=jobs, backend=backend, address=address, watch=watch)
-        with each_minute(tell):
+        with repeating(look):
             for number, line in enumerate(lines, 1):
                 screen.print(line, soft_wrap=True)
-                progress.update(bar, completed=min(number, len(planned)))  # after the runs come lines about all of them
+                done = min(number, len(planned))  # after the runs come lines about all of them
+                progress.update(bar, completed=done, latest="")
 
 
 def train(
@@ -116,8 +111,8 @@ def train(
 
     keep_freed_memory()
     screen = console()
-    with how_to_continue(screen, "the same command with --resume continues"), bars(screen, 120) as progress:
-        baselines.train(settings, out, resume=resume, watch=Watch(screen, progress, method))
+    with how_to_continue(screen, "the same command with --resume continues"), bars(screen) as progress:
+        baselines.train(settings, out, resume=resume, watch=Watch(progress, method))
     folder = shlex.quote(f"./{out}" if str(out) in AGENTS else str(out))
     again = f"magical-mj evaluate --policy {folder} --tasks {','.join(settings.tasks)} --preset {settings.preset}"
     screen.print(f"the policy is in {out}; to evaluate it: {again} --out ...", soft_wrap=True)

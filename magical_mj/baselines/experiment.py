@@ -8,11 +8,12 @@ from operator import methodcaller
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.baselines.config import check_changes, check_used, flattened, load_settings
 from magical_mj.baselines.folder import check
 from magical_mj.baselines.learner import device
+from magical_mj.baselines.method_settings import check_changes, check_used, load_settings
 from magical_mj.baselines.planned import Run, Watch
 from magical_mj.baselines.run import METHODS
+from magical_mj.baselines.settings_file import flattened
 from magical_mj.errors import SettingsError, check_name, shown
 from magical_mj.evaluation.folder import SETTINGS, read_settings
 from magical_mj.evaluation.published import published_results

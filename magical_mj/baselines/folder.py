@@ -17,9 +17,9 @@ import torch
 from magical_mj import files
 from magical_mj._version import __version__
 from magical_mj.baselines import checkpoint
-from magical_mj.baselines.config import MADE, from_toml, quoted, recorded, to_toml
 from magical_mj.baselines.metrics import METRICS
 from magical_mj.baselines.settings import TrainingSettings
+from magical_mj.baselines.settings_file import MADE, from_toml, recorded, to_toml, toml_value
 from magical_mj.errors import SettingsError, TrainingError, shown
 from magical_mj.evaluation.loading import sources
 from magical_mj.evaluation.policy_folders import loader_in
@@ -182,4 +182,4 @@ def _circumstances() -> str:
         "python": platform.python_version(),
         "threads": torch.get_num_threads(),
     }
-    return "".join(f"{name} = {quoted(value) if isinstance(value, str) else value}\n" for name, value in made.items())
+    return "".join(f"{name} = {toml_value(value)}\n" for name, value in made.items())

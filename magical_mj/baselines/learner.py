@@ -144,20 +144,14 @@ def keep_freed_memory() -> None:
         mallopt(parameter, value)
 
 
-@contextmanager
-def threads_for(settings: TrainingSettings, begun: int | None = None) -> Iterator[None]:
-    """A context with PyTorch's threads for a training: one for states; else as many as it was begun with, if it was.
+def threads_for(settings: TrainingSettings, begun: int | None = None) -> int:
+    """The number of PyTorch's threads for a training: one for states; else as many as it was begun with, if it was.
 
     With another number, sums are rounded differently. The networks for states are so small that a second thread gains
     a tenth on idle cores. On busy cores, threads wait for each other: with two, BC did 1.4 batches per second, and with
     one 106.
     """
-    before = torch.get_num_threads()
-    torch.set_num_threads(1 if settings.states else begun or before)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+    return 1 if settings.states else begun or torch.get_num_threads()
 
 
 @contextmanager

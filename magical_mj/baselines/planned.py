@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.baselines.config import uses
 from magical_mj.baselines.learner import keep_freed_memory
+from magical_mj.baselines.method_settings import uses
 from magical_mj.baselines.metrics import METRICS, read_metrics
 from magical_mj.baselines.run import Progress, train
 from magical_mj.baselines.settings import TrainingSettings

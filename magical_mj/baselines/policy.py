@@ -12,13 +12,13 @@ import torch
 from numpy.typing import NDArray
 
 from magical_mj.baselines import checkpoint
-from magical_mj.baselines.config import changed
+from magical_mj.baselines.method_settings import changed
 from magical_mj.baselines.network import SHAPE, Actor, as_input
 from magical_mj.baselines.settings import LEARNABLE, STATE, Network, TrainingSettings
 from magical_mj.baselines.states import History
 from magical_mj.episodes import Episode
 from magical_mj.errors import SettingsError, TrainingError, check_name, shown
-from magical_mj.evaluation.models import one_thread
+from magical_mj.evaluation.models import torch_threads
 from magical_mj.observations import STATE_NAMES
 
 POLICY: Final = "policy.safetensors"
@@ -59,7 +59,7 @@ class TrainedPolicy:
             self._history = self._history or History(observations)
             observations = self._history.add(observations)
         self._actor.eval()
-        with torch.inference_mode(), one_thread():
+        with torch.inference_mode(), torch_threads(1):
             logits = self._actor(as_input(observations, self._device), self._heads[: len(observations)])
         if not logits.isfinite().all():
             raise ValueError("the network's answer is not finite")

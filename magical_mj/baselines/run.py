@@ -20,14 +20,15 @@ from magical_mj.baselines import checkpoint
 from magical_mj.baselines.adversarial import GAIL, WGAILGP
 from magical_mj.baselines.apprenticeship import Apprenticeship
 from magical_mj.baselines.bc import BehaviouralCloning
-from magical_mj.baselines.config import recorded
 from magical_mj.baselines.folder import CHECKPOINT, CONFIG, begin, check, kept_policy, last_checkpoint, misfit, threads
 from magical_mj.baselines.goals.method import GoalInference
 from magical_mj.baselines.learner import Method, device, threads_for
 from magical_mj.baselines.metrics import Metrics
 from magical_mj.baselines.settings import TrainingSettings
+from magical_mj.baselines.settings_file import recorded
 from magical_mj.episodes import Policy
 from magical_mj.errors import TrainingError, check_name
+from magical_mj.evaluation.models import torch_threads
 from magical_mj.evaluation.run import evaluate
 
 METHODS: Final[Mapping[str, type[Method]]] = MappingProxyType(
@@ -85,7 +86,7 @@ def train(
     policy = kept_policy(folder, settings) if kept is not None and kept.finished else None
     if policy is not None:
         return policy
-    with threads_for(settings, threads(folder)), _enough_memory(folder):
+    with torch_threads(threads_for(settings, threads(folder))), _enough_memory(folder):
         made = (learner or METHODS[settings.method])(settings)
         try:
             begin(folder, settings)

@@ -1,31 +1,33 @@
-"""What the terminal shows of trainings and experiments: progress bars, or a line per minute where there are none."""
+"""What the terminal shows of trainings and experiments: progress bars, and a line per evaluation."""
 
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from datetime import timedelta
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, Task, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import ProgressColumn, Task, TimeElapsedColumn
 from rich.table import Column
 from rich.text import Text
 
-from magical_mj.cli.progress import LABEL, MINUTE
+from magical_mj.cli.progress import Bars
 from magical_mj.errors import MagicalError
 
 if TYPE_CHECKING:
-    from magical_mj.baselines import Progress as Trained
+    from magical_mj.baselines import Progress
+
+DAY: Final = 86400.0
+"""Seconds over which speeds are averaged, or over the last thousand updates: a run of an experiment may take hours."""
+PAUSE: Final = 10.0
+"""Seconds between two looks at what other processes have done."""
 
 
-def bars(screen: Console, period: float) -> Progress:
-    """Progress bars; the speed is averaged over so many seconds."""
+def bars(screen: Console) -> Bars:
+    """Progress bars of trainings; or of an experiment, which counts runs."""
     rate = Rate(Column(no_wrap=True, overflow="ellipsis"))
-    columns = LABEL, BarColumn(), rate, TimeElapsedColumn(), TimeRemainingColumn()
-    return Progress(*columns, console=screen, speed_estimate_period=period)
+    return Bars(screen, rate, TimeElapsedColumn(Column(no_wrap=True)), speed_estimate_period=DAY)
 
 
 @contextmanager
@@ -39,14 +41,14 @@ def how_to_continue(screen: Console, how: str) -> Iterator[None]:
 
 
 @contextmanager
-def each_minute(tell: Callable[[], None]) -> Iterator[None]:
-    """A context in which a thread calls a function each minute; what it cannot read is left out."""
+def repeating(look: Callable[[], None]) -> Iterator[None]:
+    """A context in which a thread calls a function every few seconds; what it cannot read is left out."""
     ended = threading.Event()
 
     def repeat() -> None:
-        while not ended.wait(MINUTE):
+        while not ended.wait(PAUSE):
             with suppress(OSError, MagicalError):
-                tell()
+                look()
 
     thread = threading.Thread(target=repeat, daemon=True)
     thread.start()
@@ -62,45 +64,28 @@ class Rate(ProgressColumn):
 
     def render(self, task: Task) -> Text:
         """As text."""
-        done = f"{task.completed:.0f}/{task.total or 0:.0f} {task.fields['unit']}"
-        speed = f", {task.speed:.1f}/s" if task.speed and task.fields["unit"] == "updates" else ""
-        return Text(f"{done}{speed} {task.fields['latest']}")
+        done = f"{task.completed}/{task.total or 0} {task.fields['unit']}"
+        speed = f", {task.speed:.2f}/s" if task.speed and task.fields["unit"] == "updates" else ""
+        return Text(f"{done}{speed} {task.fields['latest']}".rstrip())
 
 
 class Watch:
-    """Shows a training: a progress bar with the latest metrics, or a line per minute; and a line per evaluation.
+    """Shows a training: a progress bar with the latest metrics, and a line per evaluation.
 
     Attributes:
         bar: the number of its progress bar.
     """
 
-    def __init__(self, screen: Console, progress: Progress, name: str) -> None:
-        self._screen, self._progress, self._name = screen, progress, name
+    def __init__(self, progress: Bars, name: str) -> None:
+        self._progress, self._name = progress, name
         self.bar = progress.add_task(name, total=None, unit="updates", latest="")
-        self._started = self._told = time.monotonic()
-        self._updates, self._metrics = 0, ""
 
-    def __call__(self, trained: Trained) -> None:
+    def __call__(self, trained: Progress) -> None:
         """Called after each update."""
-        self._updates += 1
-        self._progress.update(self.bar, completed=trained.update, total=trained.updates)
-        if trained.metrics:
-            shown = "  ".join(f"{name} {value:.3g}" for name, value in trained.metrics.items())
-            self._progress.update(self.bar, latest=shown)
-            self._metrics = shown
-        if not self._screen.is_terminal and time.monotonic() - self._told >= MINUTE:
-            self._tell(trained)
+        shown = "  ".join(f"{name} {value:.3g}" for name, value in trained.metrics.items())
+        latest = {"latest": shown} if shown else {}  # metrics come with some updates only
+        self._progress.update(self.bar, completed=trained.update, total=trained.updates, **latest)
         if trained.scores:
-            shown = ", ".join(f"{task} {score:.2f}" for task, score in trained.scores.items())
-            self._say(f"after {trained.update} updates: mean score on Demo: {shown}")
-
-    def _tell(self, trained: Trained) -> None:
-        self._told = time.monotonic()
-        rate = self._updates / (self._told - self._started)
-        more = trained.updates - trained.update
-        left = timedelta(seconds=round(more / rate)) if more < rate * timedelta.max.total_seconds() else "?"
-        done = f"{trained.update}/{trained.updates} updates, {rate:.2g}/s, {left} left"
-        self._say(f"{done}  {self._metrics}")
-
-    def _say(self, line: str) -> None:
-        self._screen.print(f"{self._name}: {line}", soft_wrap=True)
+            scores = ", ".join(f"{task} {score:.2f}" for task, score in trained.scores.items())
+            line = f"{self._name}: after {trained.update} updates: mean score on Demo: {scores}"
+            self._progress.console.print(line, soft_wrap=True)

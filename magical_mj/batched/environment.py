@@ -16,21 +16,20 @@ from torch import Tensor
 
 from magical_mj import constants as c
 from magical_mj.actions import ACTIONS
-from magical_mj.assets.region import DASHES
+from magical_mj.batched.arguments import check_actions, masked
 from magical_mj.batched.observations import Frames, Observation, States
 from magical_mj.batched.physics import Physics, check_device
 from magical_mj.batched.sampling import SceneSampler, sample
 from magical_mj.batched.saved import check_state
 from magical_mj.batched.scenes import Capacity, SceneArrays
 from magical_mj.batched.scores import SCORES, Start, score
-from magical_mj.errors import ClosedError, InvalidActionError, SettingsError, check_name, shown
-from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS
+from magical_mj.errors import ClosedError, SettingsError, check_name, shown
 from magical_mj.presets import preset_named
-from magical_mj.registry import Pair, check_rules, sample_scene, task_spec
+from magical_mj.registry import Pair, check_rules, task_spec
 from magical_mj.rendering.renderer import check_size
 from magical_mj.reset_options import ResetOptions
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
-from magical_mj.variants import check_seed, varied_axes
+from magical_mj.variants import check_seed
 
 MODES: Final = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
 
@@ -80,12 +79,12 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.metadata = {"autoreset_mode": autoreset_mode, "render_fps": c.CONTROL_RATE}
         self._same_step = autoreset_mode == AutoresetMode.SAME_STEP
         self._rules: Rules = check_rules(rules)
-        self._reward, self.device = reward, check_device(device)
-        device = self.device
+        device = check_device(device)
+        self._reward, self.device = reward, device
         self._tasks = {task: self._numbers(pairs, task) for task in dict.fromkeys(task for task, _ in pairs)}
         horizons = [task_spec(task).horizon(rules) for task, _ in pairs]
         self._horizons = torch.tensor(horizons, device=device)
-        seed, capacity = check_seed(seed), _capacity(pairs)
+        seed, capacity = check_seed(seed), Capacity.of_environments(pairs)
         self._scenes = sample(pairs, [0] * self.num_envs, capacity)
         self._start = Start.of(self._scenes, device)
         self.physics = Physics(self._scenes, device)
@@ -131,7 +130,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """
         self._check_open()
         mask = self._options.checked(options).get("reset_mask")
-        chosen = self._masked(mask)
+        chosen = masked(mask, self.num_envs)
         seeds = None
         if seed is not None:
             each: list[Any]
@@ -146,18 +145,6 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             seeds = [check_seed(each[world]) for world in chosen]
         observation = self._begin(chosen, seeds)
         return observation, self._info(torch.zeros(self.num_envs, dtype=torch.float64, device=self.device))
-
-    def _masked(self, mask: Any) -> list[int]:
-        """The worlds for which the mask is true; without a mask all of them."""
-        if mask is None:
-            return list(range(self.num_envs))
-        try:
-            given = torch.as_tensor(mask).cpu()
-        except (TypeError, ValueError, RuntimeError):
-            given = torch.empty(0)
-        if given.dtype != torch.bool or given.shape != (self.num_envs,):
-            raise SettingsError(f"reset_mask must hold {self.num_envs} bools, one for each world, not {shown(mask)}")
-        return given.nonzero()[:, 0].tolist()
 
     def _begin(self, worlds: list[int], seeds: list[int] | None = None) -> Observation:
         where = torch.tensor(worlds, dtype=torch.int64, device=self.device)
@@ -220,7 +207,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._check_open()
         if not self._running.all():
             raise ResetNeeded("worlds have no running episode: reset them, all at once or options={'reset_mask': ...}")
-        self.physics.step(self._checked(actions))
+        self.physics.step(check_actions(actions, self.num_envs, self.device))
         self._steps += 1
         broken = self.physics.broken
         ended = (self._steps >= self._horizons) | broken
@@ -240,20 +227,6 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             observation = self._begin(ended.nonzero()[:, 0].tolist())
             info = {**self._info(torch.zeros_like(scores)), **final}
         return observation, reward, torch.zeros_like(ended), ended, info
-
-    def _checked(self, actions: Any) -> Tensor:
-        try:
-            given = torch.as_tensor(actions, device=self.device)
-        except (TypeError, ValueError, RuntimeError):
-            given = torch.empty(0)
-        whole = not given.is_floating_point() and not given.is_complex() and given.dtype != torch.bool
-        numbers = given.long() if whole else given
-        if given.shape != (self.num_envs,) or not whole or bool(((numbers < 0) | (numbers >= len(ACTIONS))).any()):
-            raise InvalidActionError(
-                f"actions must be {self.num_envs} integers in 0..{len(ACTIONS) - 1}, one for each world, "
-                f"not {shown(actions)}"
-            )
-        return numbers
 
     def _scores(self) -> Tensor:
         poses = self.physics.poses.double()
@@ -280,14 +253,3 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def _check_open(self) -> None:
         if self.closed:
             raise ClosedError("the environment is closed; make another one")
-
-
-def _capacity(pairs: Sequence[Pair]) -> Capacity:
-    """Room for all scenes of these environments."""
-    blocks, regions = 1, 1
-    for task, variant in dict.fromkeys(pairs):
-        demo = sample_scene(task, "Demo", 0)
-        more = "count" in varied_axes(task_spec(task), variant)
-        blocks = max(blocks, MAX_BLOCKS if more else len(demo.blocks))
-        regions = max(regions, MAX_REGIONS if more else len(demo.regions))
-    return Capacity(blocks, regions, DASHES)

@@ -11,7 +11,7 @@ from gymnasium import spaces
 from torch import Tensor
 
 from magical_mj.batched.physics import Physics
-from magical_mj.batched.pictures import Painter, View
+from magical_mj.batched.pictures import Painter
 from magical_mj.batched.scenes import ABSENT, SceneArrays
 from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
 from magical_mj.presets import Preset, observation_space, preset_named
@@ -131,8 +131,7 @@ class Frames:
             end = 0
             for view, count in frames:
                 end += 3 * count
-                seen: View = "ego" if view == "ego" else "allo"
-                self._painter.draw(seen, self._stacks[name][..., end - 3 : end])
+                self._painter.draw(view, self._stacks[name][..., end - 3 : end])
 
     def _seen(self, physics: Physics) -> Observation:
         """Copies: whoever changes an observation in place does not change the next ones."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,8 +15,6 @@ from magical_mj.assets.meshes import loops, meshes
 from magical_mj.batched.kernels import ROBOT_LAYERS, Outlines, Worlds, packed, paint
 from magical_mj.batched.scenes import SceneArrays
 from magical_mj.constants import COLOURS, SHAPES
-
-View = Literal["ego", "allo"]
 
 
 def _outlines(device: str) -> Any:
@@ -92,7 +90,7 @@ class Painter:
         self._places[..., 2], self._places[..., 3] = poses[..., 2].cos(), poses[..., 2].sin()
         self._fingers[..., 0], self._fingers[..., 1] = fingers.cos(), fingers.sin()
 
-    def draw(self, view: View, out: Tensor) -> None:
+    def draw(self, view: str, out: Tensor) -> None:
         """Paints all worlds.
 
         Args:

@@ -9,10 +9,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.assets.region import dash_quads
+from magical_mj.assets.region import DASHES, dash_quads
 from magical_mj.constants import COLOURS, SHAPES
 from magical_mj.errors import InvalidSceneError
+from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS
+from magical_mj.registry import Pair, sample_scene, task_spec
 from magical_mj.scene import Scene
+from magical_mj.variants import varied_axes
 
 ABSENT: Final = -1
 """The shape of a block, and the colour of a region, that a world does not have."""
@@ -20,27 +23,30 @@ ABSENT: Final = -1
 
 @dataclass(frozen=True)
 class Capacity:
-    """How much the worlds of a batch can hold.
+    """How much the worlds of a batch can hold; at least one of each, for empty arrays have no place in memory.
 
     Attributes:
         blocks: slots for blocks.
         regions: slots for goal regions.
-        dashes: rectangles for the dashed border of one region.
     """
 
     blocks: int
     regions: int
-    dashes: int
 
     @classmethod
     def of(cls, scenes: Sequence[Scene]) -> Capacity:
-        """What these scenes need; at least one of each, for arrays without elements have no place in memory."""
-        dashes = [1] + [len(dash_quads(region)) for scene in scenes for region in scene.regions]
+        """What these scenes need."""
         return cls(
             blocks=max(1, *(len(scene.blocks) for scene in scenes)),
             regions=max(1, *(len(scene.regions) for scene in scenes)),
-            dashes=max(dashes),
         )
+
+    @classmethod
+    def of_environments(cls, pairs: Sequence[Pair]) -> Capacity:
+        """What all scenes of these environments need."""
+        if any("count" in varied_axes(task_spec(task), variant) for task, variant in pairs):
+            return cls(MAX_BLOCKS, MAX_REGIONS)
+        return cls.of([sample_scene(task, "Demo", 0) for task in dict.fromkeys(task for task, _ in pairs)])
 
 
 @dataclass(frozen=True)
@@ -54,7 +60,7 @@ class SceneArrays:
         colours: indices into `COLOURS`. Shape (worlds, blocks).
         regions: x_min, y_min, x_max, y_max. Shape (worlds, regions, 4).
         region_colours: indices into `COLOURS`. Shape (worlds, regions).
-        dashes: the rectangles of each region's border, likewise. Shape (worlds, regions, dashes, 4).
+        dashes: the rectangles of each region's border, likewise. Shape (worlds, regions, DASHES, 4).
         dynamics: the five force caps, in the order of `Dynamics`. Shape (worlds, 5).
     """
 
@@ -74,7 +80,7 @@ class SceneArrays:
         Raises:
             InvalidSceneError: if a scene holds more than the capacity.
         """
-        count, (blocks, regions, dashes) = len(scenes), astuple(capacity)
+        count, (blocks, regions) = len(scenes), astuple(capacity)
         made = cls(
             poses=np.zeros((count, 1 + blocks, 3)),
             fingers=np.array([scene.robot.fingers for scene in scenes]),
@@ -82,12 +88,12 @@ class SceneArrays:
             colours=np.zeros((count, blocks), np.int32),
             regions=np.zeros((count, regions, 4)),
             region_colours=np.full((count, regions), ABSENT, np.int32),
-            dashes=np.zeros((count, regions, dashes, 4), np.float32),
+            dashes=np.zeros((count, regions, DASHES, 4), np.float32),
             dynamics=np.array([astuple(scene.dynamics) for scene in scenes]),
         )
         for world, scene in enumerate(scenes):
             need = Capacity.of([scene])
-            if need.blocks > blocks or need.regions > regions or need.dashes > dashes:
+            if need.blocks > blocks or need.regions > regions:
                 raise InvalidSceneError(f"a scene with {need} does not fit in worlds of {capacity}")
             made._fill(world, scene)
         return made

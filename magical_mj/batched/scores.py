@@ -17,8 +17,8 @@ from torch import Tensor
 from magical_mj.batched.scenes import ABSENT, SceneArrays
 from magical_mj.constants import COLOURS, SHAPES
 from magical_mj.errors import check_name
-from magical_mj.tasks.cluster import NEARER
-from magical_mj.tasks.make_line import INLIER_DISTANCE, MAX_GAP
+from magical_mj.tasks.cluster import NEARER, ZERO_SCORE_SHARE
+from magical_mj.tasks.make_line import INLIER_DISTANCE, MAX_GAP, RELEASED_LEAST
 from magical_mj.tasks.move_to_corner import CORNER, FULL_SCORE_DISTANCE, ZERO_SCORE_DISTANCE
 from magical_mj.tasks.spec import Rules
 
@@ -122,7 +122,7 @@ def make_line(start: Start, now: Tensor, rules: Rules) -> Tensor:
             longest = torch.where(defined, torch.maximum(longest, best), longest)
     nearly = longest == total - 1
     if rules == "released":
-        nearly &= longest >= 3
+        nearly &= longest >= RELEASED_LEAST
     return torch.where(longest == total, 1.0, 0.5 * nearly.double())
 
 
@@ -137,7 +137,7 @@ def _cluster(start: Start, now: Tensor, kinds: Tensor, number: int, rules: Rules
     own = squares.gather(-1, kinds.long().clamp(min=0)[..., None])[..., 0]
     nearest = torch.where(members.bool(), math.inf, squares).min(-1).values
     right = own.sqrt() < nearest.sqrt() - 2 * own if rules == "released" else own < nearest / NEARER
-    nothing = 0.75 if rules == "released" else 0.5
+    nothing = ZERO_SCORE_SHARE[rules]
     share = (right & start.present).sum(-1).double() / start.present.sum(-1)
     return ((share - nothing) / (1 - nothing)).clamp(min=0.0)
 

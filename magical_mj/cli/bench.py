@@ -52,7 +52,7 @@ Steps = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, times in seconds.")]
 Markdown = Annotated[bool, typer.Option("--markdown", help="Print a Markdown table.")]
 Batched = Annotated[bool, typer.Option("--batched", help="Measure batched worlds instead (extra gpu).")]
-Worlds = Annotated[str, typer.Option(help="With --batched: numbers of worlds, separated by commas.")]
+NumEnvs = Annotated[str, typer.Option(help="With --batched: numbers of worlds, separated by commas.")]
 Device = Annotated[str, typer.Option(help="With --batched: cuda, cuda:1 or cpu.")]
 Profile = Annotated[bool, typer.Option("--profile", help="Print where the time goes instead.")]
 
@@ -67,13 +67,13 @@ def bench(
     markdown: Markdown = False,
     profile: Profile = False,
     batched: Batched = False,
-    worlds: Worlds = WORLDS,
+    num_envs: NumEnvs = WORLDS,
     device: Device = "cuda",
 ) -> None:
     """Measure steps per second including resets, the bare MuJoCo loop for comparison, and the time of resets."""
     if as_json + markdown + profile > 1:
         raise typer.BadParameter("give one of --json, --markdown and --profile.")
-    check_fits(context, batched, "with --batched", "worlds", "device")
+    check_fits(context, batched, "with --batched", "num_envs", "device")
     check_fits(context, not batched, "without --batched", "steps", "as_json", "markdown")
     check_opengl()  # before the simulator is imported, whose error would not help
     names = listed(presets, PRESETS)
@@ -81,7 +81,7 @@ def bench(
         preset_named(name)  # raises if it is unknown
     chosen = [(*pair, name) for name in names for pair in environments(tasks, variants)]
     if batched:
-        _print_batched(chosen, _counts(worlds), device, profile)
+        _print_batched(chosen, _counts(num_envs), device, profile)
         return
     with cProfile.Profile() if profile else nullcontext() as profiler:
         measurements, yardstick = _measure(chosen, steps)
@@ -97,7 +97,7 @@ def bench(
 
 def _counts(text: str) -> list[int]:
     if not re.fullmatch(r"[1-9]\d*(,[1-9]\d*)*", text):
-        raise typer.BadParameter(f"--worlds takes numbers of at least 1, separated by commas, not {text!r}.")
+        raise typer.BadParameter(f"--num-envs takes numbers of at least 1, separated by commas, not {text!r}.")
     return [int(part) for part in text.split(",")]
 
 
@@ -114,7 +114,7 @@ def _print_batched(chosen: Sequence[tuple[str, str, str]], counts: Sequence[int]
         for worlds in counts:
             made = measure_batched(task, variant, worlds, name, device)
             for line in _batched_lines(made, single, profile):
-                screen.print(line, soft_wrap=True, highlight=False)
+                screen.print(line, soft_wrap=True)
 
 
 def _batched_lines(made: BatchedMeasurement, single: float, profile: bool) -> Iterator[str]:

@@ -138,7 +138,7 @@ def check_suffix(path: Path | None, suffix: str) -> None:
         raise typer.BadParameter(f"{path} must end in {suffix}.")
 
 
-def claim(path: Path, force: bool) -> Path:
+def check_writable(path: Path, force: bool) -> Path:
     """Returns `path` if a file can be written there; called before the work is done.
 
     Raises:
@@ -148,11 +148,11 @@ def claim(path: Path, force: bool) -> Path:
         raise IsADirectoryError(f"{path} is a folder; give the name of a file")
     if path.exists() and not force:
         raise FileExistsError(f"{path} exists already; --force replaces it")
-    claim_folder(path.parent)
+    make_writable_folder(path.parent)
     return path
 
 
-def claim_folder(folder: Path) -> Path:
+def make_writable_folder(folder: Path) -> Path:
     """Returns `folder`, which is made if missing, if files can be written in it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 
 from magical_mj import files
-from magical_mj.cli.console import Jobs, Tasks, claim_folder, console
+from magical_mj.cli.console import Jobs, Tasks, console, make_writable_folder
 from magical_mj.cli.environments import contact_sheet
 from magical_mj.cli.evaluate import show_progress, summary
 from magical_mj.cli.results import film_episodes
@@ -37,7 +37,7 @@ def demo(out: Out = Path("out/demo"), tasks: Tasks = "all", episodes: Episodes =
     settings = EvaluationSettings(tasks=tasks, episodes=episodes, jobs=jobs, out=out)
     check_extra("videos", "video")
     busy = EvaluationError(f"another demo is running in {out}; wait for it, or give another folder by --out")
-    with files.locked(claim_folder(out), busy=busy):
+    with files.locked(make_writable_folder(out), busy=busy):
         _tour(console(), out, settings)
 
 

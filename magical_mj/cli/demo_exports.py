@@ -8,10 +8,9 @@ from typing import Annotated, Literal
 import typer
 
 import magical_mj
-from magical_mj.cli.console import Force, Tasks, Variants, check_fits, check_suffix, claim, console
-from magical_mj.cli.demos import SUFFIX, Paths, files_of, read_chosen
+from magical_mj.cli.console import Force, Tasks, Variants, check_fits, check_suffix, check_writable, console
+from magical_mj.cli.demo_files import Paths, files_of, read_chosen
 from magical_mj.errors import SettingsError
-from magical_mj.registry import environments
 
 Target = Annotated[
     Literal["npz", "minari", "lerobot", "robomimic"],
@@ -44,7 +43,8 @@ def export(
     check_fits(context, to == "lerobot", "with --to lerobot", "video", "fingers")
     check_fits(context, to != "lerobot", "with other data sets: LeRobot's are written into new folders only", "force")
     check_fits(context, to == "npz", "with --to npz: other data sets keep the no-ops", "drop_noop")
-    from magical_mj.demos.lerobot import to_lerobot  # which loads the simulator
+    from magical_mj.demos.files import SUFFIX  # which loads the simulator
+    from magical_mj.demos.lerobot import to_lerobot
     from magical_mj.demos.minari import check_new, minari_name
     from magical_mj.demos.robomimic import to_robomimic
 
@@ -55,9 +55,9 @@ def export(
         preset = "LoRes4E" if preset is None else preset
         path = Path(out or f"{names[0] if len(names) == 1 else 'demonstrations'}-{preset or 'views'}{SUFFIX}")
         check_suffix(path, SUFFIX)
-        if path.resolve().parent in {file.resolve().parent for file in files_of(paths, environments(tasks, variants))}:
+        if path.resolve().parent in {file.resolve().parent for file in files_of(paths, tasks, variants)}:
             raise typer.BadParameter(f"{path} would lie among the demonstrations; give --out in another folder.")
-        magical_mj.demos.to_npz(demos, claim(path, force), preset, drop_noop=drop_noop, overwrite=force)
+        magical_mj.demos.to_npz(demos, check_writable(path, force), preset, drop_noop=drop_noop, overwrite=force)
         screen.print(path, soft_wrap=True)
         return
     if out is not None and len(names) > 1:
@@ -82,7 +82,7 @@ def export(
             check_suffix(path, ending)
         elif path.exists():
             raise FileExistsError(f"{path} exists already; give a new folder")
-        claim(path, force)
+        check_writable(path, force)
     for name, path in made.items():
         if to == "robomimic":
             to_robomimic(chosen[name], path, views=views, overwrite=force)

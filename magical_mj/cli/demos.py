@@ -20,14 +20,15 @@ from magical_mj.cli.console import (
     Tasks,
     Variants,
     check_suffix,
-    claim,
-    claim_folder,
+    check_writable,
     complain,
     console,
+    make_writable_folder,
 )
+from magical_mj.cli.demo_files import Paths, asked_for, files_of, read_asked, read_chosen
 from magical_mj.cli.film import film
 from magical_mj.cli.progress import with_bar
-from magical_mj.errors import DemonstrationError, MagicalError, SettingsError, UntrustedTaskError
+from magical_mj.errors import DemonstrationError, MagicalError, SettingsError
 from magical_mj.evaluation.settings import LARGEST_SETTING
 from magical_mj.parallel import spread
 from magical_mj.registry import Pair, environments, score, task_spec
@@ -35,12 +36,6 @@ from magical_mj.registry import Pair, environments, score, task_spec
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
     from magical_mj.demos import Demonstration, Imported, Verdict
 
-SUFFIX = ".npz"
-
-Paths = Annotated[
-    list[Path] | None,
-    typer.Argument(help="Files and folders.", show_default="those that come with the tasks"),
-]
 Recordings = Annotated[list[Path], typer.Argument(help="The JSON files that the browser saved.", show_default=False)]
 Count = Annotated[
     int, typer.Option(min=1, max=LARGEST_SETTING, help="Number in each environment, in the scenes of seeds 0, 1, ...")
@@ -71,9 +66,11 @@ def generate(
     jobs: Jobs = None,
 ) -> None:
     """Make demonstrations by the expert. Called again, it continues; nothing is overwritten."""
+    from magical_mj.demos.files import SUFFIX  # which loads the simulator
+
     pairs = environments(tasks, variants)
     check_files_differ([task for task, _ in pairs])
-    claim_folder(out)
+    make_writable_folder(out)
     screen = console()
     keys = [(*pair, number) for pair in pairs for number in range(count)]
     paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}-{key[2]:03}{SUFFIX}" for key in keys}
@@ -116,7 +113,7 @@ def make(work: tuple[str, str, int, float, Path]) -> str:
 def import_recordings(files: Recordings, out: Folder) -> None:
     """Import episodes that were saved in the browser: they are replayed and scored here."""
     made = [(file, _replayed(file)) for file in files]  # replay all before anything is written
-    claim_folder(out)
+    make_writable_folder(out)
     screen = console()
     for file, (demo, deviation, suspect) in made:
         path, is_new = magical_mj.demos.keep(demo, out)
@@ -181,10 +178,9 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
     differ where machines or versions do.
     """
     screen = console()
-    pairs = environments(tasks, variants)
-    wanted = pairs if (tasks, variants) != ("all", "all") else None
-    files = files_of(paths, pairs)
-    checked = with_bar(screen, "verifying", spread(partial(check, wanted), files, jobs), len(files))
+    files = files_of(paths, tasks, variants)
+    work = partial(check, asked_for(tasks, variants))
+    checked = with_bar(screen, "verifying", spread(work, files, jobs), len(files))
     found = [(path, verdict) for path, verdict in checked if verdict]
     if not found:
         raise DemonstrationError(f"none of the {len(files)} files is of these tasks and variants")
@@ -204,12 +200,8 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
 def check(wanted: Collection[Pair] | None, path: Path) -> tuple[Path, Verdict | str | None]:
     """The work of one process: checks one file; (path, None) if its environment was not asked for."""
     try:
-        demo = magical_mj.demos.read(path, trusted=[task for task, _ in wanted or ()])
-        if wanted is not None and (demo.task, demo.variant) not in wanted:
-            return path, None
-        return path, magical_mj.demos.verify(demo)
-    except UntrustedTaskError as error:
-        return path, str(error) if wanted is None else None
+        demo = read_asked(path, wanted)
+        return path, None if isinstance(demo, str) else magical_mj.demos.verify(demo)
     except DemonstrationError as error:
         return path, str(error)
     except MagicalError as error:
@@ -239,7 +231,7 @@ def video(
     """Make a video of demonstrations, with both views side by side."""
     check_suffix(out, ".mp4")
     demos = read_chosen(paths, tasks, variants)[:count]
-    claim(out, force)
+    check_writable(out, force)
     with film(out, size, speed, overwrite=force) as made:
         for demo in demos:
             title = f"{demo.task} {demo.variant}, seed {demo.scene_seed}: {demo.demonstrator}"
@@ -253,46 +245,3 @@ def video(
                     made.add(views, step, int(demo.actions[step - 1]), reached)
             made.end()
     console().print(out, soft_wrap=True)
-
-
-def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str) -> list[Demonstration]:
-    """The demonstrations of these tasks and variants in files and folders, by default those that come with tasks."""
-    pairs = environments(tasks, variants)
-    everything = (tasks, variants) == ("all", "all")
-    chosen: list[Demonstration] = []
-    others: set[str] = set()
-    for path in files_of(paths, pairs):
-        try:
-            demo = magical_mj.demos.read(path, trusted=[task for task, _ in pairs])
-        except UntrustedTaskError as error:
-            if everything:
-                raise
-            others.add(error.task)
-            continue
-        if everything or (demo.task, demo.variant) in pairs:
-            chosen.append(demo)
-        else:
-            others.add(demo.name)
-    if not chosen:
-        raise DemonstrationError(f"there are none of these tasks and variants; there are {', '.join(sorted(others))}")
-    return chosen
-
-
-def files_of(paths: Sequence[Path] | None, pairs: Sequence[Pair]) -> list[Path]:
-    """The files, each once, even if it is given in several ways; by default those that come with the pairs' tasks."""
-    if not paths:
-        return [path for task in dict.fromkeys(task for task, _ in pairs) for path in magical_mj.demos.paths_of(task)]
-    found: dict[Path, Path] = {}
-    for path in paths:
-        if path.is_dir():
-            inside = magical_mj.demos.files_in_or_below(path)
-            if not inside:
-                raise DemonstrationError(f"there are no demonstrations in {path}")
-            found |= {file.resolve(): file for file in inside}
-        elif path.exists():
-            found[path.resolve()] = path
-        else:
-            raise DemonstrationError(
-                f"there is no {path}; for those of a task that come with the package: --tasks TASK"
-            )
-    return list(found.values())

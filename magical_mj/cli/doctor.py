@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 import time
+from contextlib import closing
 from importlib.metadata import PackageNotFoundError, requires, version
 from typing import Final
 
@@ -120,16 +121,15 @@ def _print_backends(out: Console, found: dict[str, dict[str, str | float]]) -> N
 
 def probe() -> None:
     """Draws a few frames and prints JSON: the renderer, and the milliseconds of the first and of a typical frame."""
-    env = magical_mj.load("FindDupe", observations=())  # first of all, since it says why OpenGL does not start
-    from magical_mj.rendering.canvas import opengl_name
-
-    env.reset()
     times = []
-    for _ in range(FRAMES):
-        start = time.perf_counter()
-        env.render("ego", SIZE)
-        times.append(1000 * (time.perf_counter() - start))
-    env.close()
+    with closing(magical_mj.load("FindDupe", observations=())) as env:  # which says why OpenGL does not start
+        env.reset()
+        for _ in range(FRAMES):
+            start = time.perf_counter()
+            env.render("ego", SIZE)
+            times.append(1000 * (time.perf_counter() - start))
+    from magical_mj.rendering.canvas import opengl_name  # imported after that
+
     facts = {"renderer": opengl_name(), "first": times[0], "typical": sorted(times)[FRAMES // 2]}
     sys.stdout.write(json.dumps(facts))
 

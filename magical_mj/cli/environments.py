@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -21,7 +22,7 @@ from magical_mj.cli.console import (
     Variant,
     check_fits,
     check_suffix,
-    claim,
+    check_writable,
     complain,
     console,
     file_name,
@@ -83,16 +84,15 @@ def view(
         if task is not None:
             raise typer.BadParameter("give either TASK or --grid, not both.")
         check_fits(context, False, "for one environment: the grid shows all from above", "camera")
-        path = claim(out or Path(f"environments-{seed}.png"), force)
+        path = check_writable(out or Path(f"environments-{seed}.png"), force)
         picture = contact_sheet(seed, size or 128)
     else:
         if task is None:
             raise typer.BadParameter("give TASK, or --grid for all environments.")
-        env = magical_mj.load(task, variant, seed=seed, observations=())
-        path = claim(out or Path(file_name(task, variant, seed, ".png")), force)
-        env.reset()
-        picture = Image.fromarray(side_by_side(env, size or 384, views))
-        env.close()
+        with closing(magical_mj.load(task, variant, seed=seed, observations=())) as env:
+            path = check_writable(out or Path(file_name(task, variant, seed, ".png")), force)
+            env.reset()
+            picture = Image.fromarray(side_by_side(env, size or 384, views))
     with files.new_file(path, overwrite=force) as unfinished:
         picture.save(unfinished)
     console().print(path, soft_wrap=True)
@@ -100,11 +100,10 @@ def view(
 
 def export(task: Task, out: Folder, variant: Variant = "Demo", seed: Seed = 0, force: Force = False) -> None:
     """Write a scene as a self-contained MJCF model."""
-    env = magical_mj.load(task, variant, seed=seed, observations=())
-    path = claim(out / file_name(task, variant, seed, ".xml"), force)
-    env.reset()
-    console().print(magical_mj.export_mjcf(env, path, overwrite=force), soft_wrap=True)
-    env.close()
+    with closing(magical_mj.load(task, variant, seed=seed, observations=())) as env:
+        path = check_writable(out / file_name(task, variant, seed, ".xml"), force)
+        env.reset()
+        console().print(magical_mj.export_mjcf(env, path, overwrite=force), soft_wrap=True)
 
 
 def contact_sheet(seed: int, size: int) -> Image.Image:
@@ -124,11 +123,9 @@ def contact_sheet(seed: int, size: int) -> Image.Image:
 def _scene(task: str, variant: str, seed: int, size: int) -> Image.Image:
     if (task, variant) not in ENVIRONMENTS:
         return Image.new("RGB", (size, size), ABSENT)
-    env = magical_mj.load(task, variant, seed=seed, observations=())
-    env.reset()
-    picture = Image.fromarray(env.render("allo", size))
-    env.close()
-    return picture
+    with closing(magical_mj.load(task, variant, seed=seed, observations=())) as env:
+        env.reset()
+        return Image.fromarray(env.render("allo", size))
 
 
 def _label(sheet: Image.Image, names: tuple[str, ...], pitch: int, start: int = MARGIN) -> None:

@@ -24,7 +24,7 @@ from magical_mj.cli.console import (
     add_options,
     check_fits,
     check_suffix,
-    claim,
+    check_writable,
     console,
 )
 from magical_mj.cli.film import film, replay, views_of
@@ -109,7 +109,7 @@ def rollout(
     for source in listed:
         check_fit(source.load(), [pair], preset)
     if video is not None:
-        claim(video, force)
+        check_writable(video, force)
     screen, failed = console(), False
     with nullcontext() if video is None else film(video, size, views=views, overwrite=force) as made:
         for source in listed:

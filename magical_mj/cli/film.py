@@ -6,7 +6,7 @@ import errno
 import logging
 import struct
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -175,8 +175,7 @@ def replay(made: Film, score: Score) -> None:
         EvaluationError: if the replay ends with another score, because versions have changed.
     """
     rules = check_rules(score.rules)
-    env = magical_mj.load(score.task, score.variant, seed=score.seed, observations=(), rules=rules)
-    try:
+    with closing(magical_mj.load(score.task, score.variant, seed=score.seed, observations=(), rules=rules)) as env:
         env.reset(seed=score.seed)
         title = f"{score.task} {score.variant}, seed {score.seed}: {score.policy}"
         made.begin(title, side_by_side(env, made.size, made.views), env.score())
@@ -184,8 +183,6 @@ def replay(made: Film, score: Score) -> None:
             made.add(side_by_side(env, made.size, made.views), step, action, env.score())
         made.end()
         found = env.score()
-    finally:
-        env.close()
     if score.failure is None and abs(found - score.score) > SCORE_TOLERANCE:
         raise EvaluationError(
             f"{title} ends with {found:.2f} now, not {score.score:.2f}: "

@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 from rich.progress import MofNCompleteColumn
 
-from magical_mj.cli.console import Jobs, check_fits, claim_folder, complain, console
+from magical_mj.cli.console import Jobs, check_fits, complain, console, make_writable_folder
 from magical_mj.cli.progress import Bars
 from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.scores import read
@@ -58,7 +58,7 @@ def verify_folder(folder: Folder, jobs: Jobs = None) -> None:
 
 def make_entry(folders: Folders, out: Out, card: Card = None, policy: Name = None, extend: Extend = None) -> None:
     """Pack the evaluations of one method, with its card, into an entry for the leaderboard."""
-    claim_folder(out.parent)
+    make_writable_folder(out.parent)
     entry = submit(folders, out, card=card, policy=policy, extend=extend)
     parts = {name: value if isinstance(value, dict) else {"": value} for name, value in entry.card.items()}
     unsaid = [f"{name}.{inner}".rstrip(".") for name, part in parts.items() for inner in part if part[inner] is None]
@@ -84,7 +84,7 @@ def make_leaderboard(
     """Check all entries in a folder, and write the leaderboard: leaderboard.html and leaderboard.md."""
     check_fits(context, not everything, "without --all", "seed")
     paths, pages = entries(folder), out or (folder.parent if folder.is_file() else folder)
-    check_free(claim_folder(pages))
+    check_free(make_writable_folder(pages))
     screen = console()
     if not everything:
         seed = secrets.randbits(32) if seed is None else seed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -9,7 +10,7 @@ import typer
 
 import magical_mj
 from magical_mj.actions import NOOP
-from magical_mj.cli.console import OptionalTask, Seed, Size, Variant, check_fits, claim_folder, console
+from magical_mj.cli.console import OptionalTask, Seed, Size, Variant, check_fits, console, make_writable_folder
 from magical_mj.cli.film import side_by_side
 from magical_mj.cli.web import Collect, Host, Origin, Port, Tasks, Variants, Wanted, serve_page
 from magical_mj.cli.window import Window
@@ -60,15 +61,14 @@ def play(
         return
     if task is None:
         raise typer.BadParameter("give TASK, or --web to choose in the browser.")
-    env = magical_mj.load(task, variant, seed=seed, observations=())
     browser = "; without one, play in a browser: magical-mj play --web" if task_name(task) in TASKS else ""
-    window = Window(f"{task} {variant_name(variant)}", size, speed, browser)
-    try:
-        episodes = Episodes(None if record is None else claim_folder(record))
+    title = f"{task} {variant_name(variant)}"
+    with (
+        closing(magical_mj.load(task, variant, seed=seed, observations=())) as env,
+        closing(Window(title, size, speed, browser)) as window,
+    ):
+        episodes = Episodes(None if record is None else make_writable_folder(record))
         play_in(window, env, task, variant, seed, size, episodes)
-    finally:
-        window.close()
-        env.close()
 
 
 class Episodes:

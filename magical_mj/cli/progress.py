@@ -1,4 +1,4 @@
-"""Progress bars; where the output is no terminal, which could show them, plain lines instead."""
+"""Progress bars; where the output is no terminal that could show them, plain lines instead."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from rich.progress import (
     TextColumn,
     TimeRemainingColumn,
 )
+from rich.table import Column
 from rich.text import Text
 
 Result = TypeVar("Result")
@@ -32,13 +33,16 @@ class Left(TimeRemainingColumn):
     """The time that is left, in words that are understood beside other times."""
 
     def render(self, task: Task) -> Text:
-        """As text; empty if the amount of work is unknown."""
-        left = super().render(task)
+        """As text; empty if the amount of work is unknown, or as good as endless."""
+        try:
+            left = super().render(task)
+        except OverflowError:
+            return Text()
         return left.append(" left") if left else left
 
 
 class Bars(Progress):
-    """Progress bars, which are moved by `update`; without a terminal, a line after some seconds, then one a minute.
+    """Progress bars, which `update` moves; where none can be shown, a line after some seconds, then one a minute.
 
     Args:
         screen: where they are shown.
@@ -47,8 +51,9 @@ class Bars(Progress):
     """
 
     def __init__(self, screen: Console, *columns: ProgressColumn, **settings: Any) -> None:
-        super().__init__(LABEL, BarColumn(), *columns, Left(), console=screen, **settings)
-        self._in_lines = LABEL, *columns, Left()
+        left = Left(table_column=Column(no_wrap=True))
+        super().__init__(LABEL, BarColumn(), *columns, left, console=screen, **settings)
+        self._in_lines = LABEL, *columns, left
         self._next_line = self.get_time() + FIRST
 
     def update(self, task_id: TaskID, **changes: Any) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from magical_mj.cli.console import claim_folder, console
+from magical_mj.cli.console import console, make_writable_folder
 from magical_mj.cli.film import film, replay
 from magical_mj.errors import SettingsError
 from magical_mj.evaluation.compare import choose, compare
@@ -54,7 +54,7 @@ def make_report(
         raise SettingsError(f"--videos replays episodes of single worlds only, not of batched ones: {UNOFFICIAL}")
     if videos:
         check_extra("videos", "video")
-    out = claim_folder(out or folders[0] / "report")
+    out = make_writable_folder(out or folders[0] / "report")
     chosen = extremes(scores) if videos else []
     replaced = begin(out, film_names(chosen))
     links = film_episodes(chosen, out)

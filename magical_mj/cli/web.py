@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 
 import typer
 
-from magical_mj.cli.console import claim_folder, console
+from magical_mj.cli.console import console, make_writable_folder
 from magical_mj.errors import SettingsError, shown
 from magical_mj.extras import missing_extra
 from magical_mj.registry import ENVIRONMENTS, TASKS, Pair
@@ -76,7 +76,7 @@ def serve_page(
         from magical_mj.web.server import PlayServer
     except ModuleNotFoundError:
         raise missing_extra("Playing in a browser", "web") from None
-    collection = None if collect is None else Collection(claim_folder(collect), environments, wanted)
+    collection = None if collect is None else Collection(make_writable_folder(collect), environments, wanted)
     server = PlayServer(environments, host, port, origin=origin, collection=collection)
     if collection is not None:
         server.token = collection.token()

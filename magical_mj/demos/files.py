@@ -39,7 +39,7 @@ DAMAGE: Final = (  # the exceptions of numpy and zipfile for damaged archives
 )
 MOST_BYTES: Final = 50_000_000
 """The largest content of a file that is read; the longest demonstrations of this package have 200,000 bytes."""
-TEXTS: Final = tuple(f.name for f in dataclasses.fields(Demonstration) if f.name not in (*ARRAYS, "scene"))
+HEADER_FIELDS: Final = tuple(f.name for f in dataclasses.fields(Demonstration) if f.name not in (*ARRAYS, "scene"))
 
 
 def write(demo: Demonstration, path: Path | str) -> None:
@@ -49,7 +49,7 @@ def write(demo: Demonstration, path: Path | str) -> None:
         FileExistsError: if it does; nothing is overwritten.
     """
     arrays = {name: getattr(demo, name) for name in ARRAYS}
-    header = {"format": FORMAT, **{name: getattr(demo, name) for name in TEXTS}}
+    header = {"format": FORMAT, **{name: getattr(demo, name) for name in HEADER_FIELDS}}
     header["scene"] = json.loads(demo.scene.to_json())
     header["digest"] = _digest(header, arrays)
     path = Path(path)
@@ -137,7 +137,7 @@ def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] 
         raise UntrustedTaskError(header["task"])
     try:
         scene = Scene.from_json(json.dumps(header["scene"]))
-        return Demonstration(**{name: header[name] for name in TEXTS}, scene=scene, **arrays)
+        return Demonstration(**{name: header[name] for name in HEADER_FIELDS}, scene=scene, **arrays)
     except (KeyError, TypeError, MagicalError) as error:
         raise DemonstrationError(f"{path} does not describe a demonstration: {error}") from error
 

@@ -19,7 +19,7 @@ demonstration holds the states and the score of this replay. `final` is compared
 from __future__ import annotations
 
 import json
-from reprlib import repr as short
+from contextlib import closing
 from typing import Any, Final, NamedTuple, TypeGuard
 
 import numpy as np
@@ -29,7 +29,8 @@ from magical_mj.actions import ACTIONS
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.recording import Recorder
 from magical_mj.environment import load
-from magical_mj.errors import DemonstrationError
+from magical_mj.episodes import play
+from magical_mj.errors import DemonstrationError, shown
 from magical_mj.protocol import PROTOCOL
 from magical_mj.registry import environment_axes, task_spec, variant_name
 from magical_mj.scene import Scene
@@ -84,17 +85,14 @@ def from_recording(text: str | bytes) -> Imported:
 
 
 def _replayed(task: str, variant: str, seed: int, actions: list[int], seen: Any) -> Imported:
-    env = load(task, variant, seed=0, observations=())
-    try:
+    with closing(load(task, variant, seed=0, observations=())) as env:
         env.reset(seed=seed)
         expected = None if seen is None else _poses(seen, blocks=len(env.initial_scene.blocks))
         recorder = Recorder(env)
-        for action in actions:
-            recorder.step(action)
+        for _ in play(recorder, actions):
+            pass
         demonstration = recorder.demonstration(task, variant, seed, "human", seed)
         found = _poses_of(env.scene)
-    finally:
-        env.close()
     deviation = None if expected is None else float(np.abs(found - expected).max())
     return Imported(demonstration, deviation, deviation is not None and deviation > TOLERANCE)
 
@@ -109,7 +107,7 @@ def _parsed(text: str | bytes) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise DemonstrationError(f"a recording must be JSON; this is cut short or something else: {error}") from None
     if not isinstance(data, dict):
-        raise DemonstrationError(f"a recording must be a JSON object, not {short(data)}")
+        raise DemonstrationError(f"a recording must be a JSON object, not {shown(data)}")
     return data
 
 
@@ -126,7 +124,7 @@ def _is_name(value: Any) -> TypeGuard[str]:
 
 
 def _value(data: dict[str, Any], key: str) -> str:
-    return short(data[key]) if key in data else "nothing"
+    return shown(data[key]) if key in data else "nothing"
 
 
 def _poses(seen: Any, blocks: int) -> NDArray[np.float64]:
@@ -138,7 +136,7 @@ def _poses(seen: Any, blocks: int) -> NDArray[np.float64]:
     except (KeyError, TypeError, OverflowError):
         sizes, row = [], np.empty(0)
     if sizes != [3, 2, *[3] * blocks] or len(row) != sum(sizes) or not np.isfinite(row).all():
-        raise DemonstrationError(f"final must hold robot, fingers and the poses of {blocks} blocks, not {short(seen)}")
+        raise DemonstrationError(f"final must hold robot, fingers and the poses of {blocks} blocks, not {shown(seen)}")
     return row
 
 

@@ -42,7 +42,6 @@ def to_minari(
     demos: Sequence[Demonstration],
     name: str | None = None,
     preset: str = "State",
-    author: str = "magical_mj",
     *,
     overwrite: bool = False,
 ) -> str:
@@ -56,7 +55,6 @@ def to_minari(
         demos: demonstrations of one environment.
         name: the id; None: `minari_name`.
         preset: the Gymnasium preset of the observations.
-        author: the author's name.
         overwrite: replace an existing data set with this id.
 
     Returns:
@@ -96,7 +94,7 @@ def to_minari(
             env=env,
             eval_env=env,
             algorithm_name=f"magical_mj {who}",
-            author=author,
+            author="magical_mj",
             description=f"{len(demos)} demonstrations of {environment} by the {who} of magical_mj",
             requirements=sorted(versions) if len(versions) == 2 else [],
             jpeg_encoding=False,

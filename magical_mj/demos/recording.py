@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import Any, Final
 
 import dm_env
@@ -96,9 +97,8 @@ def demonstrate(task: str, variant: str, number: int, least_score: float = 1.0) 
         DemonstrationError: if none of them reaches it.
     """
     number = check_seed(number)
-    env = load(task, variant, seed=number, observations=())
     best = 0.0
-    try:
+    with closing(load(task, variant, seed=number, observations=())) as env:
         for attempt in range(ATTEMPTS):
             env.reset(seed=number)
             seed = number + attempt * STRIDE
@@ -109,8 +109,6 @@ def demonstrate(task: str, variant: str, number: int, least_score: float = 1.0) 
             if env.score() >= least_score:
                 return recorder.demonstration(task, variant, number, "expert", seed)
             best = max(best, env.score())
-    finally:
-        env.close()
     raise DemonstrationError(
         f"{ATTEMPTS} experts tried {task}-{variant_name(variant)} with seed {number}; the best reached {best:.2f}"
     )

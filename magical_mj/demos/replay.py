@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Final, NamedTuple
 
 import mujoco
@@ -91,9 +91,6 @@ def place(env: Environment, positions: NDArray[np.float64]) -> None:
 @contextmanager
 def _world(demo: Demonstration) -> Iterator[Environment]:
     """The environment of a demonstration, at its start."""
-    env = load(demo.task, demo.variant, scene=demo.scene, observations=())
-    env.reset()
-    try:
+    with closing(load(demo.task, demo.variant, scene=demo.scene, observations=())) as env:
+        env.reset()
         yield env
-    finally:
-        env.close()

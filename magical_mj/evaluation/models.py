@@ -61,12 +61,15 @@ class Model:
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
-    """A context in which PyTorch uses one thread: sums depend on how they are split, and workers share the cores."""
+def torch_threads(number: int) -> Iterator[None]:
+    """A context in which PyTorch uses so many threads.
+
+    Policies act on one: sums depend on how they are split, and workers share the cores.
+    """
     import torch
 
     before = torch.get_num_threads()
-    torch.set_num_threads(1)
+    torch.set_num_threads(number)
     try:
         yield
     finally:
@@ -123,10 +126,10 @@ def _best_actions(policy: Any, observations: Any) -> Any:
     import torch
 
     if not hasattr(policy, "get_distribution"):
-        with one_thread():
+        with torch_threads(1):
             return policy.predict(observations, deterministic=True)[0]
 
-    with torch.no_grad(), one_thread():
+    with torch.no_grad(), torch_threads(1):
         chosen = policy.get_distribution(policy.obs_to_tensor(observations)[0])
         _check_numbers(chosen.distribution.logits.cpu().numpy())
         return chosen.get_actions(deterministic=True).cpu().numpy()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -96,11 +97,8 @@ def check_chunk(episodes: Sequence[Claim], rules: Rules) -> Checked:
     check_opengl()
     from magical_mj.environment import load  # which loads the simulator
 
-    env = load(first.task, first.variant, seed=0, observations=(), rules=rules)
-    try:
+    with closing(load(first.task, first.variant, seed=0, observations=(), rules=rules)) as env:
         problems = [f"{episode}: {problem}" for episode in episodes if (problem := check_claim(episode, env))]
-    finally:
-        env.close()
     return Checked(len(episodes), sum(len(episode.actions) for episode in episodes), problems)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Final
@@ -66,35 +67,33 @@ class BatchedMeasurement:
 
 def measure_batched(task: str, variant: str, worlds: int, preset: str, device: str) -> BatchedMeasurement:
     """Measures one episode of random actions in all worlds, with the reset after it, and then each part separately."""
-    env = batched.make(task, variant, worlds, preset=preset, device=device, workers=_workers(worlds))
-    generator = torch.Generator().manual_seed(0)
-    actions = torch.randint(len(ACTIONS), (task_spec(task).horizon(), worlds), generator=generator).to(device)
-    env.reset(seed=0)
-    for step in range(WARM_UP):
-        env.step(actions[step])
-    kernels, work = _work(env, preset_named(preset), actions[WARM_UP : WARM_UP + WATCHED])
-    env.reset()
+    with closing(batched.make(task, variant, worlds, preset=preset, device=device, workers=_workers(worlds))) as env:
+        generator = torch.Generator().manual_seed(0)
+        actions = torch.randint(len(ACTIONS), (task_spec(task).horizon(), worlds), generator=generator).to(device)
+        env.reset(seed=0)
+        for step in range(WARM_UP):
+            env.step(actions[step])
+        kernels, work = _work(env, preset_named(preset), actions[WARM_UP : WARM_UP + WATCHED])
+        env.reset()
 
-    def play() -> None:
-        for row in actions:
-            env.step(row)  # whose observations are not kept: those of a whole episode would fill the accelerator
+        def play() -> None:
+            for row in actions:
+                env.step(row)  # whose observations are not kept: those of a whole episode would fill the accelerator
 
-    seconds = _seconds(device, play)
-    measured = BatchedMeasurement(
-        task=task,
-        variant=variant,
-        preset=preset,
-        worlds=worlds,
-        rate=worlds * len(actions) / seconds,
-        physics_seconds=_seconds(device, lambda: env.physics.step(actions[0])),
-        observation_seconds=_seconds(device, lambda: env.observer.look(env.physics)),
-        reset_seconds=_seconds(device, lambda: env.reset(seed=0)),
-        kernels=kernels,
-        work=work,
-        world_bytes=sum(map(size, vars(env.physics.data).values())) // worlds,
-    )
-    env.close()
-    return measured
+        seconds = _seconds(device, play)
+        return BatchedMeasurement(
+            task=task,
+            variant=variant,
+            preset=preset,
+            worlds=worlds,
+            rate=worlds * len(actions) / seconds,
+            physics_seconds=_seconds(device, lambda: env.physics.step(actions[0])),
+            observation_seconds=_seconds(device, lambda: env.observer.look(env.physics)),
+            reset_seconds=_seconds(device, lambda: env.reset(seed=0)),
+            kernels=kernels,
+            work=work,
+            world_bytes=sum(map(size, vars(env.physics.data).values())) // worlds,
+        )
 
 
 def _work(env: BatchedEnv, shown: Preset, actions: Tensor) -> tuple[list[Kernel], Work]:
@@ -133,14 +132,12 @@ def single_rate(task: str, variant: str, preset: str) -> float:
 
 
 def _single(environment: tuple[str, str, str]) -> float:
-    env = MagicalEnv(*environment)
-    env.reset(seed=0)  # the first frame starts OpenGL
-    steps, start = 0, perf_counter()
-    for seed, plan in zip(range(SINGLE_EPISODES), plans(env), strict=False):
-        env.reset(seed=seed)
-        for action in plan:
-            env.step(action)
-        steps += len(plan)
-    seconds = perf_counter() - start
-    env.close()
-    return steps / seconds
+    with closing(MagicalEnv(*environment)) as env:
+        env.reset(seed=0)  # the first frame starts OpenGL
+        steps, start = 0, perf_counter()
+        for seed, plan in zip(range(SINGLE_EPISODES), plans(env), strict=False):
+            env.reset(seed=seed)
+            for action in plan:
+                env.step(action)
+            steps += len(plan)
+        return steps / (perf_counter() - start)

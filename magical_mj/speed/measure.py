@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Final, Literal
@@ -64,18 +65,17 @@ class Measurement:
 
 def measure(task: str, variant: str, preset: str, steps: int) -> Measurement:
     """Plays random episodes in the scenes of seeds 0, 1, 2... until at least `steps` steps are done."""
-    env = MagicalEnv(task, variant, preset)
-    env.reset(seed=0)  # the first frame starts OpenGL
     done, seconds, bare_seconds = 0, 0.0, 0.0
-    for seed, plan in enumerate(plans(env)):
-        if done >= steps:
-            break
-        taken, bare_taken = episode(env, seed, plan, preset_named(preset))
-        seconds += taken
-        bare_seconds += bare_taken
-        done += len(plan)
+    with closing(MagicalEnv(task, variant, preset)) as env:
+        env.reset(seed=0)  # the first frame starts OpenGL
+        for seed, plan in enumerate(plans(env)):
+            if done >= steps:
+                break
+            taken, bare_taken = episode(env, seed, plan, preset_named(preset))
+            seconds += taken
+            bare_seconds += bare_taken
+            done += len(plan)
     resets = reset_times(task, variant, preset)
-    env.close()
     return Measurement(task, variant, preset, done, seconds, bare_seconds, resets)
 
 
@@ -93,12 +93,11 @@ def episode(env: MagicalEnv, seed: int, plan: list[int], preset: Preset) -> tupl
     start = perf_counter()
     env.reset(seed=seed)
     seconds = perf_counter() - start + _seconds(play, first)
-    bare = BareLoop(env.dm_env.initial_scene, preset)
-    bare_seconds = _seconds(bare.run, first)
-    for actions in others:
-        seconds += _seconds(play, actions)
-        bare_seconds += _seconds(bare.run, actions)
-    bare.close()
+    with closing(BareLoop(env.dm_env.initial_scene, preset)) as bare:
+        bare_seconds = _seconds(bare.run, first)
+        for actions in others:
+            seconds += _seconds(play, actions)
+            bare_seconds += _seconds(bare.run, actions)
     return seconds, bare_seconds
 
 
@@ -118,12 +117,11 @@ def plans(env: MagicalEnv) -> Iterator[list[int]]:
 
 def reset_times(task: str, variant: str, preset: str) -> dict[Cause, list[float]]:
     """Seconds of each reset, with the first picture, in the scenes of seeds 0, 1, 2..."""
-    env = MagicalEnv(task, variant, preset)
     times: dict[Cause, list[float]] = {"rewritten": [], "compiled": []}
-    for seed in range(RESETS):
-        before, start = env.dm_env.task.world.structure, perf_counter()
-        env.reset(seed=seed)
-        taken = perf_counter() - start
-        times["rewritten" if env.dm_env.task.world.structure == before else "compiled"].append(taken)
-    env.close()
+    with closing(MagicalEnv(task, variant, preset)) as env:
+        for seed in range(RESETS):
+            before, start = env.dm_env.task.world.structure, perf_counter()
+            env.reset(seed=seed)
+            taken = perf_counter() - start
+            times["rewritten" if env.dm_env.task.world.structure == before else "compiled"].append(taken)
     return times

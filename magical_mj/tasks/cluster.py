@@ -16,7 +16,9 @@ The released code's rule (rules="released")
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Final, Literal, TypeVar
 
 import numpy as np
@@ -36,6 +38,8 @@ RELEASED_STEPS: Final = 240
 MIN_BLOCKS: Final = 7
 MAX_BLOCKS: Final = 10
 NEARER: Final = 3  # a right block is nearer to its own centroid by this factor of the squared distance
+ZERO_SCORE_SHARE: Final[Mapping[Rules, float]] = MappingProxyType({"paper": 0.5, "released": 0.75})
+"""The share of right blocks up to which the score is 0."""
 
 
 def _covering(rng: np.random.Generator, values: tuple[_T, ...], number: int) -> list[_T]:
@@ -94,7 +98,7 @@ def blocks_right(scene: Scene, attribute: Attribute, rules: Rules = "paper") -> 
 def score(final: Scene, attribute: Attribute, rules: Rules = "paper") -> float:
     """The share of blocks that are right, above the share that scores 0, scaled to [0, 1]."""
     share = blocks_right(final, attribute, rules) / len(final.blocks)
-    nothing = 0.75 if rules == "released" else 0.5
+    nothing = ZERO_SCORE_SHARE[rules]
     return max(0.0, (share - nothing) / (1 - nothing))
 
 

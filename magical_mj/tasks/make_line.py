@@ -45,6 +45,7 @@ DEMO: Final = Scene(
 INLIER_DISTANCE: Final = 0.18
 MAX_GAP: Final = 0.42
 MIN_BLOCKS: Final = 3
+RELEASED_LEAST: Final = 3  # blocks in a line that score, by the released code's rules
 
 
 def count(rng: np.random.Generator, scene: Scene) -> Scene:
@@ -86,7 +87,7 @@ def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     in_line, total = longest_line(final.blocks), len(final.blocks)
     if in_line == total:
         return 1.0
-    if rules == "released" and in_line < 3:
+    if rules == "released" and in_line < RELEASED_LEAST:
         return 0.0
     return 0.5 if in_line == total - 1 else 0.0
 

@@ -22,7 +22,7 @@ from magical_mj.demos.lerobot import (
 )
 from magical_mj.episodes import Episode
 from magical_mj.errors import SettingsError
-from magical_mj.evaluation.models import one_thread
+from magical_mj.evaluation.models import torch_threads
 from magical_mj.observations import FINGERS as WHERE_FINGERS
 from magical_mj.observations import STATE_NAMES
 from magical_mj.registry import task_spec
@@ -76,7 +76,7 @@ class LeRobotPolicy:
         } or {STATE_VECTOR: torch.from_numpy(seen["state"])[None]}
         batch["observation.state"] = torch.from_numpy(state(fingers))[None]
         # Policies draw from torch's own generator.
-        with one_thread(), torch.inference_mode(), torch.random.fork_rng(devices=[]):
+        with torch_threads(1), torch.inference_mode(), torch.random.fork_rng(devices=[]):
             torch.set_rng_state(self._noise)
             action = self._after(self._policy.select_action(self._before({**batch, "task": [self._sentence]})))
             self._noise = torch.get_rng_state()

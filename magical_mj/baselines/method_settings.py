@@ -1,19 +1,15 @@
-"""Loading settings: the paper's, the quick ones and those for states, with changes; and reading and writing TOML."""
+"""The settings of each method: the paper's, the quick ones and those for states, with changes."""
 
 from __future__ import annotations
 
-import json
-import tomllib
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import fields, is_dataclass, replace
 from numbers import Real
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, TypeVar, get_type_hints
 
 from magical_mj.baselines.settings import STATE, TrainingSettings
 from magical_mj.errors import SettingsError, check_name, shown
-from magical_mj.files import read_toml
 from magical_mj.registry import TASKS, listed, task_name
 
 PARTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
@@ -207,60 +203,3 @@ def _fitting(name: str, value: Any, kind: Any) -> Any:
     if made is None or (kind is int and isinstance(value, Real) and made != value):
         raise SettingsError(f"{name} must be a number ({kind.__name__}), not {shown(value)}")
     return made
-
-
-MADE: Final = "made"
-"""The table of a config.toml that says when and with what a run was started; no setting."""
-
-
-def to_toml(settings: TrainingSettings) -> str:
-    """The settings that the method uses, as TOML; `from_toml` reads them."""
-    plain, tables = [], []
-    for item in fields(settings):
-        value = getattr(settings, item.name)
-        if is_dataclass(value) and item.name in PARTS.get(settings.method, [item.name]):
-            lines = [f"{inner.name} = {_value(getattr(value, inner.name))}" for inner in fields(value)]
-            tables.append("\n".join([f"[{item.name}]", *lines]))
-        elif not is_dataclass(value):
-            plain.append(f"{item.name} = {_value(value)}")
-    return "\n\n".join(["\n".join(plain), *tables]) + "\n"
-
-
-def recorded(settings: TrainingSettings) -> dict[str, Any]:
-    """Name -> value for everything that `to_toml` writes; names of nested parts contain dots."""
-    return flattened(tomllib.loads(to_toml(settings)))
-
-
-def from_toml(path: Path) -> TrainingSettings:
-    """The settings in a file.
-
-    Raises:
-        SettingsError, UnknownNameError: if it is not TOML, or holds invalid settings.
-    """
-    table = read_toml(path)
-    if not isinstance(table.pop(MADE, {}), dict):
-        raise SettingsError(f"{MADE} in {path} must be a table, as a training writes it; remove it")
-    if "method" not in table or "tasks" not in table:
-        raise SettingsError(f"{path} must give a method and tasks")
-    method, tasks = table.pop("method"), tuple(listed(table.pop("tasks"), TASKS))
-    return changed(TrainingSettings(method, tasks), flattened(table))
-
-
-def flattened(table: dict[str, Any]) -> dict[str, Any]:
-    """Name -> value; names in sub-tables contain dots."""
-    flat = {}
-    for name, value in table.items():
-        flat |= {f"{name}.{inner}": kept for inner, kept in value.items()} if isinstance(value, dict) else {name: value}
-    return flat
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, tuple):
-        return f"[{', '.join(_value(item) for item in value)}]"
-    return quoted(value) if isinstance(value, str) else json.dumps(value) if isinstance(value, bool) else repr(value)
-
-
-def quoted(text: str) -> str:
-    """A text as TOML. What cannot be encoded, such as bytes of a file's name that are no UTF-8, is escaped twice."""
-    plain = text.encode(errors="backslashreplace").decode()
-    return json.dumps(plain, ensure_ascii=False).replace("\x7f", "\\u007f")
