@@ -70,6 +70,12 @@ def test_nothing_is_overwritten(demo: Demonstration, path: Path) -> None:
     assert [p.name for p in path.parent.iterdir()] == [path.name]
 
 
+def test_only_names_that_are_found_again_are_written(demo: Demonstration, tmp_path: Path) -> None:
+    with pytest.raises(DemonstrationError, match=r"demo must end in \.npz"):
+        demos.write(demo, tmp_path / "demo")
+    assert not list(tmp_path.iterdir())
+
+
 def test_no_truncated_file_is_read(path: Path) -> None:
     whole = path.read_bytes()
     for length in (0, 1, 50, len(whole) // 2, len(whole) - 1):

@@ -175,7 +175,9 @@ def test_an_episode_is_recorded_from_its_start_to_its_end() -> None:
         recorder.step(0)
     with pytest.raises(DemonstrationError, match="the episode is over"):
         recorder.step(0)
-    assert len(recorder.demonstration("MoveToRegion", "Demo", 0, "human", 0).actions) == env.horizon
+    made = recorder.demonstration("MoveToRegion", "Demo", np.int64(0), "human", 0)  # pyright: ignore[reportArgumentType]
+    assert len(made.actions) == env.horizon
+    assert type(made.scene_seed) is int
     env.reset()
     env.step(1)
     with pytest.raises(DemonstrationError, match="the episode began 1 steps ago"):

@@ -43,16 +43,19 @@ HEADER_FIELDS: Final = tuple(f.name for f in dataclasses.fields(Demonstration) i
 
 
 def write(demo: Demonstration, path: Path | str) -> None:
-    """Write a demonstration to a file that does not exist yet. Its folder is made if missing.
+    """Writes a demonstration to a file (`*.npz`) that does not exist yet. Its folder is made if missing.
 
     Raises:
+        DemonstrationError: if the name has another ending; it would not be found in its folder.
         FileExistsError: if it does; nothing is overwritten.
     """
+    path = Path(path)
+    if path.suffix != SUFFIX:
+        raise DemonstrationError(f"{path} must end in {SUFFIX}")
     arrays = {name: getattr(demo, name) for name in ARRAYS}
     header = {"format": FORMAT, **{name: getattr(demo, name) for name in HEADER_FIELDS}}
     header["scene"] = json.loads(demo.scene.to_json())
     header["digest"] = _digest(header, arrays)
-    path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     archive = io.BytesIO()
     text = np.frombuffer(json.dumps(header).encode(), np.uint8)

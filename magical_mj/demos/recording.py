@@ -67,14 +67,18 @@ class Recorder:
     def demonstration(
         self, task: str, variant: str, scene_seed: int, demonstrator: Demonstrator, seed: int
     ) -> Demonstration:
-        """The episode so far as a demonstration, with the present score."""
+        """The episode so far as a demonstration, with the present score.
+
+        Raises:
+            InvalidSeedError: if a seed is not an integer, or negative.
+        """
         positions, velocities = self.states()
         return Demonstration(
             task=task_name(task),
             variant=variant_name(variant),
-            scene_seed=scene_seed,
+            scene_seed=check_seed(scene_seed),
             demonstrator=demonstrator,
-            seed=seed,
+            seed=check_seed(seed),
             scene=self._env.initial_scene,
             actions=np.array(self._actions, np.uint8),
             qpos=positions,
