@@ -17,16 +17,14 @@ import torch
 from learners import is_done, playing, stopped, tiny
 
 import magical_mj
-from magical_mj.baselines import checkpoint, load_policy, train
+from magical_mj.baselines import checkpoint, train
 from magical_mj.baselines.bc import CALIBRATION
 from magical_mj.baselines.folder import CHECKPOINT, CONFIG
 from magical_mj.baselines.metrics import read_metrics
 from magical_mj.baselines.policy import POLICY, TrainedPolicy
 from magical_mj.baselines.run import Progress
 from magical_mj.baselines.settings_file import from_toml, recorded
-from magical_mj.episodes import Episode
 from magical_mj.errors import MagicalError, SettingsError, TrainingError, UnknownNameError
-from magical_mj.evaluation import evaluate
 from magical_mj.files import read_toml
 from magical_mj.protocol import PROTOCOL
 
@@ -239,59 +237,6 @@ def test_a_loss_that_is_no_number_stops_and_keeps_the_checkpoint(tmp_path: Path)
     assert checkpoint.read(tmp_path / "run" / CHECKPOINT)["update"] == 1
     kept = checkpoint.read(tmp_path / "run" / POLICY)
     assert all(tensor.isfinite().all() for tensor in kept["weights"].values())
-
-
-def test_the_policy_plays_in_evaluations(tmp_path: Path) -> None:
-    """Given as a folder, to one process or two, one by one or side by side, it plays the same."""
-    train(tiny(tasks="MoveToRegion,FixColour"), tmp_path / "run")
-    path = str(tmp_path / "run")
-    frames = [
-        evaluate(path, tasks=["FixColour"], variants="Demo,Layout", episodes=2, **how)
-        for how in ({}, {"envs": 2}, {"jobs": 2})
-    ]
-    keys = ["task", "variant", "seed"]
-    scores = [frame.sort_values(keys)["score"].to_list() for frame in frames]
-    assert len(scores[0]) == 4
-    assert scores[0] == scores[1] == scores[2]
-    with pytest.raises(SettingsError, match="trained on the preset LoRes4E, not LoRes4A: give --preset LoRes4E"):
-        evaluate(path, tasks=["FixColour"], episodes=1, preset="LoRes4A")
-    with pytest.raises(SettingsError, match=r"cannot act in MakeLine: give --tasks MoveToRegion,FixColour"):
-        evaluate(path, tasks=["MakeLine"], episodes=1)
-
-
-def test_a_policy_draws_by_the_episode(tmp_path: Path) -> None:
-    policy = train(tiny(), tmp_path / "run")
-    loaded = load_policy(tmp_path / "run")
-    picture = np.random.default_rng(0).integers(0, 256, (96, 96, 12)).astype(np.uint8)
-
-    def actions(agent: object, seed: int) -> list[int]:
-        agent.reset(Episode("MoveToRegion", "Demo", seed))
-        return [agent(picture) for _ in range(30)]
-
-    assert actions(policy, 0) == actions(loaded, 0) != actions(loaded, 1)
-    assert len(set(actions(loaded, 0))) > 5  # two seconds of training leave it undecided
-    with pytest.raises(SettingsError, match=r"arrays of shape \(96, 96, 12\)"):
-        loaded(picture[:, :, :3])
-    with pytest.raises(SettingsError, match="trained on MoveToRegion, and cannot act in FindDupe"):
-        loaded.reset(Episode("FindDupe", "Demo", 0))
-    for weights in loaded._actor.parameters():
-        weights.data.fill_(float("nan"))
-    with pytest.raises(ValueError, match="not finite"):
-        loaded(picture)
-
-
-@pytest.mark.parametrize("spoil", ["missing", "cut", "text", "other"])
-def test_damaged_policies_are_refused(spoil: str, tmp_path: Path) -> None:
-    path = tmp_path / POLICY
-    if spoil == "cut":
-        train(tiny(), tmp_path / "run")
-        path.write_bytes((tmp_path / "run" / POLICY).read_bytes()[:-1000])
-    elif spoil == "text":
-        path.write_text("not a safetensors file at all")
-    elif spoil == "other":
-        checkpoint.write(path, {"weights": {"a": torch.zeros(2)}})
-    with pytest.raises(TrainingError, match=r"policy\.safetensors"):
-        load_policy(tmp_path)
 
 
 def test_checkpoints_keep_everything(tmp_path: Path) -> None:
