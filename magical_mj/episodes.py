@@ -106,13 +106,13 @@ def is_blind(policy: object) -> bool:
     return bool(getattr(policy, "blind", False))
 
 
-def word_of(actions: Iterable[int]) -> str:
-    """Actions as a word."""
+def letters_of(actions: Iterable[int]) -> str:
+    """Actions as a string, with one letter for each."""
     return "".join(LETTERS[action] for action in actions)
 
 
-def actions_of(word: str) -> list[int]:
-    """The actions of a string that `word_of` made; raises an `InvalidActionError` for any other string."""
-    if not set(word) <= set(LETTERS):
-        raise InvalidActionError(f"actions are words of letters from {LETTERS[0]} to {LETTERS[-1]}, not {shown(word)}")
-    return [LETTERS.index(letter) for letter in word]
+def actions_of(letters: str) -> list[int]:
+    """The actions of a string that `letters_of` made; raises an `InvalidActionError` for any other string."""
+    if not set(letters) <= set(LETTERS):
+        raise InvalidActionError(f"stored actions are letters from {LETTERS[0]} to {LETTERS[-1]}, not {shown(letters)}")
+    return [LETTERS.index(letter) for letter in letters]

@@ -283,5 +283,5 @@ def test_videos_of_methods_with_similar_names_are_kept_apart(tmp_path: Path) -> 
     scores = [replace(TEMPLATE, policy=name, task="MoveToRegion", actions="a") for name in ("a/b", "a-b")]
     links = film_episodes([("best", score) for score in scores], tmp_path)
     assert len(links) == len(set(links.values())) == len(list(tmp_path.glob("*.mp4"))) == 2
-    with pytest.raises(InvalidActionError, match="actions are words of letters from a to r, not 'abz'"):
+    with pytest.raises(InvalidActionError, match="stored actions are letters from a to r, not 'abz'"):
         film_episodes([("best", replace(scores[0], actions="abz"))], tmp_path)

@@ -11,7 +11,7 @@ import dm_env
 import gymnasium
 
 from magical_mj.actions import action_number
-from magical_mj.episodes import Episode, begin, is_blind, word_of
+from magical_mj.episodes import Episode, begin, is_blind, letters_of
 from magical_mj.episodes import play as play_actions
 from magical_mj.errors import EvaluationError, InvalidSceneError, PlacementError, TaskError
 from magical_mj.evaluation.failures import PolicyError, acting, instability
@@ -36,7 +36,7 @@ class Outcome:
 
     Attributes:
         score: in [0, 1]; 0 if the policy failed.
-        actions: the actions, as a word with a letter for each step.
+        actions: the actions, as a string with a letter for each step.
         seconds: the duration of the episode, wall clock.
         failure: why the policy failed; None if it did not.
     """
@@ -107,7 +107,7 @@ def play(env: Env, policy: Act, episode: Episode) -> Outcome:
         failure = str(error)
     except Exception as error:  # noqa: BLE001 raised again if it is another
         failure = instability(error)
-    return Outcome(score, word_of(actions), time.perf_counter() - start, failure)
+    return Outcome(score, letters_of(actions), time.perf_counter() - start, failure)
 
 
 def reset(env: Env | Envs, seed: Any) -> Any:

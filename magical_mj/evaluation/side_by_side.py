@@ -19,7 +19,7 @@ from gymnasium.vector.utils import iterate
 from numpy.typing import NDArray
 
 from magical_mj.actions import action_number
-from magical_mj.episodes import Episode, begin, word_of
+from magical_mj.episodes import Episode, begin, letters_of
 from magical_mj.episodes import play as play_actions
 from magical_mj.errors import EvaluationError, InvalidActionError, SettingsError
 from magical_mj.evaluation.failures import PolicyError, acting, instability, reason
@@ -135,5 +135,5 @@ def play_side_by_side(envs: Envs, policy: BatchPolicy, episodes: Sequence[Episod
     except Exception as error:  # noqa: BLE001 raised again if it is another
         failure, scores = instability(error), np.zeros(count)
     seconds = (time.perf_counter() - start) / count
-    words = [word_of(actions[place] for actions in taken) for place in range(count)]
-    return [Outcome(float(score), word, seconds, failure) for score, word in zip(scores, words, strict=False)]
+    letters = [letters_of(actions[place] for actions in taken) for place in range(count)]
+    return [Outcome(float(score), played, seconds, failure) for score, played in zip(scores, letters, strict=False)]

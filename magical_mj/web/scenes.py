@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from magical_mj import demos
-from magical_mj.episodes import word_of
+from magical_mj.episodes import letters_of
 from magical_mj.registry import sample_scene
 from magical_mj.web.catalogue import scene_data
 
@@ -25,7 +25,7 @@ _BETWEEN_ELEMENTS: Final = re.compile(r"(?<=>)(?=\s*<)")
 def environment_scenes(task: str, variant: str) -> dict[str, Any]:
     """The page's data of an environment: its first scenes (of Demo, the only one), as JSON data."""
     shipped = demos.load(task)[:DEMONSTRATIONS] if variant == "Demo" else []
-    demonstrations = [word_of(demo.actions) for demo in shipped]
+    demonstrations = [letters_of(demo.actions) for demo in shipped]
     expert: list[str] = demonstrations[:1] or json.loads(EXPERT.read_text(encoding="utf-8"))[f"{task}-{variant}"]
     seeds = range(1 if variant == "Demo" else SCENES)
     return {
