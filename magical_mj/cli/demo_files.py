@@ -10,7 +10,7 @@ import typer
 
 import magical_mj
 from magical_mj.errors import DemonstrationError, UntrustedTaskError
-from magical_mj.registry import environments
+from magical_mj.registry import Pair, environments
 
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
     from magical_mj.demos import Demonstration
@@ -53,12 +53,12 @@ def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str) -> list
     return chosen
 
 
-def asked_for(tasks: str, variants: str) -> list[tuple[str, str]] | None:
+def asked_for(tasks: str, variants: str) -> list[Pair] | None:
     """The environments that were asked for; None if none was in particular."""
     return None if (tasks, variants) == ("all", "all") else environments(tasks, variants)
 
 
-def read_asked(path: Path, wanted: Collection[tuple[str, str]] | None) -> Demonstration | str:
+def read_asked(path: Path, wanted: Collection[Pair] | None) -> Demonstration | str:
     """The demonstration in a file; the name of its environment or task if others were asked for.
 
     Args:
