@@ -9,7 +9,7 @@ from magical_mj.errors import MissingExtraError
 
 MODULES: Final = {
     "dask": ("distributed",),
-    "eval": ("joblib", "jsonschema", "matplotlib", "pandas", "scipy"),
+    "eval": ("fastjsonschema", "joblib", "matplotlib", "pandas", "scipy"),
     "gpu": ("mujoco_warp", "torch", "warp"),
     "ray": ("ray",),
     "il": ("kornia", "safetensors", "stable_baselines3", "tensorboard", "torch"),

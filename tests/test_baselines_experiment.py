@@ -36,8 +36,11 @@ seeds = [0, 1]
 quick = true
 [settings]
 evaluations = 0
+checkpoints = 1
 demonstrations = 2
 bc.batches = 4
+bc.batch_size = 4
+network.first_stride = 4
 network.channels = 4
 [evaluation]
 variants = "Demo"
@@ -249,8 +252,8 @@ def test_the_order_of_environments_is_compared_with_the_papers(tmp_path: Path) -
 def test_changed_settings_show_in_the_methods_name(tmp_path: Path) -> None:
     file = tmp_path / "experiment.toml"
     file.write_text(EXPERIMENT)
-    name = "BC (ST), ours, quick, demonstrations 2, bc.batches 4, network.channels 4"
-    assert {run.method for run in runs(file, tmp_path)} == {name}
+    changed = "demonstrations 2, bc.batches 4, bc.batch_size 4, network.first_stride 4, network.channels 4"
+    assert {run.method for run in runs(file, tmp_path)} == {f"BC (ST), ours, quick, {changed}"}
 
 
 @pytest.mark.parametrize("file", sorted(EXPERIMENTS.glob("*.toml")), ids=lambda file: file.stem)

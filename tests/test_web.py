@@ -161,11 +161,14 @@ def test_addresses_are_written_as_browsers_do(host: str, port: int, origin: str 
 
 
 def test_an_ipv6_address_is_played_at() -> None:
+    def visit(address: str) -> Any:
+        with sit(address) as seat:
+            return ask(seat, {"dance": 1})
+
     async def play() -> Any:
         server = PlayServer(magical_mj.ENVIRONMENTS[:1], "::1", 0)
         async with await server.start():
-            with await asyncio.to_thread(sit, server.address) as seat:
-                return await asyncio.to_thread(ask, seat, {"dance": 1})
+            return await asyncio.to_thread(visit, server.address)
 
     try:
         socket.create_server(("::1", 0), family=socket.AF_INET6).close()

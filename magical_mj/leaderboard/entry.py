@@ -6,11 +6,12 @@ import hashlib
 import json
 import lzma
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files as resources
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final, Literal, NoReturn
 
 from magical_mj.errors import EvaluationError
 from magical_mj.leaderboard.claims import SEEDS, Claim
@@ -173,17 +174,30 @@ def _finite(digits: str) -> float:
     return number if math.isfinite(number) else _no_number(digits)
 
 
-def schema() -> dict[str, Any]:
-    """The JSON schema of entries."""
-    return json.loads((resources("magical_mj.leaderboard") / "entry.schema.json").read_text(encoding="utf-8"))
+def violation(content: Any, what: Literal["entry", "card"]) -> str:
+    """How content violates the JSON schema of entries, or of their cards; empty if it does not."""
+    from fastjsonschema import JsonSchemaValueException
+
+    try:
+        _schema(what)(content, name_prefix=what)
+    except JsonSchemaValueException as error:
+        return error.message[:200]
+    return ""
+
+
+@cache
+def _schema(what: str) -> Callable[..., Any]:
+    """Raises an error for content that violates it."""
+    import fastjsonschema
+
+    text = (resources("magical_mj.leaderboard") / "entry.schema.json").read_text(encoding="utf-8")
+    schema = json.loads(text)
+    return fastjsonschema.compile(schema if what == "entry" else schema["properties"]["card"])
 
 
 def _check_schema(content: Any, name: object) -> None:
-    import jsonschema
-
-    wrong = next(jsonschema.Draft202012Validator(schema()).iter_errors(content), None)  # a file may have thousands
-    if wrong is not None:
-        raise EvaluationError(f"{name} does not follow the schema at {wrong.json_path}: {wrong.message[:200]}")
+    if wrong := violation(content, "entry"):
+        raise EvaluationError(f"{name} does not follow the schema: {wrong}")
     method = content["card"]["method"]
     if not is_readable(method):
         raise EvaluationError(f"{name} has a method whose name {method!r} {UNREADABLE}")

@@ -16,7 +16,16 @@ from magical_mj.evaluation.scores import Score, read
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.extras import check_extra
 from magical_mj.leaderboard.claims import claim_of
-from magical_mj.leaderboard.entry import SUFFIX, UNREADABLE, Entry, check_unique, is_readable, packed, schema, unpacked
+from magical_mj.leaderboard.entry import (
+    SUFFIX,
+    UNREADABLE,
+    Entry,
+    check_unique,
+    is_readable,
+    packed,
+    unpacked,
+    violation,
+)
 from magical_mj.leaderboard.record import digests, protocol_of
 from magical_mj.registry import ENVIRONMENTS, check_rules
 
@@ -175,13 +184,8 @@ def _card(said: dict[str, Any], where: object, known: dict[str, Any] = CARD) -> 
 def _check_card(card: dict[str, Any], where: object) -> None:
     """Raise a `SettingsError` unless the card is as the schema of entries says, which checks the leaderboard, too."""
     check_extra("entries", "eval")
-    import jsonschema
-    from jsonschema.exceptions import best_match
-
-    wrong = best_match(jsonschema.Draft202012Validator(schema()["properties"]["card"]).iter_errors(card))
-    if wrong is not None:
-        field = ".".join(map(str, wrong.path))
-        raise SettingsError(f"the card's {field} is not valid{f' in {where}' if where else ''}: {wrong.message[:200]}")
+    if wrong := violation(card, "card"):
+        raise SettingsError(f"the card is not valid{f' in {where}' if where else ''}: {wrong}")
     if not is_readable(card["method"]):
         raise SettingsError(f"the card's method {card['method']!r} {UNREADABLE}{f' in {where}' if where else ''}")
     hours = card["training"]["hours"]
