@@ -120,8 +120,8 @@ def test_al_weighs_the_features_of_both_sides() -> None:
     """By the formula, from the demonstrations and rollouts that it draws; the policy's latest samples are kept."""
     learner = Apprenticeship(playing(tasks="MoveToRegion,FixColour", **{"features.samples": 40}))
     first, second = learner._ppo.collect(), learner._ppo.collect()
-    learner.study(first)
-    metrics = learner.study(second)
+    learner.learn_reward(first)
+    metrics = learner.learn_reward(second)
     everything = learner._expert.rows([torch.arange(size) for size in learner._expert.sizes])
     expert = learner._autoencoder.features(*learner.on_device(everything)[:2])
     novice = [
@@ -135,7 +135,7 @@ def test_al_weighs_the_features_of_both_sides() -> None:
         torch.testing.assert_close(learner._weights[task], mean / mean.norm(), rtol=1e-3, atol=1e-5)
     assert metrics["distance"] > 0
     third = learner._ppo.collect()
-    learner.study(third)
+    learner.learn_reward(third)
     assert learner._latest.shape[1] == 20
     stacks, actions, tasks = learner.on_device(next(third.batches(16)))
     expected = torch.einsum(
@@ -202,7 +202,7 @@ def test_batches_are_half_and_half() -> None:
         return learner._discriminator(*samples).sum(), {}
 
     learner.loss = loss
-    learner.study(learner._ppo.collect())
+    learner.learn_reward(learner._ppo.collect())
     assert seen == [[0, 0, 1, 1, 0, 0, 1, 1]] * 2
     learner.close()
 
@@ -214,13 +214,13 @@ def test_the_policys_samples_are_of_the_latest_rollouts(tmp_path: Path) -> None:
     learner._step = lambda rollout: seen.append(rollout) or {}  # type: ignore[method-assign,func-returns-value]
     for _ in range(4):
         played.append(learner._ppo.collect())
-        learner.study(played[-1])
+        learner.learn_reward(played[-1])
     expected = np.concatenate([rollout.observations for rollout in played[1:]])
     np.testing.assert_array_equal(seen[-1].observations, expected)
     checkpoint.write(tmp_path / "kept.safetensors", learner.state())
     learner.restore(checkpoint.read(tmp_path / "kept.safetensors"))
     played.append(learner._ppo.collect())
-    learner.study(played[-1])
+    learner.learn_reward(played[-1])
     expected = np.concatenate([rollout.actions for rollout in played[2:]])
     np.testing.assert_array_equal(seen[-1].actions, expected)
     learner.close()
@@ -229,7 +229,7 @@ def test_the_policys_samples_are_of_the_latest_rollouts(tmp_path: Path) -> None:
 def test_rewards_are_of_unaugmented_pictures_by_running_statistics() -> None:
     learner = GAIL(playing())
     rollout = learner._ppo.collect()
-    learner.study(rollout)
+    learner.learn_reward(rollout)
     stacks, actions, tasks = learner.on_device(next(rollout.batches(16)))
     with torch.no_grad():
         whole = learner.reward(stacks, actions, tasks)

@@ -18,7 +18,7 @@ from magical_mj.baselines.environments import Environments
 from magical_mj.baselines.learner import seeded
 from magical_mj.baselines.network import ONE_HOT, Actor, Heads, Torso, as_input, standardise
 from magical_mj.baselines.policy import load_policy, save_policy
-from magical_mj.baselines.ppo import EvenBuffer, Improver
+from magical_mj.baselines.ppo import EvenBuffer, ExternalRewardPPO
 from magical_mj.baselines.reinforced import RewardNormaliser
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.episodes import Episode
@@ -26,15 +26,15 @@ from magical_mj.episodes import Episode
 CPU = torch.device("cpu")
 
 
-def improver(settings: TrainingSettings) -> Improver:
+def improver(settings: TrainingSettings) -> ExternalRewardPPO:
     with seeded(settings.seed):
         actor = Actor(settings.network, len(settings.tasks))
         critic = Heads(len(settings.tasks), actor.torso.features, 1)
-        return Improver(settings, Environments(settings), actor, critic, torch.Generator().manual_seed(0), CPU)
+        return ExternalRewardPPO(settings, Environments(settings), actor, critic, torch.Generator().manual_seed(0), CPU)
 
 
 @pytest.fixture
-def ppo() -> Iterator[Improver]:
+def ppo() -> Iterator[ExternalRewardPPO]:
     made = improver(playing())
     yield made
     made.env.close()
@@ -59,7 +59,7 @@ def test_the_preset_is_the_settings() -> None:
 
 
 def test_copies_start_at_different_times_of_their_episodes() -> None:
-    """Copies of each of the tasks, whose episodes have 40 steps: two begin with no head start, two with half of one."""
+    """Copies of each of the tasks, whose episodes have 40 steps: two of them begin in the middle of one."""
     environments = Environments(playing(tasks="MoveToRegion,MoveToCorner"))
     environments.reset()
     assert [len(one["actions"]) for one in environments.state()] == [0, 20, 0, 40]
@@ -151,7 +151,7 @@ def test_rollouts_are_drawn_evenly_over_tasks() -> None:
     assert torch.cat([batch.tasks for batch in whole]).tolist() == 4 * [0, 0, 0, 1, 1, 1]
 
 
-def test_pictures_are_scaled_once_and_stay_fast(ppo: Improver) -> None:
+def test_pictures_are_scaled_once_and_stay_fast(ppo: ExternalRewardPPO) -> None:
     """What the torso gets is exactly what `as_input` makes of the stacks, channels last in memory."""
     got = []
     ppo.policy.features_extractor.torso.register_forward_pre_hook(lambda _, inputs: got.append(inputs[0]))
@@ -222,7 +222,7 @@ def test_new_policies_tell_pictures_apart() -> None:
             assert seen.float().mean() > 0.8
 
 
-def test_rewards_from_outside_become_returns(ppo: Improver) -> None:
+def test_rewards_from_outside_become_returns(ppo: ExternalRewardPPO) -> None:
     """Generalised advantages by their definition; the value of a state that ends an episode stands for what follows."""
     rng = np.random.default_rng(0)
     for _ in range(3):  # in the third rollout, the steps 9 to 12, the last copy's first episode ends
@@ -245,7 +245,7 @@ def test_rewards_from_outside_become_returns(ppo: Improver) -> None:
     assert buffer.episode_starts[2].tolist() == [0, 0, 0, 1]
 
 
-def test_the_learning_rate_falls_to_zero(ppo: Improver) -> None:
+def test_the_learning_rate_falls_to_zero(ppo: ExternalRewardPPO) -> None:
     """From the settings' rate in the first of four updates by equal steps: it is 0 after the last."""
     rates = []
     for _ in range(4):
@@ -255,7 +255,7 @@ def test_the_learning_rate_falls_to_zero(ppo: Improver) -> None:
     np.testing.assert_allclose(rates, 3e-4 * np.array([1, 0.75, 0.5, 0.25]))
 
 
-def test_the_score_is_that_of_the_last_episodes_that_ended(ppo: Improver) -> None:
+def test_the_score_is_that_of_the_last_episodes_that_ended(ppo: ExternalRewardPPO) -> None:
     scores = []
     for _ in range(4):
         ppo.collect()

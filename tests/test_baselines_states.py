@@ -27,7 +27,7 @@ from magical_mj.baselines.states import (
     History,
     StateAugmentation,
     StateTorso,
-    described,
+    features_of,
     histories,
 )
 from magical_mj.constants import COLOURS, SHAPES
@@ -65,7 +65,7 @@ def test_what_is_half_a_unit_ahead_is_half_a_unit_ahead(angle: float, x: float, 
     seen = history(
         robot_x=0.1 if x == 0.1 else 0.0, robot_y=0.2, robot_angle=angle, block4_present=1, block4_x=x, block4_y=y
     )
-    _, rows, present = described(seen)
+    _, rows, present = features_of(seen)
     assert present.tolist() == [[True]]
     torch.testing.assert_close(rows[0, 0, :2], torch.tensor([0.0, 0.5]), atol=1e-6, rtol=0)
 
@@ -78,7 +78,7 @@ def test_regions_are_seen_by_their_middle_and_size() -> None:
         "region1_y_min": 0.5,
         "region1_y_max": 0.7,
     }
-    _, rows, _ = described(history(**region, region1_blue=1))
+    _, rows, _ = features_of(history(**region, region1_blue=1))
     torch.testing.assert_close(rows[0, 0, :2], torch.tensor([0.1, 0.6]))
     torch.testing.assert_close(rows[0, 0, -3:], torch.tensor([0.3, 0.1, 1.0]))
 
@@ -87,7 +87,7 @@ def test_movements_are_the_robots_own() -> None:
     """It faces -x and has come from a tenth further right: a step ahead."""
     seen = history(robot_angle=math.pi / 2)
     seen[0, :-1, 0] = 0.1
-    robot, _, _ = described(seen)
+    robot, _, _ = features_of(seen)
     torch.testing.assert_close(robot[0, 6:8], torch.tensor([0.0, 1.0]), atol=1e-6, rtol=0)
 
 
@@ -115,7 +115,7 @@ def test_every_scene_of_every_environment_can_be_seen() -> None:
         scene = magical_mj.sample_scene(task, variant, 0)
         poses = np.array([[body.x, body.y, body.angle] for body in (scene.robot, *scene.blocks)])
         state = magical_mj.observations.StateEncoder(scene)(poses, poses * 0, np.array(scene.robot.fingers))
-        robot, rows, present = described(torch.as_tensor(histories(state[None])))
+        robot, rows, present = features_of(torch.as_tensor(histories(state[None])))
         assert present.sum() == rows.shape[1] == len(scene.blocks) + len(scene.regions)
         assert rows[0, : len(scene.blocks), 6 : 6 + len(SHAPES) + len(COLOURS)].sum() == 2 * len(scene.blocks)
         assert rows.abs().max() < 4

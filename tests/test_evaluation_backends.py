@@ -18,7 +18,7 @@ import magical_mj
 from magical_mj.errors import EvaluationError, MissingExtraError, SettingsError
 from magical_mj.evaluation import Score
 from magical_mj.evaluation.scores import read
-from magical_mj.parallel import spread
+from magical_mj.parallel import map_unordered
 
 SETTINGS: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo,Layout,Colour", "episodes": 40}
 
@@ -83,7 +83,7 @@ def test_dask_works_on_the_cluster_and_on_no_more_pieces_than_asked_for(workers:
     ):
         address = cluster.scheduler_address
         for jobs, together in ((1, False), (None, workers > 1)):
-            found = sorted(spread(who, range(6), jobs, "dask", address), key=lambda one: one[1])
+            found = sorted(map_unordered(who, range(6), jobs, "dask", address), key=lambda one: one[1])
             assert len(found) == 6
             assert {pid for pid, _, _ in found} <= {nanny.process.pid for nanny in cluster.workers.values()}
             assert any(first[2] > second[1] for first, second in pairwise(found)) == together

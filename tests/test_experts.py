@@ -17,7 +17,7 @@ from magical_mj.experts.driving import drive, steer
 from magical_mj.experts.hand import Hand
 from magical_mj.experts.lookahead import Lookahead, state_of
 from magical_mj.experts.manoeuvres import manoeuvres, obstacles, simplified
-from magical_mj.experts.navigation import EMPTY, Ways, cells, explore, toll
+from magical_mj.experts.navigation import EMPTY, SearchTree, cell_costs, cells, explore
 from magical_mj.planning import Noise, Subgoal
 
 
@@ -40,57 +40,57 @@ def env_of(task: str, variant: str = "Demo", seed: int = 0) -> magical_mj.Enviro
     return env
 
 
-# ways
+# paths
 
 
 def test_a_way_is_what_the_robot_can_drive() -> None:
     scene = magical_mj.sample_scene("FindDupe", "Demo", 0)
-    tolls = toll(obstacles(scene), loaded=False)
-    ways = explore(scene.robot.pose, tolls, 60)
-    assert np.array_equal(ways.poses[0], scene.robot.pose)
-    assert len(ways.poses) > 5000
-    assert (tolls[cells(ways.poses[1:])] >= 0).all()
-    node = int(ways.steps.argmax())
-    way = np.array(ways.to(node))
-    assert np.array_equal(way[-1], ways.poses[node])
-    assert np.hypot(*np.diff(way[:, :2], axis=0).T).max() <= 0.1 + 1e-9
-    assert np.abs(np.diff(way[:, 2])).max() <= 0.3125 + 1e-9
+    costs = cell_costs(obstacles(scene), loaded=False)
+    tree = explore(scene.robot.pose, costs, 60)
+    assert np.array_equal(tree.poses[0], scene.robot.pose)
+    assert len(tree.poses) > 5000
+    assert (costs[cells(tree.poses[1:])] >= 0).all()
+    node = int(tree.steps.argmax())
+    path = np.array(tree.path_to(node))
+    assert np.array_equal(path[-1], tree.poses[node])
+    assert np.hypot(*np.diff(path[:, :2], axis=0).T).max() <= 0.1 + 1e-9
+    assert np.abs(np.diff(path[:, 2])).max() <= 0.3125 + 1e-9
 
 
 def test_blocks_cost_toll_and_walls_stop() -> None:
-    tolls = toll(np.array([[0.0, 0.0, 0.12]]), loaded=False)
+    costs = cell_costs(np.array([[0.0, 0.0, 0.12]]), loaded=False)
     inside, free, wall = cells(np.array([[0.0, -0.25, 0.0], [0.6, -0.5, 0.0], [0.0, 0.9, 0.0]]))
-    assert tolls[free] == 0
-    assert tolls[inside] != 0
-    assert tolls[wall] < 0
+    assert costs[free] == 0
+    assert costs[inside] != 0
+    assert costs[wall] < 0
     assert max(y + radius for _, y, radius in EMPTY) < 0.38
 
 
 def test_routes_are_driven() -> None:
-    """Of ways to anywhere in an empty arena only a few points are left, and the robot gets there."""
+    """Of paths to anywhere in an empty arena only a few points are left, and the robot gets there."""
     env = env_of("MoveToRegion")
     world = Lookahead(env)
-    tolls = toll(np.empty((0, 3)), loaded=False)
-    ways = explore(world.robot, tolls, 50)
+    costs = cell_costs(np.empty((0, 3)), loaded=False)
+    tree = explore(world.robot, costs, 50)
     start = world.state
-    for node in np.random.default_rng(0).integers(len(ways.poses), size=12).tolist():
+    for node in np.random.default_rng(0).integers(len(tree.poses), size=12).tolist():
         world.restore(start)
-        route = simplified(ways.to(node), tolls)
+        route = simplified(tree.path_to(node), costs)
         assert len(route) <= 3
         assert drive(world, route, Gripper.OPEN, 80, within=0.1)
         for _ in range(4):
             world.act(Gripper.OPEN)  # it comes to rest
-        assert math.dist(world.robot[:2], ways.poses[node][:2]) < 0.22
+        assert math.dist(world.robot[:2], tree.poses[node][:2]) < 0.22
 
 
 def test_a_route_goes_round_a_block() -> None:
     env = magical_mj.load_scene(Scene(Robot(0, -0.7, 0), (Block("circle", "red", 0, 0, 0),)), observations=())
     env.reset()
     world = Lookahead(env)
-    tolls = toll(obstacles(env.scene), loaded=False)
-    ways = explore(world.robot, tolls, 80)
-    node = int(np.hypot(*(ways.poses[:, :2] - (0.0, 0.7)).T).argmin())
-    assert drive(world, simplified(ways.to(node), tolls), Gripper.OPEN, 80, within=0.1)
+    costs = cell_costs(obstacles(env.scene), loaded=False)
+    tree = explore(world.robot, costs, 80)
+    node = int(np.hypot(*(tree.poses[:, :2] - (0.0, 0.7)).T).argmin())
+    assert drive(world, simplified(tree.path_to(node), costs), Gripper.OPEN, 80, within=0.1)
     assert world.robot[1] > 0.5
     assert math.dist(world.block(0), (0, 0)) < 0.05
 
@@ -258,10 +258,10 @@ def test_an_expert_drives_a_dm_env_environment() -> None:
 
 
 def test_a_place_out_of_reach_is_approached() -> None:
-    """As after random actions, when the ways that the robot can see end before the place."""
-    ways = Ways(np.array([(0.0, 0.0, 0.0), (0.0, 0.1, 0.0)]), np.array([-1, 0]), np.array([0, 1]))
+    """As after random actions, when the paths that the robot can see end before the place."""
+    tree = SearchTree(np.array([(0.0, 0.0, 0.0), (0.0, 0.1, 0.0)]), np.array([-1, 0]), np.array([0, 1]))
     scene = magical_mj.sample_scene("MoveToRegion", "Demo", 0)
-    free = toll(obstacles(scene), loaded=False)
-    (found,) = manoeuvres(ways, free, scene, Subgoal(None, (0.5, 0.5), 0.1), Noise(np.random.default_rng(0), 1.0))
+    free = cell_costs(obstacles(scene), loaded=False)
+    (found,) = manoeuvres(tree, free, scene, Subgoal(None, (0.5, 0.5), 0.1), Noise(np.random.default_rng(0), 1.0))
     assert found.route[-1] == (0.5, 0.5)
     assert found.estimate == 1.0

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from magical_mj.errors import SettingsError, UnknownNameError, WorkerError
-from magical_mj.parallel import spread
+from magical_mj.parallel import map_unordered
 from magical_mj.parallel.local import Pool
 
 
@@ -25,8 +25,8 @@ def square(number: int) -> int:
 
 
 def test_all_the_work_is_done() -> None:
-    assert sorted(spread(square, range(20), jobs=np.int64(2))) == [number**2 for number in range(20)]
-    assert list(spread(square, [], jobs=2)) == []
+    assert sorted(map_unordered(square, range(20), jobs=np.int64(2))) == [number**2 for number in range(20)]
+    assert list(map_unordered(square, [], jobs=2)) == []
 
 
 def test_closures_are_sent_and_noise_does_no_harm(capfd: pytest.CaptureFixture[str]) -> None:
@@ -38,7 +38,7 @@ def test_closures_are_sent_and_noise_does_no_harm(capfd: pytest.CaptureFixture[s
         assert sys.stdin.read() == ""
         return factor * number
 
-    assert sorted(spread(loud, range(4), jobs=2)) == [0, 3, 6, 9]
+    assert sorted(map_unordered(loud, range(4), jobs=2)) == [0, 3, 6, 9]
     assert capfd.readouterr().err.count("noise") == 8
 
 
@@ -47,7 +47,7 @@ def test_errors_come_back_with_their_origin() -> None:
         raise UnknownNameError(f"no {number}")
 
     with pytest.raises(UnknownNameError, match="no 7") as caught:
-        list(spread(fail, [7], jobs=1))
+        list(map_unordered(fail, [7], jobs=1))
     assert "in fail" in caught.value.__notes__[0]
 
 
@@ -72,7 +72,7 @@ def test_errors_that_cannot_be_sent_keep_their_reason(error: Callable[[str], Exc
         raise error("the reason")
 
     with pytest.raises(WorkerError, match=r"a worker process raised \w+Error\('the reason'\)") as caught:
-        list(spread(fail, [0], jobs=1))
+        list(map_unordered(fail, [0], jobs=1))
     assert "in fail" in caught.value.__notes__[0]
 
 
@@ -88,7 +88,7 @@ class Piece:
 
 
 def test_work_that_is_given_up_is_not_sent_any_more() -> None:
-    results = spread(square, [Piece() for _ in range(1000)], jobs=1)
+    results = map_unordered(square, [Piece() for _ in range(1000)], jobs=1)
     assert next(results) == 0
     threads = threading.active_count()
     results.close()  # type: ignore[attr-defined]
@@ -98,7 +98,7 @@ def test_work_that_is_given_up_is_not_sent_any_more() -> None:
 
 def test_what_cannot_be_sent_is_an_error() -> None:
     with pytest.raises(TypeError, match="pickle"):
-        list(spread(square, [(_ for _ in ())], jobs=1))  # type: ignore[list-item]
+        list(map_unordered(square, [(_ for _ in ())], jobs=1))  # type: ignore[list-item]
 
 
 def dies(once: Path) -> Callable[[int], int]:
@@ -114,22 +114,22 @@ def dies(once: Path) -> Callable[[int], int]:
 @pytest.mark.parametrize("jobs", [0, -1, 1.5, "2"])
 def test_a_wrong_number_of_workers_is_refused(jobs: Any) -> None:
     with pytest.raises(SettingsError, match="jobs must be an integer of at least 1"):
-        spread(square, [1, 2], jobs)
+        map_unordered(square, [1, 2], jobs)
 
 
 def test_a_dead_worker_is_replaced(tmp_path: Path) -> None:
-    assert sorted(spread(dies(tmp_path / "once"), range(6), jobs=2)) == list(range(6))
+    assert sorted(map_unordered(dies(tmp_path / "once"), range(6), jobs=2)) == list(range(6))
 
 
 def test_work_that_kills_every_worker_is_given_up() -> None:
     with pytest.raises(WorkerError, match=r"3 worker processes died of the same piece of work \(exit code 3\)"):
-        list(spread(lambda _: os._exit(3), [0], jobs=1))
+        list(map_unordered(lambda _: os._exit(3), [0], jobs=1))
 
 
 PROGRAM = """
 import os, time
 import magical_mj
-from magical_mj.parallel import spread
+from magical_mj.parallel import map_unordered
 
 def work(number):
     if number > 1:
@@ -143,7 +143,7 @@ def work(number):
     while True:
         pass
 
-for result in spread(work, [0, 1, 2, 3], jobs=2):
+for result in map_unordered(work, [0, 1, 2, 3], jobs=2):
     print(result, flush=True)
 """
 
@@ -198,7 +198,7 @@ def forking(folder: Path) -> Callable[[int], int]:
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
 def test_what_workers_fork_ends_with_them(tmp_path: Path) -> None:
-    assert sorted(spread(forking(tmp_path), range(3), jobs=1)) == [0, 1, 2]
+    assert sorted(map_unordered(forking(tmp_path), range(3), jobs=1)) == [0, 1, 2]
     assert len(list(tmp_path.iterdir())) == 4
     wait_for(lambda: not running(tmp_path), 10)
 
@@ -247,4 +247,4 @@ def test_an_answer_that_cannot_be_read_ends_the_work(monkeypatch: pytest.MonkeyP
     with pytest.raises(
         WorkerError, match=r"the answer of a worker process cannot be read: invalid literal for int\(\)"
     ):
-        list(spread(lambda _: Unreadable(), [1], jobs=1))
+        list(map_unordered(lambda _: Unreadable(), [1], jobs=1))

@@ -54,7 +54,7 @@ class Adversarial(RewardLearner):
         """A rollout, the discriminator's steps, and PPO's update on the new discriminator's rewards."""
         return self.play()
 
-    def study(self, rollout: Rollout) -> Mapping[str, float]:
+    def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
         """The discriminator's steps; returns the means of their metrics."""
         steps = self.settings.discriminator.steps
         self._latest = [*self._latest, rollout][-self.settings.discriminator.rollouts :]

@@ -62,7 +62,7 @@ class Apprenticeship(RewardLearner):
             self._metrics.update(self.play())
         return dict(self._metrics)
 
-    def study(self, rollout: Rollout) -> Mapping[str, float]:
+    def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
         """Computes new weights; returns the difference of mean features, w . (E_demonstrations Phi - E_policy Phi)."""
         tasks = len(self._weights)
         each = self.settings.features.samples // tasks

@@ -28,7 +28,7 @@ Seen = dict[str, NDArray[Any]]
 class Copy(gymnasium.Env[Any, Any]):
     """One copy of a task's environment. The seed of episode k is a function of the run's seed, the copy and k.
 
-    The first episode starts with some random actions; see `head_start`.
+    The first episode starts with some random actions; see `random_start`.
 
     Args:
         settings: the settings of the run.
@@ -42,7 +42,7 @@ class Copy(gymnasium.Env[Any, Any]):
         self.action_space = self._env.action_space
         self._one_hot = np.eye(len(settings.tasks), dtype=np.float32)[self._task]
         self._seed, self._number = settings.seed, number
-        self._head_start = head_start(settings, number)
+        self._random_start = random_start(settings, number)
         self._states = settings.states
         self._history: History | None = None
         self._episode, self._actions = -1, list[int]()
@@ -50,7 +50,7 @@ class Copy(gymnasium.Env[Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Seen, dict[str, Any]]:  # noqa: ARG002
         """Starts the next episode. The arguments are not used: copies have their own seeds."""
         self._episode += 1
-        first = self._rng().integers(len(ACTIONS), size=self._head_start) if self._episode == 0 else ()
+        first = self._rng().integers(len(ACTIONS), size=self._random_start) if self._episode == 0 else ()
         return self._replay(first), {}
 
     def step(self, action: Any) -> tuple[Seen, float, bool, bool, dict[str, Any]]:
@@ -113,7 +113,7 @@ def space(settings: TrainingSettings, given: spaces.Space[Any]) -> spaces.Dict:
     return spaces.Dict({SEEN: given, TASK: spaces.Box(0, 1, (len(settings.tasks),), np.float32)})
 
 
-def head_start(settings: TrainingSettings, number: int) -> int:
+def random_start(settings: TrainingSettings, number: int) -> int:
     """The number of random actions with which the first episode of an environment starts.
 
     If all environments started together, they would always be at the same step of their episodes, and each batch would

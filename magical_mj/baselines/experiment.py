@@ -23,7 +23,7 @@ from magical_mj.evaluation.scores import frame
 from magical_mj.evaluation.settings import LARGEST_SETTING, EvaluationSettings, check_unchanged, settings_from
 from magical_mj.evaluation.statistics import by_environment, rank_correlation
 from magical_mj.files import read_toml
-from magical_mj.parallel import check_backend, spread
+from magical_mj.parallel import check_backend, map_unordered
 from magical_mj.registry import TASKS, listed, task_name
 
 ENTRIES: Final = {
@@ -117,7 +117,7 @@ def conduct(
     if backend == "local" and jobs in (None, 1):
         yield from (run.play(watch) for run in planned)
     else:
-        yield from spread(methodcaller("play"), planned, jobs, backend, address)
+        yield from map_unordered(methodcaller("play"), planned, jobs, backend, address)
     yield from agreement(planned)
     yield str(report([run.scores for run in planned], out / "report", with_published=True))
 

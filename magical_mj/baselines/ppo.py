@@ -139,7 +139,7 @@ class _Scores(BaseCallback):
             self.latest = float(np.mean(self._ended))
 
 
-class Improver(PPO):
+class ExternalRewardPPO(PPO):
     """PPO with external rewards: `collect` a rollout, compute rewards for it, and `improve` the policy with them.
 
     Where the paper does not say otherwise, this follows its library rlpyt: advantages are not normalised, the clipping

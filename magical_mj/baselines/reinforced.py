@@ -17,7 +17,7 @@ from magical_mj.baselines.data import Batch, Dataset, Rollout
 from magical_mj.baselines.environments import Environments
 from magical_mj.baselines.learner import Learner, seeded
 from magical_mj.baselines.network import Actor, Heads, Torso, as_input, standardise
-from magical_mj.baselines.ppo import Improver
+from magical_mj.baselines.ppo import ExternalRewardPPO
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.extras import check_extra
 
@@ -46,7 +46,7 @@ class RewardLearner(Learner):
             critic = Heads(tasks, actor.torso.features, 1).to(self.device)
             self._actor = actor
             self._average = AveragedModel(actor, multi_avg_fn=get_ema_multi_avg_fn(settings.ppo.averaging))
-            self._ppo = Improver(settings, self._environments, actor, critic, self._draw, self.device)
+            self._ppo = ExternalRewardPPO(settings, self._environments, actor, critic, self._draw, self.device)
         self._normalise = RewardNormaliser(settings.ppo.reward_deviation, self._environments.tasks)
 
     @classmethod
@@ -65,7 +65,7 @@ class RewardLearner(Learner):
         """One rollout, its rewards and PPO's step; stable-baselines3's draws from global generators stay in here."""
         with seeded(int(torch.randint(2**62, (), generator=self._draw))):
             rollout = self._ppo.collect()
-            metrics = dict(self.study(rollout))
+            metrics = dict(self.learn_reward(rollout))
             with torch.no_grad():
                 parts = [self.reward(*self.on_device(batch)) for batch in rollout.batches(self.settings.ppo.minibatch)]
             rewards = torch.cat(parts).double().cpu().numpy().reshape(rollout.actions.shape)
@@ -74,7 +74,7 @@ class RewardLearner(Learner):
         return metrics
 
     @abstractmethod
-    def study(self, rollout: Rollout) -> Mapping[str, float]:
+    def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
         """Learns from the policy's latest rollout, and returns metrics."""
 
     @abstractmethod

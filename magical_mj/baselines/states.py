@@ -97,7 +97,7 @@ class StateTorso(nn.Module):
 
     def forward(self, observations: Tensor, actions: Tensor | None = None) -> Tensor:
         """Features, shape (n, features), of histories (n, HISTORY, names) and actions (n,), if it has any."""
-        robot, entities, present = described(observations)
+        robot, entities, present = features_of(observations)
         rows = self.entity(torch.cat([entities, robot[:, None].expand(-1, entities.shape[1], -1)], 2))
         for layer in self.attention:
             rows = layer(rows, present)
@@ -120,13 +120,13 @@ class Attention(nn.Module):
         """New rows, (n, rows, size), that know of the other rows that are `present`, (n, rows)."""
         query, key, value = self.asked(rows).unflatten(2, (3, HEADS, -1)).permute(2, 0, 3, 1, 4)
         # PyTorch's own attention has no second derivative, which WGAIL-GP's penalty needs.
-        alike = query @ key.transpose(2, 3) / math.sqrt(query.shape[3])
-        found = alike.masked_fill(~present[:, None, None], -1e4).softmax(3) @ value
+        similarity = query @ key.transpose(2, 3) / math.sqrt(query.shape[3])
+        found = similarity.masked_fill(~present[:, None, None], -1e4).softmax(3) @ value
         rows = rows + self.answered(found.transpose(1, 2).flatten(2))
         return rows + self.alone(rows)
 
 
-def described(histories: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def features_of(histories: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Histories as the robot sees them.
 
     Returns:
@@ -138,14 +138,14 @@ def described(histories: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     sin, cos = angle.sin(), angle.cos()
     frame = torch.stack([cos, sin, -sin, cos], 1).unflatten(1, (2, 2))
 
-    def ahead(vectors: Tensor) -> Tensor:
+    def rotated(vectors: Tensor) -> Tensor:
         """Vectors of the world, (n, ..., 2), in the robot's frame."""
         return torch.einsum("nij,n...j->n...i", frame, vectors)
 
     def movements(poses: Tensor) -> Tensor:
         """From each earlier pose of (n, HISTORY, ..., 3) to the present one, (n, ..., 3 * (HISTORY - 1))."""
         moved = (poses[:, -1:] - poses[:, :-1]) / _MOVEMENT
-        return torch.cat([ahead(moved[..., :2]), moved[..., 2:]], -1).movedim(1, -2).flatten(-2)
+        return torch.cat([rotated(moved[..., :2]), moved[..., 2:]], -1).movedim(1, -2).flatten(-2)
 
     fingers = (now[:, None] - histories[:, :-1])[..., FINGERS].flatten(1) / _MOVEMENT
     robot = [now[:, :2], sin[:, None], cos[:, None], now[:, FINGERS], movements(histories[..., :3]), fingers]
@@ -155,14 +155,14 @@ def described(histories: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     latest = blocks[:, -1]
     heading = latest[..., 3:4] - angle[:, None, None]
     place = latest[..., 1:3]
-    seen = [ahead(place - now[:, None, :2]), heading.sin(), heading.cos(), place, latest[..., 7:]]
+    seen = [rotated(place - now[:, None, :2]), heading.sin(), heading.cos(), place, latest[..., 7:]]
     of_blocks = torch.cat([*seen, movements(blocks[..., 1:4]), torch.zeros_like(latest[..., :3])], -1)
 
     regions = now[:, _ROBOT + _BLOCKS :].unflatten(1, (MAX_REGIONS, -1))
     regions = regions[:, regions[..., 0].any(0)]  # present, x_min, y_min, x_max, y_max, colours
     place, half = (regions[..., 1:3] + regions[..., 3:5]) / 2, (regions[..., 3:5] - regions[..., 1:3]) / 2
     heading = -angle[:, None, None].expand_as(place[..., :1])
-    seen = [ahead(place - now[:, None, :2]), heading.sin(), heading.cos(), place]
+    seen = [rotated(place - now[:, None, :2]), heading.sin(), heading.cos(), place]
     shapes, still = place.new_zeros(*place.shape[:2], 4), place.new_zeros(*place.shape[:2], 3 * (HISTORY - 1))
     of_regions = torch.cat([*seen, shapes, regions[..., 5:], still, half, torch.ones_like(half[..., :1])], -1)
 
@@ -174,7 +174,7 @@ class StateAugmentation:
     """Changes histories at random.
 
     The counterparts of a moved and turned picture are a robot that stands and looks a little elsewhere than it does,
-    alike in the four states of a history; noise of pixels corresponds to noise of poses, drawn for each state, and
+    similarity in the four states of a history; noise of pixels corresponds to noise of poses, drawn for each state, and
     larger in the earlier ones.
 
     Attributes:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from magical_mj.actions import ACTIONS
-from magical_mj.baselines.copies import SEEN, TASK, Seen, head_start, space, task_number
+from magical_mj.baselines.copies import SEEN, TASK, Seen, random_start, space, task_number
 from magical_mj.baselines.learner import device
 from magical_mj.baselines.settings import TrainingSettings
 from magical_mj.baselines.states import History
@@ -43,19 +43,19 @@ class BatchedWorlds(VecEnv):
         )
         self._arrays = Arrays(self._batch)
         self._one_hot = np.eye(len(settings.tasks), dtype=np.float32)[tasks]
-        self._head_starts = np.array([head_start(settings, number) for number in range(len(tasks))])
+        self._random_starts = np.array([random_start(settings, number) for number in range(len(tasks))])
         self._seed, self._states = settings.seed, settings.states
         self._history: History | None = None
         seen = space(settings, self._batch.single_observation_space)
         super().__init__(len(tasks), seen, self._batch.single_action_space)
 
     def reset(self) -> Seen:
-        """All worlds begin so that their head starts, of random actions, end together."""
+        """All worlds begin so that their random actions end together."""
         rng = np.random.default_rng(self._seed)
         observations, _ = self._arrays.reset()
         self._history = History(observations) if self._states else None
-        for left in range(int(self._head_starts.max()), -1, -1):
-            begin = self._head_starts == left
+        for left in range(int(self._random_starts.max()), -1, -1):
+            begin = self._random_starts == left
             if begin.any():
                 observations, _ = self._arrays.reset(options={"reset_mask": begin})
                 self._restart(begin, observations)

@@ -30,7 +30,7 @@ from magical_mj.cli.film import film
 from magical_mj.cli.progress import with_bar
 from magical_mj.errors import DemonstrationError, MagicalError, SettingsError
 from magical_mj.evaluation.settings import LARGEST_SETTING
-from magical_mj.parallel import spread
+from magical_mj.parallel import map_unordered
 from magical_mj.registry import Pair, environments, score, task_spec
 
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
@@ -79,7 +79,7 @@ def generate(
         screen.print(f"{len(there)} of {len(paths)} are there already")
     longest_first = sorted(keys, key=lambda key: -pairs.index(key[:2]))
     todo = [(*key, least_score, paths[key]) for key in longest_first if key not in there]
-    reasons = with_bar(screen, "demonstrating", spread(make, todo, jobs), len(todo))
+    reasons = with_bar(screen, "demonstrating", map_unordered(make, todo, jobs), len(todo))
     failures = [reason for reason in reasons if reason]
     describe([magical_mj.demos.read(path, key[0]) for key, path in paths.items() if path.exists()])
     if failures:
@@ -180,7 +180,7 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
     screen = console()
     files = files_of(paths, tasks, variants)
     work = partial(check, asked_for(tasks, variants))
-    checked = with_bar(screen, "verifying", spread(work, files, jobs), len(files))
+    checked = with_bar(screen, "verifying", map_unordered(work, files, jobs), len(files))
     found = [(path, verdict) for path, verdict in checked if verdict]
     if not found:
         raise DemonstrationError(f"none of the {len(files)} files is of these tasks and variants")

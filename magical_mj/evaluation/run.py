@@ -22,7 +22,7 @@ from magical_mj.evaluation.scores import Key, Score, ScoreFile, frame
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings, described, settings_from
 from magical_mj.evaluation.worker import Unit, plan, play_unit, player
 from magical_mj.extras import check_extra
-from magical_mj.parallel import cores, spread
+from magical_mj.parallel import cores, map_unordered
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -143,7 +143,7 @@ class Evaluation:
         for source in self._sources:
             _check_pickles(source)
         try:
-            yield from spread(play_unit, self.units, jobs, backend, self.settings.address)
+            yield from map_unordered(play_unit, self.units, jobs, backend, self.settings.address)
         except WorkerError as error:
             raise EvaluationError(f"{error}; --resume continues (resume=True)") from error
 

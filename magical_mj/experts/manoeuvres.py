@@ -14,20 +14,21 @@ from numpy.typing import NDArray
 from magical_mj.actions import Drive, Gripper, Turn
 from magical_mj.experts.driving import VIA, Patience, Point, drive, steer
 from magical_mj.experts.lookahead import Lookahead
-from magical_mj.experts.navigation import GRIP, Goal, Ints, Ways, cells, explore, places, toll
+from magical_mj.experts.navigation import GRIP, Goal, Ints, SearchTree, cell_costs, cells, explore, places
 from magical_mj.planning.noise import Noise
 from magical_mj.planning.subgoals import CARRYING, Subgoal
 from magical_mj.scene import Pose, Scene
 
 BLOCK_RADIUS: Final = {"square": 0.125, "pentagon": 0.13, "star": 0.14, "circle": 0.12}
+"""World units, by shape: discs that stand for blocks in the search, between those inside and around the shapes."""
 
 # Choosing a manoeuvre
 BEFORE: Final = (0.46, 0.68)  # world units ahead of the robot where a block may be before it is gripped
 ASIDE: Final = 0.1  # and at most how far to the side
 SIDES: Final = 16  # the number of directions from which a block can be gripped
 STOPS: Final = (GRIP, GRIP + 0.07, GRIP + 0.14)  # distances from the block at which there must be room for the fingers
-TIGHT: Final = 1.5  # actions for each unit of toll on this way
-WALLED: Final = 12  # the toll where a finger would be in a wall by calculation; sometimes it works anyway
+TIGHT: Final = 1.5  # actions for each unit of the cells' costs along them
+WALLED: Final = 12  # the cell's cost where a finger would be in a wall by calculation; sometimes it works anyway
 DETOUR: Final = 3.0  # actions: the largest change of a path's cost by noise
 CORNER_COST: Final = 4.0  # actions for each point of a route but the last
 SAMPLE: Final = 0.05  # world units between the points of a straight line that are checked
@@ -63,26 +64,26 @@ def obstacles(scene: Scene, without: int | None = None) -> NDArray[np.float64]:
     return np.array(found).reshape(-1, 3)
 
 
-def manoeuvres(ways: Ways, tolls: Ints, scene: Scene, subgoal: Subgoal, noise: Noise) -> list[Manoeuvre]:
+def manoeuvres(tree: SearchTree, costs: Ints, scene: Scene, subgoal: Subgoal, noise: Noise) -> list[Manoeuvre]:
     """Candidate manoeuvres for a subgoal: for each side of the block one of the fastest.
 
     Args:
-        ways: the poses that the robot can reach.
-        tolls: the additional cost of each cell for the robot without a block.
+        tree: the poses that the robot can reach.
+        costs: the additional cost of each cell for the robot without a block.
         scene: the present scene.
         subgoal: the subgoal.
         noise: varies the choice.
     """
     if subgoal.block is None:
-        gaps = np.hypot(*(ways.poses[:, :2] - subgoal.target).T)
+        gaps = np.hypot(*(tree.poses[:, :2] - subgoal.target).T)
         # the nearest ones, if none is within the tolerance
         nodes = np.flatnonzero(gaps <= max(subgoal.tolerance, gaps.min()))
-        node = int(nodes[ways.steps[nodes].argmin()])
-        route = simplified([*ways.to(node), (*subgoal.target, 0.0)], tolls)
-        return [Manoeuvre(subgoal, route, False, float(ways.steps[node]))]
+        node = int(nodes[tree.steps[nodes].argmin()])
+        route = simplified([*tree.path_to(node), (*subgoal.target, 0.0)], costs)
+        return [Manoeuvre(subgoal, route, False, float(tree.steps[node]))]
     block = scene.blocks[subgoal.block]
-    loaded = toll(obstacles(scene, subgoal.block), loaded=True)
-    x, y, angle = ways.poses.T
+    loaded = cell_costs(obstacles(scene, subgoal.block), loaded=True)
+    x, y, angle = tree.poses.T
     right = np.cos(angle) * (block.x - x) + np.sin(angle) * (block.y - y)
     ahead = np.cos(angle) * (block.y - y) - np.sin(angle) * (block.x - x)
     near = np.flatnonzero((np.abs(right) < ASIDE) & (BEFORE[0] < ahead) & (ahead < BEFORE[1]))
@@ -90,35 +91,35 @@ def manoeuvres(ways: Ways, tolls: Ints, scene: Scene, subgoal: Subgoal, noise: N
     found = []
     for side in np.unique(sides).tolist():
         nodes = near[sides == side]
-        node = int(nodes[(ways.steps[nodes] + noise(DETOUR, nodes.shape)).argmin()])
+        node = int(nodes[(tree.steps[nodes] + noise(DETOUR, nodes.shape)).argmin()])
         heading = side * 2 * math.pi / SIDES
         stops = [_behind(block.x, block.y, heading, ahead) for ahead in STOPS]
         tight = loaded[cells(np.array(stops))]
         tight[tight < 0] = WALLED
-        route = simplified(ways.to(node), tolls)
-        estimate = ways.steps[node] + TIGHT * tight.sum() + _carrying(block.x, block.y, heading, subgoal)
+        route = simplified(tree.path_to(node), costs)
+        estimate = tree.steps[node] + TIGHT * tight.sum() + _carrying(block.x, block.y, heading, subgoal)
         estimate += CORNER_COST * len(route)
         found += [Manoeuvre(subgoal, route, reverse, float(estimate)) for reverse in (True, False)]
     return found
 
 
-def simplified(way: Sequence[Pose], tolls: Ints) -> list[Point]:
+def simplified(path: Sequence[Pose], costs: Ints) -> list[Point]:
     """The fewest points of a path between which the robot can drive straight; without the first point."""
     route, at = [], 0
-    while at < len(way) - 1:
-        following = range(len(way) - 1, at + 1, -1)
-        at = next((then for then in following if _clear(way[at], way[then], tolls)), at + 1)
-        route.append(way[at][:2])
+    while at < len(path) - 1:
+        following = range(len(path) - 1, at + 1, -1)
+        at = next((then for then in following if _clear(path[at], path[then], costs)), at + 1)
+        route.append(path[at][:2])
     return route
 
 
-def _clear(start: Pose, end: Pose, tolls: Ints) -> bool:
+def _clear(start: Pose, end: Pose, costs: Ints) -> bool:
     """Whether the straight line from one pose to another is free."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     count = max(2, math.ceil(math.hypot(dx, dy) / SAMPLE))
     line = np.linspace((start[0], start[1]), (end[0], end[1]), count)
     heading = np.full((count, 1), math.atan2(-dx, dy))
-    return bool((tolls[cells(np.concatenate([line, heading], axis=1))] == 0).all())
+    return bool((costs[cells(np.concatenate([line, heading], axis=1))] == 0).all())
 
 
 def _behind(x: float, y: float, heading: float, ahead: float) -> Pose:
@@ -131,8 +132,8 @@ def _carrying(x: float, y: float, heading: float, subgoal: Subgoal) -> float:
     robot = _behind(x, y, heading, GRIP)
     dx, dy = subgoal.target[0] - robot[0], subgoal.target[1] - robot[1]
     turn = abs((math.atan2(-dx, dy) - heading + math.pi) % (2 * math.pi) - math.pi)
-    way = math.hypot(dx, dy) - GRIP
-    return 8 + turn * 3.5 + CARRYING * (way if way > 0 else -1.6 * way + 0.1)
+    distance = math.hypot(dx, dy) - GRIP
+    return 8 + turn * 3.5 + CARRYING * (distance if distance > 0 else -1.6 * distance + 0.1)
 
 
 def perform(lookahead: Lookahead, manoeuvre: Manoeuvre, limit: int) -> bool:
@@ -194,18 +195,18 @@ def _carry(lookahead: Lookahead, block: int, manoeuvre: Manoeuvre, limit: int) -
 def _route(scene: Scene, block: int, goal: Goal, limit: int) -> list[Point]:
     """The points of a route that brings the block that the robot holds to its goal."""
     x, y, _ = scene.robot.pose
-    tolls = toll(obstacles(scene, block), loaded=True)
+    costs = cell_costs(obstacles(scene, block), loaded=True)
     dx, dy = goal.x - x, goal.y - y
     distance = math.hypot(dx, dy)
     share = 1 - goal.ahead / distance if distance else 0.0
     end = (x + share * dx, y + share * dy, 0.0)
-    if share <= 0 or _clear((x, y, 0.0), end, tolls):
+    if share <= 0 or _clear((x, y, 0.0), end, costs):
         return [(goal.x, goal.y)]
-    ways = explore(scene.robot.pose, tolls, limit, goal)
-    gaps = np.hypot(*(places(ways.poses, goal.ahead) - (goal.x, goal.y)).T)
-    costs = ways.steps + MISSED * gaps + MISSED_BY_FAR * np.clip(gaps - goal.within, 0, None)
-    way = ways.to(int(costs.argmin()))
-    return [*simplified(way, tolls)[:-1], (goal.x, goal.y)]
+    tree = explore(scene.robot.pose, costs, limit, goal)
+    gaps = np.hypot(*(places(tree.poses, goal.ahead) - (goal.x, goal.y)).T)
+    totals = tree.steps + MISSED * gaps + MISSED_BY_FAR * np.clip(gaps - goal.within, 0, None)
+    path = tree.path_to(int(totals.argmin()))
+    return [*simplified(path, costs)[:-1], (goal.x, goal.y)]
 
 
 def _let_go(lookahead: Lookahead, block: int, limit: int, distance: float) -> None:

@@ -68,7 +68,7 @@ class Goal(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Ways:
+class SearchTree:
     """The poses that the robot can reach from one pose, as a tree: each is one action after its parent."""
 
     poses: Floats
@@ -77,13 +77,13 @@ class Ways:
     steps: Ints
     """The number of actions to each pose. Shape (n,)."""
 
-    def to(self, node: int) -> list[Pose]:
+    def path_to(self, node: int) -> list[Pose]:
         """The poses on the path from the start to a node, both included."""
-        way = []
+        path = []
         while node >= 0:
-            way.append(tuple(self.poses[node].tolist()))
+            path.append(tuple(self.poses[node].tolist()))
             node = int(self.parents[node])
-        return way[::-1]
+        return path[::-1]
 
 
 def places(poses: Floats, ahead: float) -> Floats:
@@ -92,7 +92,7 @@ def places(poses: Floats, ahead: float) -> Floats:
     return poses[:, :2] + ahead * np.stack([-np.sin(angles), np.cos(angles)], axis=1)
 
 
-def toll(obstacles: Floats, loaded: bool) -> Ints:
+def cell_costs(obstacles: Floats, loaded: bool) -> Ints:
     """The additional number of actions to enter each cell; negative where the robot cannot be.
 
     Args:
@@ -145,17 +145,17 @@ def cells(poses: Floats) -> Ints:
     return np.where(inside, (heading * SIDE + column) * SIDE + row, -1)
 
 
-def explore(start: Pose, tolls: Ints, limit: int, goal: Goal | None = None) -> Ways:
+def explore(start: Pose, costs: Ints, limit: int, goal: Goal | None = None) -> SearchTree:
     """The shortest paths from `start` to all cells that can be reached with at most `limit` actions.
 
     Args:
         start: the robot's pose.
-        tolls: the result of `toll`.
-        limit: number of actions, tolls included.
+        costs: the result of `cell_costs`.
+        limit: number of actions, the cells' costs included.
         goal: once it is reached, only a few more actions are explored.
     """
-    seen = np.zeros(2 * len(tolls), bool)  # two slots per cell: reached forwards and reached backwards
-    owner = np.empty(2 * len(tolls), np.int64)
+    seen = np.zeros(2 * len(costs), bool)  # two slots per cell: reached forwards and reached backwards
+    owner = np.empty(2 * len(costs), np.int64)
     waiting: list[list[tuple[Floats, Ints, Ints]]] = [[] for _ in range(limit + 1)]
     waiting[0] = [(np.array([start]), np.array([-1]), cells(np.array([start])))]
     poses, parents, steps, count = [], [], [], 0
@@ -178,19 +178,19 @@ def explore(start: Pose, tolls: Ints, limit: int, goal: Goal | None = None) -> W
         after = _moved(here)
         entered = cells(after.reshape(-1, 3))
         inside = np.flatnonzero(entered >= 0)
-        inside = inside[tolls[entered[inside]] >= 0]
+        inside = inside[costs[entered[inside]] >= 0]
         origin, motion = np.divmod(inside, len(MOTIONS))
-        before = slots[origin] >= len(tolls)
+        before = slots[origin] >= len(costs)
         gears = np.where(_GEAR[motion] < 0, before, _GEAR[motion])
-        arrival = level + 1 + tolls[entered[inside]] + SWITCH_COST * (gears != before)
-        then = gears * len(tolls) + entered[inside]
+        arrival = level + 1 + costs[entered[inside]] + SWITCH_COST * (gears != before)
+        then = gears * len(costs) + entered[inside]
         allowed = (arrival <= limit) & ~seen[then]
         for time in range(level + 1, min(limit, int(arrival.max(initial=0))) + 1):
             at = np.flatnonzero(allowed & (arrival == time))
             if len(at):
                 waiting[time].append((after.reshape(-1, 3)[inside[at]], count + origin[at], then[at]))
         count += len(new)
-    return Ways(np.concatenate(poses), np.concatenate(parents), np.concatenate(steps))
+    return SearchTree(np.concatenate(poses), np.concatenate(parents), np.concatenate(steps))
 
 
 def _moved(poses: Floats) -> Floats:

@@ -13,7 +13,7 @@ from magical_mj.actions import Gripper
 from magical_mj.experts.hand import LATE, Hand
 from magical_mj.experts.lookahead import Lookahead, SavedState
 from magical_mj.experts.manoeuvres import Manoeuvre, manoeuvres, obstacles, perform
-from magical_mj.experts.navigation import explore, toll
+from magical_mj.experts.navigation import cell_costs, explore
 from magical_mj.planning import Noise, done
 from magical_mj.planning.subgoals import Subgoals
 from magical_mj.scene import Scene
@@ -134,9 +134,9 @@ class Planner:
         if not todo:
             return None
         lookahead = self._lookahead
-        tolls = toll(obstacles(scene), loaded=False)
-        ways = explore(scene.robot.pose, tolls, min(left, REACH))
-        options = [option for subgoal in todo for option in manoeuvres(ways, tolls, scene, subgoal, noise)]
+        costs = cell_costs(obstacles(scene), loaded=False)
+        tree = explore(scene.robot.pose, costs, min(left, REACH))
+        options = [option for subgoal in todo for option in manoeuvres(tree, costs, scene, subgoal, noise)]
         options.sort(key=lambda option: option.estimate - option.subgoal.cost(scene) + noise(SPREAD))
         best, best_cost = None, math.inf
         for option in options[: self._tries]:

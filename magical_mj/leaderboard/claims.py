@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from magical_mj.episodes import LETTERS, actions_of, play
 from magical_mj.evaluation.statistics import SCORE_TOLERANCE
-from magical_mj.parallel import spread
+from magical_mj.parallel import map_unordered
 from magical_mj.registry import ENVIRONMENTS, Pair, sample_scene
 from magical_mj.rendering.backend import check_opengl
 from magical_mj.tasks.spec import Rules
@@ -88,7 +88,7 @@ def check_claims(episodes: Iterable[Claim], rules: Rules, jobs: int | None = Non
         environments[episode.task, episode.variant].append(episode)
     chunks = [found[start : start + CHUNK] for found in environments.values() for start in range(0, len(found), CHUNK)]
     check = partial(check_chunk, rules=rules)
-    return map(check, chunks) if jobs == 1 or len(chunks) == 1 else spread(check, chunks, jobs)
+    return map(check, chunks) if jobs == 1 or len(chunks) == 1 else map_unordered(check, chunks, jobs)
 
 
 def check_chunk(episodes: Sequence[Claim], rules: Rules) -> Checked:

@@ -18,7 +18,7 @@ Result = TypeVar("Result")
 
 _DASK: Final = re.compile(r"(\w+://)?[^/]+:\d+|inproc://.+")
 
-__all__ = ["BACKENDS", "Backend", "check_backend", "cores", "spread"]
+__all__ = ["BACKENDS", "Backend", "check_backend", "cores", "map_unordered"]
 
 
 def cores() -> int:
@@ -27,7 +27,7 @@ def cores() -> int:
 
 
 def check_backend(backend: str, jobs: int | None, address: str | None) -> None:
-    """Raises a `SettingsError` or an `UnknownNameError` unless these arguments of `spread` are valid together."""
+    """Raises a `SettingsError` or an `UnknownNameError` unless `map_unordered` can take these arguments together."""
     check_name("backend", backend, BACKENDS)
     if jobs is not None and (not isinstance(jobs, Integral) or jobs < 1):
         raise SettingsError(f"jobs must be an integer of at least 1, not {shown(jobs)}")
@@ -39,7 +39,7 @@ def check_backend(backend: str, jobs: int | None, address: str | None) -> None:
         raise SettingsError("only clusters have an address: choose the dask or the ray backend")
 
 
-def spread(
+def map_unordered(
     function: Callable[[Piece], Result],
     pieces: Sequence[Piece],
     jobs: int | None = None,
@@ -65,9 +65,9 @@ def spread(
     """
     check_backend(backend, jobs, address)
     if backend == "local":
-        from magical_mj.parallel.local import spread_here
+        from magical_mj.parallel.local import map_locally
 
-        return spread_here(function, pieces, jobs or cores())
-    from magical_mj.parallel.clusters import spread_there
+        return map_locally(function, pieces, jobs or cores())
+    from magical_mj.parallel.clusters import map_on_cluster
 
-    return spread_there(function, pieces, jobs, backend, address)
+    return map_on_cluster(function, pieces, jobs, backend, address)

@@ -19,10 +19,10 @@ PATIENCE: Final = 10
 """Seconds within which a dask cluster must have a worker."""
 
 
-def spread_there(
+def map_on_cluster(
     function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int | None, backend: str, address: str | None
 ) -> Iterator[Result]:
-    """See `magical_mj.parallel.spread`."""
+    """See `magical_mj.parallel.map_unordered`."""
     yield from (_through_dask if backend == "dask" else _through_ray)(function, pieces, jobs, address)
 
 

@@ -40,8 +40,8 @@ ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "M
 """One thread per worker: sums depend on how they are split, and workers share the cores."""
 
 
-def spread_here(function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int) -> Iterator[Result]:
-    """See `magical_mj.parallel.spread`."""
+def map_locally(function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int) -> Iterator[Result]:
+    """See `magical_mj.parallel.map_unordered`."""
     pool = Pool(min(jobs, len(pieces)))
     try:
         for future in as_completed([pool.submit(function, piece) for piece in pieces]):

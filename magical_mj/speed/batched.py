@@ -17,7 +17,7 @@ from magical_mj.actions import ACTIONS
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.batched.environment import BatchedEnv
 from magical_mj.gym_env import MagicalEnv
-from magical_mj.parallel import cores, spread
+from magical_mj.parallel import cores, map_unordered
 from magical_mj.presets import Preset, preset_named
 from magical_mj.registry import task_spec
 from magical_mj.speed.launches import Kernel, recorded_launches, size
@@ -128,7 +128,7 @@ def _seconds(device: str, work: Callable[[], object]) -> float:
 
 def single_rate(task: str, variant: str, preset: str) -> float:
     """Steps per second of the single environments, one process on each core, all at once."""
-    return sum(spread(_single, [(task, variant, preset)] * cores()))
+    return sum(map_unordered(_single, [(task, variant, preset)] * cores()))
 
 
 def _single(environment: tuple[str, str, str]) -> float:
