@@ -75,5 +75,10 @@ def __getattr__(name: str) -> Any:
     return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)
 
 
+def __dir__() -> list[str]:
+    """Public names that are loaded at first use are there, too."""
+    return sorted({*globals(), *__all__})
+
+
 choose_backend()  # before anything imports mujoco or dm_control, which look at MUJOCO_GL only then
 register_all()

@@ -1,8 +1,8 @@
 """Protocol numbers: what must be the same for two results to be comparable.
 
 Under one `PROTOCOL` number, these stay the same: the environments, the scenes of every seed, the horizons, the scores
-under both sets of rules, the 18 actions, the physics settings of the model, and the observations. A change to any of them
-requires the next number. Evaluations record both numbers together with the versions of this package and of MuJoCo.
+under both sets of rules, the 18 actions, the physics settings of the model, and the observations. A change to any of
+them requires the next number. Evaluations record both numbers together with the versions of this package and of MuJoCo.
 """
 
 from __future__ import annotations

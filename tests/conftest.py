@@ -1,7 +1,7 @@
 """Imported before any test module: magical_mj chooses the OpenGL backend, which mujoco looks at when it is imported.
 
 The tests' temporary files lie in a folder of their own, which goes when all is well: a test, or the code that it runs,
-that leaves something behind lets the tests fail, and the system's folder stays as it was.
+that leaves something behind makes the tests fail, and the system's folder stays as it was.
 """
 
 import os

@@ -15,7 +15,6 @@ from magical_mj.baselines import METHODS, Learner, checkpoint
 from magical_mj.baselines.adversarial import GAIL, WGAILGP, Discriminator, gail_loss, gradient_penalty
 from magical_mj.baselines.apprenticeship import Apprenticeship, Autoencoder, best_weights
 from magical_mj.baselines.settings import Network
-from magical_mj.errors import UnknownNameError
 
 PLAYERS = ("gail", "wgail-gp", "al")
 
@@ -187,11 +186,6 @@ def test_the_autoencoder_learns_and_then_stays() -> None:
     learner.close()
 
 
-def test_unknown_augmentations_are_refused() -> None:
-    with pytest.raises(UnknownNameError, match="no-trans-rot"):
-        GAIL(playing(augment="no-trans"))
-
-
 def test_batches_are_half_and_half() -> None:
     """The discriminator sees as many samples of each side and of each task, with no-ops."""
     learner = GAIL(playing(tasks="MoveToRegion,FixColour"))
@@ -262,7 +256,9 @@ def test_equal_seeds_give_equal_weights(method: str) -> None:
 
 @pytest.mark.parametrize("changes", [{}, {"tasks": "MoveToRegion,FixColour", "preset": "State"}])
 @pytest.mark.parametrize("method", PLAYERS)
-def test_what_is_resumed_ends_as_what_was_not_broken(method: str, changes: dict[str, str], tmp_path: Path) -> None:
+def test_a_resumed_training_ends_like_an_uninterrupted_one(
+    method: str, changes: dict[str, str], tmp_path: Path
+) -> None:
     """By way of a file, at a moment when the episodes are in their middle."""
     make: Callable[[], Learner] = lambda: METHODS[method](playing(method, **changes))  # noqa: E731
     whole = make()

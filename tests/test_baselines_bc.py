@@ -22,7 +22,7 @@ from magical_mj.baselines.data import Dataset, drawn
 from magical_mj.baselines.learner import seeded
 from magical_mj.baselines.network import Actor, Heads, Torso, as_input
 from magical_mj.baselines.settings import Network
-from magical_mj.errors import DemonstrationError, UnknownNameError
+from magical_mj.errors import DemonstrationError
 
 
 def test_the_seed_draws_ten_of_twenty_five() -> None:
@@ -161,7 +161,7 @@ def test_bfloat16_learns_the_same_within_its_precision() -> None:
     assert losses[0] != losses[1]
 
 
-def test_what_is_resumed_ends_as_what_was_not_broken(tmp_path: Path) -> None:
+def test_a_resumed_training_ends_like_an_uninterrupted_one(tmp_path: Path) -> None:
     """Also where weights and what the optimizer remembers of them are not laid out alike in memory."""
     whole, resumed = BehaviouralCloning(tiny()), BehaviouralCloning(tiny())
     for _ in range(3):
@@ -224,8 +224,3 @@ print(faults[-1] - faults[9])  # at first, the heap grows
 def test_freed_memory_is_not_fetched_anew() -> None:
     done = subprocess.run([sys.executable, "-c", FREED], capture_output=True, text=True, check=True)
     assert int(done.stdout) < 1000
-
-
-def test_unknown_augmentations_are_refused() -> None:
-    with pytest.raises(UnknownNameError, match="no-trans-rot"):
-        BehaviouralCloning(tiny(augment="no-trans"))

@@ -24,7 +24,7 @@ from magical_mj.baselines.metrics import read_metrics
 from magical_mj.baselines.policy import POLICY, TrainedPolicy
 from magical_mj.baselines.run import Progress
 from magical_mj.baselines.settings_file import from_toml, recorded
-from magical_mj.errors import MagicalError, SettingsError, TrainingError, UnknownNameError
+from magical_mj.errors import SettingsError, TrainingError, UnknownNameError
 from magical_mj.files import read_toml
 from magical_mj.protocol import PROTOCOL
 
@@ -86,7 +86,7 @@ def test_what_a_training_forked_does_not_keep_its_folder_locked(tmp_path: Path) 
 
 def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
     """Kill -9 in the middle; then the same weights, to the bit, and the same figures as without a break."""
-    settings = "tiny(**{'bc.batches': 200, 'checkpoints': 10})"
+    settings = "tiny(**{'bc.batches': 60, 'checkpoints': 10})"
     train(eval(settings), tmp_path / "whole")
     process = subprocess.Popen([sys.executable, "-c", f"{START}train({settings}, {str(tmp_path / 'cut')!r})"])
     deadline = time.monotonic() + 120
@@ -99,7 +99,7 @@ def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
     assert not is_done(tmp_path / "cut")
     updates: list[int] = []
     train(eval(settings), tmp_path / "cut", resume=True, watch=lambda progress: updates.append(progress.update))
-    assert 1 < updates[0] <= updates[-1] == 200
+    assert 1 < updates[0] <= updates[-1] == 60
     whole, cut = (checkpoint.read(tmp_path / name / POLICY)["weights"] for name in ("whole", "cut"))
     assert all(torch.equal(whole[name], cut[name]) for name in whole)
     rows = [[row | {"seconds": ""} for row in read_metrics(tmp_path / name)] for name in ("whole", "cut")]
@@ -221,11 +221,10 @@ def test_what_is_there_is_never_overwritten(tmp_path: Path) -> None:
         train(tiny(), tmp_path / "mine" / "thesis.tex" / "run")
 
 
-@pytest.mark.parametrize("changes", [{"augment": "nope"}, {"device": "abacus"}, {"bc.optimizer": "sgdd"}])
-def test_what_cannot_be_leaves_no_folder(changes: dict[str, str], tmp_path: Path) -> None:
-    with pytest.raises(MagicalError):
-        train(tiny(**changes), tmp_path / "run")
-    with pytest.raises(UnknownNameError, match="bc"):
+def test_what_cannot_be_leaves_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="no device 'abacus' here"):
+        train(tiny(device="abacus"), tmp_path / "run")
+    with pytest.raises(UnknownNameError, match="Did you mean 'bc'"):
         train(tiny("bd"), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 

@@ -42,7 +42,7 @@ def test_quick_changes_only_what_it_says() -> None:
 
 
 @pytest.mark.parametrize("short", [{"quick": True}, {"preset": "State"}])
-def test_al_learns_as_slowly_as_the_paper_s_in_short_trainings_too(short: dict[str, Any]) -> None:
+def test_al_learns_as_slowly_as_the_papers_in_short_trainings_too(short: dict[str, Any]) -> None:
     for name in ("ppo.learning_rate", "ppo.clip", "ppo.entropy"):
         paper, al, gail = (
             flattened(asdict(load_settings(method, "FindDupe", **given)))[name]

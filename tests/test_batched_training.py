@@ -101,7 +101,7 @@ class StoppedError(Exception):
 
 
 @pytest.mark.parametrize(("method", "preset"), [("wgail-gp", "LoRes4E"), ("al", "State")])
-def test_what_is_resumed_ends_as_what_was_not_broken(method: str, preset: str, tmp_path: Path) -> None:
+def test_a_resumed_training_ends_like_an_uninterrupted_one(method: str, preset: str, tmp_path: Path) -> None:
     settings = in_batch(method, preset=preset, **{"features.batches": 1})
 
     def stop(_: Any) -> None:

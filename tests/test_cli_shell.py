@@ -90,16 +90,24 @@ def test_work_goes_on_when_nobody_reads_its_output(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "hint"),
+    ("limit", "command", "hint"),
     [
-        ("demos generate --out d --variants all --count 1000000", "the memory is not enough: ask for fewer"),
-        ("rollout FindDupe --policy still:act --preset State --episodes 1000000000", "less than or equal to 1000000"),
-        ("evaluate --out o --policy still:act --preset State --jobs 1 --envs 1000000", "Could not allocate memory"),
+        (1_500_000, "demos generate --out d --variants all --count 1000000", "the memory is not enough: ask for fewer"),
+        (
+            3_000_000,
+            "rollout FindDupe --policy still:act --preset State --episodes 1000000000",
+            "less than or equal to 1000000",
+        ),
+        (
+            3_000_000,
+            "evaluate --out o --policy still:act --preset State --jobs 1 --envs 1000000",
+            "Could not allocate memory",
+        ),
     ],
 )
-def test_too_much_for_the_memory_is_one_line(command: str, hint: str, tmp_path: Path) -> None:
+def test_too_much_for_the_memory_is_one_line(limit: int, command: str, hint: str, tmp_path: Path) -> None:
     (tmp_path / "still.py").write_text("def act(observation):\n    return 0\n")
-    limited = f"ulimit -v 3000000; exec '{sys.executable}' -m magical_mj {command}"
+    limited = f"ulimit -v {limit}; exec '{sys.executable}' -m magical_mj {command}"
     result = subprocess.run(["bash", "-c", limited], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert result.returncode in (1, 2)
     assert hint in result.stderr

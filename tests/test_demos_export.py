@@ -196,7 +196,7 @@ def test_exports_at_the_same_time_take_turns(demo: Demonstration, minari: Any) -
     assert second.stdout is not None
     assert second.stdout.readline() == "here\n"
     with pytest.raises(subprocess.TimeoutExpired):
-        second.wait(3)  # it waits, instead of taking what is there for the rest of a dead process
+        second.wait(1)  # it waits, instead of taking what is there for the rest of a dead process
     first.communicate("go on\n")
     assert "there is a data set" in second.communicate()[1]
     assert (first.returncode, second.returncode) == (0, 1)

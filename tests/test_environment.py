@@ -65,10 +65,11 @@ def test_scene_survives_the_simulator(task: str, variant: str) -> None:
 def test_nothing_moves_when_nothing_acts(task: str, variant: str) -> None:
     env = magical_mj.load(task, variant, seed=11, observations=())
     env.reset()
-    start = poses(env.scene)
+    start, fingers = poses(env.scene), env.scene.robot.fingers
     for _ in range(min(100, task_spec(task).horizon() - 1)):
         env.step(0)
     assert np.abs(poses(env.scene) - start).max() < 1e-4
+    assert np.abs(np.subtract(env.scene.robot.fingers, fingers)).max() < 1e-4
 
 
 @pytest.mark.parametrize("task", magical_mj.TASKS)
@@ -243,17 +244,6 @@ def test_dynamics_reach_the_simulation() -> None:
     assert reached(Dynamics(drive_force=2.2)) < reached(Dynamics()) - 0.01 < reached(Dynamics(drive_force=3.5)) - 0.02
 
 
-def test_closing_is_idempotent_and_final() -> None:
-    env = magical_mj.load("MoveToRegion")
-    env.reset()
-    env.close()
-    env.close()
-    with pytest.raises(RuntimeError, match="closed"):
-        env.step(0)
-    with pytest.raises(RuntimeError, match="closed"):
-        env.reset()
-
-
 def test_an_episode_that_is_over_stays_over_if_the_next_cannot_start() -> None:
     env = magical_mj.load("MoveToRegion", seed=0, observations=())
     env.reset()
@@ -282,14 +272,14 @@ def used_after(resets: int) -> int:
         envs[number % len(envs)].reset()
     return int(Path("/proc/self/status").read_text().split("VmRSS:")[1].split()[0])
 
-before = used_after(1800)  # until the allocator has what it needs
-print(used_after(1200) - before)
+before = used_after(600)  # until the allocator has what it needs
+print(used_after(600) - before)
 """
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="only Linux says here how much memory is used")
-def test_memory_is_flat_over_a_thousand_resets() -> None:
+def test_memory_is_flat_over_hundreds_of_resets() -> None:
     """In a process of its own, whose memory other tests have not cut into pieces; in kB."""
     done = subprocess.run([sys.executable, "-c", RESETS], capture_output=True, text=True, check=True)
     assert int(done.stdout) < 5_000

@@ -198,7 +198,7 @@ def test_empty_and_missing_folders_are_explained(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_the_paper_s_methods_keep_their_names(tmp_path: Path) -> None:
+def test_the_papers_methods_keep_their_names(tmp_path: Path) -> None:
     folder = write(tmp_path / "scores", [replace(score, policy="BC (ST)") for score in example()[:4]])
     with pytest.raises(EvaluationError, match=r"the paper has methods named 'BC \(ST\)' as well: evaluate yours under"):
         report([folder], tmp_path / "out", with_published=True)

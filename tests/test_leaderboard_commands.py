@@ -124,3 +124,13 @@ def test_names_are_what_they_look_like(name: str, folder: Path, tmp_path: Path) 
     entry = whole(runs=1)
     with pytest.raises(EvaluationError, match="method"):
         unpacked(packed(replace(entry, card={**entry.card, "method": name})))
+
+
+def test_a_card_and_further_runs_are_given_to_the_command(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "card.toml").write_text('method = "Mine"')
+    one, two = str(tmp_path / "one.json.xz"), str(tmp_path / "two.json.xz")
+    assert main(["submit", str(folder), "--out", one, "--card", str(tmp_path / "card.toml")]) == 0
+    rewrite(folder, lambda rows: [row.update(run=1) for row in rows])
+    assert main(["submit", str(folder), "--policy", "expert", "--out", two, "--extend", one]) == 0
+    entry = unpacked(Path(two).read_bytes())
+    assert (entry.method, entry.runs) == ("Mine", [0, 1])

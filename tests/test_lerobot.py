@@ -191,7 +191,7 @@ def test_workers_of_their_own_give_the_same(plugin: Any) -> None:
 
 @needs_lerobot
 @pytest.mark.parametrize("action", [[np.nan, 0, 0], [0, np.inf, 0], [0, 0], [0, 0, 0, 0]])
-def test_actions_that_are_none_are_refused(plugin: Any, action: list[float]) -> None:
+def test_invalid_actions_are_refused(plugin: Any, action: list[float]) -> None:
     env = plugin.LeRobotEnv("MoveToRegion", "Demo", "state")
     env.reset(seed=0)
     with pytest.raises(InvalidActionError, match="three finite numbers"):

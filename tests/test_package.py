@@ -115,3 +115,14 @@ def test_import_needs_no_extra_and_no_opengl() -> None:
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert result.stderr == ""
     assert result.stdout.split() == []
+
+
+def test_every_public_name_is_there_and_offered() -> None:
+    """In a process in which nothing has been loaded yet."""
+    code = (
+        "import magical_mj; missing = set(magical_mj.__all__) - set(dir(magical_mj))\n"
+        "print(missing, all(getattr(magical_mj, name) is not None for name in magical_mj.__all__))\n"
+        "print(hasattr(magical_mj, 'laod'))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set() True\nFalse\n"

@@ -118,15 +118,6 @@ def test_a_carried_block_stays_in_the_gripper(name: str) -> None:
         assert np.abs(ahead - ahead[0]).max() < 0.06  # stars slip a little, here and there
 
 
-@pytest.mark.parametrize("task", magical_mj.TASKS)
-def test_nothing_moves_when_nothing_acts(task: str) -> None:
-    variants = [variant for name, variant in magical_mj.ENVIRONMENTS if name == task]
-    for variant in variants:
-        track, fingers = Rollouts(magical_mj.sample_scene(task, variant, 11)).roll([0] * 100)
-        assert np.abs(track - track[0]).max() < 1e-4
-        assert np.abs(fingers - fingers[0]).max() < 1e-4
-
-
 def check_bounds(numbers: range) -> None:
     found = together(map(worst, numbers))
     assert found["broken"] == 0

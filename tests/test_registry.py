@@ -274,6 +274,6 @@ def test_specs_are_checked(changes: dict[str, Any], message: str) -> None:
 
 
 @pytest.mark.parametrize("names", [5, None, ",", [""]])
-def test_lists_that_are_none(names: Any) -> None:
+def test_lists_that_name_nothing(names: Any) -> None:
     with pytest.raises(SettingsError, match="give at least one of MoveToCorner"):
         environments(names)

@@ -17,7 +17,7 @@ FAILING = "def test_failing(tmp_path): assert not (tmp_path / 'a').mkdir() and F
 
 @pytest.mark.parametrize("processes", [0, 1])
 @pytest.mark.parametrize(("test", "code"), [(TIDY, 0), (UNTIDY, 1), (FAILING, 1)])
-def test_what_stays_lets_the_tests_fail(test: str, code: int, processes: int, tmp_path: Path) -> None:
+def test_what_stays_makes_the_tests_fail(test: str, code: int, processes: int, tmp_path: Path) -> None:
     system, tests = tmp_path / "system", tmp_path / "tests"
     system.mkdir()
     tests.mkdir()

@@ -59,7 +59,7 @@ def test_every_task_says_the_same_things_of_itself(task: str) -> None:
     assert all(found.values())
 
 
-def test_outlines_are_where_the_renderer_has_them() -> None:
+def test_outlines_have_their_sizes_and_layers() -> None:
     look = catalogue(magical_mj.ENVIRONMENTS[:1], "browser")["look"]
     square = look["blocks"]["square"][0][0]
     assert max(square) == pytest.approx(magical_mj.constants.SQUARE_SIDE / 2, abs=1e-6)

@@ -19,10 +19,11 @@ from magical_mj import ENVIRONMENTS, TASKS, VARIANTS
 from magical_mj.evaluation.scores import Score, read
 from magical_mj.web.scenes import EXPERT, SCENES
 
-INTRODUCTION: Final = """The expert is scripted. It knows the true state, and plans with the task's own subgoals and score: it tries manoeuvres on a
-copy of the simulation, and keeps the best. Use it as `--policy expert`, or as `magical_mj.experts.Expert(env, task, seed)`;
-with another seed it acts differently. How it drives: [demonstrations.md](demonstrations.md#how-they-are-made). These are
-the scores of
+INTRODUCTION: Final = """\
+The expert is scripted. It knows the true state, and plans with the task's own subgoals and score: it tries manoeuvres
+on a copy of the simulation, and keeps the best. Use it as `--policy expert`, or as
+`magical_mj.experts.Expert(env, task, seed)`; with another seed it acts differently. How it drives:
+[demonstrations.md](demonstrations.md#how-they-are-made). These are the scores of
 
 ```console
 $ magical-mj evaluate --policy expert --episodes 20 --out out/experts
@@ -35,8 +36,8 @@ def page(scores: Sequence[Score]) -> str:
     missed = sorted(f"{s.task} {s.variant} {s.seed}: {s.score:.2f}" for s in scores if s.score < 1.0)
     return "\n".join(
         [
-            "# The experts\n",
-            f"{INTRODUCTION}\n\n{len(scores) // len(ENVIRONMENTS)} episodes in each environment, rules of the paper. Mean scores:\n",
+            f"# The experts\n\n{INTRODUCTION}\n",
+            f"{len(scores) // len(ENVIRONMENTS)} episodes in each environment, rules of the paper. Mean scores:\n",
             *_table(scores, lambda some: f"{fmean(score.score for score in some):.3f}"),
             "\nSeconds for an episode, on one core:\n",
             *_table(scores, lambda some: f"{fmean(score.seconds for score in some):.1f}"),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -49,8 +50,7 @@ class Standing:
         entry: the entry; None for published ones.
         gaps: what keeps a partial entry from being official.
         means: mean score of each run in each environment; of published ones, the mean of five runs alone.
-        scores: interquartile mean over environments and runs, by variant, and `OVERALL`.
-        drops: how much the mean score falls from Demo to each test variant, on the tasks that have both.
+        episodes: score of each episode of each run in each environment; empty for published ones.
     """
 
     name: str
@@ -58,8 +58,43 @@ class Standing:
     entry: Entry | None
     gaps: tuple[str, ...]
     means: Mapping[Pair, Floats]
-    scores: Mapping[str, Estimate]
-    drops: Mapping[str, Estimate]
+    episodes: Mapping[Pair, Mapping[int, Floats]]
+
+    @cached_property
+    def scores(self) -> Mapping[str, Estimate]:
+        """Interquartile mean over environments and runs, by variant, and `OVERALL`."""
+        scores = {}
+        for variant in (OVERALL, *VARIANTS):
+            pairs = [pair for pair in self.means if variant in (OVERALL, pair[1])]
+            if pairs and self.episodes:
+                found = summarise([list(self.episodes[pair].values()) for pair in pairs])
+                scores[variant] = Estimate(found.iqm, found.iqm_low, found.iqm_high)
+            elif pairs:
+                scores[variant] = Estimate(
+                    float(interquartile_mean(np.concatenate([self.means[pair] for pair in pairs])))
+                )
+        return scores
+
+    @cached_property
+    def drops(self) -> Mapping[str, Estimate]:
+        """How much the mean score falls from Demo to each test variant, on the tasks that have both.
+
+        There is an interval only if the same runs were played in both: they are resampled together.
+        """
+        drops = {}
+        for variant in VARIANTS[1:]:
+            pairs = [((task, "Demo"), (task, variant)) for task in TASKS]
+            pairs = [pair for pair in pairs if self.means.keys() >= set(pair)]
+            if pairs:
+                value = float(np.mean([self.means[demo].mean() - self.means[other].mean() for demo, other in pairs]))
+                paired = self.episodes and all(
+                    list(self.episodes[demo]) == list(self.episodes[other]) for demo, other in pairs
+                )
+                interval = (
+                    mean_interval([self.means[demo] - self.means[other] for demo, other in pairs]) if paired else ()
+                )
+                drops[variant] = Estimate(value, *interval)
+        return drops
 
     @property
     def everywhere(self) -> bool:
@@ -92,14 +127,8 @@ def standing(entry: Entry) -> Standing:
     there = [pair for pair in ENVIRONMENTS if pair in runs]
     means = {pair: np.array([scores.mean() for scores in runs[pair].values()]) for pair in there}
     missing = tuple(gaps(entry))
-    scores = {}
-    for variant in (OVERALL, *VARIANTS):
-        mine = [list(runs[pair].values()) for pair in there if variant in (OVERALL, pair[1])]
-        if mine:
-            found = summarise(mine)
-            scores[variant] = Estimate(found.iqm, found.iqm_low, found.iqm_high)
     kind: Kind = "partial" if missing else "official"
-    return Standing(entry.method, kind, entry, missing, means, scores, _drops(means, runs))
+    return Standing(entry.method, kind, entry, missing, means, runs)
 
 
 def own_standings(folder: Path) -> dict[str, Standing]:
@@ -140,30 +169,8 @@ def published() -> list[Standing]:
     found = []
     for policy, group in published_results().groupby("policy", sort=False):
         means = {(row.task, row.variant): np.array([row.mean]) for row in group.itertuples()}
-        scores = {
-            variant: Estimate(float(interquartile_mean(np.concatenate(values))))
-            for variant in (OVERALL, *VARIANTS)
-            if (values := [value for pair, value in means.items() if variant in (OVERALL, pair[1])])
-        }
-        drops = {variant: Estimate(drop.value) for variant, drop in _drops(means, dict.fromkeys(means, ())).items()}
-        found.append(Standing(str(policy), "published", None, (), means, scores, drops))
+        found.append(Standing(str(policy), "published", None, (), means, {}))
     return found
-
-
-def _drops(means: Mapping[Pair, Floats], runs: Mapping[Pair, Collection[int]]) -> dict[str, Estimate]:
-    """How much less is scored in each variant than in Demo, on the tasks that have both.
-
-    There is an interval only if the same runs were played in both: they are resampled together.
-    """
-    drops = {}
-    for variant in VARIANTS[1:]:
-        pairs = [((task, "Demo"), (task, variant)) for task in TASKS if {(task, "Demo"), (task, variant)} <= set(means)]
-        if pairs:
-            value = float(np.mean([means[demo].mean() - means[other].mean() for demo, other in pairs]))
-            paired = all(list(runs[demo]) == list(runs[other]) for demo, other in pairs)
-            interval = mean_interval([means[demo] - means[other] for demo, other in pairs]) if paired else ()
-            drops[variant] = Estimate(value, *interval)
-    return drops
 
 
 def improvement(first: Standing, second: Standing) -> Estimate:
