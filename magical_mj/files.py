@@ -47,6 +47,8 @@ def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
         FileExistsError, OSError: as `write`.
     """
     path = Path(path)
+    if overwrite and path.is_symlink():
+        path = path.resolve()  # what it leads to is replaced, not the link
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, "is a folder", str(path))
     mine = f"{platform.node()}-{os.getpid()}-{threading.get_ident()}"

@@ -120,7 +120,7 @@ def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
     file = tmp_path / "experiment.toml"
     file.write_text(EXPERIMENT)
     out = tmp_path / "lr=0.1, twice"
-    lines = list(conduct(runs(file, out), out, jobs=2))
+    lines = list(conduct(runs(str(file), str(out)), str(out), jobs=2))
     assert len(lines) == 5
     assert sorted(line.partition(":")[0] for line in lines[:4]) == [
         f"bc-{task}-{seed}" for task in ("FixColour", "MoveToRegion") for seed in (0, 1)

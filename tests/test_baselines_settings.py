@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from learners import tiny
 from magical_mj import TASKS
 from magical_mj.baselines import load_settings
 from magical_mj.baselines.method_settings import QUICK, changed, names
-from magical_mj.baselines.settings import TrainingSettings
+from magical_mj.baselines.settings import Cloning, TrainingSettings
 from magical_mj.baselines.settings_file import flattened, from_toml, to_toml, toml_value
 from magical_mj.errors import SettingsError, UnknownNameError
 
@@ -169,3 +169,15 @@ def test_a_method_is_a_name() -> None:
 def test_any_text_is_written_as_toml(text: str) -> None:
     read = tomllib.loads(f"text = {toml_value(text)}")["text"]
     assert read == text.encode(errors="backslashreplace").decode()
+
+
+def test_settings_of_any_origin_are_pythons_numbers() -> None:
+    """Also those that a user makes without `load_settings`."""
+    given = load_settings("bc", "MoveToRegion", preset="State")
+    rate = np.float64(1e-3)
+    made = replace(given, seed=np.int64(3), bc=replace(given.bc, learning_rate=rate, batches=np.int32(7)))  # pyright: ignore[reportArgumentType]
+    assert [type(value) for value in (made.seed, made.bc.learning_rate, made.bc.batches)] == [int, float, int]
+    half: Any = 4.5
+    for wrong in ({"device": None}, {"seed": "x"}, {"seed": np.int64(-1)}, {"bc": None}, {"bc": Cloning(batches=half)}):
+        with pytest.raises(SettingsError, match="must be"):
+            replace(given, **wrong)

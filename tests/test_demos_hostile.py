@@ -6,6 +6,7 @@ import json
 import os
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -182,6 +183,52 @@ def test_an_episode_is_recorded_from_its_start_to_its_end() -> None:
     env.step(1)
     with pytest.raises(DemonstrationError, match="the episode began 1 steps ago"):
         demos.Recorder(env)
+
+
+def test_what_a_recorder_did_not_see_is_no_demonstration() -> None:
+    """Not episodes that were stepped or begun anew without it, and not those of another scene than they claim."""
+    env = magical_mj.load("ClusterShape", "Layout", seed=5, observations=(), rules="released")
+    env.reset()
+    recorder = demos.Recorder(env)
+    recorder.step(0)
+    made = recorder.demonstration("ClusterShape", "Layout", 5, "human", 5)
+    assert made.score == made.rescored()  # by the paper's rules, whatever those of the environment are
+    for task, variant, seed in (("ClusterShape", "Layout", 6), ("ClusterColour", "Demo", 5)):
+        with pytest.raises(DemonstrationError, match=f"not begin in the scene of {task}-{variant} with seed {seed}"):
+            recorder.demonstration(task, variant, seed, "human", 5)
+    for elsewhere in (lambda: env.step(1), env.reset):
+        elsewhere()
+        for use in (lambda: recorder.step(1), lambda: recorder.demonstration("ClusterShape", "Layout", 5, "human", 5)):
+            with pytest.raises(DemonstrationError, match="reset or stepped without the recorder"):
+                use()
+
+
+def test_what_cannot_be_read_costs_no_episode(demo: Demonstration, tmp_path: Path) -> None:
+    (tmp_path / "MoveToRegion-Demo-expert-000.npz").symlink_to(tmp_path / "nowhere")
+    (tmp_path / "MoveToRegion-Demo-expert-001.npz").mkdir()
+    assert demos.keep(demo, tmp_path) == (tmp_path / "MoveToRegion-Demo-expert-002.npz", True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"actions": [0, 1]}, "actions must be an array"),
+        ({"scene": None}, "the scene must be a magical_mj.Scene, not None"),
+        ({"score": "1"}, "the score must be a number"),
+        ({"seed": 1.5}, "seeds must be integers"),
+    ],
+)
+def test_other_kinds_are_refused(changes: dict[str, Any], says: str, demo: Demonstration) -> None:
+    with pytest.raises(DemonstrationError, match=says):
+        replace(demo, **changes)
+
+
+def test_equal_demonstrations_have_equal_names(demo: Demonstration) -> None:
+    made = replace(demo, scene_seed=np.int64(demo.scene_seed), score=np.float64(1), variant="Demo")  # pyright: ignore[reportArgumentType]
+    assert (made.name, type(made.scene_seed), type(made.score)) == (demo.name, int, float)
+    jitter = demos.demonstrate("MoveToRegion", "TestJitter", 0)
+    assert jitter.name == "MoveToRegion-Jitter"
+    assert replace(jitter, variant="TestJitter").name == jitter.name
 
 
 def test_numbers_of_numpy_are_seeds_too(tmp_path: Path) -> None:

@@ -69,6 +69,18 @@ def test_errors_name_the_file(tmp_path: Path) -> None:
     assert caught.value.filename == str(tmp_path / "nowhere" / "a.txt")
 
 
+def test_a_link_leads_to_the_new_content(tmp_path: Path) -> None:
+    """Whoever put a large file elsewhere wants it to stay there."""
+    (tmp_path / "large").mkdir()
+    (tmp_path / "large" / "file").write_text("old")
+    (tmp_path / "link").symlink_to(tmp_path / "large" / "file")
+    files.write(tmp_path / "link", "new", overwrite=True)
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "large" / "file").read_text() == "new"
+    with pytest.raises(FileExistsError):
+        files.write(tmp_path / "link", "newer")
+
+
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_a_folder_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overwrite: bool) -> None:
     monkeypatch.chdir(tmp_path)

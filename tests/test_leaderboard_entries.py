@@ -10,12 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from entries import EPISODES, TAMPERED, Row, rewrite, whole
 
 import magical_mj
 from magical_mj.errors import EvaluationError, SettingsError, UnknownNameError
 from magical_mj.evaluation.folder import SETTINGS
+from magical_mj.evaluation.report import report
 from magical_mj.leaderboard import check_entry, submit
 from magical_mj.leaderboard.claims import Claim, missing
 from magical_mj.leaderboard.entry import packed, unpacked
@@ -294,3 +296,12 @@ def test_a_thousand_rows_too_few_are_named() -> None:
     assert found == [
         f"run 0, {task} {variant}: all of the 100 episodes are missing" for task, variant in ENVIRONMENTS[:10]
     ]
+
+
+def test_folders_are_a_list_and_the_entrys_own_is_made(folder: Path, tmp_path: Path) -> None:
+    submit((one for one in [folder]), tmp_path / "made" / "entry.json.xz")
+    entry, _ = check_entry(tmp_path / "made" / "entry.json.xz", seed=np.int64(3))  # pyright: ignore[reportArgumentType]
+    assert len(entry.episodes) == EPISODES
+    for use in (submit, report):
+        with pytest.raises(SettingsError, match="give a list of folders"):
+            use(str(folder), tmp_path / "none.json.xz")

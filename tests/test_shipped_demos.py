@@ -19,7 +19,7 @@ def test_25_demonstrations_of_each_task_are_shipped_and_differ(task: str) -> Non
     assert max(len(d.actions) for d in shipped) <= task_spec(task).horizon()
     assert all(len(d.actions) == task_spec(task).horizon() or not d.actions[-REST:].any() for d in shipped)
     assert len({d.actions.tobytes() for d in shipped}) == 25
-    assert demos.diversity(shipped).ways > 0.05
+    assert demos.diversity(demo for demo in shipped).ways > 0.05
 
 
 @pytest.mark.slow

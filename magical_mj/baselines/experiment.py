@@ -41,7 +41,7 @@ LEAST_PAIRS: Final = 5
 """The least number of environments for which a rank correlation is printed."""
 
 
-def runs(file: Path, out: Path) -> list[Run]:
+def runs(file: Path | str, out: Path | str) -> list[Run]:
     """The runs of an experiment.
 
     Args:
@@ -53,6 +53,7 @@ def runs(file: Path, out: Path) -> list[Run]:
     Raises:
         SettingsError, UnknownNameError: if the file holds invalid settings.
     """
+    file, out = Path(file), Path(out)
     table = read_toml(file)
     _check(f"entry of {file}", table, ENTRIES)
     for name, example in ENTRIES.items():
@@ -90,7 +91,7 @@ def runs(file: Path, out: Path) -> list[Run]:
 
 def conduct(
     planned: list[Run],
-    out: Path,
+    out: Path | str,
     *,
     jobs: int | None = None,
     backend: str = "local",
@@ -112,6 +113,7 @@ def conduct(
         MagicalError: if a run fails, or would do so from the start: then before the first run. Called again, it
             continues.
     """
+    out = Path(out)
     check_backend(backend, jobs, address)
     _check_runs(planned, out, backend == "local")
     if backend == "local" and jobs in (None, 1):

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import fields, is_dataclass, replace
-from numbers import Real
 from types import MappingProxyType
 from typing import Any, Final, TypeVar, get_type_hints
 
-from magical_mj.baselines.settings import STATE, TrainingSettings
-from magical_mj.errors import SettingsError, check_name, shown
+from magical_mj.baselines.settings import STATE, TrainingSettings, fitting
+from magical_mj.errors import SettingsError, check_name
 from magical_mj.registry import TASKS, listed, task_name
 
 PARTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
@@ -173,7 +172,7 @@ def _changed(part: T, changes: Mapping[str, Any], prefix: str) -> T:
         if is_dataclass(kind):
             values[name] = _changed(getattr(part, name), changes, f"{path}.")
         elif path in changes:
-            values[name] = _fitting(path, changes[path], kind)
+            values[name] = fitting(path, changes[path], kind)
     return replace(part, **values)  # pyright: ignore[reportArgumentType]
 
 
@@ -184,22 +183,3 @@ def names(settings: Any, prefix: str = "") -> list[str]:
         value = getattr(settings, item.name)
         found += names(value, f"{prefix}{item.name}.") if is_dataclass(value) else [f"{prefix}{item.name}"]
     return found
-
-
-def _fitting(name: str, value: Any, kind: Any) -> Any:
-    if kind == tuple[str, ...]:
-        return tuple(listed(value, TASKS))
-    if kind is str and isinstance(value, str):
-        return value
-    if kind is bool or kind is str:
-        made = {"true": True, "false": False}.get(str(value).lower()) if kind is bool else None
-        if made is None:
-            raise SettingsError(f"{name} must be {'true or false' if kind is bool else 'text'}, not {value!r}")
-        return made
-    try:
-        made = kind(value) if isinstance(value, str | Real) and not isinstance(value, bool) else None
-    except (ValueError, OverflowError):
-        made = None
-    if made is None or (kind is int and isinstance(value, Real) and made != value):
-        raise SettingsError(f"{name} must be a number ({kind.__name__}), not {shown(value)}")
-    return made

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, is_dataclass
 from math import inf
-from typing import Any, Final
+from numbers import Real
+from typing import Any, Final, get_type_hints
 
 from magical_mj.errors import SettingsError, check_name, shown
 from magical_mj.evaluation.settings import LARGEST_SETTING, WORLDS
 from magical_mj.presets import PRESETS, preset_named
-from magical_mj.registry import task_spec
+from magical_mj.registry import TASKS, listed, task_spec
 
 STATE: Final = "State"
 """The preset of the state track."""
@@ -37,7 +38,7 @@ class Network:
 
     def __post_init__(self) -> None:
         """Raises a `SettingsError` for sizes that cannot be."""
-        _check_numbers(self, "network.")
+        _check_values(self, "network.")
         if self.first_kernel % 2 == 0:
             raise SettingsError(f"network.first_kernel must be odd, not {self.first_kernel}")
         if self.entity % HEADS:
@@ -151,7 +152,7 @@ class TrainingSettings:
                 f"learners look at one stack of frames or at states: preset must be one of {', '.join(LEARNABLE)}"
             )
         check_name("augmentation", self.augment, AUGMENT)
-        _check_numbers(self, "")
+        _check_values(self, "")
         if self.seed >= SEEDS:
             raise SettingsError(f"a training's seed must be below 2**63, not {shown(self.seed)}")
         for name, (value, allowed) in {
@@ -227,14 +228,40 @@ AT_MOST: Final = {
 """Sizes for which no machine has the memory, or nobody the time, are above these."""
 
 
-def _check_numbers(part: Any, prefix: str) -> None:
-    for item in fields(part):
-        value, name = getattr(part, item.name), f"{prefix}{item.name}"
-        if is_dataclass(value):
-            _check_numbers(value, f"{name}.")
-        elif isinstance(value, int | float) and not isinstance(value, bool):
+def _check_values(part: Any, prefix: str) -> None:
+    """Raises a `SettingsError` for values of the wrong kind or size; numpy's numbers become Python's."""
+    for field_name, kind in get_type_hints(type(part)).items():
+        value, name = getattr(part, field_name), f"{prefix}{field_name}"
+        if isinstance(kind, type) and is_dataclass(kind):
+            if not isinstance(value, kind):
+                raise SettingsError(f"{name} must be of the type {kind.__name__}, not {shown(value)}")
+            _check_values(value, f"{name}.")
+            continue
+        value = fitting(name, value, kind)
+        object.__setattr__(part, field_name, value)
+        if isinstance(value, int | float) and not isinstance(value, bool):
             if not (0 < value < inf or (value == 0 and name in MAY_BE_ZERO)):
                 least = "0 or more" if name in MAY_BE_ZERO else "positive"
                 raise SettingsError(f"{name} must be {least}, not {shown(value)}")
             if value > AT_MOST.get(name, inf):
                 raise SettingsError(f"{name} must be at most {AT_MOST[name]}, not {shown(value)}")
+
+
+def fitting(name: str, value: Any, kind: Any) -> Any:
+    """A value of the kind that a setting has: text is converted. Raises a `SettingsError` for what does not fit."""
+    if kind == tuple[str, ...]:
+        return tuple(listed(value, TASKS))
+    if kind is str and isinstance(value, str):
+        return value
+    if kind is bool or kind is str:
+        made = {"true": True, "false": False}.get(str(value).lower()) if kind is bool else None
+        if made is None:
+            raise SettingsError(f"{name} must be {'true or false' if kind is bool else 'text'}, not {value!r}")
+        return made
+    try:
+        made = kind(value) if isinstance(value, str | Real) and not isinstance(value, bool) else None
+    except (ValueError, OverflowError):
+        made = None
+    if made is None or (kind is int and isinstance(value, Real) and made != value):
+        raise SettingsError(f"{name} must be a number ({kind.__name__}), not {shown(value)}")
+    return made

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
+from numbers import Integral, Real
 from typing import Final, Literal, get_args
 
 import numpy as np
@@ -15,7 +16,7 @@ from magical_mj.actions import ACTIONS
 from magical_mj.assets.robot import JOINTS
 from magical_mj.assets.world import World
 from magical_mj.errors import DemonstrationError, shown
-from magical_mj.registry import environment_axes, score, task_spec
+from magical_mj.registry import environment_axes, score, task_spec, variant_name
 from magical_mj.scene import Scene
 
 Demonstrator = Literal["expert", "human"]
@@ -51,20 +52,29 @@ class Demonstration:
     mujoco: str = version("mujoco")
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "variant", variant_name(self.variant))
         environment_axes(self.task, self.variant)
-        for seed in (self.scene_seed, self.seed):
-            if type(seed) is not int or seed < 0:
+        for name in ("scene_seed", "seed"):
+            seed = getattr(self, name)
+            if not isinstance(seed, Integral) or isinstance(seed, bool) or seed < 0:
                 raise DemonstrationError(f"seeds must be integers of at least 0, not {shown(seed)}")
-        if type(self.score) not in (int, float) or not 0 <= self.score <= 1:
+            object.__setattr__(self, name, int(seed))
+        if not isinstance(self.score, Real) or isinstance(self.score, bool) or not 0 <= self.score <= 1:
             raise DemonstrationError(f"the score must be a number in [0, 1], not {shown(self.score)}")
+        object.__setattr__(self, "score", float(self.score))
+        if not isinstance(self.scene, Scene):
+            raise DemonstrationError(f"the scene must be a magical_mj.Scene, not {shown(self.scene)}")
         if not isinstance(self.package, str) or not isinstance(self.mujoco, str):
             raise DemonstrationError("the versions of package and mujoco must be texts")
         if self.demonstrator not in DEMONSTRATORS:
             raise DemonstrationError(f"demonstrator is {self.demonstrator!r}; it must be one of {DEMONSTRATORS}")
-        steps = len(self.actions)
         kinds = [(self.actions, np.uint8, 1), (self.qpos, np.float64, 2), (self.qvel, np.float64, 2)]
-        if any(array.dtype != kind or array.ndim != dimensions for array, kind, dimensions in kinds):
-            raise DemonstrationError("actions must be (steps,) uint8, qpos and qvel (steps + 1, n) float64")
+        for array, kind, dimensions in kinds:
+            if not isinstance(array, np.ndarray) or array.dtype != kind or array.ndim != dimensions:
+                raise DemonstrationError(
+                    "actions must be an array (steps,) of uint8, qpos and qvel (steps + 1, n) of float64"
+                )
+        steps = len(self.actions)
         if steps == 0 or not len(self.qpos) == len(self.qvel) == steps + 1:
             raise DemonstrationError(f"{steps} actions do not fit {len(self.qpos)} and {len(self.qvel)} states")
         if (self.actions >= len(ACTIONS)).any():

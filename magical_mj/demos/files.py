@@ -87,7 +87,7 @@ def keep(demo: Demonstration, folder: Path | str) -> tuple[Path, bool]:
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
     for path in files_in(folder, _beginning(demo)):
-        with contextlib.suppress(DemonstrationError):  # a damaged file must not cost this episode
+        with contextlib.suppress(DemonstrationError, OSError):  # a file that cannot be read must not cost this episode
             other = read(path, demo.task)
             if (other.scene_seed, other.actions.tobytes()) == (demo.scene_seed, demo.actions.tobytes()):
                 return path, False

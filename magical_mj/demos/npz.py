@@ -45,6 +45,7 @@ def to_npz(
     if not demos:
         raise DemonstrationError("there are no demonstrations to write")
     check_seeds(demos)
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
     columns: dict[str, list[Any]] = {}
 
     def add(**values: Any) -> None:

@@ -15,7 +15,7 @@ from magical_mj.environment import Environment, load
 from magical_mj.episodes import forever, play
 from magical_mj.errors import DemonstrationError
 from magical_mj.experts import Expert
-from magical_mj.registry import task_name, variant_name
+from magical_mj.registry import sample_scene, score, task_name, variant_name
 from magical_mj.variants import check_seed
 
 Floats = NDArray[np.float64]
@@ -45,11 +45,12 @@ class Recorder:
         """One action, as the environment takes it.
 
         Raises:
-            DemonstrationError: if the episode is over.
+            DemonstrationError: if the episode is over, or went on without this recorder.
             InvalidActionError: if the action is not one of the 18.
         """
         if self._env.over:
             raise DemonstrationError("the episode is over: reset the environment, and record with another Recorder")
+        self._check_complete()
         now = self._env.step(action)
         self._actions.append(action_number(action))
         self._states.append(self._state())
@@ -67,11 +68,18 @@ class Recorder:
     def demonstration(
         self, task: str, variant: str, scene_seed: int, demonstrator: Demonstrator, seed: int
     ) -> Demonstration:
-        """The episode so far as a demonstration, with the present score.
+        """The episode so far as a demonstration, with the present score by the paper's rules.
 
         Raises:
             InvalidSeedError: if a seed is not an integer, or negative.
+            DemonstrationError: if the episode began in another scene than that of `scene_seed`, or went on without this
+                recorder.
         """
+        self._check_complete()
+        start = self._env.initial_scene
+        if start != sample_scene(task, variant, check_seed(scene_seed)):
+            where = f"{task_name(task)}-{variant_name(variant)} with seed {scene_seed}"
+            raise DemonstrationError(f"the episode did not begin in the scene of {where}")
         positions, velocities = self.states()
         return Demonstration(
             task=task_name(task),
@@ -79,12 +87,16 @@ class Recorder:
             scene_seed=check_seed(scene_seed),
             demonstrator=demonstrator,
             seed=check_seed(seed),
-            scene=self._env.initial_scene,
+            scene=start,
             actions=np.array(self._actions, np.uint8),
             qpos=positions,
             qvel=velocities,
-            score=self._env.score(),
+            score=score(task, start, self._env.scene),
         )
+
+    def _check_complete(self) -> None:
+        if self._env.task.steps != len(self._actions):
+            raise DemonstrationError("the environment was reset or stepped without the recorder: make another one")
 
     def _state(self) -> tuple[Floats, Floats]:
         data = self._env.physics.data

@@ -56,6 +56,7 @@ def to_robomimic(
         raise missing_extra("exporting to robomimic", "robomimic") from None
     check_name("choice of views", views, VIEWS)
     only_environment(demos)
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
     written = io.BytesIO()  # since HDF5 ends the process if the disk is full
     with files.new_file(path, overwrite=overwrite) as unfinished:
         with h5py.File(written, "w") as file:

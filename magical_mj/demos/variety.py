@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -29,8 +29,9 @@ class Diversity(NamedTuple):
     """Mean distance (world units) between two paths of the robot, at equal fractions of their lengths."""
 
 
-def diversity(demos: Sequence[Demonstration]) -> Diversity:
+def diversity(demos: Iterable[Demonstration]) -> Diversity:
     """Compares demonstrations of one environment."""
+    demos = list(demos)
     plans = [strategy(demo) for demo in demos]
     orders = {tuple(block for block, _ in plan) for plan in plans}
     ways = [_way(demo) for demo in demos]

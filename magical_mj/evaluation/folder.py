@@ -6,15 +6,24 @@ An evaluation can be resumed only with the settings with which it was started.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
+from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
 from magical_mj import files
-from magical_mj.errors import EvaluationError
+from magical_mj.errors import EvaluationError, SettingsError, shown
 from magical_mj.evaluation.scores import SCORES, Score, ScoreFile, read
 from magical_mj.evaluation.settings import check_unchanged
 
 SETTINGS: Final = "run.json"
+
+
+def folders_of(folders: Iterable[Path | str]) -> list[Path]:
+    """The folders as a list; raises a `SettingsError` for a single one, since a text is a sequence of letters."""
+    if isinstance(folders, str | bytes | PathLike):
+        raise SettingsError(f"give a list of folders, such as [{str(folders)!r}], not {shown(folders)}")
+    return [Path(folder) for folder in folders]
 
 
 def prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[Score]:

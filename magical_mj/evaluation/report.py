@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -12,6 +12,7 @@ from urllib.parse import quote
 from magical_mj import files
 from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.figures import bars, heat_map
+from magical_mj.evaluation.folder import folders_of
 from magical_mj.evaluation.results import APPROXIMATE, Results, results
 from magical_mj.evaluation.scores import Score
 from magical_mj.evaluation.tables import csv, latex, markdown, result_tables
@@ -63,7 +64,7 @@ def begin(out: Path, others: Sequence[str] = ()) -> bool:
 
 
 def report(
-    folders: Sequence[Path | str],
+    folders: Iterable[Path | str],
     out: Path | str,
     *,
     with_published: bool = False,
@@ -83,12 +84,13 @@ def report(
         The path of the page, in Markdown.
 
     Raises:
+        SettingsError: if a single folder is given instead of several.
         EvaluationError: if a folder is not an evaluation, two of them cannot be combined, or `out` holds files with
             the names of the report's that are not of an earlier one.
         MissingExtraError: if an extra is missing.
     """
     check_extra("reports", "eval")
-    found = results([Path(folder) for folder in folders], with_published, mixed_presets)
+    found = results(folders_of(folders), with_published, mixed_presets)
     out = Path(out)
     tables = result_tables(found)
     out.mkdir(parents=True, exist_ok=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -53,7 +53,7 @@ class PolicyCopies:
 
 
 def rollouts(
-    env: gymnasium.Env[Any, Any] | Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode]
+    env: gymnasium.Env[Any, Any] | Envs, policy: Act | BatchPolicy, episodes: Iterable[Episode]
 ) -> Iterator[Outcome]:
     """Plays the episodes in an environment, or side by side in a vector environment; yields their outcomes in order.
 
@@ -69,6 +69,7 @@ def rollouts(
         RenderingError, TaskError, EvaluationError, Exception: see `play`.
         SettingsError: if the policy must be copied, and cannot be.
     """
+    episodes = list(episodes)
     _check_fits(env, episodes)
     if isinstance(env, gymnasium.vector.VectorEnv):
         batch = policy if isinstance(policy, BatchPolicy) else PolicyCopies(policy, env)
@@ -82,7 +83,10 @@ def rollouts(
 
 def _check_fits(env: gymnasium.Env[Any, Any] | Envs, episodes: Sequence[Episode]) -> None:
     if isinstance(env, gymnasium.vector.VectorEnv):
-        space, made = env.single_action_space, {} if env.spec is None else env.spec.kwargs
+        space, spec = env.single_action_space, env.spec
+        if spec is None and isinstance(env.unwrapped, gymnasium.vector.SyncVectorEnv | gymnasium.vector.AsyncVectorEnv):
+            spec = env.unwrapped.get_attr("spec")[0]  # that of its first environment
+        made = {} if spec is None else spec.kwargs
         task, variant = made.get("task"), made.get("variant")
     else:
         space, settings = env.action_space, simulation(env).task.settings

@@ -5,10 +5,14 @@ from __future__ import annotations
 import ctypes
 import queue
 import threading
+import weakref
 from collections.abc import Callable
 from typing import Any, Final, TypeVar
 
 T = TypeVar("T")
+
+Calls = queue.SimpleQueue[Callable[[], Any] | None]
+Results = queue.SimpleQueue[tuple[Any, BaseException | None]]
 
 GRACE: Final = 1.0
 """Seconds that a call has to end after it was stopped."""
@@ -35,10 +39,12 @@ class TimeLimitedCaller:
 
     def __init__(self) -> None:
         self.abandoned = False
-        self._calls: queue.SimpleQueue[Callable[[], Any]] = queue.SimpleQueue()
-        self._results: queue.SimpleQueue[tuple[Any, BaseException | None]] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._work, daemon=True, name="magical_mj episodes")
+        self._calls: Calls = queue.SimpleQueue()
+        self._results: Results = queue.SimpleQueue()
+        queues = self._calls, self._results
+        self._thread = threading.Thread(target=_work, args=queues, daemon=True, name="magical_mj episodes")
         self._thread.start()
+        weakref.finalize(self, self._calls.put, None)  # nobody will call any more
 
     def call(self, function: Callable[[], T], seconds: float | None) -> T:
         """Returns or raises what the function returns or raises.
@@ -59,18 +65,29 @@ class TimeLimitedCaller:
             raise error
         return result
 
-    def _work(self) -> None:
-        while True:
-            try:
-                result = self._calls.get()(), None
-            except _Stop:
-                return
-            except BaseException as error:  # noqa: BLE001 the caller gets it
-                result = None, error
-            self._results.put(result)
-
     def _stop(self) -> None:
         self.abandoned = True
         ident = self._thread.ident or 0
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(ident), ctypes.py_object(_Stop))
         self._thread.join(GRACE)
+
+
+def _work(calls: Calls, results: Results) -> None:
+    """What the thread does. It does not hold its caller, so that both end when nobody holds that any more."""
+    while _answer(calls, results):
+        pass
+
+
+def _answer(calls: Calls, results: Results) -> bool:
+    """Makes one call, and keeps nothing of it; whether another one may come."""
+    try:
+        function = calls.get()
+        if function is None:
+            return False
+        result = function(), None
+    except _Stop:
+        return False
+    except BaseException as error:  # noqa: BLE001 the caller gets it
+        result = None, error
+    results.put(result)
+    return True

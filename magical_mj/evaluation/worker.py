@@ -183,9 +183,9 @@ class Player:
         self._caller = TimeLimitedCaller()
 
 
-def _policy_key(unit: Unit) -> tuple[str, int]:
-    """Of one policy in the evaluation; policies themselves may not be comparable."""
-    return unit.source.name, unit.source.run
+def _policy_key(unit: Unit) -> tuple[str, str, int]:
+    """Of one policy in one evaluation, of which two may take turns; policies themselves may not be comparable."""
+    return unit.evaluation, unit.source.name, unit.source.run
 
 
 def _env_key(unit: Unit, policy: Act) -> tuple[Any, ...]:

@@ -22,6 +22,7 @@ from magical_mj.leaderboard.record import Plan, disagreements, recorded
 from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.registry import TASKS, check_rules, task_spec
 from magical_mj.tasks.spec import Rules
+from magical_mj.variants import check_seed
 
 SHARE: Final = 0.1
 """The share of an entry's episodes that are replayed by default."""
@@ -136,6 +137,7 @@ def check_entry(
 
     Raises:
         EvaluationError: if the file is not a valid entry; see `magical_mj.leaderboard.entry.unpacked`.
+        InvalidSeedError: if `seed` is not an integer, or negative.
     """
     check_extra("leaderboards", "eval")
     try:
@@ -162,4 +164,4 @@ def check_entry(
 
 def _sample(episodes: Sequence[Claim], seed: int | None) -> list[Claim]:
     count = min(MOST_REPLAYED, math.ceil(SHARE * len(episodes)))
-    return random.Random(secrets.randbits(64) if seed is None else seed).sample(episodes, count)  # noqa: S311
+    return random.Random(secrets.randbits(64) if seed is None else check_seed(seed)).sample(episodes, count)  # noqa: S311

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import shlex
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from magical_mj import files
 from magical_mj.errors import EvaluationError, SettingsError, check_name, shown
+from magical_mj.evaluation.folder import folders_of
 from magical_mj.evaluation.results import check_same
 from magical_mj.evaluation.scores import Score, read
 from magical_mj.evaluation.settings import UNOFFICIAL
@@ -42,7 +43,7 @@ CARD: Final[dict[str, Any]] = {
 
 
 def submit(
-    folders: Sequence[Path | str],
+    folders: Iterable[Path | str],
     out: Path | str,
     *,
     card: Path | str | None = None,
@@ -68,10 +69,11 @@ def submit(
     out = Path(out)
     if not out.name.endswith(SUFFIX):
         raise SettingsError(f"{out} must end in {SUFFIX}")
+    folders = folders_of(folders)
     if not folders:
         raise SettingsError("give at least one folder of an evaluation")
     said = _card({} if card is None else files.read_toml(Path(card)), card)
-    found = [(score, folder) for folder in map(Path, folders) for score in read(folder)]
+    found = [(score, folder) for folder in folders for score in read(folder)]
     names = list(dict.fromkeys(score.policy for score, _ in found))
     if policy is not None:
         check_name("policy", policy, names)
@@ -95,6 +97,7 @@ def submit(
         entry = _extended(earlier, entry, extend, keep_card=card is None)
     where = "the choice of folders" if extend is None else f"{extend} with these folders"
     check_unique(entry.episodes, where, "; if these are two runs, evaluate one of them again with another --run")
+    out.parent.mkdir(parents=True, exist_ok=True)
     files.write(out, packed(entry))
     return entry
 
