@@ -231,3 +231,10 @@ def test_pages_need_nothing_from_elsewhere_and_trust_no_text(tmp_path: Path) -> 
     parser = Balanced()
     parser.feed(html)
     assert parser.open == []
+
+
+def test_our_own_entries_take_less_than_twenty_megabytes() -> None:
+    """They are in the repository, which everybody clones."""
+    found = list((Path(__file__).parent.parent / "results").iterdir())
+    assert len(found) > 40
+    assert sum(path.stat().st_size for path in found) < 20_000_000
