@@ -48,7 +48,7 @@ def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
     """
     path = Path(path)
     if overwrite and path.is_symlink():
-        path = path.resolve()  # what it leads to is replaced, not the link
+        path = Path(os.path.realpath(path))  # what it leads to is replaced, not the link
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, "is a folder", str(path))
     mine = f"{platform.node()}-{os.getpid()}-{threading.get_ident()}"

@@ -139,3 +139,15 @@ class Fatal:
 
 
 NOT_CALLABLE = 3
+
+
+class Constant:
+    """Always the same action."""
+
+    preset = "State"
+
+    def __init__(self, action: int) -> None:
+        self.action = action
+
+    def __call__(self, _: object) -> int:
+        return self.action

@@ -204,11 +204,6 @@ def run(*arguments: object) -> int:
     return main([str(argument) for argument in arguments])
 
 
-def test_what_no_expert_reaches_is_no_demonstration() -> None:
-    with pytest.raises(DemonstrationError, match=r"10 experts tried MoveToRegion-Demo .*; the best reached 1\.00"):
-        demos.demonstrate("MoveToRegion", "Demo", 0, least_score=1.5)
-
-
 def test_generate_verify_info_video_and_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "made"
     generate = (

@@ -16,39 +16,28 @@ import numpy as np
 import pandas as pd
 import pytest
 from evaluations import evaluate
-from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 import magical_mj
 from magical_mj.episodes import LETTERS, actions_of
-from magical_mj.errors import EvaluationError, SettingsError, UnknownNameError
-from magical_mj.evaluation import Episode, Evaluation, EvaluationSettings, rollouts
+from magical_mj.errors import SettingsError, UnknownNameError
+from magical_mj.evaluation import Episode, Evaluation, EvaluationSettings
 from magical_mj.evaluation.scores import read
 
 # equal scores
 
 
-class Constant:
-    """Always the same action."""
-
-    preset = "State"
-
-    def __init__(self, action: int) -> None:
-        self.action = action
-
-    def __call__(self, _: object) -> int:
-        return self.action
-
-
 def test_evaluations_that_take_turns_keep_their_policies() -> None:
     settings = EvaluationSettings(tasks="MoveToRegion", variants="Demo", episodes=3, preset="State", jobs=1)
-    first, second = (Evaluation({"mine": Constant(action)}, settings).play() for action in (1, 2))
+    first, second = (Evaluation({"mine": agents.Constant(action)}, settings).play() for action in (1, 2))
     letters = [score.actions[0] for pair in zip(first, second, strict=True) for score in pair]
     assert letters == [LETTERS[1], LETTERS[2]] * 3
 
 
 def test_threads_that_have_evaluated_leave_none_behind() -> None:
     def play() -> None:
-        magical_mj.evaluate(Constant(1), tasks="MoveToRegion", variants="Demo", episodes=1, preset="State", jobs=1)
+        magical_mj.evaluate(
+            agents.Constant(1), tasks="MoveToRegion", variants="Demo", episodes=1, preset="State", jobs=1
+        )
 
     before = {thread.ident for thread in threading.enumerate()}
     caller = threading.Thread(target=play)
@@ -59,17 +48,6 @@ def test_threads_that_have_evaluated_leave_none_behind() -> None:
     for thread in left:
         thread.join(10)
     assert not any(thread.is_alive() for thread in left)
-
-
-def test_episodes_may_come_one_by_one_and_must_be_of_the_environment() -> None:
-    name = "magical_mj/MoveToRegion-Demo-State-v0"
-    several = SyncVectorEnv([lambda: gymnasium.make(name)], autoreset_mode=AutoresetMode.DISABLED)
-    for env in (gymnasium.make(name), several):
-        outcomes = list(rollouts(env, Constant(1), (Episode("MoveToRegion", "Demo", seed) for seed in (0, 1))))
-        assert [len(outcome.actions) for outcome in outcomes] == [40, 40]
-        with pytest.raises(EvaluationError, match="the environment is MoveToRegion Demo, and an episode MoveToCorner"):
-            list(rollouts(env, Constant(1), [Episode("MoveToCorner", "Demo", 0)]))
-        env.close()
 
 
 def test_scores_are_those_of_a_plain_loop() -> None:
@@ -133,23 +111,6 @@ def test_episodes_side_by_side_give_the_same(policy: Any, vectorization: str) ->
 def test_side_by_side_in_each_of_several_processes() -> None:
     crowd = evaluate("agents:Counting", envs=2, vectorization="async", jobs=2, variants="Demo")
     pd.testing.assert_frame_equal(crowd, evaluate("agents:Counting", variants="Demo"))
-
-
-@pytest.mark.parametrize("mode", AutoresetMode)
-@pytest.mark.parametrize("kind", ["sync", "async"])
-def test_vector_environments_in_every_autoreset_mode(kind: str, mode: AutoresetMode) -> None:
-    name = "magical_mj:magical_mj/MoveToRegion-TestLayout-State-v0"
-    kwargs: dict[str, Any] = {"autoreset_mode": mode}
-    if kind == "async":
-        kwargs["context"] = "spawn"
-    envs = gymnasium.make_vec(name, 2, kind, vector_kwargs=kwargs)
-    assert isinstance(envs, SyncVectorEnv | AsyncVectorEnv)
-    episodes = [Episode("MoveToRegion", "Layout", seed) for seed in range(5)]
-    found = {policy: list(rollouts(envs, policy(), episodes)) for policy in (agents.Counting, agents.Batch)}
-    envs.close()
-    for policy, outcomes in found.items():
-        plain = list(rollouts(gymnasium.make(name), policy(), episodes))
-        assert [(o.score, o.actions, o.failure) for o in outcomes] == [(o.score, o.actions, None) for o in plain]
 
 
 def test_dict_observations_side_by_side() -> None:
