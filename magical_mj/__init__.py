@@ -8,27 +8,30 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from magical_mj import actions, observations, protocol
 from magical_mj._version import __version__
-from magical_mj.registration import env_id, register_all
-from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS, sample_scene, score
+from magical_mj.envs.registration import env_id, register_all
 from magical_mj.rendering.backend import check_opengl, choose_backend
-from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
+from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene, actions
+from magical_mj.scene import state_vector as observations
+from magical_mj.tasks import protocol
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, sample_scene, score
 
 if TYPE_CHECKING:
-    from magical_mj import batched, demos, evaluation, experts, wrappers
-    from magical_mj.environment import Environment, load, load_scene
+    from magical_mj import batched, demos, evaluation
+    from magical_mj.engine.export import export_mjcf
+    from magical_mj.envs import wrappers
+    from magical_mj.envs.composer import Environment, load, load_scene
+    from magical_mj.envs.gymnasium_env import MagicalEnv
     from magical_mj.evaluation import evaluate
-    from magical_mj.export import export_mjcf
-    from magical_mj.gym_env import MagicalEnv
+    from magical_mj.policies import expert as experts
 
 _LAZY = {  # loaded at first use, so that listing tasks and sampling scenes start no simulator
-    "Environment": "environment",
-    "MagicalEnv": "gym_env",
-    "load": "environment",
-    "load_scene": "environment",
+    "Environment": "envs.composer",
+    "MagicalEnv": "envs.gymnasium_env",
+    "load": "envs.composer",
+    "load_scene": "envs.composer",
     "evaluate": "evaluation",
-    "export_mjcf": "export",
+    "export_mjcf": "engine.export",
 }
 
 __all__ = [
@@ -61,7 +64,13 @@ __all__ = [
 ]
 
 
-_LAZY_MODULES = ("batched", "demos", "evaluation", "experts", "wrappers")
+_LAZY_MODULES = {
+    "batched": "batched",
+    "demos": "demos",
+    "evaluation": "evaluation",
+    "experts": "policies.expert",
+    "wrappers": "envs.wrappers",
+}
 
 
 def __getattr__(name: str) -> Any:
@@ -71,7 +80,7 @@ def __getattr__(name: str) -> Any:
 
     check_opengl()
     if name in _LAZY_MODULES:
-        return import_module(f"{__name__}.{name}")
+        return import_module(f"{__name__}.{_LAZY_MODULES[name]}")
     return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)
 
 

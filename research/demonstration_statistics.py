@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj import TASKS, demos, sample_scene
-from magical_mj.actions import ACTIONS, NOOP, Gripper
 from magical_mj.assets.robot import JOINTS
 from magical_mj.assets.world import World
-from magical_mj.constants import CONTROL_RATE
 from magical_mj.demos import Demonstration
+from magical_mj.scene.actions import ACTIONS, NOOP, Gripper
+from magical_mj.scene.constants import CONTROL_RATE
 
 Demonstrations = list[Demonstration]
 Floats = NDArray[np.float64]
@@ -98,12 +98,12 @@ def learn(chosen: Demonstrations, task: str, seed: int, episodes: int) -> tuple[
     import torch
     from torch.nn.functional import cross_entropy
 
-    from magical_mj.baselines import load_settings
-    from magical_mj.baselines.bc import BehaviouralCloning
-    from magical_mj.baselines.data import Dataset, drawn
-    from magical_mj.baselines.network import as_input
-    from magical_mj.baselines.policy import TrainedPolicy
     from magical_mj.evaluation import evaluate
+    from magical_mj.learners import load_settings
+    from magical_mj.learners.bc import BehaviouralCloning
+    from magical_mj.learners.data import Dataset, drawn
+    from magical_mj.learners.network import as_input
+    from magical_mj.learners.policy import TrainedPolicy
 
     torch.set_num_threads(1)
     settings = load_settings("bc", task, preset="State", seed=seed, demonstrations=LEARNT_FROM)

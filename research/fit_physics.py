@@ -43,7 +43,7 @@ from rollouts import (
 )
 
 from magical_mj.assets.contacts import SETTINGS, PhysicsSettings
-from magical_mj.constants import CONTROL_RATE
+from magical_mj.scene.constants import CONTROL_RATE
 
 SPACE: Final[dict[str, tuple[float, float]]] = {
     "friction_finger_block": (0.8, 2.6),

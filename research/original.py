@@ -8,7 +8,7 @@ probes, as it is and with hinges for the pins of its fingers; how far ours is fr
 recorded; and what the recorded human actions score in it and in ours: from the very start that was recorded, and from
 `COPIES` starts that differ from it by `NUDGE`.
 
-The measures are those of `magical_mj.constants`. One was not written down anywhere and was found by comparing
+The measures are those of `magical_mj.scene.constants`. One was not written down anywhere and was found by comparing
 roll-outs: a finger hangs on a pin joint of length zero that puts its error right within one step. Such a joint only
 acts along the line between its two points, and these coincide; so where it pulls is decided by rounding.
 """
@@ -25,13 +25,13 @@ import numpy as np
 import pymunk
 from rollouts import Array, Case, Rollouts, demo_scene, distances, final_score, probe_poses, probe_scene, recordings
 
-from magical_mj import constants as c
-from magical_mj.actions import ACTIONS, Drive, Gripper, Turn
 from magical_mj.assets.block import INERTIA
 from magical_mj.assets.contacts import SUBSTEPS, TIMESTEP
 from magical_mj.assets.robot import FINGER_INERTIA, SIGN
-from magical_mj.geometry import block_outline, finger_outlines, mirrored
 from magical_mj.scene import Block, Robot, Scene
+from magical_mj.scene import constants as c
+from magical_mj.scene.actions import ACTIONS, Drive, Gripper, Turn
+from magical_mj.scene.geometry import block_outline, finger_outlines, mirrored
 
 COPIES: Final = 8
 NUDGE: Final = 1e-7

@@ -18,8 +18,8 @@ import rollouts
 from rollouts import Rollouts, family_errors, recordings
 
 from magical_mj.assets.world import world_mjcf
-from magical_mj.constants import SHAPES
 from magical_mj.scene import Block, Robot, Scene
+from magical_mj.scene.constants import SHAPES
 
 PROBES: Final = Path(__file__).parent.parent / "tests" / "data" / "probes.npz"
 REPEATS: Final = 20

@@ -11,8 +11,8 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from rollouts import Array, Case, Rollouts, probe_errors, probe_poses, probe_scene, recordings
 
-from magical_mj import constants as c
-from magical_mj.geometry import Outline, block_outline, finger_outlines, mirrored, placed, regular_polygon
+from magical_mj.scene import constants as c
+from magical_mj.scene.geometry import Outline, block_outline, finger_outlines, mirrored, placed, regular_polygon
 
 ROOT: Final = Path(__file__).parent.parent
 CASES: Final = {

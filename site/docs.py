@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from task_pages import write_task_pages
 
-from magical_mj.actions import ACTIONS
+from magical_mj.scene.actions import ACTIONS
 from magical_mj.web.look import look
 
 ROOT: Final = Path(__file__).parent.parent

@@ -11,10 +11,10 @@ import numpy as np
 from PIL import Image
 
 import magical_mj
-from magical_mj import demos, geometry
-from magical_mj.constants import CONTROL_RATE
-from magical_mj.errors import InvalidSceneError
-from magical_mj.scene import Scene
+from magical_mj import demos
+from magical_mj.scene import Scene, geometry
+from magical_mj.scene.constants import CONTROL_RATE
+from magical_mj.utils.errors import InvalidSceneError
 
 ANIMATION, SCENE, EXAMPLE = 224, 112, 160  # pixels
 SEEDS: Final = 3

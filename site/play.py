@@ -10,7 +10,7 @@ from typing import Any, Final
 from fetch import MUJOCO, fetched
 
 import magical_mj
-from magical_mj.export import mjcf_text
+from magical_mj.engine.export import mjcf_text
 from magical_mj.web import PAGE
 from magical_mj.web.catalogue import catalogue
 from magical_mj.web.scenes import environment_scenes, with_models

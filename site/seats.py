@@ -14,7 +14,7 @@ from websockets.asyncio.client import connect
 from websockets.typing import Origin
 
 import magical_mj
-from magical_mj.constants import CONTROL_RATE
+from magical_mj.scene.constants import CONTROL_RATE
 
 
 async def sit(address: str, number: int, until: float) -> list[float]:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from pictures import animation, examples, scenes
 
-from magical_mj.constants import CONTROL_RATE
 from magical_mj.leaderboard.sections import label
 from magical_mj.leaderboard.standings import Standing, own_standings, published
-from magical_mj.registry import ENVIRONMENTS, TASKS, task_spec
+from magical_mj.scene.constants import CONTROL_RATE
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, task_spec
 from magical_mj.web.catalogue import sections
 
 METHODS = ("BC (ST)", "BC (MT)", "GAIL (ST)", "WGAIL-GP (ST)", "AL (ST)")

@@ -15,10 +15,9 @@ import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # PyTorch's: several tests run at once, and its threads wait busily
 
-from commands import Shell
-from entries import EPISODES
-
 import magical_mj
+from tests.helpers.commands import Shell
+from tests.helpers.entries import EPISODES
 
 MAY_STAY = ("pytest-of-*", "torchinductor_*", ".ses")
 """What pytest keeps of failing tests, PyTorch makes at the first use of an optimiser, and ONNX Runtime at import."""

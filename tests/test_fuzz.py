@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from magical_mj.errors import MagicalError
+from magical_mj.utils.errors import MagicalError
 
 FUZZ = Path(__file__).parent.parent / "tools" / "fuzz"
 CASES = {"calls": 300, "scenes": 60, "states": 60, "files": 10, "commands": 10, "clients": 15}

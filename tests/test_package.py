@@ -108,7 +108,7 @@ def test_entry_point() -> None:
 
 def test_import_needs_no_extra_and_no_opengl() -> None:
     code = (
-        "import sys, magical_mj; from magical_mj.extras import MODULES; "
+        "import sys, magical_mj; from magical_mj.utils.extras import MODULES; "
         "late = {'typer', 'rich', 'imageio_ffmpeg', 'pygame', 'websockets', 'minari', 'h5py', 'lerobot', 'OpenGL'}; "
         "print(*(late.union(*MODULES.values()) & sys.modules.keys()))"
     )

@@ -22,7 +22,7 @@ from magical_mj.web.scenes import EXPERT, SCENES
 INTRODUCTION: Final = """\
 The expert is scripted. It knows the true state, and plans with the task's own subgoals and score: it tries manoeuvres
 on a copy of the simulation, and keeps the best. Use it as `--policy expert`, or as
-`magical_mj.experts.Expert(env, task, seed)`; with another seed it acts differently. How it drives:
+`magical_mj.policies.expert.Expert(env, task, seed)`; with another seed it acts differently. How it drives:
 [demonstrations.md](demonstrations.md#how-they-are-made). These are the scores of
 
 ```console

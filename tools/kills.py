@@ -47,7 +47,7 @@ sys.exit(main(sys.argv[1:]))
 """  # somebody who plays without end, at any speed
 SAMPLER: Final = """
 import pathlib, sys
-from magical_mj import files
+from magical_mj.utils import files
 from magical_mj.batched.sampling import SceneSampler
 from magical_mj.batched.scenes import Capacity
 out, number = pathlib.Path(sys.argv[-1]), 0
@@ -122,10 +122,10 @@ def pages(out: Path) -> Found:
 
 def training(out: Path) -> Found:
     """A checkpoint and a policy can be read; that of the last update, and the metrics, depend on the settings alone."""
-    from magical_mj.baselines import checkpoint
-    from magical_mj.baselines.folder import CHECKPOINT
-    from magical_mj.baselines.metrics import read_metrics
-    from magical_mj.baselines.policy import POLICY
+    from magical_mj.learners import checkpoint
+    from magical_mj.learners.folder import CHECKPOINT
+    from magical_mj.learners.metrics import read_metrics
+    from magical_mj.learners.policy import POLICY
 
     found = {"metrics": repr([row | {"seconds": ""} for row in read_metrics(out)]).encode()}
     for name in (CHECKPOINT, POLICY):
@@ -152,8 +152,8 @@ def scenes(out: Path) -> Found:
 
 def updates(out: Path) -> Found:
     """The updates of a training that are in its checkpoint; everything can be read."""
-    from magical_mj.baselines import checkpoint
-    from magical_mj.baselines.folder import CHECKPOINT
+    from magical_mj.learners import checkpoint
+    from magical_mj.learners.folder import CHECKPOINT
 
     training(out)
     done = checkpoint.read(out / CHECKPOINT)["update"] if (out / CHECKPOINT).exists() else 0

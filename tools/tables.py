@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj import ENVIRONMENTS, TASKS
-from magical_mj import constants as c
-from magical_mj.evaluation.statistics import rank_correlation
+from magical_mj.envs.presets import PRESETS
+from magical_mj.evaluation.reports.statistics import rank_correlation
 from magical_mj.leaderboard.sections import label
 from magical_mj.leaderboard.standings import Standing, own_standings, published
-from magical_mj.presets import PRESETS
-from magical_mj.registry import task_spec
+from magical_mj.scene import constants as c
+from magical_mj.tasks.registry import task_spec
 from magical_mj.variants import VARIANTS, Axis
 
 ROOT: Final = Path(__file__).parent.parent

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Final
 
-from magical_mj import constants as c
 from magical_mj.assets import solids, style
 from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, TIMESTEP, PhysicsSettings
 from magical_mj.assets.mjcf import comment, numbers
 from magical_mj.assets.region import BONE
+from magical_mj.scene import constants as c
 
 CAMERA_HEIGHT: Final = 2.0
 _CAMERA = f'projection="orthographic" fovy="{c.VISIBLE_SIZE}"'

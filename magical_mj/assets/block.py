@@ -7,15 +7,15 @@ from typing import Final
 
 import mujoco
 
-from magical_mj import constants as c
 from magical_mj.assets import solids, style
 from magical_mj.assets.contacts import PRESS, SETTINGS, PhysicsSettings, floor_pair, foot, softness, vertex
 from magical_mj.assets.meshes import Points, inset
 from magical_mj.assets.mjcf import comment, move_body, numbers, planar_body
 from magical_mj.assets.style import BLOCK_FILL, BLOCK_OUTLINE
-from magical_mj.constants import Shape
-from magical_mj.geometry import block_outline, regular_polygon, square
 from magical_mj.scene import Block, Dynamics
+from magical_mj.scene import constants as c
+from magical_mj.scene.constants import Shape
+from magical_mj.scene.geometry import block_outline, regular_polygon, square
 
 INERTIA: Final[dict[Shape, float]] = {
     "square": 0.0037699111843077504,

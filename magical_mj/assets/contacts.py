@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from magical_mj import constants as c
 from magical_mj.assets import style
 from magical_mj.assets.mjcf import comment, numbers
+from magical_mj.scene import constants as c
 
 SUBSTEPS: Final = 10
 """Physics steps per action."""

@@ -15,11 +15,11 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj import constants as c
 from magical_mj.assets import style
 from magical_mj.assets.mjcf import single
-from magical_mj.constants import SHAPES, Shape
-from magical_mj.geometry import block_outline, finger_outlines, mirrored, regular_polygon, square
+from magical_mj.scene import constants as c
+from magical_mj.scene.constants import SHAPES, Shape
+from magical_mj.scene.geometry import block_outline, finger_outlines, mirrored, regular_polygon, square
 
 Points = NDArray[np.float64]
 """Shape (n, 2), world units, counter-clockwise."""

@@ -23,8 +23,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj import constants as c
-from magical_mj.actions import ACTIONS, Gripper
 from magical_mj.assets import solids, style
 from magical_mj.assets.arena import EGO_CAMERA
 from magical_mj.assets.contacts import (
@@ -41,6 +39,8 @@ from magical_mj.assets.contacts import (
 )
 from magical_mj.assets.mjcf import bend_body, comment, move_body, numbers, planar_body, quaternion
 from magical_mj.scene import Dynamics, Robot
+from magical_mj.scene import constants as c
+from magical_mj.scene.actions import ACTIONS, Gripper
 
 Side = Literal["left", "right"]
 SIGN: Final[dict[Side, int]] = {"left": -1, "right": 1}

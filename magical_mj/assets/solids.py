@@ -8,10 +8,10 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Final
 
-from magical_mj import constants as c
 from magical_mj.assets.mjcf import numbers, quaternion
 from magical_mj.assets.style import ARENA_BORDER, BLOCK_HEIGHT, BLOCK_OUTLINE, LIFT, WALL_HEIGHT, Rgb, rgba
-from magical_mj.constants import Colour, Shape
+from magical_mj.scene import constants as c
+from magical_mj.scene.constants import Colour, Shape
 
 WALL_THICKNESS: Final = 0.06  # world units
 

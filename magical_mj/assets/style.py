@@ -11,7 +11,7 @@ from functools import cache
 from types import MappingProxyType
 from typing import Final
 
-from magical_mj.constants import Colour
+from magical_mj.scene.constants import Colour
 
 Rgb = tuple[int, int, int]
 Palette = Mapping[Colour, Rgb]

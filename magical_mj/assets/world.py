@@ -26,8 +26,8 @@ from magical_mj.assets.meshes import library
 from magical_mj.assets.mjcf import comment
 from magical_mj.assets.region import blank_regions_mjcf, dash_count, regions_mjcf, rewrite_region
 from magical_mj.assets.robot import JOINTS, actuators_mjcf, rewrite_robot, robot_mjcf, robot_pairs, tendons_mjcf
-from magical_mj.constants import Shape
 from magical_mj.scene import Block, Robot, Scene
+from magical_mj.scene.constants import Shape
 
 MEMORY: Final = '<size memory="33M"/>'
 """Only about 50 kB of it are used, and unused memory costs nothing. Blocks above 32 MiB are returned to the system by

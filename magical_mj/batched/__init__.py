@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 
 from gymnasium.vector import AutoresetMode
 
-from magical_mj.errors import SettingsError, shown
-from magical_mj.extras import check_extra
-from magical_mj.registry import environments
+from magical_mj.tasks.registry import environments
 from magical_mj.tasks.spec import Reward, Rules
+from magical_mj.utils.errors import SettingsError, shown
+from magical_mj.utils.extras import check_extra
 
 if TYPE_CHECKING:
     from magical_mj.batched.environment import BatchedEnv
@@ -47,7 +47,7 @@ def make(
         task: a task, or several (as a sequence or separated by commas) for batches of several tasks.
         variant: a variant, or several; the worlds take turns among all pairs that exist.
         num_envs: how many worlds, at least one for each pair.
-        preset: of the observations; one of `magical_mj.presets.PRESETS`.
+        preset: of the observations; one of `magical_mj.envs.presets.PRESETS`.
         device: "cuda", "cuda:1" or "cpu" (slow; for tests).
         seed: of the scenes that are sampled when `reset` is given no seed.
         image_size: side of the pictures in pixels, instead of the preset's.

@@ -7,8 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from magical_mj.actions import ACTIONS
-from magical_mj.errors import InvalidActionError, SettingsError, shown
+from magical_mj.scene.actions import ACTIONS
+from magical_mj.utils.errors import InvalidActionError, SettingsError, shown
 
 
 def masked(mask: Any, worlds: int) -> list[int]:

@@ -14,8 +14,6 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
-from magical_mj import constants as c
-from magical_mj.actions import ACTIONS
 from magical_mj.batched.arguments import check_actions, masked
 from magical_mj.batched.observations import Frames, Observation, States
 from magical_mj.batched.physics import Physics, check_device
@@ -23,12 +21,14 @@ from magical_mj.batched.sampling import SceneSampler, sample
 from magical_mj.batched.saved import check_state
 from magical_mj.batched.scenes import Capacity, SceneArrays
 from magical_mj.batched.scores import SCORES, Start, score
-from magical_mj.errors import ClosedError, SettingsError, check_name, shown
-from magical_mj.presets import preset_named
-from magical_mj.registry import Pair, check_rules, task_spec
+from magical_mj.envs.presets import preset_named
+from magical_mj.envs.reset_options import ResetOptions
 from magical_mj.rendering.renderer import check_size
-from magical_mj.reset_options import ResetOptions
+from magical_mj.scene import constants as c
+from magical_mj.scene.actions import ACTIONS
+from magical_mj.tasks.registry import Pair, check_rules, task_spec
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
+from magical_mj.utils.errors import ClosedError, SettingsError, check_name, shown
 from magical_mj.variants import check_seed
 
 MODES: Final = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)

@@ -11,8 +11,8 @@ from typing import Final
 
 import warp as wp
 
-from magical_mj import constants as c
 from magical_mj.assets import style
+from magical_mj.scene import constants as c
 
 ROBOT_LAYERS: Final = (
     ("pupils", 0, style.BLACK),

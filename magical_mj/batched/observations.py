@@ -13,8 +13,8 @@ from torch import Tensor
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter
 from magical_mj.batched.scenes import ABSENT, SceneArrays
-from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
-from magical_mj.presets import Preset, observation_space, preset_named
+from magical_mj.envs.presets import Preset, observation_space, preset_named
+from magical_mj.scene.state_vector import MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
 
 Observation = Tensor | dict[str, Tensor]
 
@@ -25,7 +25,7 @@ _REGION_ENTRIES: Final = STATE_NAMES.index("region1.present") - _REGION
 
 
 class States:
-    """The state vectors of `magical_mj.observations.STATE_NAMES`, shape (worlds, entries), float32."""
+    """The state vectors of `magical_mj.scene.state_vector.STATE_NAMES`, shape (worlds, entries), float32."""
 
     def __init__(self, worlds: int, device: str) -> None:
         self._fixed = torch.zeros((worlds, len(STATE_NAMES)), device=device)

@@ -23,7 +23,7 @@ from magical_mj.assets.robot import controls
 from magical_mj.assets.world import planar
 from magical_mj.batched.scenes import SceneArrays
 from magical_mj.batched.slots import FIELDS, Slots, slotted_model
-from magical_mj.errors import SettingsError
+from magical_mj.utils.errors import SettingsError
 
 wp.config.log_level = wp.LOG_ERROR  # or it tells of every kernel that it compiles
 

@@ -9,12 +9,12 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from magical_mj import constants as c
 from magical_mj.assets import style
 from magical_mj.assets.meshes import loops, meshes
 from magical_mj.batched.kernels import ROBOT_LAYERS, Outlines, Worlds, packed, paint
 from magical_mj.batched.scenes import SceneArrays
-from magical_mj.constants import COLOURS, SHAPES
+from magical_mj.scene import constants as c
+from magical_mj.scene.constants import COLOURS, SHAPES
 
 
 def _outlines(device: str) -> Any:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from magical_mj.batched.scenes import Capacity, SceneArrays
-from magical_mj.parallel.local import Pool
-from magical_mj.registry import Pair, sample_scene
+from magical_mj.tasks.registry import Pair, sample_scene
+from magical_mj.utils.parallel.local import Pool
 
 CHUNK = 64
 """Scenes that one worker samples at a time."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from magical_mj.errors import StateError, shown
+from magical_mj.utils.errors import StateError, shown
 
 
 def check_state(state: Any, own: Mapping[str, Any]) -> None:

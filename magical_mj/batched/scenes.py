@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.assets.region import DASHES, dash_quads
-from magical_mj.constants import COLOURS, SHAPES
-from magical_mj.errors import InvalidSceneError
-from magical_mj.observations import MAX_BLOCKS, MAX_REGIONS
-from magical_mj.registry import Pair, sample_scene, task_spec
 from magical_mj.scene import Scene
+from magical_mj.scene.constants import COLOURS, SHAPES
+from magical_mj.scene.state_vector import MAX_BLOCKS, MAX_REGIONS
+from magical_mj.tasks.registry import Pair, sample_scene, task_spec
+from magical_mj.utils.errors import InvalidSceneError
 from magical_mj.variants import varied_axes
 
 ABSENT: Final = -1

@@ -15,12 +15,12 @@ import torch
 from torch import Tensor
 
 from magical_mj.batched.scenes import ABSENT, SceneArrays
-from magical_mj.constants import COLOURS, SHAPES
-from magical_mj.errors import check_name
+from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.tasks.cluster import NEARER, ZERO_SCORE_SHARE
 from magical_mj.tasks.make_line import INLIER_DISTANCE, MAX_GAP, RELEASED_LEAST
 from magical_mj.tasks.move_to_corner import CORNER, FULL_SCORE_DISTANCE, ZERO_SCORE_DISTANCE
 from magical_mj.tasks.spec import Rules
+from magical_mj.utils.errors import check_name
 
 
 class Start(NamedTuple):

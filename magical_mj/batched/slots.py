@@ -19,8 +19,8 @@ from magical_mj.assets.contacts import PRESS
 from magical_mj.assets.robot import MOTORS, ROTORS, WHEELS
 from magical_mj.assets.world import planar, world_mjcf
 from magical_mj.batched.scenes import ABSENT, SceneArrays
-from magical_mj.constants import SHAPES, Shape
 from magical_mj.scene import Block, Dynamics, Robot, Scene
+from magical_mj.scene.constants import SHAPES, Shape
 
 GEOM_FIELDS: Final = ("geom_size", "geom_pos", "geom_quat", "geom_rbound", "geom_aabb")
 BODY_FIELDS: Final = ("body_inertia", "body_invweight0")

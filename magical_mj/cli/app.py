@@ -15,7 +15,7 @@ import magical_mj
 from magical_mj.cli import bench, demo, demo_exports, demos, doctor, environments, evaluate, leaderboard, play, results
 from magical_mj.cli.console import complain
 from magical_mj.cli.doctor import NO_DM_CONTROL
-from magical_mj.errors import MagicalError
+from magical_mj.utils.errors import MagicalError
 
 CLOSED_PIPE: Final = 141
 """The exit code where the reader of the output has seen enough before the help was printed; as of shells' commands."""

@@ -20,11 +20,11 @@ from rich.table import Table
 from magical_mj._version import __version__
 from magical_mj.cli.console import Output, Tasks, Variants, check_fits, complain, console, some_of
 from magical_mj.cli.progress import with_bar
-from magical_mj.extras import check_extra
-from magical_mj.parallel import cores
-from magical_mj.presets import PRESETS, preset_named
-from magical_mj.registry import environments, listed
+from magical_mj.envs.presets import PRESETS, preset_named
 from magical_mj.rendering.backend import check_opengl
+from magical_mj.tasks.registry import environments, listed
+from magical_mj.utils.extras import check_extra
+from magical_mj.utils.parallel import cores
 
 if TYPE_CHECKING:
     from magical_mj.speed.batched import BatchedMeasurement

@@ -14,9 +14,9 @@ import typer
 from rich.console import Console
 
 from magical_mj import TASKS, VARIANTS
+from magical_mj.envs.presets import PRESETS
 from magical_mj.evaluation.settings import described
-from magical_mj.presets import PRESETS
-from magical_mj.registry import Names, task_spec, variant_name
+from magical_mj.tasks.registry import Names, task_spec, variant_name
 
 PLAIN_WIDTH = 120  # columns where the output is a file or a pipe
 

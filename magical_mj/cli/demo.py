@@ -9,19 +9,19 @@ from typing import Annotated, Final
 import typer
 from rich.console import Console
 
-from magical_mj import files
 from magical_mj.cli.console import Jobs, Tasks, console, make_writable_folder
 from magical_mj.cli.environments import contact_sheet
 from magical_mj.cli.evaluate import show_progress, summary
 from magical_mj.cli.results import film_episodes
-from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.folder import read_settings
-from magical_mj.evaluation.loading import sources
-from magical_mj.evaluation.report import extremes, report
+from magical_mj.evaluation.reports.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import ScoreFile
 from magical_mj.evaluation.settings import EvaluationSettings
-from magical_mj.extras import check_extra
+from magical_mj.policies.loading import sources
+from magical_mj.utils import files
+from magical_mj.utils.errors import EvaluationError
+from magical_mj.utils.extras import check_extra
 
 AGENTS: Final = ("expert", "random", "noop")
 SHEET: Final = "environments.png"

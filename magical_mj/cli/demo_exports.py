@@ -10,7 +10,7 @@ import typer
 import magical_mj
 from magical_mj.cli.console import Force, Tasks, Variants, check_fits, check_suffix, check_writable, console
 from magical_mj.cli.demo_files import Paths, files_of, read_chosen
-from magical_mj.errors import SettingsError
+from magical_mj.utils.errors import SettingsError
 
 Target = Annotated[
     Literal["npz", "minari", "lerobot", "robomimic"],
@@ -43,10 +43,10 @@ def export(
     check_fits(context, to == "lerobot", "with --to lerobot", "video", "fingers")
     check_fits(context, to != "lerobot", "with other data sets: LeRobot's are written into new folders only", "force")
     check_fits(context, to == "npz", "with --to npz: other data sets keep the no-ops", "drop_noop")
+    from magical_mj.demos.export.lerobot import to_lerobot
+    from magical_mj.demos.export.minari import check_new, minari_name
+    from magical_mj.demos.export.robomimic import to_robomimic
     from magical_mj.demos.files import SUFFIX  # which loads the simulator
-    from magical_mj.demos.lerobot import to_lerobot
-    from magical_mj.demos.minari import check_new, minari_name
-    from magical_mj.demos.robomimic import to_robomimic
 
     demos = read_chosen(paths, tasks, variants)
     screen = console()
@@ -93,7 +93,7 @@ def export(
 
 def _views(preset: str) -> str:
     """What policies of LeRobot and robomimic see, which stack frames themselves if they want any."""
-    from magical_mj.demos.lerobot import PRESETS  # which loads the simulator
+    from magical_mj.demos.export.lerobot import PRESETS  # which loads the simulator
 
     views = {name: views for views, name in PRESETS.items()}
     if preset not in views:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import magical_mj
-from magical_mj.errors import DemonstrationError, UntrustedTaskError
-from magical_mj.registry import Pair, environments
+from magical_mj.tasks.registry import Pair, environments
+from magical_mj.utils.errors import DemonstrationError, UntrustedTaskError
 
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
     from magical_mj.demos import Demonstration

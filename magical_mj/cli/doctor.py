@@ -102,7 +102,7 @@ def _probe(backend: str) -> dict[str, str | float]:
     if result.returncode == 0:
         return json.loads(result.stdout)
     last_line = (result.stderr.strip().splitlines() or [f"exit code {result.returncode}"])[-1]
-    problem = last_line.removeprefix("magical_mj.errors.RenderingError: ").removesuffix(REMEDY).strip()
+    problem = last_line.removeprefix("magical_mj.utils.errors.RenderingError: ").removesuffix(REMEDY).strip()
     needed = f" (Debian and Ubuntu packages: {PACKAGES[backend]})" if backend in PACKAGES else ""
     return {"error": f"{problem.rstrip('.')}{needed}"}
 

@@ -11,8 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 from rich.table import Table
 
 import magical_mj
-from magical_mj import ENVIRONMENTS, TASKS, VARIANTS, env_id, files
-from magical_mj.announced import announced
+from magical_mj import ENVIRONMENTS, TASKS, VARIANTS, env_id
 from magical_mj.cli.console import (
     Cameras,
     Force,
@@ -28,8 +27,10 @@ from magical_mj.cli.console import (
     file_name,
 )
 from magical_mj.cli.film import INK, PAPER, side_by_side, views_of
-from magical_mj.errors import MagicalError
-from magical_mj.registry import environment_axes, environments, task_spec
+from magical_mj.tasks.plugins import announced
+from magical_mj.tasks.registry import environment_axes, environments, task_spec
+from magical_mj.utils import files
+from magical_mj.utils.errors import MagicalError
 
 GAP: Final = 6  # pixels between the cells of the contact sheet
 MARGIN: Final = 28  # pixels above and left of the cells, for the labels

@@ -15,19 +15,19 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import magical_mj
-from magical_mj import files
-from magical_mj.actions import ACTIONS, Drive, Gripper, Turn
-from magical_mj.constants import CONTROL_RATE
-from magical_mj.episodes import actions_of, play
-from magical_mj.errors import EvaluationError, check_name
+from magical_mj.evaluation.reports.statistics import SCORE_TOLERANCE
 from magical_mj.evaluation.scores import Score
-from magical_mj.evaluation.statistics import SCORE_TOLERANCE
-from magical_mj.extras import check_extra
-from magical_mj.observations import CAMERAS
-from magical_mj.registry import check_rules, listed
+from magical_mj.policies.interface import actions_of, play
+from magical_mj.scene.actions import ACTIONS, Drive, Gripper, Turn
+from magical_mj.scene.constants import CONTROL_RATE
+from magical_mj.scene.state_vector import CAMERAS
+from magical_mj.tasks.registry import check_rules, listed
+from magical_mj.utils import files
+from magical_mj.utils.errors import EvaluationError, check_name
+from magical_mj.utils.extras import check_extra
 
 if TYPE_CHECKING:
-    from magical_mj.environment import Environment
+    from magical_mj.envs.composer import Environment
 
 Picture = NDArray[np.uint8]
 

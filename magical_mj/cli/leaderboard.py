@@ -14,7 +14,6 @@ from rich.progress import MofNCompleteColumn
 
 from magical_mj.cli.console import Jobs, check_fits, complain, console, make_writable_folder
 from magical_mj.cli.progress import Bars
-from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.scores import read
 from magical_mj.leaderboard import Findings, check_entry, submit, verify
 from magical_mj.leaderboard.check import MOST_REPLAYED, SHARE
@@ -23,6 +22,7 @@ from magical_mj.leaderboard.duplicates import copied
 from magical_mj.leaderboard.entry import Entry, entries
 from magical_mj.leaderboard.page import check_free, write_pages
 from magical_mj.leaderboard.standings import gaps, standings
+from magical_mj.utils.errors import EvaluationError
 
 SHOWN: Final = 20
 """The largest number of problems that are printed; the others are counted."""

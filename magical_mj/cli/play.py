@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 import magical_mj
-from magical_mj.actions import NOOP
 from magical_mj.cli.console import OptionalTask, Seed, Size, Variant, check_fits, console, make_writable_folder
 from magical_mj.cli.film import side_by_side
 from magical_mj.cli.web import Collect, Host, Origin, Port, Tasks, Variants, Wanted, serve_page
 from magical_mj.cli.window import Window
-from magical_mj.constants import CONTROL_RATE
-from magical_mj.registry import TASKS, environments, task_name, task_spec, variant_name
+from magical_mj.scene.actions import NOOP
+from magical_mj.scene.constants import CONTROL_RATE
+from magical_mj.tasks.registry import TASKS, environments, task_name, task_spec, variant_name
 
 if TYPE_CHECKING:
     from magical_mj.demos import Demonstration
-    from magical_mj.environment import Environment
+    from magical_mj.envs.composer import Environment
 
 KEYS: Final = "arrows drive, space grips, R again, N next scene, Esc quits"
 AFTER: Final = "R again, N next scene, Esc quits"

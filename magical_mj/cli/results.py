@@ -11,13 +11,13 @@ from rich.table import Table
 
 from magical_mj.cli.console import console, make_writable_folder
 from magical_mj.cli.film import film, replay
-from magical_mj.errors import SettingsError
-from magical_mj.evaluation.compare import choose, compare
-from magical_mj.evaluation.report import begin, extremes, report
-from magical_mj.evaluation.results import gather
+from magical_mj.evaluation.reports.compare import choose, compare
+from magical_mj.evaluation.reports.report import begin, extremes, report
+from magical_mj.evaluation.reports.results import gather
 from magical_mj.evaluation.scores import Score
 from magical_mj.evaluation.settings import UNOFFICIAL
-from magical_mj.extras import check_extra
+from magical_mj.utils.errors import SettingsError
+from magical_mj.utils.extras import check_extra
 
 FILM_SIZE = 192  # pixels
 FILM_SPEED = 4  # times real time

@@ -12,9 +12,9 @@ from urllib.parse import urlsplit
 import typer
 
 from magical_mj.cli.console import console, make_writable_folder
-from magical_mj.errors import SettingsError, shown
-from magical_mj.extras import missing_extra
-from magical_mj.registry import ENVIRONMENTS, TASKS, Pair
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair
+from magical_mj.utils.errors import SettingsError, shown
+from magical_mj.utils.extras import missing_extra
 
 if TYPE_CHECKING:
     from magical_mj.web.server import PlayServer

@@ -10,11 +10,11 @@ from typing import Final, Literal
 
 import numpy as np
 
-from magical_mj import constants as c
-from magical_mj.actions import Action, Drive, Gripper, Turn
 from magical_mj.cli.film import INK, PAPER
-from magical_mj.errors import MagicalError
-from magical_mj.extras import missing_extra
+from magical_mj.scene import constants as c
+from magical_mj.scene.actions import Action, Drive, Gripper, Turn
+from magical_mj.utils.errors import MagicalError
+from magical_mj.utils.extras import missing_extra
 
 Wish = Literal["reset", "next", "discard", "quit"]
 

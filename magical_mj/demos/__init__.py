@@ -11,16 +11,16 @@ from pathlib import Path
 from typing import Final
 
 from magical_mj.demos.demonstration import Demonstration
+from magical_mj.demos.export.minari import to_minari
+from magical_mj.demos.export.npz import to_npz
 from magical_mj.demos.files import files_in, files_in_or_below, keep, read, write
 from magical_mj.demos.importing import MAX_BYTES, Imported, from_recording
 from magical_mj.demos.learning import Transitions, observations, stream, transitions
-from magical_mj.demos.minari import to_minari
-from magical_mj.demos.npz import to_npz
 from magical_mj.demos.recording import Recorder, demonstrate
 from magical_mj.demos.replay import Verdict, see, verify
 from magical_mj.demos.variety import Diversity, diversity
-from magical_mj.errors import DemonstrationError
-from magical_mj.registry import TASKS, task_name, task_spec
+from magical_mj.tasks.registry import TASKS, task_name, task_spec
+from magical_mj.utils.errors import DemonstrationError
 
 __all__ = [
     "MAX_BYTES",

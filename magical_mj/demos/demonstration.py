@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj._version import __version__
-from magical_mj.actions import ACTIONS
 from magical_mj.assets.robot import JOINTS
 from magical_mj.assets.world import World
-from magical_mj.errors import DemonstrationError, shown
-from magical_mj.registry import environment_axes, score, task_spec, variant_name
 from magical_mj.scene import Scene
+from magical_mj.scene.actions import ACTIONS
+from magical_mj.tasks.registry import environment_axes, score, task_spec, variant_name
+from magical_mj.utils.errors import DemonstrationError, shown
 
 Demonstrator = Literal["expert", "human"]
 DEMONSTRATORS: Final[tuple[Demonstrator, ...]] = get_args(Demonstrator)

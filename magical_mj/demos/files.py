@@ -23,12 +23,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from magical_mj import files
-from magical_mj.announced import announced_name
 from magical_mj.demos.demonstration import Demonstration
-from magical_mj.errors import DemonstrationError, MagicalError, UntrustedTaskError
-from magical_mj.references import is_reference
 from magical_mj.scene import Scene
+from magical_mj.tasks.plugins import announced_name
+from magical_mj.utils import files
+from magical_mj.utils.errors import DemonstrationError, MagicalError, UntrustedTaskError
+from magical_mj.utils.imports import is_reference
 
 FORMAT: Final = 1
 SUFFIX: Final = ".npz"

@@ -5,7 +5,7 @@ A recording is a small JSON object in UTF-8:
 | key | value |
 |---|---|
 | `format` | 1 |
-| `protocol` | the `magical_mj.protocol.PROTOCOL` under which it was played |
+| `protocol` | the `magical_mj.tasks.protocol.PROTOCOL` under which it was played |
 | `task`, `variant` | names, as in `magical_mj.ENVIRONMENTS` |
 | `seed` | an integer: the episode started in `sample_scene(task, variant, seed)` |
 | `actions` | a list of integers in 0..17, one for each step of a whole episode |
@@ -25,15 +25,15 @@ from typing import Any, Final, NamedTuple, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.actions import ACTIONS
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.recording import Recorder
-from magical_mj.environment import load
-from magical_mj.episodes import play
-from magical_mj.errors import DemonstrationError, shown
-from magical_mj.protocol import PROTOCOL
-from magical_mj.registry import environment_axes, task_spec, variant_name
+from magical_mj.envs.composer import load
+from magical_mj.policies.interface import play
 from magical_mj.scene import Scene
+from magical_mj.scene.actions import ACTIONS
+from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.tasks.registry import environment_axes, task_spec, variant_name
+from magical_mj.utils.errors import DemonstrationError, shown
 
 FORMAT: Final = 1
 MAX_BYTES: Final = 100_000

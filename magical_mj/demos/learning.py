@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.actions import NOOP
 from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.replay import see
-from magical_mj.errors import DemonstrationError
-from magical_mj.frames import FrameStack, seen
-from magical_mj.observations import StateEncoder
-from magical_mj.presets import Preset, preset_named
+from magical_mj.envs.frames import FrameStack, seen
+from magical_mj.envs.presets import Preset, preset_named
+from magical_mj.scene.actions import NOOP
+from magical_mj.scene.state_vector import StateEncoder
+from magical_mj.utils.errors import DemonstrationError
 
 Observations = NDArray[Any] | dict[str, NDArray[Any]]
 """One array with a row for each time; for presets with the layout "dict" one for each name in it."""

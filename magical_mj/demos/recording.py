@@ -9,13 +9,13 @@ import dm_env
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.actions import NOOP, action_number
 from magical_mj.demos.demonstration import Demonstration, Demonstrator
-from magical_mj.environment import Environment, load
-from magical_mj.episodes import forever, play
-from magical_mj.errors import DemonstrationError
-from magical_mj.experts import Expert
-from magical_mj.registry import sample_scene, score, task_name, variant_name
+from magical_mj.envs.composer import Environment, load
+from magical_mj.policies.expert import Expert
+from magical_mj.policies.interface import forever, play
+from magical_mj.scene.actions import NOOP, action_number
+from magical_mj.tasks.registry import sample_scene, score, task_name, variant_name
+from magical_mj.utils.errors import DemonstrationError
 from magical_mj.variants import check_seed
 
 Floats = NDArray[np.float64]

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.recording import Recorder
-from magical_mj.environment import Environment, load
-from magical_mj.episodes import play
-from magical_mj.registry import sample_scene
+from magical_mj.envs.composer import Environment, load
+from magical_mj.policies.interface import play
+from magical_mj.tasks.registry import sample_scene
 
 Picture = NDArray[np.uint8]
 

@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
-from magical_mj.episodes import Episode, Policy
 from magical_mj.evaluation.playing import Outcome
-from magical_mj.evaluation.policies import BatchPolicy
 from magical_mj.evaluation.run import Evaluation, evaluate
 from magical_mj.evaluation.scores import Score
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.evaluation.side_by_side import rollouts
+from magical_mj.policies.interface import Episode, Policy
+from magical_mj.policies.requirements import BatchPolicy
 
 __all__ = [
     "BatchPolicy",

@@ -11,10 +11,10 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj import files
-from magical_mj.errors import EvaluationError, SettingsError, shown
 from magical_mj.evaluation.scores import SCORES, Score, ScoreFile, read
 from magical_mj.evaluation.settings import check_unchanged
+from magical_mj.utils import files
+from magical_mj.utils.errors import EvaluationError, SettingsError, shown
 
 SETTINGS: Final = "run.json"
 

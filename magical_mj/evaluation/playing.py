@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import dm_env
 import gymnasium
 
-from magical_mj.actions import action_number
-from magical_mj.episodes import Episode, begin, is_blind, letters_of
-from magical_mj.episodes import play as play_actions
-from magical_mj.errors import EvaluationError, InvalidSceneError, PlacementError, TaskError
-from magical_mj.evaluation.failures import PolicyError, acting, instability
-from magical_mj.registration import env_id
+from magical_mj.envs.registration import env_id
+from magical_mj.policies.failures import PolicyError, acting, instability
+from magical_mj.policies.interface import Episode, begin, is_blind, letters_of
+from magical_mj.policies.interface import play as play_actions
 from magical_mj.rendering.backend import check_opengl
+from magical_mj.scene.actions import action_number
 from magical_mj.tasks.spec import Rules
+from magical_mj.utils.errors import EvaluationError, InvalidSceneError, PlacementError, TaskError
 
 if TYPE_CHECKING:
-    from magical_mj.environment import Environment
+    from magical_mj.envs.composer import Environment
 
 Act = Callable[[Any], Any]
 """A policy, or a plain function from observation to action."""
@@ -54,7 +54,7 @@ def environment_for(policy: Act, task: str, variant: str, preset: str, rules: Ru
     """
     if is_blind(policy):
         check_opengl()
-        from magical_mj.environment import load  # imported late: it loads the simulator
+        from magical_mj.envs.composer import load  # imported late: it loads the simulator
 
         return load(task, variant, seed=0, observations=(), rules=rules)
     return gymnasium.make(env_id(task, variant, preset), rules=rules).unwrapped

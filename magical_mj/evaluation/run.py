@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any, Final
 import cloudpickle
 
 from magical_mj._version import __version__
-from magical_mj.episodes import is_blind
-from magical_mj.errors import EvaluationError, SettingsError, WorkerError
-from magical_mj.evaluation.failures import reason
 from magical_mj.evaluation.folder import load_or_start, prepare
-from magical_mj.evaluation.loading import Source, sources
-from magical_mj.evaluation.policies import check_fit
 from magical_mj.evaluation.scores import Key, Score, ScoreFile, frame
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings, described, settings_from
 from magical_mj.evaluation.worker import Unit, plan, play_unit, player
-from magical_mj.extras import check_extra
-from magical_mj.parallel import cores, map_unordered
+from magical_mj.policies.failures import reason
+from magical_mj.policies.interface import is_blind
+from magical_mj.policies.loading import Source, sources
+from magical_mj.policies.requirements import check_fit
+from magical_mj.utils.errors import EvaluationError, SettingsError, WorkerError
+from magical_mj.utils.extras import check_extra
+from magical_mj.utils.parallel import cores, map_unordered
 
 if TYPE_CHECKING:
     import pandas as pd

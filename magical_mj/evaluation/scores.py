@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final, Self, get_type_hints
 
-from magical_mj import files
-from magical_mj.errors import EvaluationError, shown
-from magical_mj.evaluation.policy_folders import loader_in
+from magical_mj.policies.folders import loader_in
+from magical_mj.utils import files
+from magical_mj.utils.errors import EvaluationError, shown
 
 SCORES: Final = "scores.jsonl"
 

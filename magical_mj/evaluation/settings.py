@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from magical_mj._version import __version__
-from magical_mj.announced import code_digest
-from magical_mj.errors import SettingsError, check_name, shown
-from magical_mj.parallel import Backend, check_backend
-from magical_mj.presets import preset_named
-from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
-from magical_mj.registry import TASKS, Names, Pair, environments
+from magical_mj.envs.presets import preset_named
+from magical_mj.tasks.plugins import code_digest
+from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
+from magical_mj.tasks.registry import TASKS, Names, Pair, environments
 from magical_mj.tasks.spec import Rules
+from magical_mj.utils.errors import SettingsError, check_name, shown
+from magical_mj.utils.parallel import Backend, check_backend
 
 Vectorization = Literal["sync", "async"]
 Worlds = Literal["single", "batched"]

@@ -18,14 +18,14 @@ from gymnasium.spaces import Discrete
 from gymnasium.vector.utils import iterate
 from numpy.typing import NDArray
 
-from magical_mj.actions import action_number
-from magical_mj.episodes import Episode, begin, letters_of
-from magical_mj.episodes import play as play_actions
-from magical_mj.errors import EvaluationError, InvalidActionError, SettingsError
-from magical_mj.evaluation.failures import PolicyError, acting, instability, reason
 from magical_mj.evaluation.playing import NO_SCORE, Act, Envs, Outcome, play, reset, simulation
-from magical_mj.evaluation.policies import BatchPolicy
-from magical_mj.registry import task_name
+from magical_mj.policies.failures import PolicyError, acting, instability, reason
+from magical_mj.policies.interface import Episode, begin, letters_of
+from magical_mj.policies.interface import play as play_actions
+from magical_mj.policies.requirements import BatchPolicy
+from magical_mj.scene.actions import action_number
+from magical_mj.tasks.registry import task_name
+from magical_mj.utils.errors import EvaluationError, InvalidActionError, SettingsError
 
 
 class PolicyCopies:
@@ -94,7 +94,7 @@ def _check_fits(env: gymnasium.Env[Any, Any] | Envs, episodes: Sequence[Episode]
     if not isinstance(space, Discrete):
         raise EvaluationError(
             f"policies give one of the 18 actions, and the environment takes {space}: make it without continuous "
-            "actions, and end the policy in magical_mj.actions.to_discrete(vector)"
+            "actions, and end the policy in magical_mj.scene.actions.to_discrete(vector)"
         )
     other = [one for one in episodes if task is not None and (one.task, one.variant) != (task_name(task), variant)]
     if other:

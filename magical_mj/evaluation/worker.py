@@ -13,17 +13,17 @@ from typing import Any, Final, TypeVar
 import gymnasium
 
 from magical_mj._version import __version__
-from magical_mj.episodes import Episode, is_blind
-from magical_mj.evaluation.failures import reason
-from magical_mj.evaluation.loading import Source
+from magical_mj.envs.registration import env_id
 from magical_mj.evaluation.playing import Act, Envs, Outcome, environment_for, play
-from magical_mj.evaluation.policies import BatchPolicy
 from magical_mj.evaluation.scores import Key, Score
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
 from magical_mj.evaluation.side_by_side import PolicyCopies, play_side_by_side
 from magical_mj.evaluation.time_limit import TimeLimitedCaller, TimeLimitError
-from magical_mj.registration import env_id
-from magical_mj.registry import sample_scene, task_spec
+from magical_mj.policies.failures import reason
+from magical_mj.policies.interface import Episode, is_blind
+from magical_mj.policies.loading import Source
+from magical_mj.policies.requirements import BatchPolicy
+from magical_mj.tasks.registry import sample_scene, task_spec
 
 T = TypeVar("T")
 

@@ -15,12 +15,12 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import ArrayLike, NDArray
 
-from magical_mj.actions import to_discrete
-from magical_mj.demos.lerobot import IMAGE_SIZE
-from magical_mj.environment import Environment, load
-from magical_mj.errors import MissingExtraError, check_name
-from magical_mj.observations import VIEWS
-from magical_mj.registry import Pair, environments, task_spec
+from magical_mj.demos.export.lerobot import IMAGE_SIZE
+from magical_mj.envs.composer import Environment, load
+from magical_mj.scene.actions import to_discrete
+from magical_mj.scene.state_vector import VIEWS
+from magical_mj.tasks.registry import Pair, environments, task_spec
+from magical_mj.utils.errors import MissingExtraError, check_name
 
 try:
     from vla_eval.benchmarks.base import StepBenchmark, StepResult  # pyright: ignore[reportMissingImports]
@@ -36,7 +36,7 @@ class MagicalBenchmark(StepBenchmark):
     """One vla-eval task for each environment, named as in ``FindDupe-Shape``; its suite is the task, ``FindDupe``.
 
     Observations are ``images`` (view -> picture, height x width x channels, uint8) and ``task_description``. Actions
-    are vectors (drive, turn, grip) in [-1, 1]; see `magical_mj.actions.to_discrete`.
+    are vectors (drive, turn, grip) in [-1, 1]; see `magical_mj.scene.actions.to_discrete`.
 
     Args:
         tasks: names of tasks, separated by commas, or "all".

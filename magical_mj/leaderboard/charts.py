@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import Final
 
-from magical_mj.evaluation.tables import DAGGER
+from magical_mj.evaluation.reports.tables import DAGGER
 from magical_mj.leaderboard.sections import label, share
 from magical_mj.leaderboard.standings import OVERALL, THRESHOLDS, Standing
 

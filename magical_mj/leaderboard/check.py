@@ -12,16 +12,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.errors import EvaluationError
 from magical_mj.evaluation.scores import read
 from magical_mj.evaluation.settings import UNOFFICIAL
-from magical_mj.extras import check_extra
 from magical_mj.leaderboard.claims import SEEDS, Checked, Claim, check_claims, claim_of, contradiction, missing
 from magical_mj.leaderboard.entry import Entry, unpacked
 from magical_mj.leaderboard.record import Plan, disagreements, recorded
-from magical_mj.protocol import DEMONSTRATIONS, PROTOCOL
-from magical_mj.registry import TASKS, check_rules, task_spec
+from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
+from magical_mj.tasks.registry import TASKS, check_rules, task_spec
 from magical_mj.tasks.spec import Rules
+from magical_mj.utils.errors import EvaluationError
+from magical_mj.utils.extras import check_extra
 from magical_mj.variants import check_seed
 
 SHARE: Final = 0.1

@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from magical_mj.episodes import LETTERS, actions_of, play
-from magical_mj.evaluation.statistics import SCORE_TOLERANCE
-from magical_mj.parallel import map_unordered
-from magical_mj.registry import ENVIRONMENTS, Pair, sample_scene
+from magical_mj.evaluation.reports.statistics import SCORE_TOLERANCE
+from magical_mj.policies.interface import LETTERS, actions_of, play
 from magical_mj.rendering.backend import check_opengl
+from magical_mj.tasks.registry import ENVIRONMENTS, Pair, sample_scene
 from magical_mj.tasks.spec import Rules
+from magical_mj.utils.parallel import map_unordered
 
 if TYPE_CHECKING:
-    from magical_mj.environment import Environment
+    from magical_mj.envs.composer import Environment
     from magical_mj.evaluation.scores import Score
 
 SEEDS: Final = 100
@@ -36,7 +36,7 @@ class Claim(NamedTuple):
         seed: the scene's seed.
         scene: the scene's digest; None if it was not recorded.
         score: in [0, 1].
-        actions: one of `magical_mj.episodes.LETTERS` for each step.
+        actions: one of `magical_mj.policies.interface.LETTERS` for each step.
         failure: why the policy failed; None if it did not.
     """
 
@@ -95,7 +95,7 @@ def check_chunk(episodes: Sequence[Claim], rules: Rules) -> Checked:
     """The work of one process: checks some episodes of one environment."""
     first = episodes[0]
     check_opengl()
-    from magical_mj.environment import load  # which loads the simulator
+    from magical_mj.envs.composer import load  # which loads the simulator
 
     with closing(load(first.task, first.variant, seed=0, observations=(), rules=rules)) as env:
         problems = [f"{episode}: {problem}" for episode in episodes if (problem := check_claim(episode, env))]

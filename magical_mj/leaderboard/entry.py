@@ -13,11 +13,11 @@ from importlib.resources import files as resources
 from pathlib import Path
 from typing import Any, Final, Literal, NoReturn
 
-from magical_mj.errors import EvaluationError
 from magical_mj.leaderboard.claims import SEEDS, Claim
-from magical_mj.protocol import PROTOCOL
-from magical_mj.registry import ENVIRONMENTS
+from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.tasks.spec import Rules
+from magical_mj.utils.errors import EvaluationError
 
 FORMAT: Final = 2
 FIELDS: Final = tuple(field for field in Claim._fields if field not in ("task", "variant"))

@@ -9,12 +9,12 @@ from importlib.resources import files as resources
 from pathlib import Path
 from typing import Final
 
-from magical_mj import files
-from magical_mj.errors import EvaluationError
-from magical_mj.evaluation.tables import Table, markdown
+from magical_mj.evaluation.reports.tables import Table, markdown
 from magical_mj.leaderboard.charts import intervals, profiles
 from magical_mj.leaderboard.sections import tables
 from magical_mj.leaderboard.standings import Standing
+from magical_mj.utils import files
+from magical_mj.utils.errors import EvaluationError
 
 TITLE: Final = "MAGICAL on MuJoCo: leaderboard"
 INTRODUCTION: Final = (

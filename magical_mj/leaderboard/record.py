@@ -9,11 +9,11 @@ from operator import index
 from pathlib import Path
 from typing import Any, Final, Self
 
-from magical_mj.errors import EvaluationError, shown
 from magical_mj.evaluation.folder import SETTINGS, read_settings
 from magical_mj.evaluation.scores import Score
 from magical_mj.leaderboard.claims import claim_of
-from magical_mj.registry import ENVIRONMENTS, Pair
+from magical_mj.tasks.registry import ENVIRONMENTS, Pair
+from magical_mj.utils.errors import EvaluationError, shown
 
 FIELDS: Final = ("preset", "version", "mujoco")
 """What each episode says as well. The OpenGL backend is not among them: workers of a cluster choose their own."""

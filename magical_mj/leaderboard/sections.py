@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from magical_mj.evaluation.tables import DAGGER, NONE, Group, Rows, Table
+from magical_mj.evaluation.reports.tables import DAGGER, NONE, Group, Rows, Table
 from magical_mj.leaderboard.standings import (
     LEAST_RUNS,
     OVERALL,
@@ -18,7 +18,7 @@ from magical_mj.leaderboard.standings import (
     improvement,
     rules_of,
 )
-from magical_mj.registry import ENVIRONMENTS, VARIANTS
+from magical_mj.tasks.registry import ENVIRONMENTS, VARIANTS
 
 Cells = Callable[[Standing], tuple[str, ...]]
 

@@ -11,12 +11,18 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.evaluation.published import PUBLISHED_RULES, published_results
-from magical_mj.evaluation.statistics import SCORE_TOLERANCE, bootstrap, interquartile_mean, mean_interval, summarise
+from magical_mj.evaluation.reports.published import PUBLISHED_RULES, published_results
+from magical_mj.evaluation.reports.statistics import (
+    SCORE_TOLERANCE,
+    bootstrap,
+    interquartile_mean,
+    mean_interval,
+    summarise,
+)
 from magical_mj.leaderboard.claims import SEEDS, Claim
 from magical_mj.leaderboard.duplicates import copies
 from magical_mj.leaderboard.entry import SUFFIX, Entry, entries, unpacked
-from magical_mj.registry import ENVIRONMENTS, TASKS, VARIANTS, Pair
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, Pair
 
 if TYPE_CHECKING:
     import pandas as pd

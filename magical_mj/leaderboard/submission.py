@@ -9,13 +9,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj import files
-from magical_mj.errors import EvaluationError, SettingsError, check_name, shown
 from magical_mj.evaluation.folder import folders_of
-from magical_mj.evaluation.results import check_same
+from magical_mj.evaluation.reports.results import check_same
 from magical_mj.evaluation.scores import Score, read
 from magical_mj.evaluation.settings import UNOFFICIAL
-from magical_mj.extras import check_extra
 from magical_mj.leaderboard.claims import claim_of
 from magical_mj.leaderboard.entry import (
     SUFFIX,
@@ -28,7 +25,10 @@ from magical_mj.leaderboard.entry import (
     violation,
 )
 from magical_mj.leaderboard.record import digests, protocol_of
-from magical_mj.registry import ENVIRONMENTS, check_rules
+from magical_mj.tasks.registry import ENVIRONMENTS, check_rules
+from magical_mj.utils import files
+from magical_mj.utils.errors import EvaluationError, SettingsError, check_name, shown
+from magical_mj.utils.extras import check_extra
 
 CARD: Final[dict[str, Any]] = {
     "method": None,

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.errors import RenderingError
+from magical_mj.utils.errors import RenderingError
 
 PACKAGES: Final = {"egl": "libegl1, libgl1-mesa-dri", "osmesa": "libosmesa6"}
 REMEDY = (

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from magical_mj.assets.style import DRAWN_GROUP, TASK_GROUP
 from magical_mj.assets.world import world_mjcf
-from magical_mj.errors import RenderingError
 from magical_mj.rendering import gl
 from magical_mj.rendering.backend import REMEDY, new_gl_context
 from magical_mj.scene import GoalRegion, Robot, Scene
+from magical_mj.utils.errors import RenderingError
 
 Picture = NDArray[np.uint8]
 """Shape (height, width, channels)."""

@@ -16,9 +16,9 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from magical_mj.errors import SettingsError, shown
 from magical_mj.rendering import gl
 from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS, Context, Picture
+from magical_mj.utils.errors import SettingsError, shown
 
 _FLAT: Final = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 """Ambient and diffuse light with which pixels have exactly the colours of the palette."""

@@ -10,8 +10,8 @@ import mujoco
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import control_signal
 from magical_mj.assets.world import World
-from magical_mj.environment.simulation import Simulation
-from magical_mj.presets import Preset
+from magical_mj.engine.simulation import Simulation
+from magical_mj.envs.presets import Preset
 from magical_mj.rendering.canvas import CANVAS
 from magical_mj.rendering.renderer import Renderer, on_white
 from magical_mj.scene import Scene

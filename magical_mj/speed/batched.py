@@ -13,16 +13,16 @@ import warp as wp
 from torch import Tensor
 
 from magical_mj import batched
-from magical_mj.actions import ACTIONS
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.batched.environment import BatchedEnv
-from magical_mj.gym_env import MagicalEnv
-from magical_mj.parallel import cores, map_unordered
-from magical_mj.presets import Preset, preset_named
-from magical_mj.registry import task_spec
+from magical_mj.envs.gymnasium_env import MagicalEnv
+from magical_mj.envs.presets import Preset, preset_named
+from magical_mj.scene.actions import ACTIONS
 from magical_mj.speed.launches import Kernel, recorded_launches, size
 from magical_mj.speed.measure import plans
 from magical_mj.speed.roofline import Work, newton_operations, step_seconds
+from magical_mj.tasks.registry import task_spec
+from magical_mj.utils.parallel import cores, map_unordered
 
 WARM_UP: Final = 3
 """Steps before the clock starts: kernels are compiled, the graph is captured."""

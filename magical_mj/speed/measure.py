@@ -10,9 +10,9 @@ from typing import Final, Literal
 
 import numpy as np
 
-from magical_mj.actions import ACTIONS
-from magical_mj.gym_env import MagicalEnv
-from magical_mj.presets import Preset, preset_named
+from magical_mj.envs.gymnasium_env import MagicalEnv
+from magical_mj.envs.presets import Preset, preset_named
+from magical_mj.scene.actions import ACTIONS
 from magical_mj.speed.bare import BareLoop
 
 Cause = Literal["rewritten", "compiled"]

@@ -23,10 +23,10 @@ from typing import Final, Literal, TypeVar
 
 import numpy as np
 
-from magical_mj.constants import COLOURS, SHAPES
-from magical_mj.planning import Noise, Subgoal, each_to
-from magical_mj.planning.arrangements import cluster_targets
 from magical_mj.scene import Block, Scene
+from magical_mj.scene.constants import COLOURS, SHAPES
+from magical_mj.tasks.planning import Noise, Subgoal, each_to
+from magical_mj.tasks.planning.arrangements import cluster_targets
 from magical_mj.tasks.rules import coloured, pick_each, require, require_regions, shaped, shuffled, uniform_integer
 from magical_mj.tasks.spec import Rules
 

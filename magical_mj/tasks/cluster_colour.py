@@ -20,9 +20,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from magical_mj.planning import Noise, Subgoal
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.tasks import cluster
+from magical_mj.tasks.planning import Noise, Subgoal
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(

@@ -25,9 +25,9 @@ from typing import Final
 
 import numpy as np
 
-from magical_mj.constants import COLOURS, FIX_COLOUR_REGION_SIZE
-from magical_mj.planning import Noise, Subgoal, bring, done, places_inside, places_outside
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
+from magical_mj.scene.constants import COLOURS, FIX_COLOUR_REGION_SIZE
+from magical_mj.tasks.planning import Noise, Subgoal, bring, done, places_inside, places_outside
 from magical_mj.tasks.rules import any_shapes, coloured, inside, pick, pick_each, require, uniform_integer
 from magical_mj.tasks.spec import Rules, TaskSpec
 

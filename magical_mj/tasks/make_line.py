@@ -26,9 +26,9 @@ from typing import Final
 
 import numpy as np
 
-from magical_mj.planning import Noise, Subgoal, each_to
-from magical_mj.planning.arrangements import line_targets
 from magical_mj.scene import Block, Robot, Scene
+from magical_mj.tasks.planning import Noise, Subgoal, each_to
+from magical_mj.tasks.planning.arrangements import line_targets
 from magical_mj.tasks.rules import any_colours, any_shapes, require, require_regions, uniform_integer
 from magical_mj.tasks.spec import Rules, TaskSpec
 

@@ -23,9 +23,9 @@ from typing import Final
 
 import numpy as np
 
-from magical_mj.constants import COLOURS, REGION_SIZE, Colour
-from magical_mj.planning import Noise, Subgoal, bring, done, places_inside, places_outside
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
+from magical_mj.scene.constants import COLOURS, REGION_SIZE, Colour
+from magical_mj.tasks.planning import Noise, Subgoal, bring, done, places_inside, places_outside
 from magical_mj.tasks.rules import any_shapes, coloured, inside, pick, require, require_regions, uniform_integer
 from magical_mj.tasks.spec import Rules, TaskSpec
 

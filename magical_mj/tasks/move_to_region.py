@@ -21,9 +21,9 @@ from typing import Final
 
 import numpy as np
 
-from magical_mj.constants import COLOURS, REGION_SIZE
-from magical_mj.planning import Noise, Subgoal, drive, places_inside
 from magical_mj.scene import GoalRegion, Robot, Scene
+from magical_mj.scene.constants import COLOURS, REGION_SIZE
+from magical_mj.tasks.planning import Noise, Subgoal, drive, places_inside
 from magical_mj.tasks.rules import pick, require, require_regions
 from magical_mj.tasks.spec import Rules, TaskSpec
 

@@ -8,9 +8,9 @@ from typing import Literal, TypeVar
 
 import numpy as np
 
-from magical_mj.constants import COLOURS, SHAPES, Colour, Shape
-from magical_mj.errors import InvalidSceneError
 from magical_mj.scene import Block, GoalRegion, Scene
+from magical_mj.scene.constants import COLOURS, SHAPES, Colour, Shape
+from magical_mj.utils.errors import InvalidSceneError
 
 _T = TypeVar("_T")
 

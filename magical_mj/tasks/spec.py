@@ -9,11 +9,11 @@ from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
-from magical_mj.constants import ARENA_HALF_WIDTH
-from magical_mj.errors import TaskError, shown
-from magical_mj.planning import Noise, Subgoal
-from magical_mj.references import errors_of_task
 from magical_mj.scene import Scene
+from magical_mj.scene.constants import ARENA_HALF_WIDTH
+from magical_mj.tasks.planning import Noise, Subgoal
+from magical_mj.utils.errors import TaskError, shown
+from magical_mj.utils.imports import errors_of_task
 
 Rules = Literal["paper", "released"]
 """Which scores and horizons: those of the paper's appendix, or of the original's released code where it differs."""

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final, Literal, get_args
 
-from magical_mj.errors import UnknownNameError, check_name
 from magical_mj.tasks.spec import TaskSpec
+from magical_mj.utils.errors import UnknownNameError, check_name
 
 Axis = Literal["jitter", "layout", "colour", "shape", "count", "dynamics"]
 AXES: Final[tuple[Axis, ...]] = get_args(Axis)

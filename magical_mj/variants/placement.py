@@ -17,11 +17,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from magical_mj import constants as c
-from magical_mj.errors import PlacementError
-from magical_mj.geometry import Solid, block_solid, inside_walls, region_solid, robot_solid, solids, touch
 from magical_mj.scene import Block, GoalRegion, Pose, Robot, Scene
+from magical_mj.scene import constants as c
+from magical_mj.scene.geometry import Solid, block_solid, inside_walls, region_solid, robot_solid, solids, touch
 from magical_mj.tasks.spec import TaskSpec
+from magical_mj.utils.errors import PlacementError
 
 MAX_TRIES: Final = 10_000
 """The number of draws for one thing before placement starts over."""

@@ -9,9 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from magical_mj.errors import InvalidSeedError, PlacementError, TaskError, shown
 from magical_mj.scene import Scene
 from magical_mj.tasks.spec import TaskSpec
+from magical_mj.utils.errors import InvalidSeedError, PlacementError, TaskError, shown
 from magical_mj.variants.axes import AXES, Axis, varied_axes
 from magical_mj.variants.dynamics import draw_dynamics
 from magical_mj.variants.placement import contact, jitter, layout

@@ -10,9 +10,9 @@ from textwrap import dedent
 from typing import Any, Literal
 
 from magical_mj import demos
-from magical_mj.protocol import PROTOCOL
-from magical_mj.registry import Pair, task_spec
 from magical_mj.scene import Scene
+from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.tasks.registry import Pair, task_spec
 from magical_mj.web.look import look
 
 Simulation = Literal["browser", "server"]

@@ -11,10 +11,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj import demos, files
+from magical_mj import demos
 from magical_mj.demos.files import SUFFIX
-from magical_mj.errors import DemonstrationError, SettingsError
-from magical_mj.registry import Pair
+from magical_mj.tasks.registry import Pair
+from magical_mj.utils import files
+from magical_mj.utils.errors import DemonstrationError, SettingsError
 
 _PARTICIPANT: Final = re.compile("[0-9a-f]{16}")
 _TOKEN: Final = re.compile("[A-Za-z0-9_-]{16,}")

@@ -7,14 +7,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from magical_mj import constants as c
 from magical_mj.assets import style
 from magical_mj.assets.meshes import loops
 from magical_mj.assets.robot import SIGN
 from magical_mj.assets.world import world_mjcf
-from magical_mj.constants import COLOURS, SHAPES
 from magical_mj.rendering.canvas import drawn
 from magical_mj.scene import Block, Robot, Scene
+from magical_mj.scene import constants as c
+from magical_mj.scene.constants import COLOURS, SHAPES
 
 DECIMALS = 6
 

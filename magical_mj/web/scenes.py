@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from magical_mj import demos
-from magical_mj.episodes import letters_of
-from magical_mj.registry import sample_scene
+from magical_mj.policies.interface import letters_of
+from magical_mj.tasks.registry import sample_scene
 from magical_mj.web.catalogue import scene_data
 
 EXPERT: Final = Path(__file__).parent / "expert.json"

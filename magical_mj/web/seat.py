@@ -20,10 +20,10 @@ import json
 from collections.abc import Collection as Container
 from typing import Any
 
-from magical_mj.environment import Environment, load
-from magical_mj.errors import MagicalError
-from magical_mj.registry import Pair
+from magical_mj.envs.composer import Environment, load
 from magical_mj.scene import Scene
+from magical_mj.tasks.registry import Pair
+from magical_mj.utils.errors import MagicalError
 from magical_mj.web.catalogue import scene_data
 from magical_mj.web.collection import Collection
 

@@ -22,7 +22,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from magical_mj.registry import Pair
+from magical_mj.tasks.registry import Pair
 from magical_mj.web import PAGE
 from magical_mj.web.catalogue import catalogue
 from magical_mj.web.collection import Collection

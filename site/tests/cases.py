@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 import magical_mj
-from magical_mj.environment import Environment
-from magical_mj.export import mjcf_text
+from magical_mj.engine.export import mjcf_text
+from magical_mj.envs.composer import Environment
 from magical_mj.scene import Scene
 from magical_mj.web.catalogue import scene_data
 from magical_mj.web.look import look

@@ -22,8 +22,8 @@ def main(recording: Path, folder: Path) -> None:
     import minari
 
     import magical_mj
-    from magical_mj.baselines import load_settings
-    from magical_mj.baselines.bc import clone
+    from magical_mj.learners import load_settings
+    from magical_mj.learners.bc import clone
 
     (path,) = (folder / "mine").iterdir()
     demo = magical_mj.demos.read(path)

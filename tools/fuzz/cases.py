@@ -25,9 +25,9 @@ from inputs import damaged_files, hostile_command
 from values import FindError, json_value, spoilt_tree, value
 
 import magical_mj
-from magical_mj.actions import ACTIONS
-from magical_mj.errors import MagicalError
-from magical_mj.observations import CAMERAS
+from magical_mj.scene.actions import ACTIONS
+from magical_mj.scene.state_vector import CAMERAS
+from magical_mj.utils.errors import MagicalError
 
 Case = Callable[[random.Random, Path], None]
 
@@ -98,7 +98,7 @@ def _moved(robot: Any, blocks: Any) -> None:
 def _expert(task: Any, seed: Any) -> None:
     env = magical_mj.load("MoveToRegion", observations=())
     env.reset()
-    env.step(magical_mj.experts.Expert(env, task, seed)())
+    env.step(magical_mj.policies.expert.Expert(env, task, seed)())
 
 
 def _learn(task: Any, preset: Any) -> None:
@@ -112,7 +112,7 @@ def _settings(**given: Any) -> None:
 
 
 def _training(**given: Any) -> None:
-    from magical_mj.baselines import load_settings
+    from magical_mj.learners import load_settings
 
     known = {key: given.pop(key) for key in ("method", "tasks", "quick")}
     load_settings(known["method"], known["tasks"], quick=known["quick"], **{str(given["name"]): given["given"]})

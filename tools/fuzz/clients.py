@@ -18,11 +18,11 @@ from gymnasium import wrappers
 from values import FindError, value
 
 import magical_mj
-from magical_mj.actions import ACTIONS
-from magical_mj.environment import State
-from magical_mj.errors import MagicalError
-from magical_mj.presets import PRESETS
-from magical_mj.wrappers import ContinuousActions
+from magical_mj.envs.composer import State
+from magical_mj.envs.presets import PRESETS
+from magical_mj.envs.wrappers import ContinuousActions
+from magical_mj.scene.actions import ACTIONS
+from magical_mj.utils.errors import MagicalError
 
 WRAPPERS: Final = (
     wrappers.RecordEpisodeStatistics,

@@ -11,8 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from magical_mj import constants as c
-from magical_mj.demos.lerobot import (
+from magical_mj.demos.export.lerobot import (
     FINGERS,
     IMAGE_SIZE,
     NO_STATE,
@@ -22,12 +21,13 @@ from magical_mj.demos.lerobot import (
     missing_lerobot,
     state,
 )
-from magical_mj.errors import SettingsError, check_name, shown
-from magical_mj.gym_env import MagicalEnv
-from magical_mj.observations import FINGERS as WHERE_FINGERS
-from magical_mj.observations import STATE_NAMES
-from magical_mj.presets import STATE_BOUND
-from magical_mj.registry import environments, task_spec
+from magical_mj.envs.gymnasium_env import MagicalEnv
+from magical_mj.envs.presets import STATE_BOUND
+from magical_mj.scene import constants as c
+from magical_mj.scene.state_vector import FINGERS as WHERE_FINGERS
+from magical_mj.scene.state_vector import STATE_NAMES
+from magical_mj.tasks.registry import environments, task_spec
+from magical_mj.utils.errors import SettingsError, check_name, shown
 
 try:
     from lerobot.configs import FeatureType, PolicyFeature  # pyright: ignore[reportMissingImports]

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from magical_mj.actions import to_discrete
-from magical_mj.demos.lerobot import (
+from magical_mj.demos.export.lerobot import (
     FINGERS,
     IMAGE_SIZE,
     NO_STATE,
@@ -20,12 +19,13 @@ from magical_mj.demos.lerobot import (
     missing_lerobot,
     state,
 )
-from magical_mj.episodes import Episode
-from magical_mj.errors import SettingsError
-from magical_mj.evaluation.models import torch_threads
-from magical_mj.observations import FINGERS as WHERE_FINGERS
-from magical_mj.observations import STATE_NAMES
-from magical_mj.registry import task_spec
+from magical_mj.policies.interface import Episode
+from magical_mj.policies.models import torch_threads
+from magical_mj.scene.actions import to_discrete
+from magical_mj.scene.state_vector import FINGERS as WHERE_FINGERS
+from magical_mj.scene.state_vector import STATE_NAMES
+from magical_mj.tasks.registry import task_spec
+from magical_mj.utils.errors import SettingsError
 
 try:
     import torch

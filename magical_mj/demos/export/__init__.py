@@ -1,0 +1,1 @@
+"""Exports of demonstrations to other formats."""

@@ -1,0 +1,165 @@
+"""Demonstrations as LeRobot data sets (format 3.0), written by lerobot itself.
+
+Frames are drawn at 96 px, not scaled down, and stored as PNG unless videos are asked for: AV1 is lossy; the state
+vector can take their place. Actions are vectors (drive, turn, grip); no-ops stay, for LeRobot takes frames to be evenly
+spaced in time.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from magical_mj.assets.world import World
+from magical_mj.demos.demonstration import Demonstration, demonstrators, only_environment
+from magical_mj.demos.learning import observations
+from magical_mj.demos.replay import see
+from magical_mj.scene import constants as c
+from magical_mj.scene.actions import to_vector
+from magical_mj.scene.state_vector import STATE_NAMES
+from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.tasks.registry import task_spec
+from magical_mj.utils import files
+from magical_mj.utils.errors import DemonstrationError, MagicalError, check_name
+
+if TYPE_CHECKING:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset  # pyright: ignore[reportMissingImports]
+
+IMAGE_SIZE: Final = 96
+VIEWS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {"ego": ("ego",), "allo": ("allo",), "both": ("ego", "allo"), "state": ()}
+)
+"""The pictures that a policy sees, by the word that options use; instead of none, it sees the state vector."""
+PRESETS: Final[Mapping[str, str]] = MappingProxyType(
+    {"ego": "LoRes4E", "allo": "LoRes4A", "both": "LoResStack", "state": "State"}
+)
+"""By the same words, the preset with these pictures, of whose stacks the newest count, or with the state vector."""
+
+
+def missing_lerobot() -> MagicalError:
+    """The error where lerobot cannot be imported: it needs an environment of its own."""
+    return MagicalError(
+        "this needs lerobot 0.6 (Python 3.12 or newer), which excludes versions that this package is tested with: "
+        "`make lerobot` builds an environment for both in .venv-lerobot"
+    )
+
+
+def image_keys(views: str) -> dict[str, str]:
+    """View -> the key of its pictures in LeRobot's data: ``observation.image``, or one key for each of both views.
+
+    Raises:
+        UnknownNameError: if `views` is none of `VIEWS`.
+    """
+    check_name("choice of views", views, VIEWS)
+    shown = VIEWS[views]
+    return {view: "observation.image" if len(shown) == 1 else f"observation.images.{view}" for view in shown}
+
+
+def to_lerobot(
+    demos: Sequence[Demonstration],
+    folder: Path | str,
+    *,
+    views: str = "ego",
+    fingers: bool = False,
+    video: bool = False,
+) -> LeRobotDataset:
+    """Make a LeRobot data set of demonstrations of one environment.
+
+    Args:
+        demos: demonstrations of one environment; each becomes an episode.
+        folder: the data set's root, which must not exist.
+        views: "ego", "allo" or "both"; "state" for the state vector instead of pictures.
+        fingers: put the two finger angles (left, right; rad), which the paper's learners do not see, into
+            ``observation.state``. Without, it is a constant: LeRobot's policies cannot do without a state.
+        video: store AV1 videos instead of PNG: smaller, but lossy (0.7 levels on average, at most 31).
+
+    Returns:
+        The finished data set. Its id names task, variant, demonstrators, observations and protocol.
+
+    Raises:
+        MagicalError: if lerobot is not installed.
+        DemonstrationError: if the demonstrations are not of one environment, or the folder exists.
+    """
+    try:
+        from lerobot.datasets.lerobot_dataset import LeRobotDataset  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise missing_lerobot() from None
+    keys = image_keys(views)
+    environment, folder = only_environment(demos), Path(folder)
+    who, seen = "-".join(demonstrators(demos)), f"{views}{'-fingers' if fingers else ''}"
+    name = f"magical-mj/{environment}-{who}-{seen}-p{PROTOCOL}"
+    features = _features(keys, fingers=fingers, video=video)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with files.locked(folder.parent):
+        if folder.exists():
+            raise DemonstrationError(f"{folder} exists already; give a new folder")
+        beside = folder.with_name(f".{folder.name}.part")  # half a data set reads like a whole one
+        shutil.rmtree(beside, ignore_errors=True)  # what an export left that was killed
+        try:
+            made = LeRobotDataset.create(
+                name, c.CONTROL_RATE, features, root=beside, robot_type="magical_mj", use_videos=video
+            )
+            for demo in demos:
+                for frame in _frames(demo, keys, fingers=fingers):
+                    made.add_frame(frame)
+                made.save_episode()
+            made.finalize()
+            beside.rename(folder)
+        except BaseException:
+            shutil.rmtree(beside, ignore_errors=True)
+            raise
+    return LeRobotDataset(name, root=folder)
+
+
+STATE_VECTOR: Final = "observation.environment_state"
+NO_STATE: Final = ("zero0", "zero1", "zero2")
+FINGERS: Final = ("left_finger", "right_finger")
+"""What the entries of LeRobot's state are; their number tells which it is (a single one loses its axis in lerobot)."""
+
+
+def state(fingers: ArrayLike | None) -> NDArray[np.float32]:
+    """LeRobot's state: the angles of the fingers (rad), shape (2,), or without them zeros, shape (3,)."""
+    return np.zeros(len(NO_STATE), np.float32) if fingers is None else np.asarray(fingers, np.float32)
+
+
+def _features(keys: Mapping[str, str], *, fingers: bool, video: bool) -> dict[str, Any]:
+    image = {
+        "dtype": "video" if video else "image",
+        "shape": (IMAGE_SIZE, IMAGE_SIZE, 3),
+        "names": ["height", "width", "channels"],
+    }
+    seen = dict.fromkeys(keys.values(), image) if keys else {STATE_VECTOR: _vector(STATE_NAMES)}
+    return {
+        **seen,
+        "observation.state": _vector(FINGERS if fingers else NO_STATE),
+        "action": _vector(("drive", "turn", "grip")),
+    }
+
+
+def _vector(names: Sequence[str]) -> dict[str, Any]:
+    return {"dtype": "float32", "shape": (len(names),), "names": list(names)}
+
+
+def _frames(demo: Demonstration, keys: Mapping[str, str], *, fingers: bool) -> Iterator[dict[str, Any]]:
+    """What was seen before each action, and the action."""
+    sentence, world = task_spec(demo.task).summary, World(demo.scene)
+    for seen, qpos, action in zip(_seen(demo, keys), demo.qpos, demo.actions, strict=False):
+        yield {
+            **seen,
+            "observation.state": state(world.fingers(qpos) if fingers else None),
+            "action": to_vector(action),
+            "task": sentence,
+        }
+
+
+def _seen(demo: Demonstration, keys: Mapping[str, str]) -> Iterator[dict[str, Any]]:
+    """What a policy sees at the start and after each action: pictures, or without keys of any the state vector."""
+    if not keys:
+        return ({STATE_VECTOR: row} for row in observations(demo, "State"))
+    return ({key: pictures[view] for view, key in keys.items()} for pictures in see(demo, list(keys), IMAGE_SIZE))

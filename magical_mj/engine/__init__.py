@@ -1,0 +1,1 @@
+"""The engine: one world of MuJoCo with its scene, score and states."""

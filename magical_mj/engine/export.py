@@ -1,0 +1,185 @@
+"""Scenes and running environments as MJCF files that plain MuJoCo loads, and that people can read.
+
+A program needs only such a file to show, play and score an episode: besides the model it holds, under `<custom>`, the
+scene, the task and its rules, the horizon and the values of `ctrl` for each of the 18 actions.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+from xml.etree.ElementTree import Comment, Element, SubElement, TreeBuilder, XMLParser, fromstring
+
+import mujoco
+
+from magical_mj._version import __version__
+from magical_mj.assets.contacts import SUBSTEPS
+from magical_mj.assets.mjcf import indented, numbers
+from magical_mj.assets.region import BONE, region_mjcf
+from magical_mj.assets.robot import controls
+from magical_mj.assets.world import world_mjcf
+from magical_mj.envs.composer import Environment
+from magical_mj.scene import Scene
+from magical_mj.scene.geometry import check_scene
+from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.utils import files
+from magical_mj.utils.errors import InvalidSceneError, StateError, shown
+
+HEADER: Final = """<!--
+  {what}, as a MuJoCo model. Written by magical-mj {version}.
+
+  View it:     python -m mujoco.viewer -mjcf=FILE
+  Play it:     start in keyframe "now"; for each action, write its row of the numeric "controls" into ctrl, and call
+               mj_step as often as the numeric "substeps" says.
+
+  Units: the workspace is 2 x 2, seconds, radians; angles are counter-clockwise, and at 0 the robot heads up (+y).
+-->
+"""
+ABOUT: Final = """For programs. "scene": at the start of the episode. "controls": a row for each action, which is
+    9 * gripper (0 open, 1 close) + 3 * turn (0 none, 1 left, 2 right) + drive (0 none, 1 forwards, 2 backwards)"""
+NUMERIC: Final = ("protocol", "substeps", "horizon")
+THINGS: Final = re.compile(r'(?<=[\[,])(?=\{|"(?:robot|blocks|regions|dynamics)")')
+"""The places where the JSON of a scene is broken into lines, one for each thing."""
+BLOCK_PARTS: Final = ("outline", "fill", "sides")
+SENSORS: Final = "For plots: where everything is and how fast, in world coordinates"
+
+
+def export_mjcf(source: Scene | Environment, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+    """Writes a self-contained MJCF model: geometry, dynamics, all cameras, sensors and a keyframe.
+
+    The reference pose of the model is the scene (for an environment: the one in which its episode started), and the
+    keyframe "now" is the present state with velocities. From the start of an episode, the model moves exactly as the
+    environment does if it is played as the file's header says; from later states, up to rounding.
+
+    Args:
+        source: a scene, or an environment at any point of an episode. For an environment, the file also holds task,
+            rules and horizon, and variant and seed if the scene was drawn from a seed.
+        path: the file to write; its folder is made if missing.
+        overwrite: whether an existing file may be replaced.
+
+    Returns:
+        The path written.
+
+    Raises:
+        InvalidSceneError: if the scene is not legal, or the source is something else.
+        ClosedError: if the environment is closed.
+        StateError: if users have changed the environment's MJCF tree, which a file made of its scene would lack.
+        FileExistsError: if the file exists and `overwrite` is false.
+        OSError: if it cannot be written.
+    """
+    path = Path(path)
+    text = mjcf_text(source)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    files.write(path, text, overwrite=overwrite)
+    return path
+
+
+def mjcf_text(source: Scene | Environment) -> str:
+    """The content of the file that `export_mjcf` writes.
+
+    Raises:
+        InvalidSceneError, ClosedError, StateError: as `export_mjcf`.
+    """
+    about: dict[str, Any] = {"protocol": PROTOCOL, "substeps": SUBSTEPS}
+    if isinstance(source, Scene):
+        check_scene(source)
+        scene, data = source, mujoco.MjData(mujoco.MjModel.from_xml_string(world_mjcf(source)))
+    elif not isinstance(source, Environment):
+        raise InvalidSceneError(
+            f"a file is made of a Scene, or of what magical_mj.load returns, not of {shown(source)}; "
+            "in Gymnasium's environments that is env.unwrapped.dm_env"
+        )
+    else:
+        scene, data = source.initial_scene, source.physics.data.ptr
+        if source.task.world.tree is not None:
+            raise StateError(
+                "the environment's MJCF tree has been read, and may have been changed: write that one, with "
+                "dm_control.mjcf.export_with_assets(env.task.root_entity.mjcf_model, folder), or export its scene"
+            )
+        settings = source.task.settings
+        drawn = source.task.seed is not None  # else the scene may be of no variant, or of another one
+        about |= {"task": settings.task, "variant": settings.variant if drawn else None, "seed": source.task.seed}
+        about |= {"rules": settings.rules if settings.task else None, "horizon": source.horizon}
+    about = {name: value for name, value in about.items() if value is not None}
+    return _header(about) + indented(_model(scene, about, data))
+
+
+def _header(about: Mapping[str, Any]) -> str:
+    """The comment at the top."""
+    words = {"task": "{}", "variant": ", variant {}", "seed": ", seed {}"}
+    what = "".join(text.format(about[name]) for name, text in words.items() if name in about)
+    return HEADER.format(what=what or "A scene", version=__version__)
+
+
+def _model(scene: Scene, about: Mapping[str, Any], data: mujoco.MjData) -> Element:
+    """The model of a scene with everything that only files have: names, comments, sensors, custom data, keyframe."""
+    root = _parsed(world_mjcf(scene))
+    _name_blocks(root, scene)
+    _unfold_regions(root, scene)
+    root[:0] = [Comment(ABOUT), _custom(scene, about)]
+    state = {"time": [data.time], "qpos": data.qpos, "qvel": data.qvel, "act": data.act, "ctrl": data.ctrl}
+    root.extend((Comment(SENSORS), _sensors(scene), Comment("The present state")))
+    values = {name: numbers(*value) for name, value in state.items() if len(value)}
+    SubElement(SubElement(root, "keyframe"), "key", {"name": "now"} | values)
+    return root
+
+
+def _name_blocks(root: Element, scene: Scene) -> None:
+    """Adds shape and colour to the names of the blocks' visual geoms."""
+    for geom in root.iter("geom"):
+        name, _, part = geom.get("name", "").partition("_")
+        if name.startswith("block") and part in BLOCK_PARTS:
+            block = scene.blocks[int(name.removeprefix("block"))]
+            geom.set("name", f"{name}_{block.colour}_{block.shape}_{part}")
+
+
+def _unfold_regions(root: Element, scene: Scene) -> None:
+    """Replaces the regions' skins, which environments modify from scene to scene, by geoms."""
+    skins, assets, body = (_find(root, path) for path in ("deformable", "asset", f".//body[@name='{BONE}']"))
+    root.remove(skins)
+    for index, region in enumerate(scene.regions):
+        mesh, *geoms = region_mjcf(index, region)
+        assets.append(_parsed(mesh))
+        body.append(Comment(f"Goal region {index}: {region.colour}"))
+        body.extend(map(_parsed, geoms))
+
+
+def _parsed(mjcf: str) -> Element:
+    """MJCF text of this package as an element with comments."""
+    return fromstring(mjcf, XMLParser(target=TreeBuilder(insert_comments=True)))  # noqa: S314
+
+
+def _find(root: Element, path: str) -> Element:
+    found = root.find(path)
+    if found is None:
+        raise KeyError(path)
+    return found
+
+
+def _custom(scene: Scene, about: Mapping[str, Any]) -> Element:
+    """The `<custom>` element: the data that programs need besides the model."""
+    custom = Element("custom")
+    for name, value in about.items():
+        if name in NUMERIC:
+            SubElement(custom, "numeric", {"name": name, "data": str(value)})
+        else:
+            SubElement(custom, "text", {"name": name, "data": str(value)})
+    SubElement(custom, "text", {"name": "scene", "data": "\n" + THINGS.sub("\n", scene.to_json())})
+    rows = (numbers(*row) for row in controls())
+    SubElement(custom, "numeric", {"name": "controls", "data": "\n" + "\n".join(rows)})
+    return custom
+
+
+def _sensors(scene: Scene) -> Element:
+    """The `<sensor>` element: value and velocity of each coordinate of the robot, its fingers and the blocks."""
+    bodies = ["robot", *(f"block{index}" for index in range(len(scene.blocks)))]
+    joints = [f"{body}_{axis}" for body in bodies for axis in ("x", "y", "angle")]
+    joints[3:3] = ["left_finger", "right_finger"]
+    sensor = Element("sensor")
+    for kind, suffix in (("jointpos", ""), ("jointvel", "_velocity")):
+        for joint in joints:
+            SubElement(sensor, kind, {"name": f"{joint}{suffix}", "joint": joint})
+    return sensor

@@ -1,0 +1,1 @@
+"""The doors to the engine: Gymnasium and dm_env."""

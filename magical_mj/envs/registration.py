@@ -1,0 +1,64 @@
+"""The Gymnasium ids: ``magical_mj/<Task>-<Demo|TestX>[-<Preset>]-v0`` for all environments and presets.
+
+Tasks that other packages announce have ids of the same form. Their modules are not imported at registration, since
+they import this package. Therefore all eight variants get ids, and making one that the task lacks raises an error.
+The ids of a task given as ``"package.module:SPEC"`` are registered when `env_id` is called with it.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import gymnasium
+from gymnasium.envs.registration import WrapperSpec
+
+from magical_mj.envs.presets import PRESETS, preset_named
+from magical_mj.tasks.plugins import announced
+from magical_mj.tasks.registry import ENVIRONMENTS, VARIANTS, environment_axes, task_name, task_spec, variant_name
+from magical_mj.utils.errors import TaskError
+
+
+def env_id(task: str, variant: str = "Demo", preset: str = "") -> str:
+    """The Gymnasium id of an environment, such as ``"magical_mj/FindDupe-TestShape-LoRes4E-v0"``.
+
+    Args:
+        task: a task's name, or ``"package.module:SPEC"``.
+        variant: a variant that the task has.
+        preset: one of `magical_mj.envs.presets.PRESETS`.
+
+    Raises:
+        UnknownNameError: if there is no such task, variant or preset, or the task does not have this variant.
+        TaskError: if it is an invalid task of another package, or another task has its name.
+    """
+    environment_axes(task, variant)
+    preset_named(preset)
+    task = task_name(task)
+    return _register(task, task_spec(task).name, variant_name(variant), preset, task_spec(task).horizon())
+
+
+def register_all() -> None:
+    """Registers every environment that is not registered yet. Importing `magical_mj` does this."""
+    for (task, variant), preset in itertools.product(ENVIRONMENTS, PRESETS):
+        _register(task, task, variant, preset, task_spec(task).horizon())
+    for task, variant, preset in itertools.product(announced(), VARIANTS, PRESETS):
+        _register(task, task, variant, preset, None)
+
+
+def _register(task: str, name: str, variant: str, preset: str, steps: int | None) -> str:
+    """Registers one environment if it is not registered yet, and returns its id. `steps` is None if not known yet."""
+    test = variant if variant == "Demo" else f"Test{variant}"
+    found = "-".join(filter(None, (f"magical_mj/{name}", test, preset, "v0")))
+    if found not in gymnasium.registry:
+        gymnasium.register(
+            found,
+            entry_point="magical_mj:MagicalEnv",
+            kwargs={"task": task, "variant": variant, "preset": preset},
+            max_episode_steps=steps,
+            additional_wrappers=(WrapperSpec("ScoreAtTheEnd", "magical_mj.envs.wrappers:ScoreAtTheEnd", {}),),
+        )
+    elif gymnasium.registry[found].kwargs["task"] != task:
+        other = gymnasium.registry[found].kwargs["task"]
+        raise TaskError(f"{found} is the id of {other}; give the task {task} another name than {name!r}")
+    elif steps is not None:
+        gymnasium.registry[found].max_episode_steps = steps  # of a task that was edited and reloaded
+    return found

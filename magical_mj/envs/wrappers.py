@@ -1,0 +1,96 @@
+"""Wrappers of the Gymnasium environments."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
+from numpy.typing import ArrayLike, NDArray
+
+from magical_mj.scene.actions import ACTIONS, to_discrete, to_vector
+from magical_mj.tasks.registry import task_spec
+from magical_mj.utils.errors import InvalidActionError, SettingsError
+
+
+def continuous_space() -> spaces.Space[NDArray[np.float32]]:
+    """The space of the vectors (drive, turn, grip). A new one for each environment: spaces have random generators."""
+    return spaces.Box(-1.0, 1.0, (3,), np.float32)
+
+
+class ContinuousActions(gymnasium.ActionWrapper[Any, NDArray[np.float32], Any], gymnasium.utils.RecordConstructorArgs):
+    """Actions as vectors (drive, turn, grip) in [-1, 1], for learners of continuous actions.
+
+    Drive and turn command motion above 0.5 (forward, left) and below -0.5 (back, right); grip closes above 0 and opens
+    below. Each of the 18 actions is the vector `to_vector(number)`, so demonstrations can be used in either form.
+
+    Args:
+        env: an environment with the 18 discrete actions, such as `gymnasium.make("magical_mj/...")`.
+
+    Raises:
+        InvalidActionError: if the environment's actions are not those; in `step`, for vectors of another shape or with
+            entries that are not finite.
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        if env.action_space != spaces.Discrete(len(ACTIONS)):
+            raise InvalidActionError(
+                f"ContinuousActions wraps environments with the {len(ACTIONS)} discrete actions, not {env.action_space}"
+            )
+        super().__init__(env)
+        self.action_space = continuous_space()
+
+    def action(self, action: ArrayLike) -> int:
+        """The number of the action that the vector commands."""
+        return to_discrete(action)
+
+    to_discrete = staticmethod(to_discrete)
+    to_vector = staticmethod(to_vector)
+
+
+class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
+    """Reports the score at the last step, also if `max_episode_steps` ends episodes before the task's horizon.
+
+    `gymnasium.make` applies it to every environment. If another wrapper of yours ends episodes, apply this outside it.
+
+    Args:
+        env: a `magical_mj` environment, with any wrappers.
+
+    Raises:
+        SettingsError: if `max_episode_steps` is longer than the episodes of the task, or it is another environment.
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        self._world: Any = getattr(self.unwrapped, "dm_env", None)
+        if self._world is None:
+            raise SettingsError(f"ScoreAtTheEnd wraps the environments of magical_mj, not {self.unwrapped}")
+        asked = (env.spec.max_episode_steps or 0) if env.spec else 0
+        registered = task_spec(self._world.task.settings.task).horizon()  # what ids say, for all rules
+        if asked > self._world.horizon and asked != registered:
+            raise SettingsError(
+                f"max_episode_steps={asked} is more than the {self._world.horizon} steps after which every episode of "
+                f"{self._world.task.settings.task} ends; give a smaller number, or none for the task's own"
+            )
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """The spec of the wrapped environment, with the number of steps of its episodes."""
+        spec = super().spec
+        if spec is not None:
+            spec.max_episode_steps = min(spec.max_episode_steps or self._world.horizon, self._world.horizon)
+        return spec
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """One action."""
+        observation, reward, terminated, truncated, info = super().step(action)
+        if terminated or truncated:
+            score = np.float64(self._world.score())
+            info = info | {"eval_score": score, "is_success": np.array(score == 1.0)}
+            if self._world.task.settings.reward == "score" and not self._world.over:  # else it was paid already
+                reward = float(score)
+        return observation, reward, terminated, truncated, info

@@ -1,0 +1,59 @@
+"""The paper's learners, trained on our demonstrations: BC, GAIL, WGAIL-GP and apprenticeship learning.
+
+They need the extra `il`; nothing else in the package imports them. docs/learners.md says what each of them is.
+
+Example:
+    >>> from magical_mj.learners import load_settings, train
+    >>> train(load_settings("bc", tasks="MoveToRegion", quick=True), "runs/bc-mtr-0")
+    >>> magical_mj.evaluation.evaluate("runs/bc-mtr-0", tasks="MoveToRegion")
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from magical_mj.utils.extras import check_extra
+
+if TYPE_CHECKING:
+    from magical_mj.learners.bc import clone
+    from magical_mj.learners.experiment import conduct, runs
+    from magical_mj.learners.learner import Learner
+    from magical_mj.learners.method_settings import load_settings
+    from magical_mj.learners.policy import TrainedPolicy, load_policy
+    from magical_mj.learners.run import METHODS, Progress, train
+from magical_mj.learners.settings import TrainingSettings
+
+_LAZY = {  # loaded at first use: the command line knows these commands before anybody needs PyTorch
+    "METHODS": "run",
+    "Learner": "learner",
+    "Progress": "run",
+    "TrainedPolicy": "policy",
+    "clone": "bc",
+    "conduct": "experiment",
+    "load_policy": "policy",
+    "load_settings": "method_settings",
+    "runs": "experiment",
+    "train": "run",
+}
+
+__all__ = [
+    "METHODS",
+    "Learner",
+    "Progress",
+    "TrainedPolicy",
+    "TrainingSettings",
+    "clone",
+    "conduct",
+    "load_policy",
+    "load_settings",
+    "runs",
+    "train",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    check_extra("learners", "eval", "il")
+    return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)

@@ -1,0 +1,150 @@
+"""GAIL and WGAIL-GP: the policy is rewarded for fooling the discriminator (section 4.1).
+
+The discriminator D is near 1 for the policy's samples and near 0 for the demonstrator's, as in the paper.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from magical_mj.learners.augmentation import augmentation
+from magical_mj.learners.data import Rollout, joined
+from magical_mj.learners.learner import restore_optimizer, seeded
+from magical_mj.learners.network import Heads, Torso
+from magical_mj.learners.reinforced import RewardLearner, Samples
+from magical_mj.learners.settings import Network, TrainingSettings
+from magical_mj.learners.states import StateTorso
+
+Samplewise = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""A discriminator: a function of observations, actions (n,) and tasks (n,) with one output for each sample, (n,)."""
+
+
+class Discriminator(nn.Module):
+    """The paper's network with batch norm, or the one for states; it also gets the actions, and has a head per task."""
+
+    def __init__(self, network: Network, tasks: int, *, states: bool = False) -> None:
+        super().__init__()
+        self.torso = StateTorso(network, actions=True) if states else Torso(network, batch_norm=True, actions=True)
+        self.head = Heads(tasks, self.torso.features, 1)
+
+    def forward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        """Logits (GAIL) or values (WGAIL-GP) of D, shape (n,)."""
+        return self.head(self.torso(observations, actions), tasks)[:, 0]
+
+
+class Adversarial(RewardLearner):
+    """Trains the discriminator on the latest rollouts and the demonstrations, and PPO on its rewards."""
+
+    def __init__(self, settings: TrainingSettings) -> None:
+        self._augment = augmentation(settings)  # raises errors before environments are made
+        super().__init__(settings)
+        self._latest: list[Rollout] = []
+        self._noise = torch.Generator(self.device).manual_seed(settings.seed)
+        with seeded(settings.seed + 1):
+            made = Discriminator(settings.network, len(settings.tasks), states=settings.states).to(self.device)
+        self._discriminator = made
+        self._optimizer = torch.optim.Adam(made.parameters(), settings.discriminator.learning_rate, fused=True)
+
+    def update(self) -> Mapping[str, float]:
+        """A rollout, the discriminator's steps, and PPO's update on the new discriminator's rewards."""
+        return self.play()
+
+    def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
+        """The discriminator's steps; returns the means of their metrics."""
+        steps = self.settings.discriminator.steps
+        self._latest = [*self._latest, rollout][-self.settings.discriminator.rollouts :]
+        played = joined(self._latest)
+        metrics = [self._step(played) for _ in range(steps)]
+        return {name: sum(one[name] for one in metrics) / steps for name in metrics[0]}
+
+    @abstractmethod
+    def loss(self, samples: Samples) -> tuple[Tensor, Mapping[str, float]]:
+        """The discriminator's loss and metrics, for samples of which the first half are the policy's."""
+
+    def state(self) -> dict[str, Any]:
+        """Of all that plays, of the discriminator and of the augmentations."""
+        kept: dict[str, Any] = {  # under the names of earlier versions, whose checkpoints can be continued
+            "judge": self._discriminator.state_dict(),
+            "judge optimizer": self._optimizer.state_dict(),
+        }
+        before = (
+            self._latest[1 - self.settings.discriminator.rollouts :] if self.settings.discriminator.rollouts > 1 else []
+        )
+        kept["latest"] = [rollout._asdict() for rollout in before]
+        return {**super().state(), **kept, "noise": self._noise.get_state()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restores a `state`."""
+        super().restore(state)
+        self._discriminator.load_state_dict(state["judge"])
+        restore_optimizer(self._optimizer, state["judge optimizer"])
+        self._latest = [Rollout(**kept) for kept in state["latest"]]
+        self._noise.set_state(state["noise"])
+
+    def _step(self, rollout: Rollout) -> Mapping[str, float]:
+        half = self.settings.discriminator.batch_size // 2
+        sides = [self.on_device(side.sample(half, self._draw)) for side in (rollout, self._expert)]
+        observations, actions, tasks = (torch.cat(pair) for pair in zip(*sides, strict=True))
+        self._discriminator.train()
+        loss, metrics = self.loss((self._augment(observations, self._noise), actions, tasks))
+        self._optimizer.zero_grad()
+        loss.backward()
+        self._optimizer.step()
+        return {"loss": loss.item(), **metrics}
+
+
+class GAIL(Adversarial):
+    """Minimises -E_policy log D - E_demonstrations log(1 - D); the policy's reward is -log D."""
+
+    def loss(self, samples: Samples) -> tuple[Tensor, Mapping[str, float]]:
+        """The loss, and the share of correctly classified samples."""
+        policy, expert = self._discriminator(*samples).chunk(2)
+        right = torch.cat([policy > 0, expert < 0]).float().mean().item()
+        return gail_loss(policy, expert), {"accuracy": right}
+
+    def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        """-log D, shape (n,)."""
+        return nn.functional.softplus(-self._discriminator.eval()(observations, actions, tasks))
+
+
+class WGAILGP(Adversarial):
+    """Minimises E_demonstrations D - E_policy D and a penalty on gradients; the policy's reward is -D.
+
+    The penalty's samples are those of the batch, half the policy's and half the demonstrator's, as in the paper's
+    formula (WGAN-GP interpolates between them). No gradient flows into the policy.
+    """
+
+    def loss(self, samples: Samples) -> tuple[Tensor, Mapping[str, float]]:
+        """The loss, the difference between the two means of D, and the penalty without its weight."""
+        policy, expert = self._discriminator(*samples).chunk(2)
+        distance = policy.mean() - expert.mean()
+        penalty = gradient_penalty(self._discriminator.eval(), *samples)
+        metrics = {"distance": distance.item(), "penalty": penalty.item()}
+        return self.settings.discriminator.gradient_penalty * penalty - distance, metrics
+
+    def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        """-D, shape (n,)."""
+        return -self._discriminator.eval()(observations, actions, tasks)
+
+
+def gail_loss(policy: Tensor, expert: Tensor) -> Tensor:
+    """-mean log D(policy) - mean log(1 - D(expert)), for logits of D."""
+    return nn.functional.softplus(-policy).mean() + nn.functional.softplus(expert).mean()
+
+
+def gradient_penalty(discriminator: Samplewise, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+    """Mean of (||gradient of D with respect to the stack||_2 - 1)^2.
+
+    The gradient is that of each sample's D with respect to its own stack. So the discriminator must treat samples
+    independently: if it has batch norm, it must use the running statistics (eval mode), as it does for the rewards.
+    With the statistics of the batch, each D would depend on all samples.
+    """
+    observations = observations.detach().requires_grad_()
+    values = discriminator(observations, actions, tasks)
+    (gradient,) = torch.autograd.grad(values.sum(), observations, create_graph=True)
+    return (gradient.flatten(1).norm(dim=1) - 1).square().mean()

@@ -1,0 +1,199 @@
+"""Apprenticeship learning by feature matching (appendix, "Apprenticeship learning baseline")."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+import torch
+from torch import Tensor, nn
+
+from magical_mj.learners.data import Rollout
+from magical_mj.learners.learner import restore_optimizer, seeded
+from magical_mj.learners.network import SHAPE, Torso, convolutions
+from magical_mj.learners.reinforced import RewardLearner
+from magical_mj.learners.settings import Network, TrainingSettings
+from magical_mj.learners.states import HISTORY, StateTorso
+from magical_mj.scene.state_vector import STATE_NAMES
+
+METRICS: Final[tuple[str, ...]] = ("reconstruction", "distance", "reward", "score", "entropy", "kl", "value loss")
+"""The names of the metrics that updates return, in this order."""
+
+CHUNK: Final = 64
+"""Samples at a time: the output of the paper's first layer takes 2.4 MB for each."""
+RECONSTRUCTED: Final = [number for number, name in enumerate(STATE_NAMES) if "velocity" not in name]
+"""The columns of states that the autoencoder reconstructs: those that it gets."""
+RESTART: Final = 100
+"""Batches of the autoencoder between two searches for features that are always 0."""
+
+
+class Apprenticeship(RewardLearner):
+    """Finds features on which the policy differs most from the demonstrations, and rewards them.
+
+    The first `features.batches` updates train the features as an autoencoder, on demonstrations without augmentation.
+    In all others, the weight vector w in the unit ball that maximises w . (E_demonstrations Phi - E_policy Phi) has a
+    closed form, and PPO's reward is w . Phi(s, a). (The paper's ball has radius 2, which has no effect, since rewards
+    are normalised.) With several tasks, which the paper did not try, each has its own w.
+
+    If a rollout has fewer than `features.samples` samples, the latest samples of several rollouts are used. The paper
+    draws as many from the demonstrations; here these count with all their steps.
+    """
+
+    def __init__(self, settings: TrainingSettings) -> None:
+        super().__init__(settings)
+        self.updates += settings.features.batches
+        size, tasks = settings.features.size, len(settings.tasks)
+        with seeded(settings.seed + 1):
+            self._autoencoder = Autoencoder(settings.network, size, states=settings.states).to(self.device)
+        self._optimizer = torch.optim.Adam(self._autoencoder.parameters(), settings.features.learning_rate, fused=True)
+        self._batches = 0
+        self._metrics: dict[str, float] = dict.fromkeys(METRICS, 0.0)
+        self._demonstrated: Tensor | None = None
+        self._weights = torch.zeros(tasks, size, device=self.device)
+        self._latest = torch.zeros(tasks, 0, size, device=self.device)
+
+    def update(self) -> Mapping[str, float]:
+        """First batches of the autoencoder, later rollouts, weights and PPO; the other's metrics stay constant."""
+        if self._batches < self.settings.features.batches:
+            self._metrics["reconstruction"] = self._reconstruct()
+            self._batches += 1
+        else:
+            self._metrics.update(self.play())
+        return dict(self._metrics)
+
+    def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
+        """Computes new weights; returns the difference of mean features, w . (E_demonstrations Phi - E_policy Phi)."""
+        tasks = len(self._weights)
+        each = self.settings.features.samples // tasks
+        if self._demonstrated is None:
+            self._demonstrated = self._demonstrated_means()
+        played = (self.on_device(batch) for batch in rollout.batches(self.settings.ppo.minibatch))
+        novice = torch.cat([self._autoencoder.features(observations, actions) for observations, actions, _ in played])
+        novice = novice.reshape(len(rollout.actions), tasks, -1, novice.shape[1]).transpose(0, 1).flatten(1, 2)
+        order = torch.randperm(novice.shape[1], generator=self._draw)  # so that any part of the rollout may be left out
+        self._latest = torch.cat([self._latest, novice[:, order]], dim=1)[:, -each:]
+        difference = self._demonstrated - self._latest.mean(1)
+        self._weights = best_weights(difference)
+        return {"distance": (self._weights * difference).sum(1).mean().item()}
+
+    def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        """The rewards w . Phi(s, a), shape (n,)."""
+        return (self._autoencoder.features(observations, actions) * self._weights[tasks]).sum(1)
+
+    def state(self) -> dict[str, Any]:
+        """Of all that plays, of the autoencoder, and the policy's latest features."""
+        return {  # under the names of earlier versions, whose checkpoints can be continued
+            **super().state(),
+            "coder": self._autoencoder.state_dict(),
+            "coder optimizer": self._optimizer.state_dict(),
+            "batches": self._batches,
+            "figures": self._metrics,
+            "latest": self._latest,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restores a `state`."""
+        super().restore(state)
+        self._autoencoder.load_state_dict(state["coder"])
+        restore_optimizer(self._optimizer, state["coder optimizer"])
+        self._batches, self._metrics = state["batches"], dict(state["figures"])
+        self._latest = state["latest"].to(self.device)
+
+    def _demonstrated_means(self) -> Tensor:
+        """The mean features of each task's demonstrations, shape (tasks, features); they are learnt by then."""
+        sums = torch.zeros_like(self._weights)
+        for batch in self._expert.batches(CHUNK):
+            observations, actions, tasks = self.on_device(batch)
+            sums.index_add_(0, tasks, self._autoencoder.features(observations, actions))
+        return sums / torch.tensor(self._expert.sizes, device=self.device)[:, None]
+
+    def _reconstruct(self) -> float:
+        batch = self._expert.sample(self.settings.features.batch_size, self._draw)
+        observations, actions, _ = self.on_device(batch)
+        loss = self._autoencoder.train().loss(observations, actions)
+        self._optimizer.zero_grad()
+        loss.backward()
+        self._optimizer.step()
+        if (self._batches + 1) % RESTART == 0 and self._batches + RESTART < self.settings.features.batches:
+            observations, actions, _ = self.on_device(self._expert.sample(512, self._draw))
+            with seeded(self.settings.seed + self._batches):
+                self._autoencoder.restart(self._autoencoder.features(observations, actions))
+        return loss.item()
+
+
+def best_weights(difference: Tensor) -> Tensor:
+    """The w with ||w||_2 <= 1 and the greatest w . difference, for each row of shape (tasks, features)."""
+    return nn.functional.normalize(difference, dim=1)
+
+
+class Autoencoder(nn.Module):
+    """The discriminator's network without its last layer as encoder, with a decoder of observations and actions.
+
+    The paper removes the layer of logits and narrows the one before it; that one keeps its ReLU, since the paper does
+    not say otherwise. The decoder of pictures mirrors the encoder, with transposed convolutions and a final sigmoid, as
+    pixels are in [0, 1]; the decoder of states has two linear layers. As in the paper, actions are not reconstructed.
+    If they are, features are mostly about actions, and matching these leads nowhere (docs/state-track.md).
+
+    Args:
+        network: the layers' sizes.
+        size: the number of features.
+        states: reconstruct histories of states, not pictures.
+    """
+
+    def __init__(self, network: Network, size: int, *, states: bool = False) -> None:
+        super().__init__()
+        made = (
+            StateTorso(network, actions=True, features=size)
+            if states
+            else Torso(network, batch_norm=True, actions=True, features=size)
+        )
+        self.encoder = made
+        self.columns = RECONSTRUCTED if states else slice(None)
+        inner: list[nn.Module] = [nn.Linear(size, network.hidden), nn.ReLU()]
+        if isinstance(made, Torso):
+            inner += mirror(network, made.flat)
+        else:
+            inner += [nn.Linear(network.hidden, HISTORY * len(RECONSTRUCTED)), nn.Unflatten(1, (HISTORY, -1))]
+        self.decoder = nn.Sequential(*inner)
+
+    def forward(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """The reconstructed pictures, as of `as_input`, or columns of states (n, HISTORY, len(RECONSTRUCTED))."""
+        return self.decoder(self.encoder(observations, actions))
+
+    def loss(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """Mean squared error of what is reconstructed."""
+        return nn.functional.mse_loss(self(observations, actions), observations[..., self.columns])
+
+    @torch.no_grad()
+    def features(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """Phi(s, a), shape (n, size): of each sample for itself, with batch norm's running statistics."""
+        self.eval()
+        parts = zip(observations.split(CHUNK), actions.split(CHUNK), strict=True)
+        return torch.cat([self.encoder(*part) for part in parts])
+
+    @torch.no_grad()
+    def restart(self, features: Tensor) -> int:
+        """Re-initialises the weights of features that are 0 in all samples (n, size); returns their number.
+
+        A ReLU that is 0 everywhere has no gradient and would stay 0.
+        """
+        weight, bias = self.encoder.linear[2].parameters()
+        dead = (features <= 0).all(0)
+        weight[dead] = nn.init.kaiming_uniform_(torch.empty_like(weight), math.sqrt(5))[dead]  # as nn.Linear draws them
+        bias[dead] = 1.0
+        return int(dead.sum())
+
+
+def mirror(network: Network, flat: int) -> list[nn.Module]:
+    """The layers from the first linear one of a `Torso`, which has `flat` inputs, back to the pictures."""
+    side, _, channels = SHAPE
+    layers: list[nn.Module] = []  # in the encoder's order
+    for outputs, kernel, stride in convolutions(network):
+        inner = math.ceil(side / stride)
+        extra = side - ((inner - 1) * stride - 2 * (kernel // 2) + kernel)
+        grow = nn.ConvTranspose2d(outputs, channels, kernel, stride, kernel // 2, extra)
+        layers += [*([nn.ReLU(), nn.BatchNorm2d(channels)] if layers else []), grow]
+        side, channels = inner, outputs
+    first = [nn.Linear(network.hidden, flat), nn.ReLU(), nn.Unflatten(1, (channels, side, side))]
+    return [*first, *reversed(layers), nn.Sigmoid()]

@@ -1,0 +1,130 @@
+"""Behavioural cloning: classification of the demonstrator's action, given the observation (section 4.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import torch
+from torch import nn
+
+from magical_mj.learners.augmentation import augmentation
+from magical_mj.learners.data import Dataset, Demonstrations
+from magical_mj.learners.learner import Learner, restore_optimizer, seeded, threads_for
+from magical_mj.learners.network import Actor, as_input
+from magical_mj.learners.policy import TrainedPolicy
+from magical_mj.learners.settings import Cloning, TrainingSettings
+from magical_mj.policies.models import torch_threads
+from magical_mj.utils.errors import SettingsError
+
+CALIBRATION: Final = 20
+"""Batches over which batch norm's averages are taken."""
+
+
+class BehaviouralCloning(Learner):
+    """Minimises -E log pi(a | s) over the demonstrations without their no-ops.
+
+    No-ops are dropped because the policy would otherwise get stuck where the demonstrator waited (appendix). With
+    several tasks the loss is the mean of the tasks' losses: batches have the same number of samples of each.
+    """
+
+    def __init__(self, settings: TrainingSettings, demonstrations: Demonstrations | None = None) -> None:
+        super().__init__(settings)
+        self.updates = settings.bc.batches
+        self._data = Dataset(settings, drop_noop=True, demonstrations=demonstrations)
+        self._draw = torch.Generator().manual_seed(settings.seed)
+        self._noise = torch.Generator(self.device).manual_seed(settings.seed)
+        self._augment = augmentation(settings)
+        with seeded(settings.seed):
+            self._actor = Actor(
+                settings.network,
+                len(settings.tasks),
+                states=settings.states,
+                batch_norm=True,
+                normal=settings.bc.heads == "normal",
+            ).to(self.device)
+        self._optimizer = _optimizer(settings.bc, self._actor)
+        self._rate = torch.optim.lr_scheduler.LinearLR(
+            self._optimizer, 1.0, settings.bc.final_learning_rate / settings.bc.learning_rate, self.updates
+        )
+
+    @property
+    def actor(self) -> Actor:
+        """The policy as it is now."""
+        return self._actor
+
+    def update(self) -> Mapping[str, float]:
+        """Trains on one batch; returns its log loss, and the share of actions that the policy ranked first."""
+        observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._draw)
+        actions, tasks = actions.to(self.device), tasks.to(self.device)
+        seen = self._augment(as_input(observations, self.device), self._noise)
+        self._actor.train()
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.settings.precision == "bfloat16"):
+            logits = self._actor(seen, tasks)
+        loss = nn.functional.cross_entropy(logits.float(), actions)
+        self._optimizer.zero_grad()
+        loss.backward()
+        self._optimizer.step()
+        self._rate.step()
+        return {"loss": loss.item(), "accuracy": (logits.argmax(1) == actions).float().mean().item()}
+
+    def recalibrate(self) -> None:
+        """Recomputes batch norm's running averages over new batches, since those of training lag behind the weights."""
+        norms = [layer for layer in self._actor.modules() if isinstance(layer, nn.BatchNorm2d)]
+        draw = torch.Generator().manual_seed(self.settings.seed)
+        noise = torch.Generator(self.device).manual_seed(self.settings.seed)
+        for norm in norms:
+            norm.reset_running_stats()
+            norm.momentum = None  # the plain mean
+        self._actor.train()
+        for _ in range(CALIBRATION if norms else 0):
+            observations, _, tasks = self._data.sample(self.settings.bc.batch_size, draw)
+            with torch.no_grad():
+                self._actor(self._augment(as_input(observations, self.device), noise), tasks.to(self.device))
+        for norm in norms:
+            norm.momentum = 0.1  # PyTorch's
+
+    def state(self) -> dict[str, Any]:
+        """Weights, and the states of the optimizer, the learning rate's schedule and the generators."""
+        return {
+            "actor": self._actor.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "rate": self._rate.state_dict(),
+            "draw": self._draw.get_state(),
+            "noise": self._noise.get_state(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restores a `state`."""
+        self._actor.load_state_dict(state["actor"])
+        restore_optimizer(self._optimizer, state["optimizer"])
+        self._rate.load_state_dict(state["rate"])
+        self._draw.set_state(state["draw"])
+        self._noise.set_state(state["noise"])
+
+
+def clone(settings: TrainingSettings, demonstrations: Demonstrations | None = None) -> TrainedPolicy:
+    """Trains a policy by behavioural cloning in memory: nothing is saved.
+
+    Args:
+        settings: of "bc"; as many demonstrations of each task as they say, 10 unless told, are chosen by the seed.
+        demonstrations: task -> demonstrations to choose from, instead of the shipped ones.
+
+    Raises:
+        DemonstrationError: if they are too few, or do not fit the settings.
+        SettingsError: if the settings are of another method.
+    """
+    if settings.method != "bc":
+        raise SettingsError(f"clone does behavioural cloning, and these settings are of {settings.method}: see train")
+    with torch_threads(threads_for(settings)):
+        learner = BehaviouralCloning(settings, demonstrations)
+        for _ in range(learner.updates):
+            learner.update()
+        learner.recalibrate()
+    return TrainedPolicy(learner.actor, settings.tasks, settings.preset)
+
+
+def _optimizer(bc: Cloning, actor: Actor) -> torch.optim.Optimizer:
+    if bc.optimizer == "sgd":
+        return torch.optim.SGD(actor.parameters(), bc.learning_rate, bc.momentum)
+    return torch.optim.Adam(actor.parameters(), bc.learning_rate, fused=True)

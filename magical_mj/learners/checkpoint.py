@@ -1,0 +1,80 @@
+"""Checkpoint files: safetensors, with everything except tensors as JSON in the header. No pickles."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+
+from magical_mj.utils import files
+from magical_mj.utils.errors import TrainingError
+
+TENSOR: Final = "tensor:"
+"""The prefix of a string in the JSON that refers to a tensor by name."""
+ARRAY: Final = "array:"
+"""The same for a numpy array."""
+
+
+def write(path: Path, state: dict[str, Any]) -> None:
+    """Writes nested dicts and lists of tensors, arrays and plain values, or leaves the file that was there.
+
+    Raises:
+        TrainingError: if it cannot be written.
+    """
+    tensors: dict[str, torch.Tensor] = {}
+    tree = json.dumps(_packed(state, "", tensors))
+    try:
+        files.write(path, save(tensors, {"tree": tree}), overwrite=True)
+    except OSError as error:
+        raise TrainingError(f"cannot write {path}: {error.strerror}; what was saved before is kept") from error
+
+
+def read(path: Path) -> dict[str, Any]:
+    """What was written. Tensors are on the CPU.
+
+    Raises:
+        TrainingError: if the file is not there or is damaged.
+    """
+    try:
+        with safe_open(path, "pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (it is no dict)
+            state = _unpacked(json.loads((file.metadata() or {})["tree"]), tensors)
+        if not isinstance(state, dict):
+            raise TypeError(f"it holds a {type(state).__name__}, and not values by name")
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RecursionError) as error:
+        raise TrainingError(f"{path} cannot be read: {error}") from error
+    return state
+
+
+def _packed(value: Any, name: str, tensors: dict[str, torch.Tensor]) -> Any:
+    if isinstance(value, dict):  # keys may be numbers, as in optimizers' states, so pairs are kept
+        return {"pairs": [[key, _packed(item, f"{name}/{key}", tensors)] for key, item in value.items()]}
+    if isinstance(value, list | tuple):
+        return [_packed(item, f"{name}/{number}", tensors) for number, item in enumerate(value)]
+    if isinstance(value, torch.Tensor):
+        # cloned, since tensors in a file may not share memory
+        tensors[name] = value.detach().cpu().clone(memory_format=torch.contiguous_format)
+        return TENSOR + name
+    if isinstance(value, np.ndarray):
+        tensors[name] = torch.as_tensor(value).clone(memory_format=torch.contiguous_format)
+        return ARRAY + name
+    if isinstance(value, str) and value.startswith((TENSOR, ARRAY)):
+        raise ValueError(f"no text may begin with {TENSOR} or {ARRAY}")
+    return value
+
+
+def _unpacked(value: Any, tensors: dict[str, torch.Tensor]) -> Any:
+    if isinstance(value, dict):
+        return {key: _unpacked(item, tensors) for key, item in value["pairs"]}
+    if isinstance(value, list):
+        return [_unpacked(item, tensors) for item in value]
+    if isinstance(value, str) and value.startswith(TENSOR):
+        return tensors[value.removeprefix(TENSOR)]
+    if isinstance(value, str) and value.startswith(ARRAY):
+        return tensors[value.removeprefix(ARRAY)].numpy()
+    return value

@@ -1,0 +1,193 @@
+"""Batches of samples from a run's demonstrations, and from the policy's latest rollout."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from magical_mj import demos
+from magical_mj.demos import Demonstration, Transitions
+from magical_mj.learners.network import SHAPE
+from magical_mj.learners.settings import TrainingSettings
+from magical_mj.learners.states import histories
+from magical_mj.scene.actions import ACTIONS, NOOP
+from magical_mj.scene.state_vector import STATE_NAMES
+from magical_mj.utils.errors import DemonstrationError, shown
+
+Demonstrations = Mapping[str, Sequence[Demonstration | Transitions]]
+"""Task -> the transitions of each demonstration, no-ops included, with the observations of the run's preset."""
+
+
+class Batch(NamedTuple):
+    """Samples on the CPU: observations, actions, and the numbers of their tasks."""
+
+    observations: NDArray[Any]
+    """Stacks of frames, shape (n, 96, 96, 12) uint8; or histories of states, shape (n, HISTORY, names) float32."""
+    actions: Tensor
+    """Shape (n,) int64."""
+    tasks: Tensor
+    """Shape (n,) int64: numbers in the order of the settings."""
+
+
+def drawn(task: str, seed: int, count: int, of: int) -> list[int]:
+    """The numbers of the task's demonstrations that a run uses: the same for all methods with this seed."""
+    if count > of:
+        raise DemonstrationError(
+            f"{count} demonstrations of {task} are asked for (setting demonstrations), and there are {of}"
+        )
+    rng = np.random.default_rng([seed, zlib.crc32(task.encode())])
+    return sorted(rng.choice(of, count, replace=False).tolist())
+
+
+def shares(size: int, tasks: int, generator: torch.Generator) -> list[int]:
+    """The number of samples of each task in a batch. They differ by at most one; which tasks get one more is random."""
+    found = [size // tasks] * tasks
+    for extra in torch.randperm(tasks, generator=generator)[: size % tasks].tolist():
+        found[extra] += 1
+    return found
+
+
+def shipped(task: str) -> list[Demonstration]:
+    """The demonstrations that come with a task, from which runs draw: of its demo scene alone.
+
+    Raises:
+        DemonstrationError: if there are none.
+    """
+    found = demos.load(task)
+    chosen = [demo for demo in found if demo.variant == "Demo"]
+    if not chosen:
+        raise DemonstrationError(
+            f"policies learn from the demo scene, and all demonstrations that come with {task} are of others: "
+            f"{', '.join(sorted({demo.name for demo in found}))}"
+        )
+    return chosen
+
+
+def _found(task: str, demonstrations: Demonstrations | None) -> Sequence[Demonstration | Transitions]:
+    """The demonstrations of a task to choose from."""
+    if demonstrations is None:
+        return shipped(task)
+    if not isinstance(demonstrations, Mapping):
+        raise DemonstrationError(f"give demonstrations by task, as {{{task!r}: [...]}}, not {shown(demonstrations)}")
+    if task not in demonstrations:
+        raise DemonstrationError(
+            f"no demonstrations of {task} are given, but of: {', '.join(demonstrations) or 'none'}"
+        )
+    if isinstance(demonstrations[task], Demonstration | Transitions):
+        raise DemonstrationError(f"the demonstrations of {task} must be a list, and this is a single one")
+    return demonstrations[task]
+
+
+def _episode(
+    task: str, demonstration: Demonstration | Transitions, settings: TrainingSettings, drop_noop: bool
+) -> tuple[NDArray[Any], NDArray[np.uint8]]:
+    if isinstance(demonstration, Demonstration):
+        if demonstration.task != task:
+            raise DemonstrationError(f"one of the demonstrations given for {task} is of {demonstration.task}")
+        demonstration = demos.transitions([demonstration], settings.preset, drop_noop=False)
+    seen, actions = np.asarray(demonstration.observations), np.asarray(demonstration.actions)
+    needed = (len(actions), len(STATE_NAMES)) if settings.states else (len(actions), *SHAPE)
+    if actions.ndim != 1 or seen.shape != needed:
+        raise DemonstrationError(
+            f"a demonstration of {task} for the preset {settings.preset} needs the observation before each action, "
+            f"{needed}, and it has observations {seen.shape} and actions {actions.shape}"
+        )
+    if actions.dtype.kind not in "iu" or not np.isin(actions, range(len(ACTIONS))).all():
+        raise DemonstrationError(
+            f"actions are integers from 0 to {len(ACTIONS) - 1}; a demonstration of {task} has others"
+        )
+    seen = histories(seen) if settings.states else seen
+    return (seen[actions != NOOP], actions[actions != NOOP]) if drop_noop else (seen, actions)
+
+
+class Dataset:
+    """All transitions of a run's demonstrations, and batches in which all tasks have the same weight.
+
+    Args:
+        settings: the settings; tasks, seed, preset and number of demonstrations are used.
+        drop_noop: leave out the transitions with the no-op action.
+        demonstrations: task -> demonstrations to choose from, instead of the shipped ones.
+
+    Raises:
+        DemonstrationError: if a task has too few demonstrations, or one of them does not fit the task or the preset.
+    """
+
+    def __init__(
+        self, settings: TrainingSettings, *, drop_noop: bool, demonstrations: Demonstrations | None = None
+    ) -> None:
+        self._observations: list[NDArray[Any]] = []
+        self._actions: list[Tensor] = []
+        for task in settings.tasks:
+            found = _found(task, demonstrations)
+            chosen = [found[number] for number in drawn(task, settings.seed, settings.demonstrations, len(found))]
+            seen, actions = zip(*[_episode(task, one, settings, drop_noop) for one in chosen], strict=True)
+            self._observations.append(np.concatenate(seen))
+            self._actions.append(torch.as_tensor(np.concatenate(actions).astype(np.int64)))
+            if not self.sizes[-1]:
+                raise DemonstrationError(f"the demonstrations of {task} hold nothing to learn from, at most no-ops")
+
+    @property
+    def sizes(self) -> list[int]:
+        """The number of transitions of each task."""
+        return [len(actions) for actions in self._actions]
+
+    def sample(self, size: int, generator: torch.Generator) -> Batch:
+        """Draws with replacement, evenly over the tasks."""
+        draws = zip(self.sizes, shares(size, len(self.sizes), generator), strict=True)
+        return self.rows([torch.randint(total, (share,), generator=generator) for total, share in draws])
+
+    def batches(self, size: int) -> Iterator[Batch]:
+        """All transitions in order, at most so many at a time, each batch of one task."""
+        for task, total in enumerate(self.sizes):
+            for rows in torch.arange(total).split(size):
+                yield self.rows([rows if other == task else rows[:0] for other in range(len(self.sizes))])
+
+    def rows(self, numbers: Sequence[Tensor]) -> Batch:
+        """The rows with these numbers, given for each task; one task after the other."""
+        return Batch(
+            np.concatenate([seen[rows.numpy()] for seen, rows in zip(self._observations, numbers, strict=True)]),
+            torch.cat([actions[rows] for actions, rows in zip(self._actions, numbers, strict=True)]),
+            torch.cat([torch.full_like(rows, task) for task, rows in enumerate(numbers)]),
+        )
+
+
+class Rollout(NamedTuple):
+    """The policy's latest steps in all environments."""
+
+    observations: NDArray[Any]
+    """Shape (steps, environments, ...)."""
+    actions: NDArray[np.int64]
+    """Shape (steps, environments)."""
+    tasks: NDArray[np.int64]
+    """Shape (environments,), ascending."""
+
+    def sample(self, size: int, generator: torch.Generator) -> Batch:
+        """Draws with replacement, evenly over the tasks."""
+        parts = shares(size, int(self.tasks[-1]) + 1, generator)
+        copies = np.repeat(np.arange(len(parts)), parts) * (len(self.tasks) // len(parts))
+        copies += torch.randint(len(self.tasks) // len(parts), (size,), generator=generator).numpy()
+        steps = torch.randint(len(self.observations), (size,), generator=generator).numpy()
+        return self._batch(steps, copies)
+
+    def batches(self, size: int) -> Iterator[Batch]:
+        """All of it in order, the steps one after the other."""
+        for numbers in np.split(np.arange(self.actions.size), range(size, self.actions.size, size)):
+            yield self._batch(*np.divmod(numbers, len(self.tasks)))
+
+    def _batch(self, steps: NDArray[np.int64], copies: NDArray[np.int64]) -> Batch:
+        actions, tasks = torch.as_tensor(self.actions[steps, copies]), torch.as_tensor(self.tasks[copies])
+        return Batch(self.observations[steps, copies], actions, tasks)
+
+
+def joined(rollouts: Sequence[Rollout]) -> Rollout:
+    """Rollouts of the same environments, one after the other."""
+    if len(rollouts) == 1:
+        return rollouts[0]
+    seen, actions = (np.concatenate(parts) for parts in zip(*[rollout[:2] for rollout in rollouts], strict=True))
+    return Rollout(seen, actions, rollouts[0].tasks)

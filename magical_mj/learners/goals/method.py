@@ -1,0 +1,76 @@
+"""Goal inference as a training with a single update."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from magical_mj.demos import Demonstration
+from magical_mj.learners.data import drawn, shipped
+from magical_mj.learners.goals.files import from_json, save_goals, to_json
+from magical_mj.learners.goals.inference import infer
+from magical_mj.learners.goals.policy import GoalPolicy
+from magical_mj.learners.learner import Method
+from magical_mj.learners.settings import STATE, TrainingSettings
+from magical_mj.scene import Scene
+from magical_mj.utils.errors import SettingsError
+
+
+class GoalInference(Method):
+    """Infers the goal of each task from the first and last states of its demonstrations: see `infer`."""
+
+    def __init__(self, settings: TrainingSettings) -> None:
+        super().__init__(settings)
+        _check_states(settings)
+        self.updates = 1
+        self._written = to_json({})
+        self._policy = GoalPolicy({}, settings.tasks)
+
+    @classmethod
+    def check(cls, settings: TrainingSettings) -> None:
+        """Also that states are looked at."""
+        super().check(settings)
+        _check_states(settings)
+
+    def update(self) -> Mapping[str, float]:
+        """Infers all goals. Returns the fewest bits saved by any, and the smallest lead over an alternative."""
+        found = {}
+        for task in self.settings.tasks:
+            known = shipped(task)
+            chosen = drawn(task, self.settings.seed, self.settings.demonstrations, len(known))
+            found[task] = infer([ends(known[number]) for number in chosen])
+        self._pursue(to_json(found))
+        saved = [[*(goal.saved for goal in goals), 0.0] for goals in found.values()]
+        return {"saved_bits": min(bits[0] for bits in saved), "ahead_bits": min(bits[0] - bits[1] for bits in saved)}
+
+    def policy(self) -> GoalPolicy:
+        """Plans to reach the best goal of each task."""
+        return self._policy
+
+    def save_policy(self, folder: Path) -> None:
+        """Writes goals.json."""
+        save_goals(folder, self._written)
+
+    def state(self) -> dict[str, Any]:
+        """The text of goals.json."""
+        return {"goals": self._written}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restores inferred goals."""
+        self._pursue(state["goals"])
+
+    def _pursue(self, written: str) -> None:
+        self._written = written
+        self._policy.goals.update(from_json(written))
+
+
+def _check_states(settings: TrainingSettings) -> None:
+    if not settings.states:
+        raise SettingsError(f"goals are inferred from states, not from pictures: give --preset {STATE}")
+
+
+def ends(demonstration: Demonstration) -> tuple[Scene, Scene]:
+    """The first scene of a demonstration, and the last."""
+    scenes = demonstration.scenes()
+    return scenes[0], scenes[-1]

@@ -1,0 +1,65 @@
+"""The built-in agents, which need no training."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Final
+
+from magical_mj.policies.interface import Episode, Policy
+from magical_mj.scene.actions import ACTIONS, NOOP
+from magical_mj.utils.errors import SettingsError
+
+
+class NoopAgent:
+    """Does nothing."""
+
+    blind = True
+
+    def reset(self, episode: Episode) -> None:
+        """Nothing to do here either."""
+
+    def __call__(self, observation: Any) -> int:
+        """An action; the observation does not matter."""
+        del observation
+        return NOOP
+
+
+class RandomAgent:
+    """Draws each action independently and uniformly."""
+
+    blind = True
+
+    def reset(self, episode: Episode) -> None:
+        """Starts the episode's own sequence."""
+        self._rng = episode.rng()
+
+    def __call__(self, observation: Any) -> int:
+        """An action; the observation does not matter."""
+        del observation
+        return int(self._rng.integers(len(ACTIONS)))
+
+
+class ExpertAgent:
+    """The scripted expert, which uses the state of the simulation; its seed is the number of the run."""
+
+    blind = True
+
+    def reset(self, episode: Episode) -> None:
+        """Makes an expert for this episode."""
+        from magical_mj.policies.expert import Expert
+
+        if episode.env is None:
+            raise SettingsError("the expert needs the simulation itself; it cannot play in vector environments")
+        self._next = Expert(episode.env, episode.task, episode.run)
+
+    def __call__(self, observation: Any) -> int:
+        """An action; the observation does not matter."""
+        del observation
+        return self._next()
+
+
+AGENTS: Final[Mapping[str, type[Policy]]] = MappingProxyType(
+    {"expert": ExpertAgent, "random": RandomAgent, "noop": NoopAgent}
+)
+"""The agents by name."""

@@ -1,0 +1,217 @@
+"""Manoeuvres, executed in the lookahead: drive to a block, grip it, carry it, release it and drive back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.policies.expert.driving import VIA, Patience, Point, drive, steer
+from magical_mj.policies.expert.lookahead import Lookahead
+from magical_mj.policies.expert.navigation import GRIP, Goal, Ints, SearchTree, cell_costs, cells, explore, places
+from magical_mj.scene import Pose, Scene
+from magical_mj.scene.actions import Drive, Gripper, Turn
+from magical_mj.tasks.planning.noise import Noise
+from magical_mj.tasks.planning.subgoals import CARRYING, Subgoal
+
+BLOCK_RADIUS: Final = {"square": 0.125, "pentagon": 0.13, "star": 0.14, "circle": 0.12}
+"""World units, by shape: discs that stand for blocks in the search, between those inside and around the shapes."""
+
+# Choosing a manoeuvre
+BEFORE: Final = (0.46, 0.68)  # world units ahead of the robot where a block may be before it is gripped
+ASIDE: Final = 0.1  # and at most how far to the side
+SIDES: Final = 16  # the number of directions from which a block can be gripped
+STOPS: Final = (GRIP, GRIP + 0.07, GRIP + 0.14)  # distances from the block at which there must be room for the fingers
+TIGHT: Final = 1.5  # actions for each unit of the cells' costs along them
+WALLED: Final = 12  # the cell's cost where a finger would be in a wall by calculation; sometimes it works anyway
+DETOUR: Final = 3.0  # actions: the largest change of a path's cost by noise
+CORNER_COST: Final = 4.0  # actions for each point of a route but the last
+SAMPLE: Final = 0.05  # world units between the points of a straight line that are checked
+
+# Executing a manoeuvre
+REACHED: Final = (0.36, 0.1)  # ahead, to the side: within these the block is between the fingers
+LOST: Final = (0.46, 0.14)  # beyond these the block is not held any more
+REACH: Final = 80  # actions: the longest path with a block
+CORRECTIONS: Final = 2  # routes: the second is driven if the first missed the target
+MISSED: Final = 60.0  # the cost (actions) of each unit of distance from the target, within the tolerance
+MISSED_BY_FAR: Final = 1000.0  # and beyond it
+FREE: Final = 0.5  # ahead: with the block this far away, the robot can turn
+FAR: Final = 0.75  # ahead: the distance from which it tries again
+BACKING: Final = 8  # actions
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """A subgoal, and how to go about it."""
+
+    subgoal: Subgoal
+    route: list[Point]
+    """The points of the route to the block, or to the end if there is no block."""
+    reverse: bool
+    """Whether to drive back while turning, with a block between the fingers."""
+    estimate: float
+    """About how many actions it takes."""
+
+
+def obstacles(scene: Scene, without: int | None = None) -> NDArray[np.float64]:
+    """x, y, radius of each block except the block `without`. Shape (n, 3)."""
+    found = [(b.x, b.y, BLOCK_RADIUS[b.shape]) for number, b in enumerate(scene.blocks) if number != without]
+    return np.array(found).reshape(-1, 3)
+
+
+def manoeuvres(tree: SearchTree, costs: Ints, scene: Scene, subgoal: Subgoal, noise: Noise) -> list[Manoeuvre]:
+    """Candidate manoeuvres for a subgoal: for each side of the block one of the fastest.
+
+    Args:
+        tree: the poses that the robot can reach.
+        costs: the additional cost of each cell for the robot without a block.
+        scene: the present scene.
+        subgoal: the subgoal.
+        noise: varies the choice.
+    """
+    if subgoal.block is None:
+        gaps = np.hypot(*(tree.poses[:, :2] - subgoal.target).T)
+        # the nearest ones, if none is within the tolerance
+        nodes = np.flatnonzero(gaps <= max(subgoal.tolerance, gaps.min()))
+        node = int(nodes[tree.steps[nodes].argmin()])
+        route = simplified([*tree.path_to(node), (*subgoal.target, 0.0)], costs)
+        return [Manoeuvre(subgoal, route, False, float(tree.steps[node]))]
+    block = scene.blocks[subgoal.block]
+    loaded = cell_costs(obstacles(scene, subgoal.block), loaded=True)
+    x, y, angle = tree.poses.T
+    right = np.cos(angle) * (block.x - x) + np.sin(angle) * (block.y - y)
+    ahead = np.cos(angle) * (block.y - y) - np.sin(angle) * (block.x - x)
+    near = np.flatnonzero((np.abs(right) < ASIDE) & (BEFORE[0] < ahead) & (ahead < BEFORE[1]))
+    sides = np.round(angle[near] * SIDES / (2 * math.pi)).astype(int) % SIDES
+    found = []
+    for side in np.unique(sides).tolist():
+        nodes = near[sides == side]
+        node = int(nodes[(tree.steps[nodes] + noise(DETOUR, nodes.shape)).argmin()])
+        heading = side * 2 * math.pi / SIDES
+        stops = [_behind(block.x, block.y, heading, ahead) for ahead in STOPS]
+        tight = loaded[cells(np.array(stops))]
+        tight[tight < 0] = WALLED
+        route = simplified(tree.path_to(node), costs)
+        estimate = tree.steps[node] + TIGHT * tight.sum() + _carrying(block.x, block.y, heading, subgoal)
+        estimate += CORNER_COST * len(route)
+        found += [Manoeuvre(subgoal, route, reverse, float(estimate)) for reverse in (True, False)]
+    return found
+
+
+def simplified(path: Sequence[Pose], costs: Ints) -> list[Point]:
+    """The fewest points of a path between which the robot can drive straight; without the first point."""
+    route, at = [], 0
+    while at < len(path) - 1:
+        following = range(len(path) - 1, at + 1, -1)
+        at = next((then for then in following if _clear(path[at], path[then], costs)), at + 1)
+        route.append(path[at][:2])
+    return route
+
+
+def _clear(start: Pose, end: Pose, costs: Ints) -> bool:
+    """Whether the straight line from one pose to another is free."""
+    dx, dy = end[0] - start[0], end[1] - start[1]
+    count = max(2, math.ceil(math.hypot(dx, dy) / SAMPLE))
+    line = np.linspace((start[0], start[1]), (end[0], end[1]), count)
+    heading = np.full((count, 1), math.atan2(-dx, dy))
+    return bool((costs[cells(np.concatenate([line, heading], axis=1))] == 0).all())
+
+
+def _behind(x: float, y: float, heading: float, ahead: float) -> Pose:
+    """The pose with this heading in which the point (x, y) is `ahead` of the robot."""
+    return x + ahead * math.sin(heading), y - ahead * math.cos(heading), heading
+
+
+def _carrying(x: float, y: float, heading: float, subgoal: Subgoal) -> float:
+    """The approximate number of actions to carry a block from (x, y) to its target, if gripped with this heading."""
+    robot = _behind(x, y, heading, GRIP)
+    dx, dy = subgoal.target[0] - robot[0], subgoal.target[1] - robot[1]
+    turn = abs((math.atan2(-dx, dy) - heading + math.pi) % (2 * math.pi) - math.pi)
+    distance = math.hypot(dx, dy) - GRIP
+    return 8 + turn * 3.5 + CARRYING * (distance if distance > 0 else -1.6 * distance + 0.1)
+
+
+def perform(lookahead: Lookahead, manoeuvre: Manoeuvre, limit: int) -> bool:
+    """Executes the manoeuvre; returns whether it succeeded."""
+    subgoal, block = manoeuvre.subgoal, manoeuvre.subgoal.block
+    if block is None:
+        return drive(lookahead, manoeuvre.route, Gripper.OPEN, limit, within=subgoal.tolerance)
+    drive(lookahead, manoeuvre.route, Gripper.OPEN, limit, within=VIA)
+    taken = _take(lookahead, block, limit)
+    carried = taken and _carry(lookahead, block, manoeuvre, limit)
+    _let_go(lookahead, block, limit, FREE if taken else FAR)
+    return carried
+
+
+def _take(lookahead: Lookahead, block: int, limit: int) -> bool:
+    """Drives until the block is between the fingers, and closes them; returns whether it is held."""
+    patience = Patience()
+    while len(lookahead.trace) < limit and not _within(lookahead, block, REACHED):
+        right, ahead = lookahead.seen(block)
+        if patience.ends(ahead + 0.3 * abs(math.atan2(-right, ahead))):
+            return False
+        lookahead.act(*steer(lookahead, lookahead.block(block), GRIP, Gripper.OPEN, reverse=False))
+    if len(lookahead.trace) < limit:
+        lookahead.act(Gripper.CLOSE)
+    return _within(lookahead, block, LOST)
+
+
+def _within(lookahead: Lookahead, block: int, box: Point) -> bool:
+    """Whether a block is at most box[0] ahead of the robot and at most box[1] to the side."""
+    right, ahead = lookahead.seen(block)
+    return 0 < ahead < box[0] and abs(right) < box[1]
+
+
+def _carry(lookahead: Lookahead, block: int, manoeuvre: Manoeuvre, limit: int) -> bool:
+    """Drives until the block is at its target; returns whether it is."""
+    subgoal = manoeuvre.subgoal
+    for _ in range(CORRECTIONS):
+        left = limit - len(lookahead.trace)
+        if left <= 0 or not _within(lookahead, block, LOST):
+            return False
+        ahead = lookahead.seen(block)[1]
+        goal = Goal(ahead, *subgoal.target, subgoal.tolerance / 2)
+        route = _route(lookahead.scene(), block, goal, min(left, REACH))
+        drive(
+            lookahead,
+            route,
+            Gripper.CLOSE,
+            limit,
+            ahead=ahead,
+            within=0.7 * subgoal.tolerance,
+            reverse=manoeuvre.reverse,
+        )
+        if math.dist(lookahead.block(block), subgoal.target) <= subgoal.tolerance:
+            return True
+    return False
+
+
+@lru_cache(maxsize=16)  # manoeuvres that take a block in the same way carry it along the same route
+def _route(scene: Scene, block: int, goal: Goal, limit: int) -> list[Point]:
+    """The points of a route that brings the block that the robot holds to its goal."""
+    x, y, _ = scene.robot.pose
+    costs = cell_costs(obstacles(scene, block), loaded=True)
+    dx, dy = goal.x - x, goal.y - y
+    distance = math.hypot(dx, dy)
+    share = 1 - goal.ahead / distance if distance else 0.0
+    end = (x + share * dx, y + share * dy, 0.0)
+    if share <= 0 or _clear((x, y, 0.0), end, costs):
+        return [(goal.x, goal.y)]
+    tree = explore(scene.robot.pose, costs, limit, goal)
+    gaps = np.hypot(*(places(tree.poses, goal.ahead) - (goal.x, goal.y)).T)
+    totals = tree.steps + MISSED * gaps + MISSED_BY_FAR * np.clip(gaps - goal.within, 0, None)
+    path = tree.path_to(int(totals.argmin()))
+    return [*simplified(path, costs)[:-1], (goal.x, goal.y)]
+
+
+def _let_go(lookahead: Lookahead, block: int, limit: int, distance: float) -> None:
+    """Opens the fingers, waits for them, and drives back until the block is at least `distance` ahead."""
+    for number in range(min(BACKING, limit - len(lookahead.trace))):
+        if lookahead.seen(block)[1] > distance:
+            return
+        lookahead.act(Gripper.OPEN, Turn.NONE, Drive.NONE if number == 1 else Drive.BACK)

@@ -1,0 +1,155 @@
+"""The planner turns subgoals into actions: it tries candidate manoeuvres in the lookahead and keeps the best."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Collection
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from magical_mj.policies.expert.hand import LATE, Hand
+from magical_mj.policies.expert.lookahead import Lookahead, SavedState
+from magical_mj.policies.expert.manoeuvres import Manoeuvre, manoeuvres, obstacles, perform
+from magical_mj.policies.expert.navigation import cell_costs, explore
+from magical_mj.scene import Scene
+from magical_mj.scene.actions import Gripper
+from magical_mj.tasks.planning import Noise, done
+from magical_mj.tasks.planning.subgoals import Subgoals
+
+TRIES: Final = 8  # manoeuvres tried in one situation
+SPREAD: Final = 4.0  # actions: the largest change by noise of a manoeuvre's estimated cost
+TASTE: Final = 5.0  # the same for its cost after it was tried
+BOLDER, CALMER = 1.5, 0.7  # factors of noise and of lateness after each failed plan
+ROUND: Final = 3  # plans, after which the noise starts from 1 again: with much more of it every choice is a bad one
+LOSS: Final = 300.0  # the cost, in actions, of losing a score of 1
+FAILURE: Final = 60.0  # the cost, in actions, of a subgoal that was attempted and not reached
+REACH: Final = 90  # actions: the longest path
+ATTEMPTS: Final = 40  # the number of plans for an episode
+SECOND_THOUGHTS: Final = 2  # additional plans to find one that is done early
+PAUSE: Final = 4  # actions of waiting when there is nothing to do
+# actions of waiting with closed fingers: not no-ops, so that learners that leave out no-ops see them
+SETTLING: Final = 8
+
+
+class Plan(NamedTuple):
+    """A sequence of actions from one state, and the states that follow."""
+
+    score: float
+    rest: int
+    """The number of unused actions when all subgoals are reached."""
+    actions: list[int]
+    states: list[SavedState]
+    """The states before each action and after the last one."""
+
+
+class Planner:
+    """Plans the rest of an episode.
+
+    Args:
+        score: of a final scene, in [0, 1].
+        subgoals: the remaining subgoals in a scene; the last argument is the blocks that should not be moved.
+        lookahead: the copy of the simulation in which manoeuvres are tried.
+        tries: the number of manoeuvres that are tried in one situation.
+        patience: the number of failures after which a block should not be moved any more in this plan.
+        steady: execute plans without the pauses and delays of a person.
+    """
+
+    def __init__(
+        self,
+        score: Callable[[Scene], float],
+        subgoals: Callable[[Scene, Noise, Collection[int]], Subgoals],
+        lookahead: Lookahead,
+        *,
+        tries: int = TRIES,
+        patience: float = math.inf,
+        steady: bool = False,
+    ) -> None:
+        self._score, self._subgoals, self._lookahead = score, subgoals, lookahead
+        self._tries, self._patience, self._steady = tries, patience, steady
+
+    def plan(self, steps: int, budget: int, rng: np.random.Generator) -> Plan:
+        """The best of several plans for the next `steps` actions: the first with the full score, if there is one.
+
+        A plan that is done early is preferred to one with the full score that still moves at the end.
+
+        Args:
+            steps: the number of remaining actions.
+            budget: the number of simulated steps after which no new plan is started.
+            rng: varies the plans. Execution becomes more precise with each failure, noise increases for `ROUND` plans.
+        """
+        start, end = self._lookahead.state, self._lookahead.count + budget
+        best = self._attempt(start, steps, Noise(rng, 1.0), self._hand(rng, LATE))
+        for failed in range(1, ATTEMPTS):
+            good = best.score == 1.0 and (best.rest or failed > SECOND_THOUGHTS)
+            if good or self._lookahead.count > end:
+                break
+            plan = self._attempt(
+                start, steps, Noise(rng, BOLDER ** (failed % ROUND)), self._hand(rng, LATE * CALMER**failed)
+            )
+            best = max(best, plan, key=lambda plan: (plan.score, plan.rest))
+        return best
+
+    def _hand(self, rng: np.random.Generator, lateness: float) -> Hand:
+        return Hand(rng, 0.0, 1) if self._steady else Hand(rng, lateness)
+
+    def _attempt(self, start: SavedState, steps: int, noise: Noise, hand: Hand) -> Plan:
+        lookahead, todo = self._lookahead, ()
+        lookahead.restore(start)
+        actions: list[int] = []
+        states = [lookahead.state]
+        failures: Counter[int | None] = Counter()
+        stuck: set[int] = set()
+        waited, settling = 0, SETTLING + hand.pause()
+        while len(actions) < steps:
+            scene, left, here = lookahead.scene(), steps - len(actions), lookahead.state
+            todo = tuple(subgoal for subgoal in todo if subgoal.left(scene))
+            if not todo or self._score(done(scene, todo)) < 1.0:
+                todo = self._subgoals(scene, noise, stuck)
+            option = self._best(here, scene, todo, left, noise)
+            lookahead.restore(here)
+            if option is None:
+                for _ in range(min(PAUSE, left)):
+                    lookahead.act(Gripper.CLOSE if waited < settling else Gripper.OPEN)
+                    waited += 1
+            else:
+                waited = 0
+                for _ in range(min(hand.pause(), left)):
+                    lookahead.act(Gripper.OPEN)
+                lookahead.hand = hand
+                perform(lookahead, option, left)
+                lookahead.hand = None
+                block = option.subgoal.block
+                failures[block] += option.subgoal.left(lookahead.scene()) > 0
+                if block is not None and block not in stuck and failures[block] >= self._patience:
+                    stuck.add(block)
+                    todo = ()
+            actions += lookahead.trace
+            states += lookahead.states
+        return Plan(self._score(lookahead.scene()), waited, actions, states)
+
+    def _best(self, here: SavedState, scene: Scene, todo: Subgoals, left: int, noise: Noise) -> Manoeuvre | None:
+        """The best of the most promising manoeuvres, tried from a state; None if there is no subgoal left."""
+        if not todo:
+            return None
+        lookahead = self._lookahead
+        costs = cell_costs(obstacles(scene), loaded=False)
+        tree = explore(scene.robot.pose, costs, min(left, REACH))
+        options = [option for subgoal in todo for option in manoeuvres(tree, costs, scene, subgoal, noise)]
+        options.sort(key=lambda option: option.estimate - option.subgoal.cost(scene) + noise(SPREAD))
+        best, best_cost = None, math.inf
+        for option in options[: self._tries]:
+            handicap = noise(TASTE)
+            lookahead.restore(here)
+            perform(lookahead, option, int(min(left, best_cost - handicap)))
+            failed = option.subgoal.left(lookahead.scene()) > 0
+            cost = handicap + len(lookahead.trace) + self._rest(todo) + FAILURE * failed
+            if cost < best_cost and lookahead.trace:
+                best, best_cost = option, cost
+        return best
+
+    def _rest(self, todo: Subgoals) -> float:
+        """The approximate number of actions that the subgoals still need from the present state."""
+        scene = self._lookahead.scene()
+        return sum(subgoal.cost(scene) for subgoal in todo) + LOSS * (1 - self._score(done(scene, todo)))

@@ -1,0 +1,118 @@
+"""Episodes: the information that policies get, the loop that plays an episode, and the storage of its actions."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
+
+import dm_env
+import numpy as np
+
+from magical_mj.utils.errors import InvalidActionError, shown
+
+if TYPE_CHECKING:
+    from magical_mj.envs.composer import Environment
+
+Action = TypeVar("Action")
+
+LETTERS: Final = "abcdefghijklmnopqr"
+"""One letter for each of the 18 actions: the actions of an episode are stored as a string."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """The information that a policy gets at the start of an episode.
+
+    Attributes:
+        task: the task's name.
+        variant: the variant's name.
+        seed: the scene's seed: the episode starts in `sample_scene(task, variant, seed)`.
+        run: the number of the policy among several runs of a method.
+        env: the environment itself, for policies with `blind = True`; None for all others.
+    """
+
+    task: str
+    variant: str
+    seed: int
+    run: int = 0
+    env: Environment | None = None
+
+    def rng(self) -> np.random.Generator:
+        """A random generator for the policy; it depends only on the fields of this episode."""
+        return np.random.default_rng([self.run, self.seed, zlib.crc32(f"{self.task}-{self.variant}".encode())])
+
+
+class Policy(Protocol):
+    """An agent. A plain function from observation to action is accepted too.
+
+    A class attribute `blind = True` means that the policy does not use observations: none are made, which is much
+    faster, and `reset` gets the environment instead. Attributes `preset`, `tasks` and `observation_shapes` (a list of
+    those that it accepts, with None for any size) say what it was trained on; evaluations of anything else raise an
+    error.
+    """
+
+    def reset(self, episode: Episode) -> None:
+        """Called before each episode. No state may be carried over from one episode to the next."""
+
+    def __call__(self, observation: Any) -> Any:
+        """The action, an integer in 0..17, for an observation of the preset."""
+
+
+def play(env: Any, actions: Iterable[Action]) -> Iterator[tuple[Action, Any]]:
+    """Takes actions in an episode that has begun, until the episode or the actions end.
+
+    Args:
+        env: an environment with the `step` of dm_env or of Gymnasium. In a vector environment, all episodes must end
+            together.
+        actions: the actions. They may come from a generator, since each is requested only after the step before it
+            was yielded and handled.
+
+    Yields:
+        Each action, and what the environment's step returned.
+    """
+    for action in actions:
+        result = env.step(action)
+        yield action, result
+        if _ended(result):
+            return
+
+
+def forever(act: Callable[[], Action]) -> Iterator[Action]:
+    """An endless iterator of the results of `act`, for `play`."""
+    while True:
+        yield act()
+
+
+def _ended(result: Any) -> bool:
+    if isinstance(result, dm_env.TimeStep):
+        return result.last()
+    _, _, terminated, truncated, _ = result
+    return bool(np.any(terminated) or np.any(truncated))
+
+
+def begin(policy: Callable[[Any], Any], episode: Episode) -> None:
+    """Calls the policy's `reset`, if it has one, or else its `reset_batch`."""
+    reset, reset_batch = (getattr(policy, name, None) for name in ("reset", "reset_batch"))
+    if reset is not None:
+        reset(episode)
+    elif reset_batch is not None:
+        reset_batch([episode])
+
+
+def is_blind(policy: object) -> bool:
+    """Whether the policy uses no observations."""
+    return bool(getattr(policy, "blind", False))
+
+
+def letters_of(actions: Iterable[int]) -> str:
+    """Actions as a string, with one letter for each."""
+    return "".join(LETTERS[action] for action in actions)
+
+
+def actions_of(letters: str) -> list[int]:
+    """The actions of a string that `letters_of` made; raises an `InvalidActionError` for any other string."""
+    if not set(letters) <= set(LETTERS):
+        raise InvalidActionError(f"stored actions are letters from {LETTERS[0]} to {LETTERS[-1]}, not {shown(letters)}")
+    return [LETTERS.index(letter) for letter in letters]

@@ -1,0 +1,213 @@
+"""Trained models from files: stable-baselines3 archives and ONNX.
+
+A stable-baselines3 archive contains pickles, and reading a pickle runs whatever code it contains. So none is read
+unless the user sets ``trust``: standard actor-critic networks (PPO, A2C and similar) are rebuilt from the archive's
+plain JSON, and their weights are loaded as plain tensors. ONNX files contain no Python code. (TorchScript is not
+supported: its files are programs too, and PyTorch has deprecated it.)
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import warnings
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from gymnasium import spaces
+
+from magical_mj.policies.failures import reason
+from magical_mj.policies.interface import Episode
+from magical_mj.policies.requirements import Shape
+from magical_mj.scene.actions import ACTIONS
+from magical_mj.utils.errors import MissingExtraError, SettingsError
+from magical_mj.utils.extras import missing_extra
+
+OTHER_ACTIONS: Final = (
+    f"each action is one of the numbers 0 to {len(ACTIONS) - 1}; around a model with continuous actions, give a "
+    "function that ends in magical_mj.scene.actions.to_discrete (docs/evaluation.md)"
+)
+TRUST: Final = "--trust (trust=True) loads it and runs the code that it contains: do that only with files of your own"
+
+
+class Model:
+    """A policy without memory that maps a batch of observations to a batch of actions.
+
+    Args:
+        act: the mapping.
+        shapes: the accepted shapes of single observations; None if unknown.
+    """
+
+    def __init__(self, act: Callable[[Any], Any], shapes: Sequence[Shape] | None = None) -> None:
+        self._act = act
+        self.observation_shapes = shapes
+
+    def reset_batch(self, episodes: Sequence[Episode]) -> None:
+        """There is nothing to forget."""
+
+    def act_batch(self, observations: Any) -> Any:
+        """An action for each observation. Shape (n,)."""
+        return self._act(observations)
+
+    def __call__(self, observation: Any) -> Any:
+        """The action for one observation."""
+        if isinstance(observation, dict):
+            return self._act({name: value[None] for name, value in observation.items()})[0]
+        return self._act(observation[None])[0]
+
+
+@contextmanager
+def torch_threads(number: int) -> Iterator[None]:
+    """A context in which PyTorch uses so many threads.
+
+    Policies act on one: sums depend on how they are split, and workers share the cores.
+    """
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(number)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def load_sb3(path: Path, trust: bool = False) -> Model:
+    """The policy of a stable-baselines3 archive; it acts deterministically."""
+    try:
+        import stable_baselines3  # noqa: F401  (which needs PyTorch)
+    except ModuleNotFoundError:
+        raise MissingExtraError(f"{path} needs stable-baselines3: pip install stable-baselines3") from None
+    data, weights = _content(path)
+    try:
+        policy = _trusted(path) if trust else _rebuilt(path, data, weights)
+    except SettingsError:
+        raise
+    except Exception as error:
+        raise SettingsError(f"{path} does not say how its network is built: {reason(error)}") from error
+    if not isinstance(policy.action_space, spaces.Discrete) or policy.action_space.n != len(ACTIONS):
+        raise SettingsError(f"{path} acts in {policy.action_space}, and {OTHER_ACTIONS}")
+    try:
+        policy.load_state_dict(weights)
+    except RuntimeError as error:
+        raise SettingsError(f"{path} is not of a standard network; {TRUST}") from error
+    policy.set_training_mode(False)
+    return Model(lambda observations: _best_actions(policy, observations), _accepted(policy.observation_space))
+
+
+def _content(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The JSON and the weights of a stable-baselines3 archive; if it is damaged, reading it may raise anything."""
+    import torch
+
+    try:
+        with zipfile.ZipFile(path) as archive:
+            data, packed = _named(json.loads(archive.read("data"))), archive.read("policy.pth")
+    except Exception as error:
+        raise SettingsError(f"{path} is not a stable-baselines3 archive: {reason(error)}") from error
+    try:
+        with warnings.catch_warnings(action="ignore"):  # of pickles that are refused
+            return data, _named(torch.load(io.BytesIO(packed), map_location="cpu", weights_only=True))
+    except Exception as error:
+        raise SettingsError(f"{path} has weights that are not tensors; it is not loaded") from error
+
+
+def _named(values: Any) -> dict[str, Any]:
+    if not isinstance(values, dict):
+        raise TypeError(f"a {type(values).__name__} where names and values should be")
+    return values
+
+
+def _best_actions(policy: Any, observations: Any) -> Any:
+    """Shape (n,)."""
+    import torch
+
+    if not hasattr(policy, "get_distribution"):
+        with torch_threads(1):
+            return policy.predict(observations, deterministic=True)[0]
+
+    with torch.no_grad(), torch_threads(1):
+        chosen = policy.get_distribution(policy.obs_to_tensor(observations)[0])
+        _check_numbers(chosen.distribution.logits.cpu().numpy())
+        return chosen.get_actions(deterministic=True).cpu().numpy()
+
+
+def _check_numbers(values: Any) -> None:
+    if np.isnan(values).any():
+        raise ValueError("the network's output is not a number (NaN)")
+
+
+def _accepted(space: spaces.Space[Any]) -> list[Shape] | None:
+    """The shapes of observations that a stable-baselines3 policy accepts; it transposes pictures itself."""
+    shape = space.shape
+    if shape is None:  # of a dict
+        return None
+    return [shape, (*shape[1:], shape[0]), (shape[-1], *shape[:-1])] if len(shape) == 3 else [shape]
+
+
+def _rebuilt(path: Path, data: dict[str, Any], weights: dict[str, Any]) -> Any:
+    """A standard actor-critic network, rebuilt from the archive's plain JSON."""
+    from stable_baselines3.common.policies import ActorCriticCnnPolicy, ActorCriticPolicy
+
+    kwargs: Any = data.get("policy_kwargs")
+    seen, acted = data.get("observation_space", {}), data.get("action_space", {})
+    plain = isinstance(kwargs, dict) and ":serialized:" not in kwargs
+    if not plain or "action_net.weight" not in weights or not seen.get("_shape"):
+        raise SettingsError(f"{path} keeps how its network is built as a pickle; {TRUST}")
+    if "n" not in acted or int(acted["n"]) != len(ACTIONS):
+        raise SettingsError(f"{path} was trained with other actions, and {OTHER_ACTIONS}")
+    shape, pictures = tuple(int(n) for n in _plain(seen["_shape"])), seen.get("dtype") == "uint8"
+    space = spaces.Box(0, 255, shape, np.uint8) if pictures else spaces.Box(-np.inf, np.inf, shape, np.float32)
+    kind = ActorCriticCnnPolicy if any(name.startswith("features_extractor.cnn") for name in weights) else None
+    return (kind or ActorCriticPolicy)(space, spaces.Discrete(len(ACTIONS)), lambda _: 0.0, **kwargs)
+
+
+def _plain(value: Any) -> Any:
+    return json.loads(value.replace("(", "[").replace(",)", "]").replace(")", "]")) if isinstance(value, str) else value
+
+
+def _trusted(path: Path) -> Any:
+    """Any network, loaded with the archive's pickles."""
+    from stable_baselines3.common.save_util import load_from_zip_file
+
+    data, _, _ = load_from_zip_file(path, device="cpu")
+    made: dict[str, Any] = data or {}
+    kwargs = made.get("policy_kwargs") or {}
+    return made["policy_class"](made["observation_space"], made["action_space"], lambda _: 0.0, **kwargs)
+
+
+def load_onnx(path: Path, trust: bool = False) -> Model:
+    """An ONNX network that outputs actions, or a value for each action, of which the best is taken."""
+    del trust  # ONNX files contain no code
+    try:
+        import onnxruntime
+    except ModuleNotFoundError:
+        raise missing_extra(f"{path}", "onnx") from None
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    try:
+        session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except Exception as error:
+        raise SettingsError(f"{path} is not an ONNX file that can be run: {error}") from error
+    (entry, *others), output = session.get_inputs(), session.get_outputs()[0]
+    if others:
+        raise SettingsError(f"{path} wants {1 + len(others)} inputs, and presets give one array: choose its preset")
+    if len(output.shape) == 2 and isinstance(output.shape[1], int) and output.shape[1] not in (1, len(ACTIONS)):
+        raise SettingsError(f"{path} gives {output.shape[1]} values, and there are {len(ACTIONS)} actions")
+    kinds = {"tensor(uint8)": np.uint8, "tensor(float)": np.float32, "tensor(double)": np.float64}
+    kind = kinds.get(entry.type, np.float32)
+
+    def act(observations: Any) -> Any:
+        values = np.asarray(session.run([output.name], {entry.name: np.asarray(observations, kind)})[0])
+        _check_numbers(values)
+        return values.reshape(len(values)) if values.size == len(values) else values.argmax(axis=1)
+
+    known = [size if isinstance(size, int) else None for size in entry.shape[1:]]
+    return Model(act, [tuple(known)])
+
+
+LOADERS: Final[dict[str, Callable[[Path, bool], Model]]] = {".zip": load_sb3, ".onnx": load_onnx}
+"""By the ending of the file's name."""

@@ -1,0 +1,149 @@
+"""The 18 discrete actions: gripper (open, close) x turn (none, left, right) x drive (none, forward, back).
+
+The number of an action is ``9 * gripper + 3 * turn + drive``, as in the original (Toyer et al. 2020,
+appendix "Action and observation space"). For learners of continuous actions, the same 18 are vectors
+(drive, turn, grip).
+"""
+
+from __future__ import annotations
+
+import itertools
+import operator
+from enum import IntEnum
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from magical_mj.utils.errors import InvalidActionError, shown
+
+
+class Gripper(IntEnum):
+    """The position to which the two fingers are driven."""
+
+    OPEN = 0
+    CLOSE = 1
+
+
+class Turn(IntEnum):
+    """Which way the robot turns; left is counter-clockwise."""
+
+    NONE = 0
+    LEFT = 1
+    RIGHT = 2
+
+
+class Drive(IntEnum):
+    """Which way the robot drives along its heading."""
+
+    NONE = 0
+    FORWARD = 1
+    BACK = 2
+
+
+class Action(NamedTuple):
+    """One of the 18 actions as a triple; ``int(...)`` of it is meaningless, use :attr:`number`."""
+
+    gripper: Gripper = Gripper.OPEN
+    turn: Turn = Turn.NONE
+    drive: Drive = Drive.NONE
+
+    @property
+    def number(self) -> int:
+        """The action's number in 0..17."""
+        return 9 * self.gripper + 3 * self.turn + self.drive
+
+    @property
+    def name(self) -> str:
+        """A readable name such as ``"close-left-forward"`` or ``"open-none-none"``."""
+        return "-".join(part.name.lower() for part in self)
+
+
+ACTIONS: Final[tuple[Action, ...]] = tuple(Action(*parts) for parts in itertools.product(Gripper, Turn, Drive))
+"""All actions; ``ACTIONS[n].number == n``."""
+
+NOOP: Final = Action().number
+"""The action that does nothing: the gripper is open at the start and stays open."""
+
+
+def action_number(action: Any) -> int:
+    """`action` as an int in 0..17.
+
+    Takes ints, numpy integers, 0-d integer arrays and :class:`Action` triples.
+
+    Raises:
+        InvalidActionError: for anything else, such as 18, 1.5 or None.
+    """
+    if isinstance(action, Action):
+        action = int(action.number) if action in ACTIONS else action
+    try:
+        if isinstance(action, np.ndarray) and action.ndim == 0:
+            action = action.item()
+        number = operator.index(action)
+    except (TypeError, ValueError):
+        number = -1
+    if isinstance(action, bool | np.bool_) or not 0 <= number < len(ACTIONS):
+        raise InvalidActionError(
+            f"{shown(action)} is not an action: actions are the integers 0..{len(ACTIONS) - 1} "
+            "(9 * gripper + 3 * turn + drive; see magical_mj.scene.actions.ACTIONS)"
+        )
+    return number
+
+
+THRESHOLD: Final = 0.5
+"""A drive or turn entry of a vector commands motion when its magnitude is above this; grip closes above 0."""
+
+_VECTORS: Final = np.array(
+    [
+        ((0.0, 1.0, -1.0)[action.drive], (0.0, 1.0, -1.0)[action.turn], 1.0 if action.gripper else -1.0)
+        for action in ACTIONS
+    ],
+    np.float32,
+)
+
+
+def to_vector(numbers: ArrayLike) -> NDArray[np.float32]:
+    """Actions as vectors (drive, turn, grip) with entries in {-1, 0, 1}.
+
+    Drive: 1 forward, -1 back; turn: 1 left (counter-clockwise), -1 right; grip: 1 close, -1 open.
+
+    Args:
+        numbers: action numbers in 0..17, any shape.
+
+    Returns:
+        Fresh vectors, shape (*numbers.shape, 3). `to_discrete` is the inverse.
+
+    Raises:
+        InvalidActionError: if any of them is not an action.
+    """
+    try:
+        array: NDArray[Any] = np.asarray(numbers)
+    except (TypeError, ValueError):  # lists of different lengths
+        array = np.empty(0)
+    if array.dtype.kind not in "iu" or (array.size and not (array.min() >= 0 and array.max() < len(ACTIONS))):
+        raise InvalidActionError(f"actions are the integers 0..{len(ACTIONS) - 1}, not {shown(numbers)}")
+    return _VECTORS[array]
+
+
+def to_discrete(vector: ArrayLike) -> int:
+    """The action that a vector (drive, turn, grip) commands: the inverse of `to_vector` on all 18 actions.
+
+    Drive and turn command motion above 0.5 and below -0.5, grip closes above 0. Entries should be in [-1, 1];
+    larger ones have the same effect as 1 or -1.
+
+    Args:
+        vector: shape (3,).
+
+    Raises:
+        InvalidActionError: for another shape, or entries that are not finite numbers.
+    """
+    try:
+        entries = np.asarray(vector, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        entries = np.empty(0)
+    if entries.shape != (3,) or not np.isfinite(entries).all():
+        raise InvalidActionError(
+            f"{shown(vector)} is not a continuous action: those are three finite numbers in [-1, 1] (drive, turn, grip)"
+        )
+    drive, turn = (1 if entry > THRESHOLD else 2 if entry < -THRESHOLD else 0 for entry in entries[:2])
+    return Action(Gripper(int(entries[2] > 0)), Turn(turn), Drive(drive)).number

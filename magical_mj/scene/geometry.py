@@ -1,0 +1,220 @@
+"""Exact outlines of everything solid, and which scenes are legal.
+
+A solid part is a shapely geometry enlarged by a radius: a disc is a point with a radius, the square has a
+small rounded margin, everything else is a polygon with radius 0. Two parts touch if the distance between their
+geometries is at most the sum of their radii, which is exact for all of them.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache, lru_cache
+from typing import Final, NamedTuple
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from magical_mj.scene import GoalRegion, Pose, Robot, Scene
+from magical_mj.scene import constants as c
+from magical_mj.scene.constants import Shape
+from magical_mj.utils.errors import InvalidSceneError
+
+Outline = NDArray[np.float64]
+"""Shape (n, 2): the corners of a simple polygon, counter-clockwise."""
+
+OVERLAP_TOLERANCE: Final = 0.04
+"""How deep (world units) solid parts may overlap in a scene that a user gives: contacts are a little soft."""
+
+MAX_ANGLE: Final = 500.0
+"""The largest angle (rad) that a scene may hold: with what an episode adds, it stays within the bounds of states."""
+
+
+class Part(NamedTuple):
+    """A solid part in the world: its core geometry, enlarged by `radius`."""
+
+    core: BaseGeometry
+    radius: float = 0.0
+
+
+class Solid(NamedTuple):
+    """The parts of one body around (x, y), all within `reach` of it."""
+
+    x: float
+    y: float
+    reach: float
+    parts: tuple[Part, ...]
+
+
+def regular_polygon(corners: int, radius: float) -> Outline:
+    """A regular polygon around the origin with its first corner on +y. Shape (corners, 2)."""
+    angles = math.pi / 2 + 2 * math.pi * np.arange(corners) / corners
+    return radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+def square(half: float) -> Outline:
+    """The square with this half side around the origin. Shape (4, 2)."""
+    return half * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+
+
+@cache
+def block_outline(shape: Shape) -> Outline:
+    """Corners of a block in its own frame, as drawn. Shape (n, 2); the circle is a 100-gon."""
+    if shape == "square":
+        outline = square(c.SQUARE_SIDE / 2)
+    elif shape == "pentagon":
+        outline = regular_polygon(5, c.PENTAGON_RADIUS)
+    elif shape == "star":
+        outline = regular_polygon(10, 1.0)
+        outline *= np.where(np.arange(10) % 2, c.STAR_INNER_RADIUS, c.STAR_OUTER_RADIUS)[:, None]
+    else:
+        outline = regular_polygon(100, c.BLOCK_SIZE)
+    outline.setflags(write=False)
+    return outline
+
+
+@cache
+def finger_outlines() -> tuple[Outline, Outline]:
+    """Upper segment and forearm of the right finger in its own frame (pivot at the origin, +y outwards).
+
+    Each has shape (4, 2). The forearm is hinged at the outer corner of the upper segment's tip and turned
+    inwards, to the left; the left finger is the mirror image.
+    """
+    half = c.FINGER_THICKNESS / 2
+    box = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, 0.0], [1.0, 0.0]])
+    upper = box * [half, c.FINGER_UPPER_LENGTH]
+    cosine, sine = math.cos(c.FINGER_BEND), math.sin(c.FINGER_BEND)
+    turn = np.array([[cosine, -sine], [sine, cosine]])
+    corner = np.array([half, c.FINGER_UPPER_LENGTH])
+    forearm = ((box - [1.0, 0.0]) * [half, c.FINGER_FOREARM_LENGTH]) @ turn.T + corner
+    return upper, forearm
+
+
+def mirrored(outline: Outline) -> Outline:
+    """The outline reflected in the y axis, counter-clockwise again."""
+    return (outline * [-1.0, 1.0])[::-1]
+
+
+def placed(outline: Outline, pose: Pose) -> Outline:
+    """The outline turned by the pose's angle and moved to its position. Shape (..., n, 2), as the outline's."""
+    x, y, angle = pose
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return outline @ np.array([[cosine, sine], [-sine, cosine]]) + (x, y)
+
+
+def block_solid(shape: Shape, pose: Pose) -> Solid:
+    """A block at `pose`."""
+    x, y, _ = pose
+    if shape == "circle":
+        return Solid(x, y, c.BLOCK_SIZE, (Part(shapely.Point(x, y), c.BLOCK_SIZE),))
+    outline = block_outline(shape)
+    margin = c.SQUARE_MARGIN if shape == "square" else 0.0
+    reach = math.hypot(*outline[0]) + margin
+    return Solid(x, y, reach, (Part(shapely.Polygon(placed(outline, pose)), margin),))
+
+
+@lru_cache(maxsize=64)  # placement calls this many times with the same few arguments
+def _robot_segments(fingers: tuple[float, float]) -> tuple[Outline, float]:
+    """The four segments of both fingers in the robot's frame, shape (4, 4, 2), and how far the robot reaches."""
+    root_x, root_y = c.FINGER_ROOT
+    left, right = fingers
+    segments = np.stack(
+        [placed(mirrored(outline), (-root_x, root_y, left)) for outline in finger_outlines()]
+        + [placed(outline, (root_x, root_y, right)) for outline in finger_outlines()]
+    )
+    return segments, max(c.ROBOT_RADIUS, float(np.hypot(segments[..., 0], segments[..., 1]).max()))
+
+
+def robot_solid(pose: Pose, fingers: tuple[float, float] = (c.FINGER_OPEN, -c.FINGER_OPEN)) -> Solid:
+    """The robot at `pose`: the disc and the segments of both fingers."""
+    x, y, _ = pose
+    segments, reach = _robot_segments(fingers)
+    polygons = np.asarray(shapely.polygons(placed(segments, pose)))  # one call for all four is much faster
+    return Solid(x, y, reach, (Part(shapely.Point(x, y), c.ROBOT_RADIUS), *map(Part, polygons)))
+
+
+def region_solid(region: GoalRegion) -> Solid:
+    """A goal region as an obstacle, as placement treats it."""
+    x, y = region.centre
+    box = shapely.box(region.x_min, region.y_min, region.x_max, region.y_max)
+    return Solid(x, y, math.hypot(region.width, region.height) / 2, (Part(box),))
+
+
+def touch(one: Solid, other: Solid, tolerance: float = 0.0) -> bool:
+    """Whether the solids touch. With a `tolerance` (world units), each is first shrunk by half of it."""
+    if math.hypot(one.x - other.x, one.y - other.y) > one.reach + other.reach:
+        return False
+    for a in one.parts:
+        for b in other.parts:
+            if _meet(a, b) and (tolerance == 0.0 or _meet(_shrunk(a, tolerance / 2), _shrunk(b, tolerance / 2))):
+                return True
+    return False
+
+
+def _meet(a: Part, b: Part) -> bool:
+    return a.core.distance(b.core) <= a.radius + b.radius
+
+
+def _shrunk(part: Part, by: float) -> Part:
+    if part.radius >= by:
+        return Part(part.core, part.radius - by)
+    return Part(part.core.buffer(part.radius - by))
+
+
+def inside_walls(solid: Solid, tolerance: float = 0.0) -> bool:
+    """Whether the solid is within the workspace, up to `tolerance`."""
+    limit = c.ARENA_HALF_WIDTH + tolerance
+    if max(abs(solid.x), abs(solid.y)) + solid.reach <= limit:
+        return True
+    for part in solid.parts:
+        x_min, y_min, x_max, y_max = part.core.bounds
+        if max(x_max, y_max, -x_min, -y_min) + part.radius > limit:
+            return False
+    return True
+
+
+def solids(scene: Scene) -> dict[str, Solid]:
+    """Everything solid in the scene by name: "robot", then "block 0", "block 1", ..."""
+    found = {"robot": robot_solid(scene.robot.pose, scene.robot.fingers)}
+    found |= {f"block {index}": block_solid(block.shape, block.pose) for index, block in enumerate(scene.blocks)}
+    return found
+
+
+def check_scene(scene: Scene) -> None:
+    """Raise unless the scene is legal: everything is inside the walls, and no two solids overlap.
+
+    Contacts in the simulation are a little soft, so overlaps up to `OVERLAP_TOLERANCE` are allowed.
+
+    Raises:
+        InvalidSceneError: naming what is outside or overlaps what.
+    """
+    _check_fingers(scene.robot)
+    for thing in (scene.robot, *scene.blocks):
+        if abs(thing.angle) > MAX_ANGLE:
+            raise InvalidSceneError(f"the angle of {thing} is larger than {MAX_ANGLE:g} rad; subtract whole turns")
+    things = list(solids(scene).items())
+    for name, solid in things:
+        if not inside_walls(solid, OVERLAP_TOLERANCE):
+            raise InvalidSceneError(
+                f"{name} at ({solid.x:.3f}, {solid.y:.3f}) is not inside the walls, which are at x, y = -1 and 1"
+            )
+    for index, (name, solid) in enumerate(things):
+        for other_name, other in things[:index]:
+            if touch(solid, other, OVERLAP_TOLERANCE):
+                raise InvalidSceneError(
+                    f"{other_name} and {name} overlap at ({solid.x:.3f}, {solid.y:.3f}); move one of them"
+                )
+    for index, region in enumerate(scene.regions):
+        if not inside_walls(region_solid(region), OVERLAP_TOLERANCE):
+            raise InvalidSceneError(f"region {index} ({region}) is not inside the walls, at x, y = -1 and 1")
+
+
+def _check_fingers(robot: Robot) -> None:
+    """Raise unless the fingers' angles are within their range, left 0..pi/8, right -pi/8..0 (small slack)."""
+    left, right = robot.fingers
+    slack = 0.05
+    if not (-slack <= left <= c.FINGER_OPEN + slack and -slack <= -right <= c.FINGER_OPEN + slack):
+        raise InvalidSceneError(
+            f"the fingers' angles are {robot.fingers}; left must be in 0..{c.FINGER_OPEN:.4f}, right in its negative"
+        )

@@ -1,0 +1,259 @@
+"""Scenes: immutable descriptions of where everything is. Models, pictures and scores are made from them.
+
+Frames: x to the right, y up, origin at the centre of the 2 x 2 workspace. Angles are in radians,
+counter-clockwise; a robot with angle 0 faces +y, a block with angle 0 has its tip (or top side) at +y.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, TypeVar
+
+from magical_mj.scene import constants as c
+from magical_mj.scene.constants import COLOURS, SHAPES, Colour, Shape
+from magical_mj.scene.fields import as_number, as_tuple, check_type, set_choice, set_numbers
+from magical_mj.utils.errors import InvalidSceneError, shown
+
+SCENE_FORMAT: Final = 1
+"""Version of the JSON form, stored in it as ``"format"``."""
+
+Pose = tuple[float, float, float]
+"""x, y in world units and the angle in radians."""
+
+_Part = TypeVar("_Part", bound="Robot | Block | GoalRegion | Dynamics")
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """The robot's pose and the relative angles (rad) of its left and right finger.
+
+    A finger's angle is 0 when closed and ``+pi/8`` (left) or ``-pi/8`` (right) when open, the default.
+    """
+
+    x: float
+    y: float
+    angle: float
+    fingers: tuple[float, float] = (c.FINGER_OPEN, -c.FINGER_OPEN)
+
+    def __post_init__(self) -> None:
+        set_numbers(self, ("x", "y", "angle"))
+        fingers = as_tuple(self.fingers, "Robot.fingers must be two angles (left, right)", 2)
+        left, right = (as_number(self, "fingers", angle) for angle in fingers)
+        object.__setattr__(self, "fingers", (left, right))
+
+    @property
+    def pose(self) -> Pose:
+        """x, y, angle."""
+        return self.x, self.y, self.angle
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A movable block. Its centre of mass is at (x, y)."""
+
+    shape: Shape
+    colour: Colour
+    x: float
+    y: float
+    angle: float
+
+    def __post_init__(self) -> None:
+        set_choice(self, "shape", SHAPES)
+        set_choice(self, "colour", COLOURS)
+        set_numbers(self, ("x", "y", "angle"))
+
+    @property
+    def pose(self) -> Pose:
+        """x, y, angle."""
+        return self.x, self.y, self.angle
+
+
+@dataclass(frozen=True, slots=True)
+class GoalRegion:
+    """An axis-aligned box that is drawn but not solid."""
+
+    colour: Colour
+    x_min: float
+    y_min: float
+    x_max: float
+    y_max: float
+
+    def __post_init__(self) -> None:
+        set_choice(self, "colour", COLOURS)
+        set_numbers(self, ("x_min", "y_min", "x_max", "y_max"))
+        if not (self.x_min < self.x_max and self.y_min < self.y_max):
+            raise InvalidSceneError(f"{self} is empty: x_min < x_max and y_min < y_max are needed")
+
+    @property
+    def width(self) -> float:
+        """Extent along x."""
+        return self.x_max - self.x_min
+
+    @property
+    def height(self) -> float:
+        """Extent along y."""
+        return self.y_max - self.y_min
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """x, y of the middle."""
+        return (self.x_min + self.x_max) / 2, (self.y_min + self.y_max) / 2
+
+    def contains(self, thing: Robot | Block) -> bool:
+        """Whether the centre of `thing` is in the region, borders included."""
+        return self.x_min <= thing.x <= self.x_max and self.y_min <= thing.y <= self.y_max
+
+
+@dataclass(frozen=True, slots=True)
+class Dynamics:
+    """The five force caps of the world, all positive; the Dynamics variant draws other values.
+
+    MuJoCo's least coefficient of friction bounds what they do: whatever smaller caps say,
+    blocks resist with at least 0.1, and the robot drives with at least 0.2.
+    """
+
+    drive_force: float = c.DRIVE_FORCE
+    turn_torque: float = c.TURN_TORQUE
+    finger_torque: float = c.FINGER_TORQUE
+    block_friction_force: float = c.BLOCK_FRICTION_FORCE
+    block_friction_torque: float = c.BLOCK_FRICTION_TORQUE
+
+    def __post_init__(self) -> None:
+        for entry in dataclasses.fields(self):
+            set_numbers(self, (entry.name,))
+            if getattr(self, entry.name) <= 0:
+                raise InvalidSceneError(f"Dynamics.{entry.name} must be positive, not {getattr(self, entry.name)}")
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A world at rest: the robot, the blocks, the goal regions and the dynamics. Immutable and hashable."""
+
+    robot: Robot
+    blocks: tuple[Block, ...] = ()
+    regions: tuple[GoalRegion, ...] = ()
+    dynamics: Dynamics = field(default_factory=Dynamics)
+
+    def __post_init__(self) -> None:
+        for name, kind in (("blocks", Block), ("regions", GoalRegion)):
+            value = as_tuple(getattr(self, name), f"Scene.{name} must be a sequence of {kind.__name__}")
+            object.__setattr__(self, name, value)
+        for part, kind in ((self.robot, Robot), (self.dynamics, Dynamics)):
+            check_type(part, kind)
+        for part, kind in [*((b, Block) for b in self.blocks), *((r, GoalRegion) for r in self.regions)]:
+            check_type(part, kind)
+
+    def moved(self, robot: Sequence[float] | None = None, blocks: Sequence[Sequence[float]] | None = None) -> Scene:
+        """The same scene with other poses (x, y, angle). None leaves poses as they are; the fingers never change.
+
+        Raises:
+            InvalidSceneError: if the number of poses is not the number of blocks.
+        """
+        moved = self.robot if robot is None else _at(self.robot, robot)
+        if blocks is None:
+            return dataclasses.replace(self, robot=moved)
+        poses = as_tuple(blocks, f"{len(self.blocks)} blocks need {len(self.blocks)} poses", len(self.blocks))
+        return dataclasses.replace(self, robot=moved, blocks=tuple(map(_at, self.blocks, poses)))
+
+    def to_json(self) -> str:
+        """The scene as one line of JSON; floats are exact, so `from_json` gives an equal scene."""
+        return json.dumps({"format": SCENE_FORMAT, **dataclasses.asdict(self)}, separators=(",", ":"))
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> Scene:
+        """The scene that `to_json` wrote.
+
+        Raises:
+            InvalidSceneError: if the text is not JSON, lacks a field, has an unknown one, or has an invalid value.
+        """
+        try:
+            data = json.loads(text, object_pairs_hook=_without_repeats)
+        except (ValueError, TypeError, RecursionError) as error:
+            raise InvalidSceneError(f"a scene must be JSON as Scene.to_json writes it: {error}") from None
+        if not isinstance(data, dict):
+            raise InvalidSceneError(f"a scene must be a JSON object, not {shown(data)}")
+        version = data.pop("format", None)
+        if type(version) is not int or version != SCENE_FORMAT:
+            raise InvalidSceneError(f'a scene must have "format": {SCENE_FORMAT}; write it with Scene.to_json')
+        _check_fields(cls, data)
+        for name in ("blocks", "regions"):
+            if not isinstance(data.get(name, []), list):
+                raise InvalidSceneError(f"Scene.{name} must be a list, not {shown(data[name])}")
+        return cls(
+            robot=_part(Robot, data["robot"]),
+            blocks=tuple(_part(Block, item) for item in data.get("blocks", ())),
+            regions=tuple(_part(GoalRegion, item) for item in data.get("regions", ())),
+            dynamics=_part(Dynamics, data.get("dynamics", {})),
+        )
+
+    def digest(self) -> str:
+        """A short hash of the scene: equal scenes have equal digests, different ones different digests.
+
+        Fields with their default value are left out, so that fields added by later versions change no digest.
+        """
+        text = json.dumps(_not_default(self), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _not_default(value: Any) -> Any:
+    """A part of a scene as plain lists and dicts, without the fields that have their default value."""
+    if isinstance(value, tuple):
+        return [_not_default(item) for item in value]
+    if not dataclasses.is_dataclass(value):
+        return value
+    told = {}
+    for entry in dataclasses.fields(value):
+        default = entry.default if entry.default_factory is dataclasses.MISSING else entry.default_factory()
+        if getattr(value, entry.name) != default:
+            told[entry.name] = _not_default(getattr(value, entry.name))
+    return told
+
+
+def check_scene_type(scene: object) -> Scene:
+    """The scene; raises `InvalidSceneError` if it is anything else."""
+    if not isinstance(scene, Scene):
+        raise InvalidSceneError(f"{shown(scene)} is not a magical_mj.Scene; Scene.from_json reads one from JSON")
+    return scene
+
+
+_Thing = TypeVar("_Thing", Robot, Block)
+
+
+def _at(thing: _Thing, pose: Sequence[float]) -> _Thing:
+    """The same robot or block at another pose."""
+    x, y, angle = as_tuple(pose, "a pose is (x, y, angle)", 3)
+    return dataclasses.replace(thing, x=x, y=y, angle=angle)
+
+
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object's fields; a ValueError if a name occurs twice."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"{next(name for name in names if names.count(name) > 1)!r} occurs twice in one object")
+    return found
+
+
+def _check_fields(kind: type, data: dict[str, Any]) -> None:
+    entries = dataclasses.fields(kind)
+    names = [entry.name for entry in entries]
+    required = [
+        entry.name
+        for entry in entries
+        if entry.default is dataclasses.MISSING and entry.default_factory is dataclasses.MISSING
+    ]
+    for name in sorted(data.keys() - set(names)):
+        raise InvalidSceneError(f"{kind.__name__} has no field {name!r}; it has {', '.join(names)}")
+    for name in sorted(set(required) - data.keys()):
+        raise InvalidSceneError(f"{kind.__name__} lacks the field {name!r}; it needs {', '.join(required)}")
+
+
+def _part(kind: type[_Part], data: Any) -> _Part:
+    if not isinstance(data, dict):
+        raise InvalidSceneError(f"{kind.__name__} must be a JSON object, not {shown(data)}")
+    _check_fields(kind, data)
+    return kind(**data)

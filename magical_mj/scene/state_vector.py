@@ -1,0 +1,93 @@
+"""Observations: the names of the views, and the state vector.
+
+The state vector has the same length in every environment: entries of blocks and regions that do not exist are 0.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.scene import Scene
+from magical_mj.scene.constants import COLOURS, SHAPES
+from magical_mj.utils.errors import InvalidSceneError
+
+Rows = NDArray[np.float64]
+
+VIEWS: Final = ("ego", "allo")
+"""The two views of the benchmark, both from above: "ego" moves and turns with the robot, "allo" shows the workspace."""
+
+SOLID_VIEW: Final = "scene"
+"""The name of the view for people: the world in 3-D with lights and shadows, seen from above a corner."""
+
+CAMERAS: Final = (*VIEWS, SOLID_VIEW)
+"""The views that `Environment.render` draws."""
+
+OBSERVATIONS: Final = (*VIEWS, "state")
+"""The names that `magical_mj.load(observations=...)` accepts."""
+
+MAX_BLOCKS: Final = 10
+MAX_REGIONS: Final = 3
+
+_POSE = ("x", "y", "angle")
+_ROBOT = (*_POSE, *(f"{name}_velocity" for name in _POSE), "left_finger", "right_finger")
+_BLOCK = ("present", *_POSE, *(f"{name}_velocity" for name in _POSE), *SHAPES, *COLOURS)
+_REGION = ("present", "x_min", "y_min", "x_max", "y_max", *COLOURS)
+
+STATE_NAMES: Final[tuple[str, ...]] = (
+    *(f"robot.{name}" for name in _ROBOT),
+    *(f"block{index}.{name}" for index in range(MAX_BLOCKS) for name in _BLOCK),
+    *(f"region{index}.{name}" for index in range(MAX_REGIONS) for name in _REGION),
+)
+"""The name of each entry of the state vector, such as ``"block3.x_velocity"`` or ``"region0.red"``.
+
+World units, rad, units/s and rad/s; colours and shapes are one-hot; angles are not wrapped.
+"""
+
+
+FINGERS: Final = slice(STATE_NAMES.index("robot.left_finger"), STATE_NAMES.index("robot.right_finger") + 1)
+"""Where the angles of the two fingers are in the state vector."""
+
+
+class StateEncoder:
+    """Computes the state vectors of one episode; entries that do not change within it are computed once.
+
+    Raises:
+        InvalidSceneError: if the scene has more blocks or regions than the vector holds.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        if len(scene.blocks) > MAX_BLOCKS or len(scene.regions) > MAX_REGIONS:
+            raise InvalidSceneError(
+                f"the state vector holds {MAX_BLOCKS} blocks and {MAX_REGIONS} regions, this scene has "
+                f"{len(scene.blocks)} and {len(scene.regions)}; use pictures as observations, or a smaller scene"
+            )
+        self._count = len(scene.blocks)
+        self._fixed = np.zeros(len(STATE_NAMES), dtype=np.float32)
+        blocks = self._block_rows(self._fixed)
+        regions = self._fixed[len(_ROBOT) + blocks.size :].reshape(MAX_REGIONS, len(_REGION))
+        for row, block in zip(blocks, scene.blocks, strict=False):
+            row[[0, _BLOCK.index(block.shape), _BLOCK.index(block.colour)]] = 1.0
+        for row, region in zip(regions, scene.regions, strict=False):
+            row[:5] = (1.0, region.x_min, region.y_min, region.x_max, region.y_max)
+            row[_REGION.index(region.colour)] = 1.0
+
+    def __call__(self, poses: Rows, velocities: Rows, fingers: Rows) -> NDArray[np.float32]:
+        """The state as a fresh vector. Shape (len(STATE_NAMES),).
+
+        Args:
+            poses: of the robot and then of each block, shape (1 + blocks, 3): x, y, angle.
+            velocities: likewise, in units/s and rad/s.
+            fingers: angles of the left and the right finger, shape (2,).
+        """
+        state = self._fixed.copy()
+        state[:3], state[3:6], state[6:8] = poses[0], velocities[0], fingers
+        blocks = self._block_rows(state)[: self._count]
+        blocks[:, 1:4], blocks[:, 4:7] = poses[1:], velocities[1:]
+        return state
+
+    @staticmethod
+    def _block_rows(state: NDArray[np.float32]) -> NDArray[np.float32]:
+        return state[len(_ROBOT) :][: MAX_BLOCKS * len(_BLOCK)].reshape(MAX_BLOCKS, len(_BLOCK))

@@ -1,0 +1,180 @@
+"""Target places with which blocks form a line or clusters and that are cheap to reach. Pure geometry.
+
+A line goes through one of the blocks, which stays; all directions, spacings and orders are compared. Clusters are
+found by local search: of all moves of one block to one place, the best is made, until none is an improvement. A block
+may also return to its present place, at no cost, so that only the necessary blocks are moved.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Collection, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.tasks.planning.noise import Noise
+
+Point = tuple[float, float]
+Floats = NDArray[np.float64]
+
+# Lines. Costs are in actions.
+SPACINGS: Final = (0.29, 0.34, 0.39)  # between neighbours; blocks are up to 0.31 wide, and 0.42 is too far
+ANGLES: Final = 24
+STAYS: Final = 0.09  # a block this near to its place is left alone
+LINE_COSTS: Final = (14.0, 11.0)  # to move a block at all, and for each unit
+LINE_SPREAD: Final = 12.0  # the largest change of a line's cost by noise
+# the number of cheapest plans that are checked: blocks that stay near their places may leave too large a gap
+CHECKED: Final = 500
+SPARE: Final = 1.05  # safety factor: the rule must also hold if distances grow by it
+FIXED_COST: Final = 1000.0  # of moving a block that should stay
+LINE_LIMIT: Final = 0.84  # lines end within this square
+
+# Clusters
+CLUSTER_COSTS: Final = (16.0, 13.0)  # to move a block at all, and for each unit
+WRONG_COST: Final = 60.0  # of a block that is nearer to another kind
+SAFE: Final = 0.6  # a block is safe if its squared distance to its kind is below this share of the limit
+DOUBTFUL, HOPELESS = 0.7, 2.2  # shares of that between which the cost of a wrong block rises
+APART: Final = 0.28  # between the centres of blocks
+CROWDED_COST: Final = 1000.0  # for each unit by which two blocks are closer than `APART`
+PITCH: Final = 0.14  # of the grid of places
+CLUSTER_LIMIT: Final = 0.78  # places are within this square
+STARTS: Final = 3
+CLUSTER_SPREAD: Final = 30.0  # the largest change of a layout's cost by noise
+ROUNDS: Final = 24
+
+
+def line_targets(
+    points: Sequence[Point], is_line: Callable[[Sequence[Point]], bool], noise: Noise, fixed: Collection[int] = ()
+) -> list[Point | None]:
+    """A target for each block, or None for blocks that stay.
+
+    Lines go through one of the blocks, which stays. All directions, spacings and positions of that block in the line
+    are tried, with all orders of the other blocks.
+
+    Args:
+        points: the blocks' positions.
+        is_line: whether blocks at these points form a line.
+        noise: selects one of several good lines.
+        fixed: the blocks that should stay, if possible.
+    """
+    here = np.array(points)
+    count = len(here)
+    angles = (np.arange(ANGLES) + noise.rng.random()) * math.pi / ANGLES
+    pairs = here[None] - here[:, None]
+    angles = np.concatenate([angles, np.arctan2(pairs[..., 1], pairs[..., 0])[~np.eye(count, dtype=bool)]])
+    along = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    places = (np.arange(count) - np.arange(count)[:, None])[None, :, None, :, None]  # (1, anchor's place, 1, slot, 1)
+    lines = places * np.array(SPACINGS)[:, None, None, None, None] * along[None, None, :, None, :]
+    slots = (here[:, None, None, None, None, :] + lines[None]).reshape(-1, count, 2)
+    slots = slots[(np.abs(slots) <= LINE_LIMIT).all(axis=(1, 2))]
+    if not len(slots):  # of so many blocks
+        return [None] * count
+    ways = np.linalg.norm(slots[:, :, None] - here[None, None], axis=-1)  # (line, slot, block)
+    costs = np.where(ways <= STAYS, 0.0, LINE_COSTS[0] + LINE_COSTS[1] * ways)
+    costs[:, :, list(fixed)] += FIXED_COST * (ways[:, :, list(fixed)] > STAYS)
+    orders = np.array(list(itertools.permutations(range(count))))
+    totals = costs[:, np.arange(count), orders[:, None]].reshape(len(slots), len(orders), count).sum(axis=-1)
+    ends = here
+    totals += noise(LINE_SPREAD, totals.shape)
+    for best in totals.ravel().argsort()[:CHECKED].tolist():
+        line, order = divmod(best, len(orders))
+        ends = here.copy()
+        moved = ways[line, np.arange(count), orders[order]] > STAYS
+        ends[orders[order][moved]] = slots[line][moved]
+        if is_line([(SPARE * x, SPARE * y) for x, y in ends.tolist()]):
+            break
+    return [
+        None if (end == start).all() else (float(end[0]), float(end[1])) for end, start in zip(ends, here, strict=True)
+    ]
+
+
+def cluster_targets(
+    points: Sequence[Point], kinds: Sequence[str], nearer: float, noise: Noise, fixed: Collection[int] = ()
+) -> list[Point | None]:
+    """A target for each block, or None for blocks that stay.
+
+    Args:
+        points: the blocks' positions.
+        kinds: the colour or shape by which to cluster.
+        nearer: the factor between a block's squared distances to the nearest other centroid and to its own.
+        noise: selects one of several good layouts.
+        fixed: the blocks that must stay.
+    """
+    if len(fixed) == len(points):
+        return [None] * len(points)
+    here = np.array(points)
+    values = sorted(set(kinds))
+    members = np.array([[kind == value for kind in kinds] for value in values], float)
+    best, best_cost = here, np.inf
+    for number in range(STARTS):
+        start = here.copy() if number == 0 else _gathered(here, members, noise)
+        start[list(fixed)] = here[list(fixed)]
+        layout, cost = _improved(here, start, members, nearer, noise, fixed)
+        cost += noise(CLUSTER_SPREAD)
+        if cost < best_cost:
+            best, best_cost = layout, cost
+    return [None if (new == old).all() else (float(new[0]), float(new[1])) for new, old in zip(best, here, strict=True)]
+
+
+def _gathered(here: Floats, members: Floats, noise: Noise) -> Floats:
+    """A starting point of the search, with every kind in one place: near its own or another kind's blocks."""
+    middles = members @ here / members.sum(axis=1, keepdims=True)
+    corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+    centres = 0.5 * middles + 0.5 * corners[noise.rng.permutation(4)][np.arange(len(middles)) % 4]
+    return members.T @ centres + noise.rng.normal(0, 0.1, here.shape)
+
+
+def _improved(
+    here: Floats, start: Floats, members: Floats, nearer: float, noise: Noise, fixed: Collection[int]
+) -> tuple[Floats, float]:
+    axis = np.arange(-CLUSTER_LIMIT, CLUSTER_LIMIT + 1e-9, PITCH)
+    places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    places = np.clip(places + noise.rng.uniform(-PITCH / 2, PITCH / 2, places.shape), -CLUSTER_LIMIT, CLUSTER_LIMIT)
+    layout, cost = start, np.inf
+    for _ in range(ROUNDS):
+        options = [
+            _layouts(layout, block, np.concatenate([places, here[block : block + 1]]))
+            for block in range(len(here))
+            if block not in fixed
+        ]
+        layouts = np.concatenate(options)
+        costs = _costs(layouts, here, members, nearer)
+        best = int(costs.argmin())
+        if costs[best] >= cost - 1e-9:
+            break
+        layout, cost = layouts[best], float(costs[best])
+    return layout, cost
+
+
+def _layouts(layout: Floats, block: int, places: Floats) -> Floats:
+    """The layouts with one block in each of the places. Shape (places, blocks, 2)."""
+    layouts = np.repeat(layout[None], len(places), axis=0)
+    layouts[:, block] = places
+    return layouts
+
+
+def _costs(layouts: Floats, here: Floats, members: Floats, nearer: float) -> Floats:
+    """The cost of moving the blocks to each layout, plus penalties for wrong blocks. Shape (layouts,)."""
+    ways = np.sqrt(_squared(layouts, here))
+    moved = ways > 0
+    cost = (moved * CLUSTER_COSTS[0] + CLUSTER_COSTS[1] * ways).sum(axis=-1)
+    centres = members @ layouts / members.sum(axis=1, keepdims=True)
+    squares = _squared(layouts[:, :, None], centres[:, None])  # (layout, block, kind)
+    own = (squares * members.T).sum(axis=-1)
+    nearest = np.where(members.T > 0, np.inf, squares).min(axis=-1)
+    share = nearer * own / np.maximum(nearest, 1e-9)
+    doubt = np.clip(share / SAFE, DOUBTFUL, HOPELESS) - DOUBTFUL  # a slope towards layouts with fewer wrong blocks
+    cost += WRONG_COST * (doubt + (share > SAFE)).sum(axis=-1)
+    gaps = np.sqrt(_squared(layouts[:, :, None], layouts[:, None]))
+    crowded = np.clip(APART - gaps, 0, None) * (moved[:, :, None] | moved[:, None, :])
+    first = np.triu(np.ones(gaps.shape[1:]), 1)
+    return cost + CROWDED_COST * (crowded * first).sum(axis=(1, 2))
+
+
+def _squared(one: Floats, other: Floats) -> Floats:
+    """Squared distances between points: the last axis holds x and y."""
+    dx, dy = one[..., 0] - other[..., 0], one[..., 1] - other[..., 1]
+    return dx * dx + dy * dy

@@ -1,0 +1,134 @@
+"""Tasks of other packages: announced by entry points, or given by reference as ``"package.module:SPEC"``."""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from collections.abc import Mapping
+from dataclasses import fields
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from types import MappingProxyType
+from typing import Any, Final
+
+from magical_mj.scene import Scene
+from magical_mj.scene.geometry import check_scene
+from magical_mj.tasks import RULES, SPECS, TaskSpec
+from magical_mj.tasks.spec import is_task_name
+from magical_mj.utils.errors import InvalidSceneError, MagicalError, TaskError, UnknownNameError, shown
+from magical_mj.utils.imports import is_reference, place, resolve, source_of, with_place
+from magical_mj.variants import variants_of, vary
+
+GROUP: Final = "magical_mj.tasks"
+"""The entry-point group in which installed packages announce tasks, such as ``PushOut = "push_out:SPEC"``."""
+DRAWS: Final = 3
+"""How often each variant's first scene is drawn again, to see whether it is always the same."""
+_CHECKED: Final[dict[str, TaskSpec]] = {}
+"""The last task that was checked for each name and reference."""
+
+
+@cache
+def announced() -> Mapping[str, EntryPoint]:
+    """The entry points of announced tasks by the tasks' names; their modules are imported on first use.
+
+    An invalid one is ignored with a warning, since it must not keep anybody from importing this package.
+    """
+    found: dict[str, EntryPoint] = {}
+    for point in sorted(entry_points(group=GROUP)):
+        if point.name in SPECS or found.get(point.name, point) != point:
+            problem = "another task has that name"
+        elif not is_task_name(point.name):
+            problem = "the name of a task must be made of letters and digits"
+        elif not is_reference(_reference(point)):
+            problem = 'announce an object in a module, as in PushOut = "push_out:SPEC"'
+        else:
+            found[point.name] = point
+            continue
+        warnings.warn(f"the task {point.name!r} ({point.value}) is ignored: {problem}", stacklevel=2)
+    return MappingProxyType(found)
+
+
+def _reference(point: EntryPoint) -> str:
+    """Without the spaces that Python allows in entry points."""
+    return "".join(point.value.split())
+
+
+def announced_name(task: str) -> str:
+    """The name under which a package announces the task with this reference; any other `task` is returned as it is."""
+    return next((name for name, point in announced().items() if _reference(point) == task), task)
+
+
+def load_spec(task: str) -> TaskSpec:
+    """The task with this announced name or reference; it is checked when it is new, as after `importlib.reload`.
+
+    Raises:
+        UnknownNameError: if its module or the object in it does not exist.
+        TaskError: if its module fails when it is imported, or the object is not a valid task.
+    """
+    point = announced().get(task)
+    try:
+        spec = resolve(task if point is None else _reference(point))
+    except ImportError as error:
+        raise UnknownNameError(f"the task {shown(task)} cannot be imported: {error}") from error
+    except (Exception, SystemExit) as error:
+        raise TaskError(f"the task {shown(task)} cannot be imported: {with_place(error)}") from error
+    if _CHECKED.get(task) is spec:
+        return spec
+    check_spec(spec, task)
+    if point is not None and spec.name != task:
+        raise TaskError(f"{point.value} is announced as {task!r}, but its name is {spec.name!r}: they must be the same")
+    if spec.name in SPECS and SPECS[spec.name] is not spec:
+        raise TaskError(f"{task} is called {spec.name!r}, as a task of the benchmark is: give it a name of its own")
+    _CHECKED[task] = spec
+    return spec
+
+
+def code_digest(task: str) -> str:
+    """A hash of the modules that define this task: the one that is named, and those of the task's functions."""
+    point, spec = announced().get(task), load_spec(task)
+    functions = (getattr(spec, field.name) for field in fields(spec))
+    names = {getattr(function, "__module__", None) for function in functions if callable(function)}
+    sources = {source_of(str(name)) for name in (task if point is None else _reference(point), *names)}
+    return hashlib.sha256(b"\0".join(sorted(source.read_bytes() for source in sources if source))).hexdigest()
+
+
+def check_spec(spec: Any, task: str) -> None:
+    """Raise `TaskError` unless `spec` is a valid task: its demo scene is legal, and every variant can be drawn again.
+
+    Args:
+        spec: the object that was found.
+        task: the name or reference by which the user asked for it.
+    """
+    if not isinstance(spec, TaskSpec):
+        raise TaskError(f"{task} is not a magical_mj.tasks.TaskSpec but {shown(spec)}")
+    try:
+        check_drawn(spec, "Demo", 0, spec.demo)
+        checked: Any = spec.check(spec.demo)
+        if checked is not None:
+            raise TaskError(f"{spec.name}.check must raise InvalidSceneError or return None, not {shown(checked)}")
+        for rules in RULES:
+            spec.checked_score(spec.demo, spec.demo, rules)
+        for variant in variants_of(spec):
+            drawn = vary(spec, variant, 0)
+            check_drawn(spec, variant, 0, drawn)
+            if any(vary(spec, variant, 0) != drawn for _ in range(DRAWS)):
+                raise TaskError(
+                    f"{spec.name}-{variant} draws different scenes for one seed: its rules must use no random numbers "
+                    "except those of the generator that they are given"
+                )
+    except TaskError:
+        raise
+    except MagicalError as error:
+        raise TaskError(f"{task} cannot be played: {error}{place(error)}") from error
+    except Exception as error:
+        raise TaskError(f"{task} cannot be played: {with_place(error)}") from error
+
+
+def check_drawn(spec: TaskSpec, variant: str, seed: int, scene: Scene) -> None:
+    """Raise `TaskError` unless an episode can start in the scene that was drawn from this seed."""
+    try:
+        check_scene(scene)
+        spec.check(scene)
+    except InvalidSceneError as error:
+        drawn = "its own demo scene" if variant == "Demo" else f"the scene of {variant} that seed {seed} draws"
+        raise TaskError(f"no episode of {spec.name} can start in {drawn}: {error}") from error

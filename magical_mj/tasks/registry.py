@@ -1,0 +1,201 @@
+"""All tasks, variants and environments by name, their scenes and their scores."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final, cast
+
+import numpy as np
+
+from magical_mj.scene import Scene, check_scene_type
+from magical_mj.tasks import RULES, SPECS, Rules, TaskSpec
+from magical_mj.tasks.plugins import announced, check_drawn, load_spec
+from magical_mj.utils.errors import InvalidSceneError, SettingsError, check_name, shown, unknown_name
+from magical_mj.utils.imports import errors_of_task, is_reference
+from magical_mj.variants import VARIANTS as _VARIANTS
+from magical_mj.variants import Axis, variants_of, varied_axes, vary
+
+_REGION_TOLERANCE: Final = 1e-6
+"""A scene read from the simulation may differ from the original one by rounding, up to this (world units)."""
+
+TASKS: Final[tuple[str, ...]] = tuple(SPECS)
+"""The benchmark's tasks in the paper's order. "all" means these; tasks of other packages must be named."""
+
+VARIANTS: Final[tuple[str, ...]] = tuple(_VARIANTS)
+"""The variants: Demo, then the paper's test variants in its order."""
+
+Pair = tuple[str, str]
+"""A task and a variant, which name an environment."""
+
+ENVIRONMENTS: Final[tuple[Pair, ...]] = tuple(
+    (task, variant) for task, spec in SPECS.items() for variant in variants_of(spec)
+)
+"""All (task, variant) pairs of the benchmark; which exist follows from the axes that each task supports."""
+
+
+Names = str | Iterable[str]
+"""Names as a list, or as one string separated by commas; "all" stands for all of them."""
+
+
+def task_spec(task: str) -> TaskSpec:
+    """The definition of a task.
+
+    Args:
+        task: one of `TASKS`, a task that an installed package announces, or ``"package.module:SPEC"``.
+
+    Raises:
+        UnknownNameError: if there is no such task.
+        TaskError: if it is the task of another package, and cannot be played.
+    """
+    if isinstance(task, str) and task in SPECS:
+        return SPECS[task]
+    if isinstance(task, str) and (task in announced() or is_reference(task)):
+        return load_spec(task)
+    raise unknown_name("task", task, (*TASKS, *announced(), "package.module:SPEC"))
+
+
+def task_name(task: str) -> str:
+    """The name under which results of a task are stored: a reference to a named task becomes its name.
+
+    Raises:
+        UnknownNameError: if there is no such task.
+        TaskError: if it is the task of another package, and cannot be played.
+    """
+    spec = task_spec(task)
+    known = spec.name in SPECS or spec.name in announced()
+    return spec.name if known and task_spec(spec.name) is spec else task
+
+
+def variant_name(variant: str) -> str:
+    """The variant's name; ``"TestAll"``, as in the ids, is accepted for ``"All"``.
+
+    Raises:
+        UnknownNameError: if there is no such variant.
+    """
+    name = variant.removeprefix("Test") if isinstance(variant, str) and variant != "TestDemo" else ""
+    if name not in VARIANTS:
+        raise unknown_name("variant", variant, VARIANTS)
+    return name
+
+
+def environment_axes(task: str, variant: str) -> tuple[Axis, ...]:
+    """The axes along which the environment's scenes vary, such as ``("layout", "colour", "dynamics")``.
+
+    Raises:
+        UnknownNameError: if there is no such task or variant, or the task does not have this variant.
+    """
+    return varied_axes(task_spec(task), variant_name(variant))
+
+
+def environments(tasks: Names = "all", variants: Names = "all") -> list[Pair]:
+    """The existing (task, variant) pairs of these tasks and variants: first the benchmark's in its order, then others.
+
+    Args:
+        tasks: names that `task_spec` accepts; "all" is `TASKS`.
+        variants: names that `variant_name` accepts; "all" is `VARIANTS`.
+
+    Raises:
+        SettingsError: if no name is given.
+        UnknownNameError: if a name is unknown, or none of the pairs exists.
+        TaskError: if the task of another package cannot be played.
+    """
+    chosen = in_order(task_name(task) for task in listed(tasks, TASKS))
+    wanted = [variant_name(variant) for variant in listed(variants, VARIANTS)]
+    pairs = [(task, variant) for task in chosen for variant in variants_of(task_spec(task)) if variant in wanted]
+    if not pairs:
+        environment_axes(chosen[0], wanted[0])  # says which variants the task has
+    return pairs
+
+
+def in_order(tasks: Iterable[str]) -> list[str]:
+    """The tasks without duplicates in the order of tables: the benchmark's in its order, then others as given."""
+    rank = {task: index for index, task in enumerate(TASKS)}
+    return sorted(dict.fromkeys(tasks), key=lambda task: rank.get(task, len(rank)))
+
+
+def listed(names: Names, every: Iterable[str]) -> list[str]:
+    """The names as a list; they may be given as a list or separated by commas, and "all" stands for `every` one.
+
+    Raises:
+        SettingsError: if no name is given.
+    """
+    if isinstance(names, str):
+        names = names.split(",")
+    try:
+        found = [name.strip() if isinstance(name, str) else name for name in names]
+    except TypeError:  # also of arrays without a dimension, which look like sequences
+        found = []
+    found = [name for name in found if not isinstance(name, str) or name]  # "" is from a comma at the end
+    if not found:
+        raise SettingsError(f"give at least one of {', '.join(every)}, or all; not {shown(names)}")
+    return list(every) if isinstance(found[0], str) and found == ["all"] else found
+
+
+def check_rules(rules: str) -> Rules:
+    """`rules` if it is "paper" or "released".
+
+    Raises:
+        UnknownNameError: if it is anything else.
+    """
+    check_name("set of rules", rules, RULES)
+    return cast("Rules", rules)
+
+
+def sample_scene(task: str, variant: str, seed: int) -> Scene:
+    """The scene in which an episode with this seed starts: the same on every machine and in every process.
+
+    The scenes of seeds 0 to 99 are those on which the environment is evaluated.
+
+    Raises:
+        UnknownNameError: if there is no such task or variant, or the task does not have this variant.
+        InvalidSeedError: if the seed is not an integer, or negative; any size will do.
+        PlacementError: if no legal placement was found (not known to happen in the benchmark).
+        TaskError: if the task of another package draws a scene in which it cannot start, or its code raises an error.
+    """
+    spec, variant = task_spec(task), variant_name(variant)
+    if spec.name in SPECS:
+        return vary(spec, variant, seed)  # known to be right
+    with errors_of_task(f"{spec.name}-{variant} cannot be drawn from seed {shown(seed)}"):
+        scene = vary(spec, variant, seed)
+        check_drawn(spec, variant, seed, scene)
+    return scene
+
+
+def score(task: str, initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    """How well the final scene solves the task, in [0, 1]. It depends on the two scenes only.
+
+    Args:
+        task: a task's name.
+        initial: the scene at the start; it determines which block belongs where.
+        final: the same robot, blocks and regions with the poses at the end.
+        rules: "paper", or "released" for the rules of the original's code where it differs.
+
+    Raises:
+        UnknownNameError: if there is no such task or set of rules.
+        InvalidSceneError: if `initial` is not a scene of the task, or `final` has other blocks or regions.
+        TaskError: if the task of another package returns anything but a number in [0, 1], or its code raises an error.
+    """
+    spec = task_spec(task)
+    rules = check_rules(rules)
+    for scene in (initial, final):
+        check_scene_type(scene)
+    with errors_of_task(f"{spec.name}.check failed"):
+        spec.check(initial)
+    _check_same(initial, final)
+    return spec.checked_score(initial, final, rules)
+
+
+def _check_same(initial: Scene, final: Scene) -> None:
+    """Raise `InvalidSceneError` unless both scenes have the same blocks (poses may differ) and goal regions."""
+    before, after = ([f"{block.colour} {block.shape}" for block in scene.blocks] for scene in (initial, final))
+    if before != after:
+        raise InvalidSceneError(
+            "the final scene must have the initial scene's blocks in the same order, "
+            f"which are {', '.join(before) or 'none'}, not {', '.join(after) or 'none'}"
+        )
+    boxes = [[(r.x_min, r.y_min, r.x_max, r.y_max) for r in scene.regions] for scene in (initial, final)]
+    colours = [[region.colour for region in scene.regions] for scene in (initial, final)]
+    if colours[0] != colours[1] or not np.allclose(*boxes, rtol=0.0, atol=_REGION_TOLERANCE):
+        raise InvalidSceneError(
+            f"the final scene must have the initial scene's goal regions, {initial.regions}, not {final.regions}"
+        )

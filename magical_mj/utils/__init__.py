@@ -1,0 +1,1 @@
+"""What every layer may use: errors, files, users' imports, optional dependencies, parallel work."""

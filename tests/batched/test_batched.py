@@ -1,0 +1,297 @@
+"""Batched worlds on Warp's CPU device, beside the environments that they stand for; one process compiles kernels."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+import magical_mj
+from magical_mj import batched
+from magical_mj.batched import physics as physics_module
+from magical_mj.batched.arrays import Arrays
+from magical_mj.batched.physics import Physics
+from magical_mj.batched.pictures import Painter
+from magical_mj.batched.scenes import Capacity, SceneArrays
+from magical_mj.envs.presets import PRESETS
+from magical_mj.scene import Scene
+from magical_mj.utils.errors import InvalidSeedError, SettingsError
+
+pytestmark = [pytest.mark.xdist_group("warp"), pytest.mark.filterwarnings("default")]
+
+MIXED = [("MoveToRegion", "Demo"), ("FixColour", "All"), ("ClusterShape", "CountPlus"), ("FindDupe", "Dynamics")]
+
+
+def arrays(scenes: list[Scene]) -> SceneArrays:
+    return SceneArrays.of(scenes, Capacity.of(scenes))
+
+
+def table(scene: Scene) -> NDArray[np.float64]:
+    return np.array([scene.robot.pose, *(block.pose for block in scene.blocks)])
+
+
+def distances(physics: Physics, envs: list[magical_mj.Environment]) -> list[float]:
+    """How far the worst thing of each world is from where it should be, world units."""
+    wanted = [table(env.scene) for env in envs]
+    return [
+        float(np.abs(poses[: len(rows), :2].numpy() - rows[:, :2]).max())
+        for poses, rows in zip(physics.poses, wanted, strict=True)
+    ]
+
+
+def running(scenes: list[Scene]) -> list[magical_mj.Environment]:
+    envs = [magical_mj.load_scene(scene, observations=()) for scene in scenes]
+    for env in envs:
+        env.reset()
+    return envs
+
+
+@pytest.mark.parametrize("view", ["ego", "allo"])
+def test_pictures_of_all_environments(view: str) -> None:
+    scenes = [magical_mj.sample_scene(*pair, 1) for pair in magical_mj.ENVIRONMENTS]
+    out = torch.zeros((len(scenes), 96, 96, 3), dtype=torch.uint8)
+    Painter(arrays(scenes)).draw(view, out)
+    for env, picture in zip(running(scenes), out, strict=True):
+        wanted = env.render(view, 96).astype(float)
+        assert np.abs(wanted - picture.numpy()).mean() < 0.05
+        env.close()
+
+
+def test_one_action_in_every_environment() -> None:
+    """Scenes of all counts, shapes and dynamics side by side in one model."""
+    scenes = [magical_mj.sample_scene(*pair, 0) for pair in magical_mj.ENVIRONMENTS]
+    physics, envs = Physics(arrays(scenes)), running(scenes)
+    actions = np.random.default_rng(0).integers(18, size=len(scenes))
+    physics.step(torch.from_numpy(actions))
+    for env, action in zip(envs, actions, strict=True):
+        env.step(int(action))
+    assert max(distances(physics, envs)) < 1e-5
+    assert not physics.overflowed.any()
+
+
+def test_ten_actions_and_what_is_alone_moves_alike() -> None:
+    scenes = [magical_mj.sample_scene(*pair, 2) for pair in MIXED]
+    physics, envs = Physics(arrays(scenes)), running(scenes)
+    alone = Physics(SceneArrays.of(scenes[1:2], Capacity.of(scenes)))
+    for step in range(10):
+        actions = torch.tensor([1, 10, 13, 4] if step < 6 else [3, 10, 1, 16])
+        physics.step(actions)
+        alone.step(actions[1:2])
+        for env, action in zip(envs, actions.tolist(), strict=True):
+            env.step(action)
+    assert np.median(distances(physics, envs)) < 1e-4
+    torch.testing.assert_close(alone.poses[0], physics.poses[1], atol=1e-5, rtol=0.0)
+
+
+def test_overflows_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(physics_module, "ROWS", 8)
+    scene = magical_mj.sample_scene("MoveToCorner", "Demo", 0)
+    physics = Physics(arrays([scene]))
+    physics.step(torch.tensor([1]))
+    assert physics.overflowed.tolist() == [True]
+    physics.reset(arrays([scene]), torch.tensor([0]))
+    assert physics.overflowed.tolist() == [False]
+
+
+def test_episodes_with_overflows_are_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(physics_module, "ROWS", 8)
+    made = batched.make("MoveToCorner", "Demo", 1, device="cpu", preset="State")
+    made.reset()
+    made._steps[0] = 79  # nearly over
+    with pytest.warns(UserWarning, match="more contacts than there is room for"):
+        _, _, _, ended, info = made.step([1])
+    assert ended.tolist() == info["final_info"]["overflowed"].tolist() == [True]
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def env() -> Iterator[Any]:
+    made = batched.make("MoveToRegion,FixColour", "Demo", 3, device="cpu", reward="score", preset="LoResCHW4E")
+    yield made
+    made.close()
+
+
+def test_episodes_are_those_of_the_single_environments(env: Any) -> None:
+    """Two tasks whose horizons differ, resets included; the demonstrations, played open loop, score 1."""
+    demos = [magical_mj.demos.load(task)[0] for task in ("MoveToRegion", "FixColour", "MoveToRegion")]
+    single = gymnasium.make(magical_mj.env_id("MoveToRegion", "Demo", "LoResCHW4E"))
+    observations, info = env.reset(seed=0)
+    wanted, _ = single.reset(seed=0)
+    assert observations.shape == env.observation_space.shape == (3, 12, 96, 96)
+    assert not info["eval_score"].any()
+    ends = []
+    for step in range(60):
+        assert np.abs(observations[0].numpy().astype(float) - wanted).mean() < 0.05
+        actions = [int(demo.actions[step % len(demo.actions)]) for demo in demos]
+        observations, rewards, terminated, truncated, info = env.step(actions)
+        assert not terminated.any()
+        assert not info["eval_score"].any()  # that of an episode that has begun
+        if truncated.any():
+            final = info["final_info"]
+            assert torch.equal(rewards.double(), final["eval_score"])
+            assert torch.equal(info["_final_info"], truncated)
+            ends.append((step + 1, truncated.tolist(), final["eval_score"].tolist()))
+            assert final["is_success"].tolist() == [score == 1.0 for score in ends[-1][2]]
+        else:
+            assert not rewards.any()
+        if step < 40:
+            wanted, *_ = single.step(actions[0])
+        if step == 39:
+            assert np.abs(info["final_obs"][0].numpy().astype(float) - wanted).mean() < 0.05
+            wanted, _ = single.reset(seed=0)  # the demo variant always starts alike
+        elif step > 39:
+            wanted, *_ = single.step(actions[0])
+    assert ends == [(40, [True, False, True], [1.0, 0.0, 1.0]), (60, [False, True, False], [0.0, 1.0, 0.0])]
+    single.close()
+
+
+@pytest.mark.parametrize("preset", ["State", "LoRes3EA", "LoResStack"])
+def test_observations_stay_alike_while_other_worlds_begin_anew(preset: str) -> None:
+    made = batched.make("FixColour", "Demo", 2, device="cpu", preset=preset)
+    single = gymnasium.make(magical_mj.env_id("FixColour", "Demo", preset))
+    made.reset(seed=0)
+    single.reset(seed=0)
+    made._steps[1] = 57  # nearly over
+    for step, action in enumerate((1, 4, 13, 10, 1)):
+        seen, _, _, ended, _ = made.step([action, action])
+        assert ended.tolist() == [False, step == 2]
+        wanted = single.step(action)[0]
+        parts = [(seen[name], wanted[name]) for name in wanted] if isinstance(wanted, dict) else [(seen, wanted)]
+        for one, other in parts:
+            apart = np.abs(one[0].numpy().astype(float) - other)
+            assert apart.max() < 1e-3 if preset == "State" else apart.mean() < 0.05
+    made.close()
+    single.close()
+
+
+def test_other_rules_have_other_horizons_and_scores() -> None:
+    """In ClusterShape's demo, doing nothing scores a quarter by the paper's rules, and nothing by the others."""
+    for rules, steps, score in (("paper", 320, 0.25), ("released", 240, 0.0)):
+        made = batched.make("ClusterShape", "Demo", 1, device="cpu", preset="State", rules=rules)
+        made.reset(seed=0)
+        made._steps[0] = steps - 2
+        assert made.step([0])[3].tolist() == [False]
+        *_, ended, info = made.step([0])
+        assert ended.tolist() == [True]
+        assert info["final_info"]["eval_score"].tolist() == [score]
+        assert info["final_info"]["is_success"].tolist() == [False]
+        made.close()
+
+
+def test_what_is_not_finite_stays_in_its_world(env: Any) -> None:
+    env.reset(seed=0)
+    env.physics._state["qvel"][1] = float("nan")
+    _, _, _, truncated, info = env.step([1, 1, 1])
+    assert info["final_info"]["broken"].tolist() == truncated.tolist() == [False, True, False]
+    assert info["final_info"]["eval_score"][1] == 0.0
+    assert not info["broken"].any()
+    observations, *_, info = env.step([1, 1, 1])
+    assert not info["broken"].any()
+    assert env.physics.poses.isfinite().all()
+    assert observations[1].float().std() > 1
+
+
+def test_actions_of_any_integer_type_are_taken(env: Any) -> None:
+    env.reset(seed=0)
+    env.step(np.array([1, 2, 17], np.uint16))
+    assert env._steps.tolist() == [1, 1, 1]
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_preset_begins_alike(preset: str) -> None:
+    made = batched.make("FindDupe", "All", 1, device="cpu", preset=preset)
+    single = gymnasium.make(magical_mj.env_id("FindDupe", "All", preset))
+    seen, wanted = made.reset(seed=5)[0], single.reset(seed=5)[0]
+    parts = [(seen[name][0], wanted[name]) for name in wanted] if isinstance(wanted, dict) else [(seen[0], wanted)]
+    for one, other in parts:
+        assert one.shape == other.shape
+        limit = 1e-4 if other.dtype == np.float32 else 0.05
+        assert np.abs(one.numpy().astype(float) - other).mean() < limit
+    made.close()
+    single.close()
+
+
+def test_without_autoreset_worlds_wait_for_a_mask() -> None:
+    made = batched.make(
+        "MoveToRegion", "Layout", 2, device="cpu", preset="State", autoreset_mode=AutoresetMode.DISABLED
+    )
+    first, _ = made.reset(seed=3)
+    made._steps[1] = 39  # an episode that is nearly over
+    _, _, _, truncated, _ = made.step([1, 1])
+    assert truncated.tolist() == [False, True]
+    with pytest.raises(ResetNeeded):
+        made.step([1, 1])
+    after, _ = made.reset(seed=[9, 4], options={"reset_mask": truncated})
+    torch.testing.assert_close(after[1], first[1])
+    same, _ = made.reset(options={"reset_mask": [False, False]})
+    assert torch.equal(same, after)
+    assert not torch.equal(after[0], first[0])
+    made.step([1, 1])
+    assert torch.equal(made.reset(seed=np.int64(3))[0], first)
+    for mask in ([0, 1], [True], "01", [[True, False]]):
+        with pytest.raises(SettingsError, match="reset_mask must hold 2 bools"):
+            made.reset(options={"reset_mask": mask})
+    for seed in (-1, 1.5, [1, None], "12", [[1], [2, 3]]):
+        with pytest.raises(InvalidSeedError, match="is not a seed"):
+            made.reset(seed=seed)
+    with pytest.warns(UserWarning, match="reset ignores the options 'scene'"):
+        made.reset(options={"scene": 3})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made.reset(options={"scene": 4})  # once is enough
+    with pytest.raises(SettingsError, match="options are a dict"):
+        made.reset(options=["scene"])  # type: ignore[arg-type]
+    made.close()
+
+
+def test_a_seed_determines_the_later_episodes_too() -> None:
+    made = batched.make("FindDupe", "All", 2, device="cpu", preset="State", seed=5)
+    drawn = []
+    for seed in (7, np.array(7)):
+        made.reset(seed=seed)
+        drawn.append([made.reset()[0] for _ in range(2)])
+    assert not torch.equal(*drawn[0])
+    assert all(torch.equal(one, other) for one, other in zip(*drawn, strict=True))
+    made.close()
+
+
+def test_arrays_are_the_same_with_numpy() -> None:
+    made = Arrays(batched.make("FindDupe", "All", 2, device="cpu", preset="State"))
+    made.reset(seed=0)
+    state = made.get_state()
+    seen = made.step([1, 4])[0]
+    assert isinstance(seen, np.ndarray)
+    before = made.set_state(state)
+    assert not np.array_equal(before, seen)
+    np.testing.assert_array_equal(made.step([1, 4])[0], seen)
+    assert (made.device, made.num_envs) == ("cpu", 2)
+    made.close()
+
+
+def test_what_users_do_to_observations_changes_none_of_the_later_ones() -> None:
+    made, twin = (batched.make("FindDupe", "All", 2, device="cpu", image_size=16) for _ in range(2))
+    seen, kept = made.reset(seed=0)[0], twin.reset(seed=0)[0]
+    for action in (1, 4):
+        seen.zero_()
+        seen, kept = made.step([action] * 2)[0], twin.step([action] * 2)[0]
+        assert torch.equal(seen, kept)
+    for one in (made, twin):
+        one.close()
+
+
+def test_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "batched.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    exec(compile(code, "batched.md", "exec"), {})
+    printed = capsys.readouterr().out.splitlines()[-1]
+    assert printed == f"{torch.zeros(4, dtype=torch.float64)} {torch.zeros(4, dtype=torch.bool)}"

@@ -1,0 +1,126 @@
+"""The command line: lists, pictures, exported models, and the short tour `magical-mj demo`."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import pytest
+from PIL import Image
+
+import magical_mj
+from magical_mj.cli import environments
+from magical_mj.utils import files
+from tests.helpers.commands import COMMANDS, Shell, opened, process
+
+
+def test_list_shows_every_environment(shell: Shell) -> None:
+    code, out, _ = shell("list")
+    rows = [line.split() for line in out.splitlines()[1:]]
+    assert code == 0
+    assert [(row[0], row[1]) for row in rows] == list(magical_mj.ENVIRONMENTS)
+    assert ["FindDupe", "Layout", "100", "layout"] in rows
+    assert ["MoveToCorner", "Demo", "80", "nothing"] in rows
+
+
+def test_list_ids(shell: Shell) -> None:
+    _, out, _ = shell("list", "--ids")
+    assert out.split() == [magical_mj.env_id(task, variant) for task, variant in magical_mj.ENVIRONMENTS]
+
+
+def test_help_and_version(shell: Shell) -> None:
+    for arguments in ((), ("--help",), ("-h",)):
+        code, out, _ = shell(*arguments)
+        assert code == 0
+        assert all(name.split()[0] in out for name in COMMANDS)
+    for name in COMMANDS:
+        assert shell(*name.split(), "--help")[0] == 0
+    assert shell("--version") == (0, f"magical-mj {magical_mj.__version__}\n", "")
+
+
+def test_both_ways_to_start_it() -> None:
+    script = Path(sys.executable).with_name("magical-mj")
+    for command in ([str(script)], [sys.executable, "-m", "magical_mj"]):
+        result = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True)
+        assert result.stdout == f"magical-mj {magical_mj.__version__}\n"
+
+
+@pytest.mark.parametrize(("command", "code"), [("list --ids", 0), ("--help", 141), ("demos", 141)])
+def test_a_closed_pipe_ends_quietly(command: str, code: int) -> None:
+    """The reader has gone before anything is written."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    full = [sys.executable, "-m", "magical_mj", *command.split()]
+    result = subprocess.run(full, stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writing)
+    assert (result.returncode, result.stderr) == (code, "")
+
+
+def test_view(shell: Shell, tmp_path: Path) -> None:
+    assert shell("view", "FindDupe", "TestAll", "--seed", 3, "--size", 64) == (0, "FindDupe-All-3.png\n", "")
+    assert shell("view", "FindDupe", "All", "--seed", 4, "--size", 64, "--out", "new/a.png")[0] == 0
+    pictures = [opened(tmp_path / name) for name in ("FindDupe-All-3.png", "new/a.png")]
+    assert {picture.size for picture in pictures} == {(128, 64)}
+    assert pictures[0].tobytes() != pictures[1].tobytes()
+    env = magical_mj.load("FindDupe", "All", seed=3, observations=())
+    env.reset()
+    left = pictures[0].crop((0, 0, 64, 64))
+    assert left.tobytes() == Image.fromarray(env.render("allo", 64)).tobytes()
+
+
+def test_view_draws_the_cameras_that_are_named(shell: Shell, tmp_path: Path) -> None:
+    assert shell("view", "FindDupe", "--camera", "scene", "--size", 64, "--out", "scene.png")[0] == 0
+    assert shell("view", "FindDupe", "--camera", "scene,ego,allo", "--size", 64, "--out", "three.png")[0] == 0
+    scene, three = opened(tmp_path / "scene.png"), opened(tmp_path / "three.png")
+    assert (scene.size, three.size) == ((64, 64), (192, 64))
+    assert three.crop((0, 0, 64, 64)).tobytes() == scene.tobytes()
+    assert "scene" in shell.fails(2, "view", "FindDupe", "--camera", "scenes")
+    assert "scene" in shell.fails(2, "rollout", "FindDupe", "--video", "a.mp4", "--camera", "scenes")
+
+
+def test_view_grid(shell: Shell, tmp_path: Path) -> None:
+    assert shell("view", "--grid", "--size", 32)[0] == 0
+    pitch = 32 + environments.GAP
+    size = (environments.MARGIN + len(names) * pitch for names in (magical_mj.VARIANTS, magical_mj.TASKS))
+    assert opened(tmp_path / "environments-0.png").size == tuple(size)
+
+
+def test_export_loads_in_plain_mujoco(shell: Shell, tmp_path: Path) -> None:
+    code, out, _ = shell("export", "FindDupe", "All", "--seed", 3, "--out", "models")
+    assert (code, out) == (0, "models/FindDupe-All-3.xml\n")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "models" / "FindDupe-All-3.xml"))
+    assert model.nkey == 1
+
+
+def test_a_demo_leaves_alone_what_it_must(shell: Shell, tmp_path: Path) -> None:
+    """Another demo that is running, and files of others, but not what a killed process has left."""
+    command = ("demo", "--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1, "--out", tmp_path)
+    with files.locked(tmp_path):
+        assert f"another demo is running in {tmp_path}; wait for it" in shell.fails(1, *command)
+    (tmp_path / "notes.txt").write_text("mine")
+    assert "holds files that this command has not made" in shell.fails(1, *command)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("finished_some", [False, True])
+def test_demo(tmp_path: Path, finished_some: bool) -> None:
+    """The main job, on the quickest task, over what a killed run left: before its first episode, or after some."""
+    (tmp_path / ".run.here-1-1.part.json").write_text("{")
+    (tmp_path / "scores.jsonl").touch()
+    few = {"tasks": "MoveToRegion", "episodes": 1, "jobs": 1}
+    if finished_some:
+        magical_mj.evaluate("expert,random,noop", out=tmp_path, **few)
+    result = process("demo", "--tasks", "MoveToRegion", "--episodes", "1", "--jobs", "2", "--out", str(tmp_path))
+    assert (result.returncode, result.stderr) == (0, "")
+    assert ("replacing an earlier run" in result.stdout) == finished_some
+    assert "expert: mean score 1.000 over 6 environments" in result.stdout
+    page = Path(result.stdout.splitlines()[-1])
+    assert page == tmp_path / "report.md"
+    linked = re.findall(r"\]\(([^)]+)\)", page.read_text())
+    assert {"bars.png", "heat_map.png", "environments.png", "best-expert-MoveToRegion.mp4"} <= set(linked)
+    assert all((tmp_path / name).stat().st_size > 0 for name in linked)

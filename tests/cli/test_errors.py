@@ -1,0 +1,178 @@
+"""The command line: one clear line for everything that can go wrong. Exit code 2 for wrong use, 1 for failures."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from magical_mj.rendering.backend import osmesa_works
+from tests.helpers.commands import Shell, process
+
+
+@pytest.mark.parametrize(
+    ("line", "hint"),
+    [
+        ("frobnicate", "No such command"),
+        ("view", "give TASK"),
+        ("view FindDupe --grid", "either TASK or --grid"),
+        ("view FindDup", "Did you mean 'FindDupe'"),
+        ("view FindDupe Color", "Did you mean 'Colour'"),
+        ("view FindDupe TestDemo", "Did you mean 'Demo'"),
+        ("view MoveToCorner Layout", "It has: Demo, Jitter"),
+        ("view FindDupe --seed -1", "--seed"),
+        ("view FindDupe --seed x", "--seed"),
+        ("view FindDupe --size 0", "--size"),
+        ("view FindDupe --out a.jpg", "must end in .png"),
+        ("view FindDupe Demo extra", "extra"),
+        ("rollout FindDupe --policy greedy", "unknown policy"),
+        ("rollout FindDupe --policy gone.zip", "no file gone.zip"),
+        ("rollout FindDupe --agent expert", "--agent"),
+        ("rollout FindDupe --episodes 0", "--episodes"),
+        ("rollout FindDupe --video a.avi", "must end in .mp4"),
+        ("rollout MoveToRegion CountPlus", "It has: Demo, Jitter"),
+        ("export FindDupe", "--out"),
+        ("export", "TASK"),
+        ("export FindDupe Nothing --out x", "unknown variant"),
+        ("demo --jobs 0", "--jobs"),
+        ("evaluate --policy =noop --out scores", "name of a method"),
+        ("play FindDupe --collect study", "only with --web"),
+        ("play FindDupe --web --record mine", "without --web"),
+        ("play findupe --web", "Did you mean 'FindDupe'"),
+        ("play --web --origin study.example.org", "such as https://"),
+        ("play --web --origin https://study.example.org/page", "without a path"),
+        ("bench --num-envs 5", "only with --batched"),
+        ("bench --json --markdown", "one of"),
+        ("bench --batched --num-envs 8,0", "numbers of at least 1"),
+        ("bench --batched --device cuda:7", "no device 'cuda:7'"),
+        ("view --grid --camera ego", "--camera"),
+        ("rollout FindDupe --camera ego", "only with --video"),
+        ("demos export --to npz --video", "only with --to lerobot"),
+        ("demos export --to minari --no-drop-noop", "only with --to npz"),
+        ("demos video --out a.mp4 --speed 1000", "--speed"),
+    ],
+)
+def test_wrong_use(shell: Shell, line: str, hint: str, tmp_path: Path) -> None:
+    assert hint.lower() in shell.fails(2, *line.split()).lower()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "view FindDupe --out {}/a.png",
+        "view --grid --out {}/a.png",
+        "rollout FindDupe --video {}/a.mp4",
+        "export FindDupe --out {}",
+        "demo --out {}",
+    ],
+)
+def test_unwritable_path_is_said_before_the_work(shell: Shell, line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_work(*_: object, **__: object) -> None:
+        pytest.fail("the path was not checked first")
+
+    monkeypatch.setattr("magical_mj.envs.composer.Environment.reset", no_work)
+    assert "cannot write into /dev/null/folder" in shell.fails(1, *line.format("/dev/null/folder").split())
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        ("view MoveToRegion --out a.png --size 16", "a.png"),
+        ("rollout MoveToRegion --video a.mp4 --size 16", "a.mp4"),
+        ("export MoveToRegion --out .", "MoveToRegion-Demo-0.xml"),
+    ],
+)
+def test_nothing_is_overwritten_unless_forced(shell: Shell, line: str, name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text("precious")
+    assert "--force" in shell.fails(1, *line.split())
+    assert (tmp_path / name).read_text() == "precious"
+    assert shell(*line.split(), "--force")[0] == 0
+    assert (tmp_path / name).read_bytes() != b"precious"
+
+
+@pytest.mark.parametrize("broken", ["raise ValueError('no [red] blocks')", "import sys; sys.exit(3)", "SPEC = ("])
+def test_a_task_whose_module_fails_is_one_line(shell: Shell, broken: str, tmp_path: Path) -> None:
+    name = f"broken_{abs(hash(broken))}"
+    (tmp_path / f"{name}.py").write_text(broken)
+    error = shell.fails(2, "view", f"{name}:SPEC")
+    assert f"the task '{name}:SPEC' cannot be imported: " in error
+    assert "line 1)" in error
+
+
+def test_the_tour_replaces_only_what_it_has_made(shell: Shell, tmp_path: Path) -> None:
+    """It starts anew where it was called before; scores of other evaluations may have taken days."""
+    few = ("--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1)
+    assert shell("evaluate", "--policy", "expert,random,noop", "--preset", "State", "--out", "states", *few)[0] == 0
+    assert "give another folder" in shell.fails(1, "demo", *few, "--out", "states")
+    evaluate = ("evaluate", "--policy", "expert,random,noop", "--variants", "Demo", "--out", "mine")
+    assert shell(*evaluate, *few)[0] == 0
+    scores = (tmp_path / "mine" / "scores.jsonl").read_bytes()
+    assert "give another folder" in shell.fails(1, "demo", *few, "--out", "mine")
+    (tmp_path / "mine" / "environments.png").write_text("precious")
+    assert "give another folder" in shell.fails(1, "demo", *few, "--out", "mine")
+    assert (tmp_path / "mine" / "scores.jsonl").read_bytes() == scores
+
+
+@pytest.mark.parametrize("name", ["report.md", "environments.png", "bars.png", "scores.jsonl"])
+def test_the_tour_keeps_out_of_folders_with_other_files(shell: Shell, name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text("precious")
+    error = shell.fails(1, "demo", "--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1, "--out", tmp_path)
+    assert "holds files that this command has not made" in error
+    assert (tmp_path / name).read_text() == "precious"
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.parametrize("extra", ["typer", "imageio_ffmpeg"])
+def test_missing_extra_is_one_line(extra: str, tmp_path: Path) -> None:
+    hide = f"import sys; sys.modules[{extra!r}] = None; from magical_mj.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", hide, "rollout", "MoveToRegion", "--video", str(tmp_path / "a.mp4")]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    assert 'pip install "magical-mj[' in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_nothing_is_written_without_the_extra_for_videos(
+    shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played = tmp_path / "noop"
+    shell("evaluate", "--policy", "noop", "--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1, "--out", played)
+    before = sorted(tmp_path.rglob("*"))
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    for command in (("report", played, "--videos"), ("demo", "--out", tmp_path / "tour")):
+        assert 'pip install "magical-mj[video]"' in shell.fails(1, *command)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_an_export_that_cannot_be_finished_is_not_begun(shell: Shell, tmp_path: Path) -> None:
+    taken = tmp_path / "FixColour-Demo-ego.hdf5"
+    taken.write_text("precious")
+    command = ("demos", "export", "--tasks", "MoveToRegion,FixColour", "--to", "robomimic")
+    assert "FixColour-Demo-ego.hdf5 exists already" in shell.fails(1, *command)
+    assert [path.name for path in tmp_path.iterdir()] == [taken.name]
+
+
+@pytest.mark.parametrize("backend", ["glfw", "osmesa", "mesa"])
+def test_no_opengl_is_one_line(backend: str, tmp_path: Path) -> None:
+    """Backends that do not work: GLFW without a display, OSMesa where it is not installed, one that nobody knows."""
+    if backend == "osmesa" and osmesa_works():
+        pytest.skip("OSMesa works here")
+    variables = {"MUJOCO_GL": backend, "DISPLAY": "", "WAYLAND_DISPLAY": "", "PYOPENGL_PLATFORM": ""}
+    result = process("view", "FindDupe", "--out", str(tmp_path / "a.png"), **variables)
+    assert result.returncode == 1
+    assert "MUJOCO_GL" in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert process("list", **variables).stderr == ""
+    assert process("evaluate", "--help", **variables).stderr == ""
+
+
+def test_mujoco_may_be_imported_first(tmp_path: Path) -> None:
+    out = str(tmp_path / "a.png")
+    code = f"import mujoco, sys, magical_mj.cli as cli; sys.exit(cli.main(['view', 'FindDupe', '--out', {out!r}]))"
+    variables = {name: value for name, value in os.environ.items() if name not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
+    result = subprocess.run([sys.executable, "-c", code], env=variables, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr

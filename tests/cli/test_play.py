@@ -1,0 +1,196 @@
+"""Playing with the keyboard: what keys mean, and whole episodes with synthetic key events under a virtual display."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import magical_mj
+from magical_mj.cli import main
+from magical_mj.cli.play import Episodes, play_in
+from magical_mj.demos import load, verify
+from magical_mj.scene.actions import ACTIONS, Action, Drive, Gripper, Turn
+
+pygame = pytest.importorskip("pygame")
+
+from magical_mj.cli.window import Window  # noqa: E402
+
+SIZE = 48
+
+
+@pytest.fixture
+def window(monkeypatch: pytest.MonkeyPatch) -> Iterator[Window]:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    window = Window("test", SIZE, speed=0)
+    pygame.event.clear()
+    yield window
+    window.close()
+
+
+def press(*keys: int) -> None:
+    for key in keys:
+        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
+
+
+def release(*keys: int) -> None:
+    for key in keys:
+        pygame.event.post(pygame.event.Event(pygame.KEYUP, key=key))
+
+
+def test_every_action_has_its_keys(window: Window) -> None:
+    turns = {Turn.NONE: [], Turn.LEFT: [pygame.K_LEFT], Turn.RIGHT: [pygame.K_RIGHT]}
+    drives = {Drive.NONE: [], Drive.FORWARD: [pygame.K_UP], Drive.BACK: [pygame.K_DOWN]}
+    for action in ACTIONS:
+        keys = turns[action.turn] + drives[action.drive] + [pygame.K_SPACE] * (action.gripper == Gripper.CLOSE)
+        press(*keys)
+        window.wishes()
+        assert window.action() == action.number
+        release(*keys)
+        window.wishes()
+        assert window.action() == 0
+
+
+def test_a_tap_between_two_steps_counts_for_one(window: Window) -> None:
+    press(pygame.K_UP)
+    release(pygame.K_UP)
+    window.wishes()
+    assert window.action() == Action(drive=Drive.FORWARD).number
+    window.wishes()
+    assert window.action() == 0
+
+
+def test_opposite_keys_cancel_and_a_lost_focus_lets_go(window: Window) -> None:
+    press(pygame.K_LEFT, pygame.K_RIGHT, pygame.K_UP)
+    window.wishes()
+    assert window.action() == Action(drive=Drive.FORWARD).number
+    pygame.event.post(pygame.event.Event(pygame.WINDOWFOCUSLOST))
+    window.wishes()
+    assert window.action() == 0
+
+
+class Player:
+    """Somebody at the keyboard: at some frames keys are pressed and released."""
+
+    def __init__(self, window: Window, monkeypatch: pytest.MonkeyPatch, keys: dict[int, list[int]]) -> None:
+        self.keys, self.lines, self.show = keys, [], window.show
+        monkeypatch.setattr(window, "show", self.look)
+
+    def look(self, pictures: np.ndarray, lines: list[str]) -> None:
+        self.show(pictures, lines)
+        self.lines.append(lines)
+        for key in self.keys.get(len(self.lines), []):
+            press(key)
+            if key not in (pygame.K_UP, pygame.K_LEFT):
+                release(key)
+        if len(self.lines) == 500:
+            press(pygame.K_ESCAPE)
+
+
+def test_an_episode_is_played_recorded_and_read_again(
+    window: Window, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    env = magical_mj.load("MoveToRegion", seed=0, observations=())
+    keys = {5: [pygame.K_UP], 14: [pygame.K_r], 16: [pygame.K_LEFT], 80: [pygame.K_ESCAPE]}
+    player = Player(window, monkeypatch, keys)
+    play_in(window, env, "MoveToRegion", "Demo", 0, SIZE, Episodes(tmp_path))
+    env.close()
+    assert all(lines[0] == "Drive into the goal region." for lines in player.lines)
+    assert ["press a key to start" in lines[1] for lines in player.lines[:7]] == [True] * 5 + [False] * 2
+    assert "5 s, score so far 0.00" in player.lines[5][1]
+    assert "not solved; kept, D discards it" in player.lines[-1][1]
+    (demo,) = load("MoveToRegion", tmp_path)
+    assert len(demo.actions) == 40
+    assert demo.demonstrator == "human"
+    first = Action(turn=Turn.LEFT, drive=Drive.FORWARD).number  # the up key is held still
+    assert set(demo.actions.tolist()) <= {Action(drive=Drive.FORWARD).number, first}
+    assert verify(demo).exact
+
+
+@pytest.mark.parametrize("discard", [True, False])
+def test_what_was_played_is_kept_at_once_and_discarded_on_request(
+    window: Window, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str], discard: bool
+) -> None:
+    env = magical_mj.load("MoveToRegion", seed=0, observations=())
+    last = [pygame.K_d, pygame.K_d] if discard else [pygame.K_n]
+    player = Player(window, monkeypatch, {1: [pygame.K_UP], 50: last, 55: [pygame.K_ESCAPE]})
+    play_in(window, env, "MoveToRegion", "Demo", 0, SIZE, Episodes(tmp_path))
+    env.close()
+    assert "solved" in player.lines[45][1]
+    assert len(list(tmp_path.iterdir())) == (not discard)
+    assert ("discarded" in capsys.readouterr().out) == discard
+    assert ("discarded" in player.lines[-1][1]) == discard
+
+
+def test_discarding_never_deletes_an_earlier_episode(tmp_path: Path) -> None:
+    demo = load("MoveToRegion")[0]
+    assert "kept, D discards it" in Episodes(tmp_path).finish(demo)
+    later = Episodes(tmp_path)
+    assert "the same as one that is kept" in later.finish(demo)
+    assert later.discard() is None
+    assert len(load("MoveToRegion", tmp_path)) == 1
+
+
+def test_without_a_folder_nothing_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
+    episodes = Episodes(None)
+    assert episodes.finish(load("MoveToRegion")[0]) == "score 1.00, solved"
+    assert episodes.discard() is None
+    assert capsys.readouterr().out == "seed 0: score 1.00, solved\n"
+
+
+def test_the_command_records_under_a_free_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    wishes = iter([[] for _ in range(41)] + [["reset"]] + [[] for _ in range(41)] + [["quit"]])
+    monkeypatch.setattr(Window, "wishes", lambda _: next(wishes))
+    actions = itertools.chain([1] * 41, [2] * 41)
+    monkeypatch.setattr(Window, "action", lambda _: next(actions))
+    assert main(["play", "MoveToRegion", "--record", str(tmp_path), "--size", str(SIZE), "--speed", "4"]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "MoveToRegion-Demo-human-000.npz",
+        "MoveToRegion-Demo-human-001.npz",
+    ]
+    assert {demo.demonstrator for demo in load("MoveToRegion", tmp_path)} == {"human"}
+
+
+OWN = (
+    "from dataclasses import replace\nfrom magical_mj.tasks.find_dupe import SPEC as OURS\n"
+    'SPEC = replace(OURS, name="Mine")\n'
+)
+
+
+@pytest.mark.parametrize(("task", "driver"), [("FindDupe", "no such driver"), ("FindDupe", None), ("mine:SPEC", None)])
+def test_without_a_display_it_says_so_and_makes_nothing(task: str, driver: str | None, tmp_path: Path) -> None:
+    """And advises to play in a browser, where only tasks of the benchmark can be played."""
+    (tmp_path / "mine.py").write_text(OWN)
+    hidden = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
+    variables = {name: value for name, value in os.environ.items() if name not in hidden}
+    command = [sys.executable, "-m", "magical_mj", "play", task, "--record", str(tmp_path / "kept")]
+    result = subprocess.run(
+        command,
+        cwd=tmp_path,
+        env=variables | ({} if driver is None else {"SDL_VIDEODRIVER": driver}),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert (result.returncode, result.stdout) == (1, "")
+    assert "A window needs a display" in result.stderr
+    assert ("play --web" in result.stderr) == (task == "FindDupe")
+    assert result.stderr.count("\n") == 1
+    assert not (tmp_path / "kept").exists()
+
+
+def test_without_its_extra_no_folder_is_made(tmp_path: Path) -> None:
+    hide = "import sys; sys.modules['pygame'] = None; from magical_mj.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", hide, "play", "FindDupe", "--record", str(tmp_path / "mine")]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    assert 'pip install "magical-mj[window]"' in result.stderr
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,203 @@
+"""Recordings from a browser become demonstrations; whatever else is in such files is refused, and nothing written."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import magical_mj
+from magical_mj import demos
+from magical_mj.cli import main
+from magical_mj.demos.importing import MAX_BYTES
+from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.utils.errors import DemonstrationError, MagicalError
+
+
+def poses(scene: magical_mj.Scene) -> dict[str, Any]:
+    robot = scene.robot
+    return {
+        "robot": [robot.x, robot.y, robot.angle],
+        "fingers": list(robot.fingers),
+        "blocks": [[block.x, block.y, block.angle] for block in scene.blocks],
+    }
+
+
+def recording(task: str, variant: str, seed: int) -> dict[str, Any]:
+    """What the page saves of an episode of random actions."""
+    env = magical_mj.load(task, variant, observations=())
+    env.reset(seed=seed)
+    actions = np.random.default_rng(seed).integers(18, size=env.horizon).tolist()
+    for action in actions:
+        env.step(action)
+    final = poses(env.scene)
+    env.close()
+    names = {"format": 1, "protocol": PROTOCOL, "task": task, "variant": variant, "seed": seed}
+    return {**names, "actions": actions, "final": final}
+
+
+@pytest.fixture(scope="module")
+def saved() -> dict[str, Any]:
+    return recording("FindDupe", "All", 3)
+
+
+def test_a_recording_becomes_a_demonstration(saved: dict[str, Any]) -> None:
+    made = demos.from_recording(json.dumps(saved | {"score": 1.0, "scene": "ignored"}))
+    demo = made.demonstration
+    assert (demo.task, demo.variant, demo.scene_seed, demo.demonstrator) == ("FindDupe", "All", 3, "human")
+    assert demo.scene == magical_mj.sample_scene("FindDupe", "All", 3)
+    assert demo.actions.tolist() == saved["actions"]
+    assert demo.score == demo.rescored()
+    assert demos.verify(demo).exact
+    assert made.deviation == 0.0
+    assert not made.suspect
+
+
+def test_another_end_than_the_player_saw_is_flagged(saved: dict[str, Any]) -> None:
+    x, y, angle = saved["final"]["blocks"][2]
+    for shift, suspect in ((5e-4, False), (2e-3, True)):
+        blocks = saved["final"]["blocks"].copy()
+        blocks[2] = [x, y + shift, angle]
+        made = demos.from_recording(json.dumps(saved | {"final": saved["final"] | {"blocks": blocks}}))
+        assert made.deviation == pytest.approx(shift)
+        assert made.suspect == suspect
+    without = {key: value for key, value in saved.items() if key != "final"}
+    assert demos.from_recording(json.dumps(without)).deviation is None
+
+
+HOSTILE: dict[str, tuple[dict[str, Any], str]] = {
+    "another format": ({"format": 2}, "format 1"),
+    "no format": ({"format": None}, "format 1"),
+    "true as format": ({"format": True}, "format 1"),
+    "another protocol": ({"protocol": PROTOCOL + 1}, f"protocol {PROTOCOL}"),
+    "unknown task": ({"task": "FindDup"}, "Did you mean 'FindDupe'"),
+    "unknown variant": ({"variant": "Color"}, "Did you mean 'Colour'"),
+    "impossible pair": ({"task": "MoveToCorner", "variant": "Layout"}, "It has"),
+    "code as task": ({"task": "os:system"}, "must be names"),
+    "path as task": ({"task": "../../FindDupe"}, "must be names"),
+    "path as variant": ({"variant": "/etc/passwd"}, "must be names"),
+    "list as task": ({"task": ["FindDupe"]}, "must be names"),
+    "endless name": ({"task": "F" * 50_000}, "must be names"),
+    "unpaired surrogate": ({"task": "\ud800"}, "must be names"),
+    "negative seed": ({"seed": -1}, "seed must be"),
+    "seed as text": ({"seed": "3"}, "seed must be"),
+    "fractional seed": ({"seed": 3.0}, "seed must be"),
+    "huge seed": ({"seed": 10**400}, "seed must be"),
+    "another action": ({"actions": [18] * 100}, "from 0 to 17"),
+    "negative action": ({"actions": [-1] * 100}, "from 0 to 17"),
+    "fractional action": ({"actions": [1.0] * 100}, "from 0 to 17"),
+    "truth as action": ({"actions": [True] * 100}, "from 0 to 17"),
+    "nested actions": ({"actions": [[1]] * 100}, "from 0 to 17"),
+    "half an episode": ({"actions": [1] * 50}, "has 100 actions"),
+    "a million actions": ({"actions": [1] * 10**6}, "bytes"),
+    "no actions": ({"actions": None}, "has 100 actions"),
+    "actions as text": ({"actions": "a" * 100}, "has 100 actions"),
+    "final as text": ({"final": "end"}, "final must hold"),
+    "final without blocks": ({"final": {"robot": [0, 0, 0], "fingers": [0, 0]}}, "final must hold"),
+    "final of other blocks": ({"final": {"robot": [0, 0, 0], "fingers": [0, 0], "blocks": []}}, "final must hold"),
+    "final with a huge number": ({"final": {"robot": [10**400, 0, 0], "fingers": [0, 0], "blocks": []}}, "final must"),
+    "final with texts": ({"final": {"robot": ["0", 0, 0], "fingers": [0, 0], "blocks": []}}, "final must hold"),
+}
+
+
+@pytest.mark.parametrize(("change", "hint"), HOSTILE.values(), ids=HOSTILE)
+def test_hostile_recordings_are_refused(
+    saved: dict[str, Any], change: dict[str, Any], hint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    refused(json.dumps(saved | change).encode(), hint, saved, tmp_path, capsys)
+
+
+@pytest.mark.parametrize(
+    ("content", "hint"),
+    [
+        (b"", "must be JSON"),
+        (b"\xff\xfe\x00", "must be JSON"),
+        (b"[" * (MAX_BYTES - 1), "must be JSON"),
+        (b"[]", "must be a JSON object"),
+        (b"null", "must be a JSON object"),
+        (b'{"format": 1', "must be JSON"),
+        (b'{"format": NaN}', "must be JSON"),
+        (b'{"seed": ' + b"9" * 5000 + b"}", "must be JSON"),
+        (b" " * (MAX_BYTES + 1), "bytes"),
+    ],
+)
+def test_what_is_no_recording_is_refused(
+    saved: dict[str, Any], content: bytes, hint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    refused(content, hint, saved, tmp_path, capsys)
+
+
+def refused(content: bytes, hint: str, good: dict[str, Any], folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By the function and by the command, which writes nothing of a good file beside the bad one."""
+    with pytest.raises(MagicalError, match=hint):
+        demos.from_recording(content)
+    (folder / "good.json").write_text(json.dumps(good))
+    (folder / "bad.json").write_bytes(content)
+    files = [str(folder / name) for name in ("good.json", "bad.json")]
+    assert main(["demos", "import", *files, "--out", str(folder / "made")]) == 2
+    out, error = capsys.readouterr()
+    assert out == ""
+    assert "bad.json: " in error
+    assert hint in error
+    assert error.count("\n") == 1
+    assert len(error) < 1000
+    assert not (folder / "made").exists()
+
+
+@pytest.mark.parametrize("wrong", [None, 5, ["{}"], {"format": 1}, Path("played.json")])
+def test_what_is_no_text_is_refused(wrong: Any) -> None:
+    with pytest.raises(DemonstrationError, match="given as its text, not as"):
+        demos.from_recording(wrong)
+
+
+def test_finals_of_infinite_numbers_are_refused(saved: dict[str, Any]) -> None:
+    text = json.dumps(saved).replace('"robot": [', '"robot": [1e999, ', 1)
+    with pytest.raises(DemonstrationError, match="final must hold"):
+        demos.from_recording(text)
+
+
+def test_the_command_imports_each_file_once(
+    saved: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = recording("MoveToRegion", "Demo", 0)
+    for name, content in (
+        ("a.json", saved),
+        ("b.json", other | {"final": poses(magical_mj.sample_scene("MoveToRegion", "Demo", 1))}),
+    ):
+        (tmp_path / name).write_text(json.dumps(content))
+    files = [str(tmp_path / name) for name in ("a.json", "b.json", "a.json")]
+    made = tmp_path / "made"
+    assert main(["demos", "import", *files, "--out", str(made)]) == 0
+    out = capsys.readouterr().out
+    names = ["FindDupe-All-human-000.npz", "MoveToRegion-Demo-human-000.npz"]
+    assert sorted(path.name for path in made.iterdir()) == names
+    first, second, third = out.splitlines()
+    assert names[0] in first
+    assert "from what the player saw" in second
+    assert "is there already" in third
+    assert main(["demos", "import", *files, "--out", str(made)]) == 0
+    assert sorted(path.name for path in made.iterdir()) == names
+    assert main(["demos", "verify", str(made), "--jobs", "1"]) == 0
+
+
+def test_folders_of_several_people_are_read_and_no_file_twice(
+    saved: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    demo = demos.from_recording(json.dumps(saved)).demonstration
+    for person in ("one", "two"):
+        path, _ = demos.keep(demo, tmp_path / person)
+    (tmp_path / "token").write_text("secret")
+    demos.keep(demo, tmp_path / ".old")  # hidden, and so not read
+    assert len(demos.load("FindDupe", tmp_path)) == 2
+    demos.write(demos.load("FixColour")[0], tmp_path / "FixColour-Demo-000.npz")  # which hides nobody's
+    assert main(["demos", "info", str(tmp_path), "--tasks", "FindDupe"]) == 0
+    (row,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("FindDupe-")]
+    assert row.split()[2] == "2"
+    (tmp_path / "FixColour-Demo-000.npz").unlink()
+    assert main(["demos", "verify", str(tmp_path), str(path), str(path.parent), "--jobs", "1"]) == 0
+    assert "2 of 2 replay" in capsys.readouterr().out
+    assert main(["demos", "export", str(tmp_path), "--out", str(path.with_name("x.npz")), "--preset", "State"]) == 2
+    assert "would lie among the demonstrations" in capsys.readouterr().err

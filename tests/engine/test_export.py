@@ -1,0 +1,272 @@
+"""Exported MJCF: plain MuJoCo loads it and moves exactly as the environment does, and people can read it."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree.ElementTree import Comment, TreeBuilder, XMLParser, parse
+
+import mujoco
+import numpy as np
+import pytest
+
+import magical_mj
+from magical_mj._version import __version__
+from magical_mj.assets.contacts import SUBSTEPS
+from magical_mj.assets.mjcf import LINE
+from magical_mj.assets.robot import control_signal, controls
+from magical_mj.envs.composer import Environment
+from magical_mj.scene import Block, GoalRegion, Robot, Scene
+from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.utils.errors import InvalidSceneError, StateError
+
+PAGE = Path(__file__).parents[2] / "docs" / "exported-model.md"
+LOAD, SCORE = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+PLAYER = f"""
+import sys
+for name in ("magical_mj", "dm_control", "gymnasium"):
+    sys.modules[name] = None  # importing them fails
+{LOAD}
+from pathlib import Path
+for path in sorted(Path(sys.argv[1]).glob("*.xml")):
+    model, data, act, horizon = load(str(path))
+    track = []
+    for action in np.load(path.with_suffix(".npy")):
+        act(action)
+        track.append(np.concatenate([data.qpos, data.qvel, data.sensordata]))
+    np.savez(path.with_suffix(".npz"), track=track, horizon=horizon)
+"""
+
+
+def started(task: str, variant: str = "Demo", seed: int = 3) -> Environment:
+    env = magical_mj.load(task, variant, observations=())
+    env.reset(seed=seed)
+    return env
+
+
+def exported(source: Scene | Environment, folder: Path) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """The model of the file, at the keyframe."""
+    model = mujoco.MjModel.from_xml_path(str(magical_mj.export_mjcf(source, folder / "model.xml", overwrite=True)))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    return model, data
+
+
+def numeric(model: mujoco.MjModel, name: str) -> np.ndarray:
+    index = model.numeric(name).id
+    return model.numeric_data[model.numeric_adr[index] :][: model.numeric_size[index]]
+
+
+def texts(model: mujoco.MjModel) -> dict[str, str]:
+    """All texts by name."""
+    names = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, index): index for index in range(model.ntext)}
+    return {
+        name: model.text_data[model.text_adr[index] :][: model.text_size[index] - 1].decode()
+        for name, index in names.items()
+    }
+
+
+def test_the_file_alone_plays_every_environment_to_the_bit(tmp_path: Path) -> None:
+    """By the program on the page, which has nothing but MuJoCo and NumPy."""
+    tracks = {}
+    for task, variant in magical_mj.ENVIRONMENTS:
+        env = started(task, variant)
+        path = magical_mj.export_mjcf(env, tmp_path / f"{task}-{variant}.xml")
+        assert env.horizon is not None
+        actions = np.random.default_rng(0).integers(18, size=env.horizon)
+        actions[: env.horizon // 2] = np.resize([1, 1, 1, 1, 9, 10, 10, 10, 13, 2], env.horizon // 2)
+        np.save(path.with_suffix(".npy"), actions)
+        rows = []
+        for action in actions.tolist():
+            env.step(action)
+            rows.append(np.concatenate([env.physics.data.qpos, env.physics.data.qvel]))
+        tracks[f"{task}-{variant}"] = np.array(rows), env.horizon
+        env.close()
+    subprocess.run([sys.executable, "-c", PLAYER, tmp_path], check=True, timeout=300)
+    for name, (expected, horizon) in tracks.items():
+        with np.load(tmp_path / f"{name}.npz") as played:
+            np.testing.assert_array_equal(played["track"][:, : expected.shape[1]], expected, err_msg=name)
+            assert played["horizon"] == horizon
+
+
+def test_the_pages_score_is_the_environments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    printed: list[float] = []
+    exec(compile(LOAD + SCORE, str(PAGE), "exec"), {"print": printed.append})
+    env = started("FindDupe", seed=0)
+    for _ in range(env.horizon or 0):
+        env.step(0)
+    assert printed == [env.score()]
+
+
+@pytest.mark.parametrize(("task", "variant", "seed"), [("FindDupe", "All", 7), ("MatchRegions", "Demo", 2**70)])
+def test_files_say_what_they_hold(task: str, variant: str, seed: int, tmp_path: Path) -> None:
+    env = started(task, variant, seed)
+    env.step(10)
+    model, _ = exported(env, tmp_path)
+    said = texts(model)
+    assert Scene.from_json(said.pop("scene")) == env.initial_scene
+    assert said == {"task": task, "variant": variant, "seed": str(seed), "rules": "paper"}
+    np.testing.assert_array_equal(numeric(model, "controls").reshape(18, 6), controls())
+    for name, value in {"horizon": env.horizon, "substeps": SUBSTEPS, "protocol": PROTOCOL}.items():
+        assert numeric(model, name).tolist() == [value]
+    head = (tmp_path / "model.xml").read_text()[:500]
+    for word in (f"{task}, variant {variant}, seed {seed}", f"magical-mj {__version__}", "mujoco.viewer"):
+        assert word in head
+
+
+def test_plain_scenes_have_no_task_and_no_horizon(tmp_path: Path) -> None:
+    scene = magical_mj.sample_scene("FindDupe", "Demo", 0)
+    env = magical_mj.load_scene(scene, observations=())
+    env.reset()
+    for source in (scene, env):
+        model, _ = exported(source, tmp_path)
+        assert {name: json.loads(text) for name, text in texts(model).items()} == {"scene": json.loads(scene.to_json())}
+        names = {model.numeric(index).name for index in range(model.nnumeric)}
+        assert names == {"controls", "substeps", "protocol"}
+
+
+def test_scenes_that_were_given_have_no_seed(tmp_path: Path) -> None:
+    env = magical_mj.load("FindDupe", seed=5, observations=())
+    env.reset()
+    assert texts(exported(env, tmp_path)[0])["seed"] == "5"  # of the first episode
+    given = magical_mj.load("FindDupe", scene=magical_mj.sample_scene("FindDupe", "All", 3), rules="released")
+    given.reset()
+    assert texts(exported(given, tmp_path)[0]).keys() == {"scene", "task", "rules"}, "nor a variant"
+    assert texts(exported(given, tmp_path)[0])["rules"] == "released"
+    env.reset(scene=magical_mj.sample_scene("FindDupe", "Demo", 4))
+    assert "seed" not in texts(exported(env, tmp_path)[0])
+    env.reset()
+    drawn = int(texts(exported(env, tmp_path)[0])["seed"])
+    assert magical_mj.sample_scene("FindDupe", "Demo", drawn) == env.initial_scene
+
+
+def test_files_can_be_read(tmp_path: Path) -> None:
+    """One element a line, in short lines, with comments; and every XML parser takes them."""
+    env = started("MatchRegions", "All")
+    path = magical_mj.export_mjcf(env, tmp_path / "model.xml")
+    root = parse(path, XMLParser(target=TreeBuilder(insert_comments=True))).getroot()
+    lines = path.read_text().splitlines()
+    assert max(len(line) for line in lines if '":' not in line) <= LINE  # but for JSON, a line for each thing
+    assert all(line.count("<") <= 1 for line in lines)
+    sections = [section.tag for section in root if section.tag is not Comment]
+    expected = (
+        "custom compiler option size visual statistic default asset worldbody contact tendon actuator sensor keyframe"
+    )
+    assert sections == expected.split()
+    remarks = " ".join(str(element.text) for element in root.iter(Comment))
+    for word in ("wheels", "rotors", "castor", "foot", "twice", "motors", "Goal region 0", "Block 0", "lamps"):
+        assert word in remarks
+    for index, block in enumerate(env.initial_scene.blocks):
+        assert root.find(f".//geom[@name='block{index}_{block.colour}_{block.shape}_sides']") is not None
+
+
+def test_numbers_are_short_and_exact(tmp_path: Path) -> None:
+    env = started("FindDupe", "Dynamics")
+    for action in (1, 1, 10, 13):
+        env.step(action)
+    root = parse(magical_mj.export_mjcf(env, tmp_path / "model.xml")).getroot()
+    checked = 0
+    for element in root.iter():
+        for name, value in element.items():
+            for number in value.split() if name not in ("data", "name") else []:
+                if re.fullmatch(r"-?\d+\.\d{7,}(e-?\d+)?", number) and element.tag != "mesh":
+                    assert repr(float(number)) == number
+                    checked += 1
+    assert checked > 50
+    option = root.find("option")
+    assert option is not None
+    assert option.get("timestep") == "0.0125"
+
+
+def test_keyframe_is_the_present_state(tmp_path: Path) -> None:
+    env = started("FindDupe", "Dynamics", 1)
+    for action in (1, 1, 10, 13, 13):
+        env.step(action)
+    model, data = exported(env, tmp_path)
+    np.testing.assert_array_equal(data.qpos, env.physics.data.qpos)
+    np.testing.assert_array_equal(data.qvel, env.physics.data.qvel)
+    for action in (10, 10, 1, 4, 4, 4):  # and what follows is the same but for last digits
+        env.step(action)
+        data.ctrl[:] = control_signal(action)
+        mujoco.mj_step(model, data, SUBSTEPS)
+    np.testing.assert_allclose(data.qpos, env.physics.data.qpos, atol=1e-6)
+
+
+def test_sensors_are_world_coordinates_and_only_in_files(tmp_path: Path) -> None:
+    env = started("ClusterShape", "All")
+    for action in [1, 10, 4] * 4:
+        env.step(action)
+    assert env.physics.model.nsensor == 0
+    model, data = exported(env, tmp_path)
+    mujoco.mj_forward(model, data)
+    scene = env.scene
+    for name, thing in [
+        ("robot", scene.robot),
+        *((f"block{index}", block) for index, block in enumerate(scene.blocks)),
+    ]:
+        seen = [data.sensor(f"{name}_{axis}").data[0] for axis in ("x", "y", "angle")]
+        np.testing.assert_allclose(seen, (thing.x, thing.y, thing.angle), atol=1e-12)
+        np.testing.assert_allclose(data.body(name).xpos[:2], seen[:2], atol=1e-12)
+    assert tuple(data.sensor(f"{side}_finger").data[0] for side in ("left", "right")) == scene.robot.fingers
+    assert np.hypot(*(data.sensor(f"robot_{axis}_velocity").data[0] for axis in "xy")) > 0.1
+
+
+def test_reference_pose_is_the_scene(tmp_path: Path) -> None:
+    """A viewer that knows nothing of keyframes shows the scene, by a free camera that sees all of it."""
+    scene = magical_mj.sample_scene("ClusterShape", "All", 4)
+    model, data = exported(scene, tmp_path)
+    mujoco.mj_resetData(model, data)
+    mujoco.mj_forward(model, data)
+    for index, block in enumerate(scene.blocks):
+        body = data.body(f"block{index}")
+        np.testing.assert_allclose(body.xpos[:2], (block.x, block.y), atol=1e-9)
+        np.testing.assert_allclose(body.xmat.reshape(3, 3)[0, 0], np.cos(block.angle), atol=1e-9)
+    assert {model.camera(i).name for i in range(model.ncam)} == {"ego", "allo"}
+
+
+def test_solid_things_are_where_they_collide(tmp_path: Path) -> None:
+    """Seen from above, what viewers show covers what collides, within the overlap that the physics allows."""
+    regions = (GoalRegion("green", -0.9, 0.3, -0.2, 0.95),)
+    blocks = (Block("square", "red", 0.5, 0.5, 0.3), Block("circle", "blue", -0.5, -0.5, 0))
+    model, data = exported(Scene(Robot(0, 0, 0.5), blocks, regions), tmp_path)
+    mujoco.mj_forward(model, data)
+    for name, half in (("block0_red_square", 0.1063), ("block1_blue_circle", 0.12), ("robot", 0.2)):
+        sides = model.geom(f"{name}_sides")
+        assert sides.size[0] == pytest.approx(half, abs=1e-3)
+        assert 0.07 < sides.pos[2] + sides.size[-1 if "square" in name else 1] < 0.14
+    fill = data.geom("region0_green_fill")
+    np.testing.assert_allclose(fill.xpos, (-0.55, 0.625, 0.001), atol=1e-9)
+    np.testing.assert_allclose(model.geom("region0_green_fill").size[:2], (0.35, 0.325), atol=1e-9)
+
+
+def test_files_are_not_overwritten_without_a_word(tmp_path: Path) -> None:
+    scene = magical_mj.sample_scene("MoveToRegion", "Demo", 0)
+    path = magical_mj.export_mjcf(scene, tmp_path / "deep" / "scene.xml")
+    with pytest.raises(FileExistsError):
+        magical_mj.export_mjcf(scene, path)
+    assert json.loads(texts(exported(scene, path.parent)[0])["scene"])["robot"]["x"] == scene.robot.x
+
+
+def test_only_scenes_and_environments_are_exported(tmp_path: Path) -> None:
+    with pytest.raises(InvalidSceneError, match=r"env\.unwrapped\.dm_env"):
+        magical_mj.export_mjcf(magical_mj.MagicalEnv("MoveToRegion"), tmp_path / "scene.xml")  # type: ignore[arg-type]
+
+
+def test_what_a_file_of_the_scene_would_lack_is_not_exported_without_a_word(tmp_path: Path) -> None:
+    env = magical_mj.load("MoveToRegion", observations=())
+    env.task.root_entity.mjcf_model.worldbody.add("geom", type="sphere", size=[0.1])
+    env.reset()
+    with pytest.raises(StateError, match="export_with_assets"):
+        magical_mj.export_mjcf(env, tmp_path / "scene.xml")
+    assert not (tmp_path / "scene.xml").exists()
+
+
+def test_illegal_scenes_are_not_exported(tmp_path: Path) -> None:
+    scene = magical_mj.sample_scene("MoveToRegion", "Demo", 0).moved(robot=(3, 0, 0))
+    with pytest.raises(InvalidSceneError, match="walls"):
+        magical_mj.export_mjcf(scene, tmp_path / "scene.xml")
+    assert not (tmp_path / "scene.xml").exists()

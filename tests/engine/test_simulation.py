@@ -1,0 +1,119 @@
+"""Compiled worlds: a model that is rewritten for another scene equals one that is compiled from it, to the bit."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+import magical_mj
+from magical_mj.assets.region import DASHES, dash_count, rewrite_region
+from magical_mj.assets.world import World, world_spec
+from magical_mj.engine.simulation import Simulation
+from magical_mj.scene import Block, GoalRegion, Robot, Scene
+from magical_mj.tasks.registry import task_spec
+from magical_mj.variants.placement import jitter
+
+
+def arrays(parts: object) -> Iterator[tuple[str, Any]]:
+    """Every number and array of a MuJoCo structure, those of its parts included."""
+    for name in dir(parts):
+        if name.startswith("_"):
+            continue
+        try:
+            value = getattr(parts, name)
+        except (AttributeError, ValueError):  # has no value in this version
+            continue
+        if isinstance(value, np.ndarray | int | float | bytes):
+            yield name, value
+        elif type(value).__module__.startswith("mujoco") and not callable(value):
+            yield from ((f"{name}.{part}", inner) for part, inner in arrays(value))
+
+
+def assert_same_model(one: mujoco.MjModel, other: mujoco.MjModel) -> None:
+    found, wanted = dict(arrays(one)), dict(arrays(other))
+    assert found.keys() == wanted.keys()
+    assert {"body_pos", "skin_vert", "dof_invweight0", "stat.meaninertia", "opt.timestep"} <= found.keys()
+    for name, value in found.items():
+        if name.startswith("stat."):  # a viewer's measures
+            np.testing.assert_allclose(value, wanted[name], rtol=1e-12, err_msg=name)
+        else:
+            np.testing.assert_array_equal(value, wanted[name], err_msg=name)
+
+
+def repeats(task: str, variant: str) -> list[tuple[World, World]]:
+    """Worlds of the environment with the same structure: one with itself, and some that differ."""
+    scenes = [magical_mj.sample_scene(task, variant, seed) for seed in range(8)]
+    moved = jitter(task_spec(task), scenes[0], np.random.default_rng(0))  # where no two scenes have the same structure
+    worlds = [World(scene) for scene in dict.fromkeys((scenes[0], moved, *scenes))]
+    pairs = ((a, b) for a, b in itertools.permutations(worlds, 2) if a.structure == b.structure)
+    return [(worlds[0], worlds[0]), *itertools.islice(pairs, 3)]
+
+
+@pytest.mark.parametrize(("task", "variant"), magical_mj.ENVIRONMENTS)
+def test_rewriting_equals_compiling(task: str, variant: str) -> None:
+    pairs = repeats(task, variant)
+    assert len(pairs) >= 3
+    for before, after in pairs:
+        used, fresh = Simulation.of(before), mujoco.MjModel.from_xml_string(after.mjcf())
+        assert_same_model(Simulation.of(after).model.ptr, fresh)
+        for _ in range(3):
+            used.step(10)  # a simulation that ran is no different
+        after.rewrite(used.model.ptr, used.data.ptr)
+        assert_same_model(used.model.ptr, fresh)
+
+
+def test_rewriting_changes_everything_that_a_scene_holds() -> None:
+    """The blocks, regions, dynamics and fingers of two scenes that differ in every number."""
+    first = magical_mj.sample_scene("MatchRegions", "Colour", 0)
+    dynamics = magical_mj.sample_scene("MatchRegions", "Dynamics", 0).dynamics
+    other = Scene(
+        Robot(-0.7, 0.6, 2.5, fingers=(0.3, -0.1)),
+        tuple(Block(b.shape, "yellow", b.x / 2, b.y / 2 - 0.3, b.angle + 1) for b in first.blocks),
+        (GoalRegion("green", -0.9, -0.1, -0.2, 0.6),),
+        dynamics,
+    )
+    used = Simulation.of(World(first))
+    World(other).rewrite(used.model.ptr, used.data.ptr)
+    assert_same_model(used.model.ptr, mujoco.MjModel.from_xml_string(World(other).mjcf()))
+
+
+def test_regions_that_outgrow_a_model_are_not_squeezed_in() -> None:
+    small, large = GoalRegion("red", -0.3, -0.3, 0.3, 0.3), GoalRegion("red", -1.0, -1.0, 1.0, 1.0)
+    assert dash_count(small) == DASHES < dash_count(large)
+    worlds = [World(Scene(Robot(0, 0, 0), regions=(region,))) for region in (small, large)]
+    assert worlds[0].structure != worlds[1].structure
+    with pytest.raises(ValueError, match="compile it again"):
+        rewrite_region(Simulation.of(worlds[0]).model.ptr, 0, large)
+
+
+def test_a_spec_that_was_changed_leaves_the_next_one_as_it_should_be() -> None:
+    world = World(magical_mj.sample_scene("FixColour", "All", 3))
+    changed = world_spec(world.structure)
+    changed.worldbody.add_site()
+    block = changed.body("block0")
+    block.first_body().add_geom(size=[0.1] * 3)
+    block.first_geom().meshname = "star_fill"
+    fresh = mujoco.MjModel.from_xml_string(world.mjcf())
+    assert changed.compile().ngeom == fresh.ngeom + 1
+    assert_same_model(Simulation.of(world).model.ptr, fresh)
+
+
+def test_models_that_somebody_may_have_changed_are_not_used_again() -> None:
+    env = magical_mj.load("FindDupe", seed=0, observations=())
+    ours = env.physics.model.ptr
+    env.reset(seed=1)
+    assert env.physics.model.ptr is ours
+    env.task.root_entity.mjcf_model.worldbody.add("site", name="mark")
+    env.reset(scene=env.initial_scene)
+    assert env.physics.model.nsite == 1
+    env.reset(scene=env.initial_scene.moved(robot=(0.1, -0.2, 0.3)))
+    assert env.physics.model.nsite == 0
+    ours = env.physics.model.ptr
+    env.add_extra_hook("initialize_episode", lambda physics, random_state: None)
+    env.reset()
+    assert env.physics.model.ptr is not ours

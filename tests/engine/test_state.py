@@ -1,0 +1,285 @@
+"""States, clones, copies and pickles: what follows is the same to the bit."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import pickle
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+import magical_mj
+from magical_mj.envs.composer import State
+from magical_mj.envs.presets import PRESETS
+from magical_mj.utils.errors import ClosedError, InvalidSceneError, StateError
+
+STEPS = 24
+
+
+def actions(seed: int, count: int = STEPS) -> list[int]:
+    """Each action is taken a few times, so that the robot gets somewhere and blocks are pushed."""
+    return np.repeat(np.random.default_rng(seed).integers(18, size=count), 4)[:count].tolist()
+
+
+def trajectory(env: Any, plan: Sequence[int]) -> list[bytes]:
+    """Where these actions lead: positions, velocities and all that is derived from them for pictures and contacts."""
+    data = env.physics.data.ptr
+    arrays = (data.qpos, data.qvel, data.act, data.xpos, data.xmat, data.tree_asleep)
+    return [b"".join(array.tobytes() for array in arrays) for action in plan if env.step(action) is not None]
+
+
+@pytest.fixture(scope="module", params=magical_mj.ENVIRONMENTS, ids="-".join)
+def played(request: pytest.FixtureRequest) -> Iterator[tuple[magical_mj.Environment, list[State], list[bytes]]]:
+    """An environment in which the robot went about, the states on the way, and what followed."""
+    env = magical_mj.load(*request.param, seed=2, observations=())
+    env.reset()
+    states, went = [], []
+    for action in actions(0):
+        states.append(env.get_state())
+        went += trajectory(env, [action])
+    yield env, states, went
+    env.close()
+
+
+def test_what_follows_a_state_is_the_same_to_the_bit(
+    played: tuple[magical_mj.Environment, list[State], list[bytes]],
+) -> None:
+    """In the same environment, after another scene, and in one that was loaded with other settings."""
+    env, states, went = played
+    fresh = magical_mj.load(env.task.settings.task, env.task.settings.variant, seed=9, observations=("state",))
+    for other in (env, fresh):
+        for first in (17, 4, 0, 11):
+            other.reset(seed=5 + first)
+            other.set_state(states[first])
+            assert other.get_state() == states[first]
+            assert trajectory(other, actions(0)[first:]) == went[first:]
+
+
+def test_a_clone_goes_on_alike_and_apart(played: tuple[magical_mj.Environment, list[State], list[bytes]]) -> None:
+    env, states, went = played
+    env.set_state(states[9])
+    for twin in (env.clone(), pickle.loads(pickle.dumps(env)), copy.deepcopy(env)):
+        assert trajectory(twin, actions(0)[9:]) == went[9:]
+        assert env.get_state() == states[9]
+        twin.close()
+    twin = env.clone()
+    env.reset()
+    twin.reset()
+    assert env.initial_scene == twin.initial_scene
+    assert env.clone().task.seed == env.task.seed is not None
+
+
+def test_something_sleeps_and_something_wakes() -> None:
+    """Otherwise the tests above would say little."""
+    env = magical_mj.load("ClusterColour", "All", seed=2, observations=())
+    env.reset()
+    asleep = []
+    for action in actions(0, 80):
+        env.step(action)
+        asleep.append(int((env.physics.data.tree_asleep >= 0).sum()))
+    assert max(asleep) > 1
+    assert min(np.diff(asleep)) < 0
+    assert env.physics.data.ncon > 0
+
+
+def test_states_are_plain_and_small() -> None:
+    env = magical_mj.load("ClusterShape", "All", seed=1, observations=())
+    env.reset()
+    env.step(10)
+    state = env.get_state()
+    twin = pickle.loads(pickle.dumps(state))
+    assert twin == state
+    assert hash(twin) == hash(state)
+    by_hand = State(magical_mj.Scene.from_json(state.scene.to_json()), state.steps, np.array(state.simulation.tolist()))
+    assert by_hand == state
+    env.step(10)
+    assert env.get_state() != state
+    assert len(pickle.dumps(state)) < 8000
+
+
+def test_the_horizon_counts_from_the_start_of_the_episode() -> None:
+    env = magical_mj.load("MoveToRegion", seed=0, observations=())
+    env.reset()
+    for _ in range(30):
+        env.step(1)
+    state = env.get_state()
+    assert env.reset(state=state).first()
+    steps = [env.step(1) for _ in range(10)]
+    assert [step.last() for step in steps] == [False] * 9 + [True]
+    over = env.get_state()
+    assert env.step(1).first()  # of the next episode
+    with pytest.raises(StateError, match="over, after 40 steps"):
+        env.reset(state=over)
+    env.set_state(over)
+    assert env.score() == magical_mj.score("MoveToRegion", env.initial_scene, env.scene)
+    assert env.step(1).first()
+
+
+def test_a_state_shows_what_was_seen_then() -> None:
+    env = magical_mj.load("MatchRegions", "All", seed=3, image_size=32, observations=("ego", "allo", "state"))
+    env.reset()
+    for action in actions(1, 9):
+        seen = env.step(action).observation
+    state = env.get_state()
+    env.reset(seed=4)
+    again = env.reset(state=state).observation
+    for name, value in seen.items():
+        np.testing.assert_array_equal(again[name], value, err_msg=name)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_gymnasium_states_hold_the_frames(preset: str) -> None:
+    env = gymnasium.make(magical_mj.env_id("FixColour", "All", preset), image_size=24).unwrapped
+    env.reset(seed=3)
+    for action in actions(1, 7):
+        observation = env.step(action)[0]
+    state, twin = env.get_state(), env.clone()
+    expected = [env.step(action) for action in actions(2, 6)]
+    env.reset(seed=8)
+    env.step(4)
+    again, _ = env.reset(options={"state": state})
+    assert_same(again, observation)
+    for one in (env, twin):
+        for action, (seen, *rest) in zip(actions(2, 6), expected, strict=True):
+            now, *others = one.step(action)
+            assert_same(now, seen)
+            assert others == rest
+        one.set_state(state)
+    env.reset(options={"state": magical_mj.load("FixColour", "All", seed=3).get_state()})  # fills the stacks anew
+    assert_same(env.get_state().frames, gymnasium_frames(env, seed=3))
+
+
+@pytest.mark.parametrize(("one", "other"), list(itertools.permutations(("LoRes4E", "LoRes4A", "LoRes3EA"), 2)))
+def test_frames_of_another_preset_are_not_taken_for_its_own(one: str, other: str) -> None:
+    """They have the same shape; the present pictures fill the stacks instead."""
+    first, second = (gymnasium.make(magical_mj.env_id("FindDupe", "Demo", preset)).unwrapped for preset in (one, other))
+    first.reset(seed=0)
+    for action in actions(1, 6):
+        first.step(action)
+    seen, _ = second.reset(options={"state": first.get_state()})
+    now = second._env.render("allo" if other == "LoRes4A" else "ego", 96)
+    for count in range(2, 4):
+        np.testing.assert_array_equal(seen[..., 3 * count : 3 * count + 3], now)
+
+
+def gymnasium_frames(env: Any, seed: int) -> Any:
+    env.reset(seed=seed)
+    return env.get_state().frames
+
+
+def assert_same(one: Any, other: Any) -> None:
+    if isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for name in one:
+            np.testing.assert_array_equal(one[name], other[name])
+    else:
+        np.testing.assert_array_equal(one, other)
+
+
+def test_wrapped_environments_are_copied_and_pickled() -> None:
+    env = gymnasium.make("magical_mj/FindDupe-TestAll-LoRes4E-v0")
+    env.reset(seed=1)
+    env.action_space.seed(4)
+    for action in actions(0, 5):
+        env.step(action)
+    for twin in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
+        assert twin.spec == env.spec
+        assert twin.unwrapped.get_state() == env.unwrapped.get_state()
+        here = copy.deepcopy(env)
+        assert_same(twin.step(4)[0], here.step(4)[0])
+        assert_same(twin.reset()[0], here.reset()[0])
+        assert twin.action_space.sample() == here.action_space.sample()
+
+
+def test_copies_of_environments_without_a_seed_draw_the_same_scenes() -> None:
+    env = gymnasium.make("magical_mj/FindDupe-TestLayout-State-v0").unwrapped
+    env.reset(options={"scene": magical_mj.sample_scene("FindDupe", "Layout", 3)})
+    twins = [env.clone(), pickle.loads(pickle.dumps(env))]
+    for one in (env, *twins):
+        one.reset()
+    assert [twin.initial_scene for twin in twins] == [env.initial_scene] * 2
+
+
+def test_states_that_do_not_fit_are_refused_and_harm_nothing() -> None:
+    env = magical_mj.load("FindDupe", seed=0, observations=())
+    env.reset()
+    state = env.get_state()
+    values = state.simulation
+    asleep = values.copy()
+    asleep[-3:] = 10**6
+    for wrong in (values[:-1], np.append(values, 0), np.full_like(values, np.nan), asleep, values[None]):
+        with pytest.raises(StateError):
+            env.set_state(State(state.scene, 0, wrong))
+    for wrong in (None, "", {}, state, values):
+        with pytest.raises(StateError, match="the scene of a state"):
+            env.set_state(State(wrong, 0, values))
+    with pytest.raises(StateError, match="the frames of a state"):
+        env.set_state(State(state.scene, 0, values, 5))
+    for wrong in (None, values.tolist(), values.astype(np.float32), values.astype(object)):
+        with pytest.raises(StateError, match="finite float64"):
+            env.set_state(State(state.scene, 0, wrong))
+    for wrong in (-1, 1.5, "3", None):
+        with pytest.raises(StateError, match="steps"):
+            env.set_state(State(state.scene, wrong, values))
+    for wrong in (None, state.scene, values, {"scene": state.scene}):
+        with pytest.raises(StateError, match="get_state"):
+            env.set_state(wrong)
+    with pytest.raises(InvalidSceneError):
+        env.set_state(magical_mj.load("MakeLine", observations=()).get_state())
+    assert env.get_state() == state
+    assert env.step(4).mid()
+    env.close()
+    for use in (env.get_state, env.clone, lambda: env.set_state(state), lambda: pickle.dumps(env)):
+        with pytest.raises(ClosedError, match="closed"):
+            use()
+
+
+def test_numbers_that_mujoco_would_not_take_are_refused() -> None:
+    """It would start again without a word; whatever it takes is what `get_state` gives."""
+    env = magical_mj.load("FixColour", seed=0, observations=())
+    env.reset()
+    env.step(4)
+    state = env.get_state()
+    numbers, size = state.simulation, len(state.simulation) - env.physics.model.ntree  # the rest is what sleeps
+
+    def with_number(place: int, number: float) -> State:
+        return State(state.scene, 1, np.where(np.arange(len(numbers)) == place, number, numbers))
+
+    for place, number in itertools.product(range(len(numbers)), (1e308, -1e11)):
+        with pytest.raises(StateError, match="none of them beyond 1e"):
+            env.set_state(with_number(place, number))
+    for place, number in itertools.product(range(size), (1e9, -0.5)):
+        taken = with_number(place, number)
+        env.set_state(taken)
+        assert env.get_state().simulation[:size].tobytes() == taken.simulation[:size].tobytes()
+    with pytest.raises(StateError, match="damaged"):
+        env.set_state(with_number(size, -1.5))
+    env.set_state(State(state.scene, np.int64(1), numbers))  # the type that numpy's files give
+    assert env.get_state() == state
+
+
+def test_what_somebody_changed_is_not_copied_without_a_word() -> None:
+    def hooked(env: magical_mj.Environment) -> None:
+        env.add_extra_hook("before_step", lambda physics, action, random_state: None)
+
+    def buffered(env: magical_mj.Environment) -> None:
+        env.task.observables["ego"].buffer_size = 2
+        env.reset()
+
+    def disabled(env: magical_mj.Environment) -> None:
+        env.task.observables["ego"].enabled = False
+
+    def edited(env: magical_mj.Environment) -> None:
+        env.task.root_entity.mjcf_model.worldbody.add("site", name="mark")
+
+    for change in (hooked, buffered, disabled, edited):
+        env = magical_mj.load("MoveToRegion", seed=0, image_size=16)
+        env.reset()
+        change(env)
+        for use in (env.clone, lambda env=env: pickle.dumps(env), lambda env=env: copy.deepcopy(env)):
+            with pytest.raises(StateError, match="load another one"):
+                use()

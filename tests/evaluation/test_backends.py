@@ -1,0 +1,179 @@
+"""Where evaluations are played: the same scores on clusters and in several processes as here, when one dies."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+import magical_mj
+from magical_mj.evaluation import Score
+from magical_mj.evaluation.scores import read
+from magical_mj.utils.errors import EvaluationError, MissingExtraError, SettingsError
+from magical_mj.utils.parallel import map_unordered
+
+SETTINGS: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo,Layout,Colour", "episodes": 40}
+
+
+def rows(scores: list[Score]) -> list[Any]:
+    return sorted((score.key, score.score, score.actions, score.failure) for score in scores)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # of the libraries' own
+def test_dask_cluster_that_loses_a_worker(tmp_path: Path) -> None:
+    """Two worker processes; one is killed when the first scores come in."""
+    distributed = pytest.importorskip("distributed")
+    magical_mj.evaluate("random,Slow=noop", out=tmp_path / "here", **SETTINGS)  # does the same, but faster
+    killed: list[int] = []
+    here = distributed.dask.config.set({"temporary-directory": str(tmp_path)})  # it leaves a folder wherever that is
+    with (
+        here,
+        distributed.LocalCluster(
+            n_workers=2,
+            threads_per_worker=1,
+            dashboard_address=None,
+            env={"PYTHONPATH": str(Path(__file__).parents[2])},
+        ) as cluster,
+    ):
+
+        def kill_one(_: Score) -> None:
+            if not killed:
+                killed.append(next(iter(cluster.workers.values())).process.pid)
+                os.kill(killed[0], signal.SIGKILL)
+
+        magical_mj.evaluate(
+            "random,agents:Slow",
+            out=tmp_path / "there",
+            jobs=None,
+            backend="dask",
+            address=cluster.scheduler_address,
+            watch=kill_one,
+            **SETTINGS,
+        )
+    assert killed
+    assert rows(read(tmp_path / "there")) == rows(read(tmp_path / "here"))
+
+
+def who(_: int) -> tuple[int, float, float]:
+    """The process, and when it worked."""
+    begun = time.monotonic()
+    time.sleep(0.1)
+    return os.getpid(), begun, time.monotonic()
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("workers", [1, 2])
+def test_dask_works_on_the_cluster_and_on_no_more_pieces_than_asked_for(workers: int, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.dask.config.set({"temporary-directory": str(tmp_path)}),
+        distributed.LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            dashboard_address=None,
+            env={"PYTHONPATH": str(Path(__file__).parents[2])},
+        ) as cluster,
+    ):
+        address = cluster.scheduler_address
+        for jobs, together in ((1, False), (None, workers > 1)):
+            found = sorted(map_unordered(who, range(6), jobs, "dask", address), key=lambda one: one[1])
+            assert len(found) == 6
+            assert {pid for pid, _, _ in found} <= {nanny.process.pid for nanny in cluster.workers.values()}
+            assert any(first[2] > second[1] for first, second in pairwise(found)) == together
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_dask_cluster_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("magical_mj.utils.parallel.clusters.PATIENCE", 0.1)
+    with (
+        distributed.dask.config.set({"temporary-directory": str(tmp_path)}),
+        distributed.LocalCluster(n_workers=0, dashboard_address=None) as cluster,
+        pytest.raises(EvaluationError, match="the dask cluster has no workers: start some with `dask worker tcp"),
+    ):
+        magical_mj.evaluate("noop", backend="dask", address=cluster.scheduler_address, **SETTINGS)
+
+
+@pytest.mark.slow
+def test_ray_gives_the_same(tmp_path: Path) -> None:
+    """In a process of its own, which ray changes for good."""
+    pytest.importorskip("ray")
+    program = (
+        "import magical_mj\n"
+        "if __name__ == '__main__':\n"
+        "    magical_mj.evaluate('random,noop', tasks='MoveToRegion', variants='Demo,Layout,Colour', episodes=40,\n"
+        f"                        backend='ray', jobs=2, out={str(tmp_path / 'there')!r})\n"
+    )
+    (tmp_path / "program.py").write_text(program)
+    result = subprocess.run(
+        [sys.executable, str(tmp_path / "program.py")], capture_output=True, text=True, timeout=240, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    here = magical_mj.evaluate("random,noop", out=tmp_path / "here", **SETTINGS)
+    assert len(here) == 240
+    assert rows(read(tmp_path / "there")) == rows(read(tmp_path / "here"))
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "foo://127.0.0.1:9"])
+def test_a_cluster_that_is_not_there(address: str) -> None:
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.dask.config.set({"distributed.comm.timeouts.connect": "1s"}),
+        pytest.raises(EvaluationError, match=rf"no dask scheduler answers at {address}"),
+    ):
+        magical_mj.evaluate("noop", backend="dask", address=address, **SETTINGS)
+
+
+@pytest.mark.parametrize("address", ["localhost", "tcp://h:notaport", "tcp://h", "http://h:1/path"])
+def test_what_is_no_address_is_said_before_anything_is_made(address: str, tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="needs the scheduler's address, such as tcp://host:8786; not"):
+        magical_mj.evaluate("noop", backend="dask", address=address, out=tmp_path / "out", **SETTINGS)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_dead_worker_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its unit is played again; so the scores are those of an evaluation in which nobody died."""
+    mark = tmp_path / "mark"
+    monkeypatch.setenv("FATAL_MARK", str(mark))
+    found = magical_mj.evaluate("tests.helpers.agents:Fatal", jobs=2, out=tmp_path / "dying", **SETTINGS)
+    assert mark.exists()
+    assert len(found) == 120
+    magical_mj.evaluate("tests.helpers.agents:Fatal", jobs=1, out=tmp_path / "living", **SETTINGS)
+    assert rows(read(tmp_path / "dying")) == rows(read(tmp_path / "living"))
+
+
+def test_a_policy_that_kills_every_worker_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "mark").write_text("always")
+    monkeypatch.setenv("FATAL_MARK", str(tmp_path / "mark"))
+    with pytest.raises(EvaluationError, match=r"3 worker processes died .*SIGKILL.* --resume continues"):
+        magical_mj.evaluate("tests.helpers.agents:Fatal", jobs=2, **SETTINGS)
+
+
+def test_missing_extras_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module, backend, hint in (
+        ("distributed", {"backend": "dask", "address": "tcp://127.0.0.1:9"}, r"magical-mj\[dask\]"),
+        ("ray", {"backend": "ray"}, r"magical-mj\[ray\]"),
+    ):
+        monkeypatch.setitem(sys.modules, module, None)
+        with pytest.raises(MissingExtraError, match=hint):
+            magical_mj.evaluate("noop", **backend, **SETTINGS)
+    monkeypatch.setattr("magical_mj.utils.extras.find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match=r'pip install "magical-mj\[eval\]"'):
+        magical_mj.evaluate("noop", **SETTINGS)
+
+
+def test_frames_are_in_one_order() -> None:
+    frame = magical_mj.evaluate("noop", tasks="MoveToRegion", variants="Demo", episodes=25, jobs=2)
+    assert isinstance(frame, pd.DataFrame)
+    assert frame["seed"].tolist() == list(range(25))

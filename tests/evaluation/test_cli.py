@@ -1,0 +1,158 @@
+"""`magical-mj evaluate`, `report` and `compare`: what they print and write, and one line for what goes wrong."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from magical_mj.evaluation.scores import SCORES, read
+from tests.helpers.commands import Shell
+
+SMALL = ("--tasks", "MoveToRegion", "--variants", "Demo,Layout", "--episodes", "2", "--jobs", "1")
+
+
+def test_from_scores_to_videos(shell: Shell, tmp_path: Path) -> None:
+    code, out, error = shell("evaluate", "--policy", "random,still=noop", "--out", "o", *SMALL)
+    assert (code, error) == (0, "")
+    assert "8/8 episodes" in out
+    assert "still: mean score 0.000 over 2 environments\n" in out
+    assert "magical-mj report o" in out
+
+    code, out, error = shell("report", "o", "--videos", "--published")
+    assert (code, error) == (0, "")
+    assert out.endswith("o/report/report.md\n")
+    assert (tmp_path / "o/report/best-still-MoveToRegion.mp4").stat().st_size > 1000
+    assert "BC (ST)†" in (tmp_path / "o/report/report.md").read_text()
+    assert "o/report/report.md replaces an earlier report" in shell("report", "o")[1]
+    assert "give --out" in shell.fails(2, "report", "o", "o")
+
+    code, out, error = shell("compare", "o:random", "o:still")
+    assert (code, error) == (0, "")
+    lines = {line.split("  ")[0].strip(): line.split() for line in out.splitlines()}
+    assert lines["variant"][1:3] == ["random", "still"]
+    assert set(lines) == {"variant", "Demo", "Layout", "all of them"}
+    assert lines["all of them"][-1] == "4"
+
+
+def test_videos_replace_nothing_but_those_of_an_earlier_report(shell: Shell, tmp_path: Path) -> None:
+    shell("evaluate", "--policy", "noop", "--out", "o", *SMALL)
+    mine = tmp_path / "mine" / "best-noop-MoveToRegion.mp4"
+    mine.parent.mkdir()
+    mine.write_bytes(b"mine")
+    error = shell.fails(1, "report", "o", "--videos", "--out", "mine")
+    assert "best-noop-MoveToRegion.mp4 is not of an earlier report: move it" in error
+    assert [path.read_bytes() for path in mine.parent.iterdir()] == [b"mine"]
+    for _ in range(2):
+        assert shell("report", "o", "--videos", "--out", "ours")[0] == 0
+    (tmp_path / "ours" / "report.md").write_text("# Evaluation\n\nThis report is not finished yet.\n")  # it was killed
+    assert shell("report", "o", "--videos", "--out", "ours")[0] == 0
+
+
+def test_resume_says_what_is_done(shell: Shell, tmp_path: Path) -> None:
+    command = ("evaluate", "--policy", "noop", "--out", "o", *SMALL)
+    shell(*command)
+    path = tmp_path / "o" / SCORES
+    path.write_bytes(path.read_bytes()[:-5])
+    code, out, _ = shell(*command, "--resume")
+    assert code == 0
+    assert "3 episodes are done already" in out
+    assert "4/4 episodes" in out
+    assert len(read(tmp_path / "o")) == 4
+
+
+def test_failures_are_counted(shell: Shell, tmp_path: Path) -> None:
+    """The agent is right in the first scene only."""
+    (tmp_path / "mine.py").write_text(
+        "class Agent:\n    blind = True\n    def reset(self, episode):\n        self.seed = episode.seed\n"
+        "    def __call__(self, _):\n        return 99 if self.seed else 0\n"
+    )
+    code, out, _ = shell("evaluate", "--policy", "mine:Agent", "--out", "o", *SMALL)
+    assert code == 0
+    assert "Agent: mean score 0.000 over 2 environments; 2 episodes failed, such as: InvalidActionError: 99" in out
+
+
+def test_a_policy_that_always_fails_is_stopped(shell: Shell, tmp_path: Path) -> None:
+    """After ten episodes; what the other policy did is kept."""
+    (tmp_path / "theirs.py").write_text("def act(observation):\n    raise KeyError('position')\n")
+    policies = ("evaluate", "--policy", "noop,theirs:act", "--preset", "State", "--tasks", "MoveToRegion")
+    code, _, error = shell(*policies, "--episodes", "30", "--jobs", "1", "--out", "o")
+    assert code == 1
+    assert "the first 10 episodes of act failed, so none of them is kept" in error
+    assert "KeyError: 'position'" in error
+    assert {score.policy for score in read(tmp_path / "o")} == {"noop"}
+
+
+def test_a_replay_that_ends_otherwise_is_refused(shell: Shell, tmp_path: Path) -> None:
+    shell("evaluate", "--policy", "noop", "--out", "o", *SMALL)
+    path = tmp_path / "o" / SCORES
+    path.write_text(path.read_text().replace('"score": 0.0', '"score": 0.5'))
+    code, _, error = shell("report", "o", "--videos")
+    assert code == 1
+    assert "ends with 0.00 now, not 0.50" in error
+    path.write_text(path.read_text().replace('"worlds": "single"', '"worlds": "batched"'))
+    code, _, error = shell("report", "o", "--videos")
+    assert code == 2
+    assert "--videos replays episodes of single worlds only" in error
+    assert not list(tmp_path.rglob("*.mp4"))
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "hint"),
+    [
+        ("evaluate --out o", 2, "--policy"),
+        ("evaluate --policy noop", 2, "--out"),
+        ("evaluate --policy nop --out o", 2, "Did you mean 'noop'"),
+        ("evaluate --policy gone.zip --out o", 2, "no file gone.zip"),
+        ("evaluate --policy noop --out o --tasks FindDup", 2, "Did you mean 'FindDupe'"),
+        ("evaluate --policy noop --out o --variants Color", 2, "Did you mean 'Colour'"),
+        ("evaluate --policy noop --out o --tasks MoveToRegion --variants Shape", 2, "It has: Demo"),
+        ("evaluate --policy noop --out o --preset LoRes5E", 2, "Did you mean 'LoRes4E'"),
+        ("evaluate --policy noop --out o --rules mine", 2, "paper"),
+        ("evaluate --policy noop --out o --episodes 0", 2, "--episodes"),
+        ("evaluate --policy noop --out o --backend dask", 2, "needs the scheduler's address"),
+        ("evaluate --policy noop --out o --backend mars", 2, "--backend"),
+        ("evaluate --policy noop --out /dev/null/folder", 1, "cannot write into /dev/null/folder"),
+        ("report", 2, "FOLDERS"),
+        ("report nothing", 1, "nothing holds no scores.jsonl"),
+        ("compare nothing nothing", 1, "nothing holds no scores.jsonl"),
+        ("compare nothing", 2, "missing argument"),
+    ],
+)
+def test_wrong_use_is_one_line(shell: Shell, tmp_path: Path, line: str, code: int, hint: str) -> None:
+    error = shell.fails(code, *line.split())
+    assert hint.lower() in error.lower()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_changed_settings_are_one_line(shell: Shell) -> None:
+    shell("evaluate", "--policy", "noop", "--out", "o", *SMALL)
+    code, _, error = shell("evaluate", "--policy", "noop", "--out", "o", *SMALL, "--resume", "--rules", "released")
+    assert code == 2
+    assert error == 'magical-mj: o was started with other settings: rules was "paper" and is "released"\n'
+    code, _, error = shell("evaluate", "--policy", "noop", "--out", "o", *SMALL)
+    assert code == 1
+    assert "--resume" in error
+
+
+def test_a_report_needs_a_folder_it_can_write_to(shell: Shell) -> None:
+    shell("evaluate", "--policy", "noop", "--out", "o", *SMALL)
+    code, _, error = shell("report", "o", "--out", "/dev/null/folder")
+    assert code == 1
+    assert "cannot write into /dev/null/folder" in error
+
+
+PAGE = (Path(__file__).parents[2] / "docs" / "evaluation.md").read_text()
+
+
+@pytest.mark.parametrize("code", re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL))
+def test_code_on_the_page_runs(code: str) -> None:
+    exec(compile(code, "evaluation.md", "exec"), {"__name__": "page"})
+
+
+def test_options_on_the_page_exist(shell: Shell) -> None:
+    known = "".join(shell(name, "--help")[1] for name in ("evaluate", "report", "compare"))
+    named = set(re.findall(r"--[a-z][a-z-]+", PAGE))
+    assert len(named) > 10
+    assert {option for option in named if option not in known} == set()

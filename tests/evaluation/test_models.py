@@ -1,0 +1,240 @@
+"""Policies from files: what is loaded without trust, what is not, and what does not fit."""
+
+from __future__ import annotations
+
+import base64
+import json
+import pickle
+import sys
+import warnings
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pandas as pd
+import pytest
+from gymnasium import spaces
+
+import magical_mj
+from magical_mj.policies.models import load_onnx, load_sb3
+from magical_mj.utils.errors import EvaluationError, MissingExtraError, SettingsError
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
+
+STATE, PIXELS = "magical_mj/MoveToRegion-Demo-State-v0", "magical_mj/MoveToRegion-Demo-LoRes4E-v0"
+SMALL: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Layout", "episodes": 2}
+
+
+def ppo(path: Path, kind: str, env: Any, **kwargs: Any) -> Any:
+    sb3 = pytest.importorskip("stable_baselines3")
+    model = sb3.PPO(kind, env, n_steps=8, batch_size=8, device="cpu", seed=0, **kwargs)
+    model.save(path)
+    return model
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "kwargs"),
+    [("MlpPolicy", STATE, {}), ("MlpPolicy", STATE, {"net_arch": [16, 8]}), ("CnnPolicy", PIXELS, {})],
+)
+def test_standard_networks_need_no_trust(tmp_path: Path, kind: str, name: str, kwargs: dict[str, Any]) -> None:
+    model = ppo(tmp_path / "model.zip", kind, name, policy_kwargs=kwargs)
+    loaded = load_sb3(tmp_path / "model.zip")
+    env = gymnasium.make(name)
+    observation, _ = env.reset(seed=3)
+    seen = [observation, *(env.step(action)[0] for action in (1, 4, 10, 13))]
+    expected = [int(model.predict(observation, deterministic=True)[0]) for observation in seen]
+    assert [int(loaded(observation)) for observation in seen] == expected
+    np.testing.assert_array_equal(loaded.act_batch(np.stack(seen)), expected)
+
+
+def test_evaluating_an_archive(tmp_path: Path) -> None:
+    ppo(tmp_path / "model.zip", "MlpPolicy", STATE)
+    frame = magical_mj.evaluate(str(tmp_path / "model.zip"), preset="State", **SMALL)
+    assert frame["failure"].isna().all()
+    assert set(frame["policy"]) == {"model"}
+    frames = [
+        magical_mj.evaluate(f"PPO={tmp_path / 'model.zip'}", preset="State", envs=envs, **SMALL).drop(columns="seconds")
+        for envs in (1, 2)
+    ]
+    pd.testing.assert_frame_equal(*frames)
+
+
+@pytest.mark.parametrize(("kind", "name", "fits"), [("MlpPolicy", STATE, "State"), ("CnnPolicy", PIXELS, "LoRes4E")])
+def test_the_wrong_preset_is_refused_before_anything_is_played(tmp_path: Path, kind: str, name: str, fits: str) -> None:
+    ppo(tmp_path / "model.zip", kind, name)
+    wrong = {"State": "LoRes4E", "LoRes4E": "State"}[fits]
+    with pytest.raises(
+        SettingsError, match=f"takes observations of shape .* and {wrong} gives .*: give --preset {fits}"
+    ):
+        magical_mj.evaluate(str(tmp_path / "model.zip"), preset=wrong, out=tmp_path / "out", **SMALL)
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_answer_that_is_no_number_is_a_failure(tmp_path: Path) -> None:
+    model = ppo(tmp_path / "model.zip", "MlpPolicy", STATE)
+    torch = pytest.importorskip("torch")
+    with torch.no_grad():
+        model.policy.action_net.bias.fill_(float("nan"))
+    model.save(tmp_path / "model.zip")
+    with pytest.raises(EvaluationError, match=r"the first 2 episodes of model failed.*nan"):
+        magical_mj.evaluate(str(tmp_path / "model.zip"), preset="State", **SMALL)
+
+
+def test_networks_of_dicts_need_trust(tmp_path: Path) -> None:
+    ppo(tmp_path / "model.zip", "MultiInputPolicy", "magical_mj/MoveToRegion-Demo-LoResStack-v0")
+    with pytest.raises(SettingsError, match=r"--trust \(trust=True\)"):
+        load_sb3(tmp_path / "model.zip")
+    frame = magical_mj.evaluate(str(tmp_path / "model.zip"), preset="LoResStack", trust=True, **SMALL)
+    assert frame["failure"].isna().all()
+
+
+def test_special_networks_need_trust(tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch")
+    model = ppo(tmp_path / "model.zip", "MlpPolicy", STATE, policy_kwargs={"activation_fn": torch.nn.ReLU})
+    with pytest.raises(SettingsError, match=r"pickle; --trust \(trust=True\) loads it and runs the code"):
+        load_sb3(tmp_path / "model.zip")
+    observation, _ = gymnasium.make(STATE).reset(seed=0)
+    loaded = load_sb3(tmp_path / "model.zip", trust=True)
+    assert loaded(observation) == model.predict(observation, deterministic=True)[0]
+
+
+class Attack:
+    def __reduce__(self) -> Any:
+        return Path.touch, (Path("attacked"),)
+
+
+def test_no_pickle_is_read_without_trust(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    ppo(tmp_path / "model.zip", "MlpPolicy", STATE)
+    poison = base64.b64encode(pickle.dumps(Attack())).decode()
+    with zipfile.ZipFile("model.zip") as good, zipfile.ZipFile("bad.zip", "w") as bad:
+        for name in good.namelist():
+            content = good.read(name)
+            if name == "data":
+                data = json.loads(content)
+                for value in data.values():
+                    if isinstance(value, dict) and ":serialized:" in value:
+                        value[":serialized:"] = poison
+                content = json.dumps(data).encode()
+            bad.writestr(name, content)
+        bad.writestr("pytorch_variables.pth", pickle.dumps(Attack()))
+    load_sb3(Path("bad.zip"))
+    with zipfile.ZipFile("worse.zip", "w") as worse:
+        worse.writestr("data", "{}")
+        worse.writestr("policy.pth", pickle.dumps(Attack()))
+    with (
+        warnings.catch_warnings(record=True) as told,
+        pytest.raises(SettingsError, match="weights that are not tensors"),
+    ):
+        load_sb3(Path("worse.zip"))
+    assert not told
+    assert not Path("attacked").exists()
+
+
+class Other(gymnasium.Env[Any, Any]):
+    """Has the state for an observation and other actions."""
+
+    observation_space = gymnasium.make(STATE).observation_space
+    action_space = spaces.Discrete(4)
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
+        return self.observation_space.sample(), {}
+
+
+def test_other_actions_are_refused(tmp_path: Path) -> None:
+    ppo(tmp_path / "model.zip", "MlpPolicy", Other())
+    for trust in (False, True):
+        with pytest.raises(SettingsError, match=r"each action is one of the numbers 0 to 17; .*to_discrete"):
+            magical_mj.evaluate(str(tmp_path / "model.zip"), preset="State", trust=trust, **SMALL)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x05\x06" + 18 * b"\0", b"not an archive"])
+def test_files_that_are_no_archives(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "model.zip").write_bytes(content)
+    with pytest.raises(SettingsError, match="not a stable-baselines3 archive"):
+        magical_mj.evaluate(str(tmp_path / "model.zip"), **SMALL)
+
+
+@pytest.mark.parametrize(
+    ("data", "weights", "trust", "complaint"),
+    [
+        (b"[]", {}, False, "not a stable-baselines3 archive"),
+        (b"{}", None, False, "weights that are not tensors"),
+        (b"{}", [], False, "weights that are not tensors"),
+        (
+            b'{"policy_kwargs": {}, "observation_space": 3}',
+            {"action_net.weight": 1},
+            False,
+            "does not say how its network is built",
+        ),
+        (b"{}", {}, True, "does not say how its network is built: KeyError: 'policy_class'"),
+    ],
+)
+def test_archives_that_are_not_whole(tmp_path: Path, data: bytes, weights: Any, trust: bool, complaint: str) -> None:
+    torch = pytest.importorskip("torch")
+    with zipfile.ZipFile(tmp_path / "model.zip", "w") as archive:
+        archive.writestr("data", data)
+        with archive.open("policy.pth", "w") as file:
+            if weights is not None:
+                torch.save(weights, file)
+    with pytest.raises(SettingsError, match=complaint):
+        load_sb3(tmp_path / "model.zip", trust)
+
+
+def test_an_archive_with_wrong_bytes(tmp_path: Path) -> None:
+    path = tmp_path / "model.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("data", json.dumps(list(range(3000))))
+    content = bytearray(path.read_bytes())
+    content[60:80] = bytes(20)
+    path.write_bytes(content)
+    with pytest.raises(SettingsError, match="not a stable-baselines3 archive: error: Error -3 while decompressing"):
+        load_sb3(path)
+
+
+def test_a_missing_package_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    with pytest.raises(MissingExtraError, match=r"model\.zip needs stable-baselines3: pip install"):
+        load_sb3(tmp_path / "model.zip")
+
+
+def linear(path: Path, outputs: int) -> np.ndarray:
+    """Writes an ONNX file: the state times a matrix, which is returned."""
+    onnx = pytest.importorskip("onnx")
+    helper, kind = onnx.helper, onnx.TensorProto.FLOAT
+    size = gymnasium.make(STATE).observation_space.shape[0]
+    matrix = np.random.default_rng(0).normal(size=(size, outputs)).astype(np.float32)
+    graph = helper.make_graph(
+        [helper.make_node("MatMul", ["seen", "matrix"], ["values"])],
+        "linear",
+        [helper.make_tensor_value_info("seen", kind, [None, size])],
+        [helper.make_tensor_value_info("values", kind, [None, outputs])],
+        [onnx.numpy_helper.from_array(matrix, "matrix")],
+    )
+    onnx.save(helper.make_model(graph, ir_version=10, opset_imports=[helper.make_opsetid("", 18)]), path)
+    return matrix
+
+
+def test_onnx_file_acts_by_the_best_value(tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    matrix = linear(tmp_path / "model.onnx", 18)
+    loaded = load_onnx(tmp_path / "model.onnx")
+    observation, _ = gymnasium.make(STATE).reset(seed=3)
+    assert loaded(observation) == np.argmax(observation @ matrix)
+    frame = magical_mj.evaluate(str(tmp_path / "model.onnx"), preset="State", **SMALL)
+    assert frame["failure"].isna().all()
+
+
+def test_onnx_files_that_do_not_fit(tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    linear(tmp_path / "model.onnx", 4)
+    with pytest.raises(SettingsError, match="gives 4 values, and there are 18 actions"):
+        magical_mj.evaluate(str(tmp_path / "model.onnx"), preset="State", **SMALL)
+    linear(tmp_path / "state.onnx", 18)
+    with pytest.raises(SettingsError, match=r"takes observations of shape .* give --preset State"):
+        magical_mj.evaluate(str(tmp_path / "state.onnx"), **SMALL)
+    (tmp_path / "broken.onnx").write_bytes(b"nothing")
+    with pytest.raises(SettingsError, match="not an ONNX file"):
+        magical_mj.evaluate(str(tmp_path / "broken.onnx"), preset="State", **SMALL)

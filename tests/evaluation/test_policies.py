@@ -1,0 +1,287 @@
+"""Policies that users write: what they may hold, remember, start and break without harming the scores."""
+
+from __future__ import annotations
+
+import multiprocessing
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import magical_mj
+from magical_mj.cli.results import film_episodes
+from magical_mj.evaluation import Episode, EvaluationSettings, rollouts
+from magical_mj.evaluation.scores import SCORES
+from magical_mj.evaluation.worker import plan
+from magical_mj.policies.loading import sources
+from magical_mj.utils.errors import ClosedError, EvaluationError, InvalidActionError, SettingsError, TaskError
+from tests.helpers.evaluations import SMALL, TEMPLATE, evaluate
+
+STATE: dict[str, Any] = {"preset": "State"}
+SINGLY: dict[str, Any] = {"autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
+
+
+class Remembering:
+    """Counts its steps, and can only be reset for several episodes at once."""
+
+    def reset_batch(self, episodes: Sequence[Episode]) -> None:
+        self.steps = 0
+
+    def act_batch(self, observations: Any) -> list[int]:
+        self.steps += 1
+        return [self.steps % 18] * len(observations)
+
+    def __call__(self, observation: Any) -> int:
+        return self.act_batch([observation])[0]
+
+
+@dataclass
+class Linear:
+    """Holds arrays, which cannot be compared in one word."""
+
+    weights: NDArray[Any] = field(default_factory=lambda: np.arange(3.0))
+
+    def __call__(self, observation: Any) -> int:
+        return int(self.weights.sum())
+
+
+class MuteError(Exception):
+    """Cannot be shown."""
+
+    def __str__(self) -> str:
+        raise AttributeError("message")
+
+
+class Failing:
+    """Raises an error that cannot be shown in the scene of seed 1."""
+
+    def reset(self, episode: Episode) -> None:
+        if episode.seed == 1:
+            raise MuteError
+
+    def __call__(self, observation: Any) -> int:
+        return 0
+
+
+class Hopeless:
+    """Fails in the tasks of the longest episodes."""
+
+    def reset(self, episode: Episode) -> None:
+        if episode.task == "ClusterShape":
+            raise RuntimeError("lost")
+
+    def __call__(self, observation: Any) -> int:
+        return 0
+
+
+class Forking:
+    """Starts a process that lives on."""
+
+    def __init__(self) -> None:
+        self.helper: Any = None
+
+    def __call__(self, observation: Any) -> int:
+        if self.helper is None:
+            self.helper = multiprocessing.get_context("fork").Process(target=time.sleep, args=(60,), daemon=True)
+            self.helper.start()
+        return 0
+
+
+class OneTask:
+    """Says its task in a word instead of a list."""
+
+    tasks = "MoveToCorner"
+
+    def __call__(self, observation: Any) -> int:
+        return 0
+
+
+@pytest.mark.parametrize("envs", [1, 2])
+def test_a_policy_for_batches_starts_every_episode_anew(envs: int) -> None:
+    assert set(evaluate(Remembering(), envs=envs, **STATE)["actions"].str[:3]) == {"bcd"}
+
+
+def test_policies_need_not_be_comparable() -> None:
+    played = evaluate(Linear(), jobs=2, episodes=25, **STATE)
+    assert set(played["actions"]) == {"d" * 40}
+    assert len(played) == 50
+
+
+def test_an_error_that_cannot_be_shown_costs_one_episode() -> None:
+    played = evaluate(Failing(), **STATE)
+    assert played["failure"].dropna().tolist() == ["MuteError: an error without a message"] * 2
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_the_first_planned_episodes_decide_whether_a_policy_works(jobs: int, tmp_path: Path) -> None:
+    kind: dict[str, Any] = {"tasks": "MoveToRegion,ClusterShape", "variants": "Demo", "episodes": 10, **STATE}
+    with pytest.raises(EvaluationError, match="the first 10 episodes of pair, run 1, failed"):
+        magical_mj.evaluate({"pair": ["noop", Hopeless()]}, jobs=jobs, out=tmp_path, **kind)
+    assert '"run": 1' not in (tmp_path / SCORES).read_text()
+
+
+def test_what_a_policy_forked_does_not_keep_the_scores_locked(tmp_path: Path) -> None:
+    policy = Forking()
+    first = evaluate(policy, out=tmp_path, **STATE)
+    assert policy.helper.is_alive()
+    try:
+        assert evaluate(policy, out=tmp_path, resume=True, **STATE).equals(first)
+    finally:
+        policy.helper.terminate()
+
+
+def test_a_file_that_changes_meanwhile_is_no_policy_of_the_evaluation(tmp_path: Path) -> None:
+    torch, sb3 = pytest.importorskip("torch"), pytest.importorskip("stable_baselines3")
+    env = gymnasium.make("magical_mj/MoveToRegion-Demo-State-v0")
+    models = [sb3.PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu", seed=seed) for seed in (0, 1)]
+    path, threads = tmp_path / "model.zip", torch.get_num_threads()
+    models[0].save(path)
+    played = []
+
+    def overwrite(score: Any) -> None:
+        played.append(score.policy)
+        models[1].save(path)
+
+    with pytest.raises(SettingsError, match=r"was changed while it was evaluated.*evaluate a copy"):
+        magical_mj.evaluate({"A": str(path), "B": "noop"}, watch=overwrite, **SMALL, **STATE)
+    assert "A" in played
+    assert torch.get_num_threads() == threads, "the caller's setting is left alone"
+
+
+@pytest.fixture
+def excessive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """Tasks whose score is too high in some scenes, whose count rule draws too many blocks, and whose score fails."""
+    name = f"excessive_{tmp_path.name}"
+    (tmp_path / f"{name}.py").write_text(
+        "from dataclasses import replace\n"
+        "from magical_mj.tasks.match_regions import SPEC as OURS\n"
+        "def score(initial, final, rules):\n"
+        "    return 2.0 if initial.robot.angle > OURS.demo.robot.angle else 0.0\n"
+        "def count(rng, scene):\n"
+        "    return replace(scene, blocks=scene.blocks[:1] * int(rng.integers(8, 13)))\n"
+        'SPEC = replace(OURS, name="Excessive", score=score)\n'
+        'CROWDED = replace(OURS, name="Crowded", count=count)\n'
+        "def broken(initial, final, rules):\n"
+        "    return 0.0 if final.robot == initial.robot else 1 / 0\n"
+        'BROKEN = replace(OURS, name="Broken", score=broken)\n'
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    monkeypatch.setattr(gymnasium, "registry", dict(gymnasium.registry))
+    monkeypatch.setattr("gymnasium.envs.registration.registry", gymnasium.registry)
+    yield name
+    del sys.modules[name]
+
+
+@pytest.mark.parametrize("envs", [1, 2])
+def test_errors_of_a_task_are_no_failures_of_a_policy(excessive: str, envs: int) -> None:
+    with pytest.raises(TaskError, match=r"Excessive.score must return a number in \[0, 1\], and returned 2.0"):
+        magical_mj.evaluate(Remembering(), tasks=f"{excessive}:SPEC", variants="Jitter", episodes=6, envs=envs, **STATE)
+    with pytest.raises(TaskError, match=r"Broken.score failed: ZeroDivisionError: division by zero \(.*excessive_"):
+        magical_mj.evaluate(Remembering(), tasks=f"{excessive}:BROKEN", variants="Demo", episodes=2, envs=envs, **STATE)
+    with pytest.raises(
+        TaskError, match=r"no episode can start in the scene of seed .*the state vector holds 10 blocks"
+    ):
+        magical_mj.evaluate(
+            Remembering(), tasks=f"{excessive}:CROWDED", variants="CountPlus", episodes=8, envs=envs, **STATE
+        )
+
+
+@pytest.mark.parametrize("side_by_side", [False, True])
+def test_errors_of_the_environment_are_no_failures_of_a_policy(side_by_side: bool) -> None:
+    name = "magical_mj/MoveToRegion-Demo-State-v0"
+
+    def make(kind: str = name, **settings: Any) -> Any:
+        if side_by_side:
+            return gymnasium.make_vec(kind, 2, vectorization_mode="sync", vector_kwargs=SINGLY, **settings)
+        return gymnasium.make(kind, **settings).unwrapped
+
+    def played(env: Any) -> list[Any]:
+        return list(rollouts(env, Remembering(), [Episode("MoveToRegion", "Demo", 0)]))
+
+    assert played(make())[0].failure is None
+    with pytest.raises(EvaluationError, match=r"the environment takes .*Box.*to_discrete\(vector\)"):
+        played(make(action="continuous"))
+    with pytest.raises(EvaluationError, match="the environment is FixColour All, and an episode MoveToRegion Demo"):
+        played(make("magical_mj/FixColour-TestAll-State-v0"))
+    with pytest.raises(EvaluationError, match="make one whose id begins with magical_mj/"):
+        played(make("CartPole-v1"))
+    closed = make()
+    closed.close()
+    with pytest.raises((ClosedError, gymnasium.error.ClosedEnvironmentError)):
+        played(closed)
+
+
+def test_infos_that_a_wrapper_has_made_a_list_are_explained() -> None:
+    envs = gymnasium.make_vec("magical_mj/MoveToRegion-Demo-State-v0", 2, vectorization_mode="sync")
+    listed = gymnasium.wrappers.vector.DictInfoToList(envs)
+    with pytest.raises(EvaluationError, match="infos must be a dict, not list"):
+        list(rollouts(listed, Remembering(), [Episode("MoveToRegion", "Demo", 0)]))
+
+
+class Exploding:
+    """Makes the simulation unstable in its first episode."""
+
+    blind = True
+
+    def reset(self, episode: Episode) -> None:
+        assert episode.env is not None
+        if episode.seed == 0:
+            episode.env.physics.data.qvel[:] = 1e30
+
+    def __call__(self, observation: Any) -> int:
+        return 0
+
+
+def test_an_unstable_simulation_costs_one_episode() -> None:
+    failures = evaluate(Exploding(), variants="Demo", **STATE)["failure"]
+    assert failures[0].startswith("PhysicsError: ")
+    assert failures[1:].isna().all()
+
+
+class TooFew:
+    """Forgets one of the environments."""
+
+    def reset_batch(self, episodes: Sequence[Episode]) -> None:
+        """Starts nothing."""
+
+    def act_batch(self, observations: Any) -> list[int]:
+        return [0] * (len(observations) - 1)
+
+    def __call__(self, observation: Any) -> int:
+        return 1
+
+
+def test_an_action_is_needed_for_each_environment() -> None:
+    envs = gymnasium.make_vec("magical_mj/MoveToRegion-Demo-State-v0", 2, vectorization_mode="sync")
+    (outcome,) = rollouts(envs, TooFew(), [Episode("MoveToRegion", "Demo", 0)])
+    assert outcome.failure == "InvalidActionError: 1 actions for 2 environments"
+
+
+def test_tasks_may_be_a_word_and_an_iterator() -> None:
+    with pytest.raises(SettingsError, match="cannot act in MoveToRegion: give --tasks MoveToCorner"):
+        evaluate(OneTask(), **STATE)
+    settings = EvaluationSettings(tasks=(task for task in ("FindDupe", "MakeLine")), variants=iter(["Demo"]))
+    assert settings.environments == settings.environments == [("MakeLine", "Demo"), ("FindDupe", "Demo")]
+
+
+@pytest.mark.parametrize(("envs", "size"), [(1, 10), (4, 8), (8, 8), (16, 16)])
+def test_units_fill_all_environments(envs: int, size: int) -> None:
+    units = plan(sources("noop"), EvaluationSettings(tasks="FindDupe", variants="Demo", envs=envs, episodes=48), ())
+    assert {len(unit.seeds) for unit in units[:-1]} == {size}
+    assert sum(len(unit.seeds) for unit in units) == 48
+
+
+def test_videos_of_methods_with_similar_names_are_kept_apart(tmp_path: Path) -> None:
+    scores = [replace(TEMPLATE, policy=name, task="MoveToRegion", actions="a") for name in ("a/b", "a-b")]
+    links = film_episodes([("best", score) for score in scores], tmp_path)
+    assert len(links) == len(set(links.values())) == len(list(tmp_path.glob("*.mp4"))) == 2
+    with pytest.raises(InvalidActionError, match="stored actions are letters from a to r, not 'abz'"):
+        film_episodes([("best", replace(scores[0], actions="abz"))], tmp_path)

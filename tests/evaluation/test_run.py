@@ -1,0 +1,284 @@
+"""Playing: equal scores however it is done, failures that cost one episode, and runs that were killed."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import signal
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pandas as pd
+import pytest
+
+import magical_mj
+from magical_mj.evaluation import Episode, Evaluation, EvaluationSettings
+from magical_mj.evaluation.scores import read
+from magical_mj.policies.interface import LETTERS, actions_of
+from magical_mj.utils.errors import SettingsError, UnknownNameError
+from tests.helpers import agents
+from tests.helpers.evaluations import evaluate
+
+# equal scores
+
+
+def test_evaluations_that_take_turns_keep_their_policies() -> None:
+    settings = EvaluationSettings(tasks="MoveToRegion", variants="Demo", episodes=3, preset="State", jobs=1)
+    first, second = (Evaluation({"mine": agents.Constant(action)}, settings).play() for action in (1, 2))
+    letters = [score.actions[0] for pair in zip(first, second, strict=True) for score in pair]
+    assert letters == [LETTERS[1], LETTERS[2]] * 3
+
+
+def test_threads_that_have_evaluated_leave_none_behind() -> None:
+    def play() -> None:
+        magical_mj.evaluate(
+            agents.Constant(1), tasks="MoveToRegion", variants="Demo", episodes=1, preset="State", jobs=1
+        )
+
+    before = {thread.ident for thread in threading.enumerate()}
+    caller = threading.Thread(target=play)
+    caller.start()
+    caller.join()
+    gc.collect()
+    left = [thread for thread in threading.enumerate() if thread.ident not in before]
+    for thread in left:
+        thread.join(10)
+    assert not any(thread.is_alive() for thread in left)
+
+
+def test_scores_are_those_of_a_plain_loop() -> None:
+    frame = magical_mj.evaluate(agents.Counting, tasks="MatchRegions", variants="All", episodes=2)
+    env = gymnasium.make("magical_mj/MatchRegions-TestAll-LoRes4E-v0")
+    for row in frame.itertuples():
+        policy = agents.Counting()
+        policy.reset(Episode("MatchRegions", "All", row.seed))
+        observation, info = env.reset(seed=row.seed)
+        taken, done = [], False
+        while not done:
+            taken.append(policy(observation))
+            observation, _, _, done, info = env.step(taken[-1])
+        assert (row.score, row.steps, actions_of(row.actions)) == (info["eval_score"], 120, taken)
+
+
+def test_playing_goes_on_where_it_was_abandoned(tmp_path: Path) -> None:
+    evaluation, late = (
+        Evaluation(
+            "noop", EvaluationSettings(tasks="FixColour", variants="Demo", episodes=3, out=tmp_path, resume=True)
+        )
+        for _ in range(2)
+    )
+    first = next(evaluation.play())
+    assert [score.seed for score in evaluation.play()] == [1, 2]
+    assert read(tmp_path) == evaluation.scores
+    assert evaluation.scores[0] == first
+    assert list(late.play()) == []
+    assert late.scores == evaluation.scores
+
+
+def test_order_and_company_do_not_matter() -> None:
+    together = evaluate("random,noop", episodes=4)
+    for policy in ("random", "noop"):
+        alone = evaluate(policy, episodes=4)
+        pd.testing.assert_frame_equal(alone, together[together["policy"] == policy].reset_index(drop=True))
+
+
+def test_runs_of_random_differ_and_are_the_same_again() -> None:
+    first, second = (evaluate({"luck": ["random", "random"]}, tasks="FixColour") for _ in range(2))
+    pd.testing.assert_frame_equal(first, second)
+    assert set(first["run"]) == {0, 1}
+    assert first[first["run"] == 0]["actions"].tolist() != first[first["run"] == 1]["actions"].tolist()
+    later = evaluate({"luck": "random"}, tasks="FixColour", run=1)
+    pd.testing.assert_frame_equal(later, first[first["run"] == 1].reset_index(drop=True))
+
+
+def test_two_jobs_give_the_same_as_one() -> None:
+    policies = {"blind": "random", "seeing": agents.Counting, "named": "tests.helpers.agents:Batch"}
+    pd.testing.assert_frame_equal(evaluate(policies, episodes=12, jobs=2), evaluate(policies, episodes=12))
+
+
+@pytest.mark.parametrize("vectorization", ["sync", "async"])
+@pytest.mark.parametrize("policy", [agents.Counting, agents.Batch])
+def test_episodes_side_by_side_give_the_same(policy: Any, vectorization: str) -> None:
+    """Two at once of three: the last has no company."""
+    side_by_side = evaluate(policy, envs=2, vectorization=vectorization)
+    pd.testing.assert_frame_equal(side_by_side, evaluate(policy))
+
+
+def test_side_by_side_in_each_of_several_processes() -> None:
+    crowd = evaluate("tests.helpers.agents:Counting", envs=2, vectorization="async", jobs=2, variants="Demo")
+    pd.testing.assert_frame_equal(crowd, evaluate("tests.helpers.agents:Counting", variants="Demo"))
+
+
+def test_dict_observations_side_by_side() -> None:
+    def centre(observation: dict[str, np.ndarray]) -> int:
+        assert observation["ego"].shape == (96, 96, 12)
+        return int(observation["allo"].sum()) % 18
+
+    settings = {"preset": "LoResStack", "episodes": 2, "variants": "Demo"}
+    pd.testing.assert_frame_equal(evaluate(centre, envs=2, **settings), evaluate(centre, **settings))
+
+
+def test_rules_reach_the_scores() -> None:
+    """Nobody moves: ClusterShape's demo scores 0.25 by the paper's rules, 0 by the code's, and takes longer."""
+    for rules, expected in (("paper", (0.25, 320)), ("released", (0.0, 240))):
+        frame = evaluate("noop", tasks="ClusterShape", variants="Demo", episodes=1, rules=rules)
+        assert (frame["score"].item(), frame["steps"].item()) == expected
+
+
+@pytest.mark.parametrize("envs", [1, 2])
+def test_a_policy_may_learn_between_evaluations(envs: int) -> None:
+    policy = agents.Stubborn()
+    settings: dict[str, Any] = {"preset": "State", "variants": "Demo", "episodes": 2, "envs": envs}
+    assert set(evaluate(policy, **settings)["actions"]) == {"a" * 40}
+    policy.action = 5
+    assert set(evaluate(policy, **settings)["actions"]) == {"f" * 40}
+
+
+def test_policies_that_can_be_closed_are_left_open() -> None:
+    policies = {str(action): agents.Stubborn(action) for action in (3, 4)}  # which take turns
+    assert evaluate(policies, preset="State")["failure"].isna().all()
+
+
+def test_letters_are_the_actions() -> None:
+    assert len(set(LETTERS)) == len(LETTERS) == len(magical_mj.scene.actions.ACTIONS)
+
+
+def test_expert_plays() -> None:
+    frame = evaluate("expert", variants="Demo", episodes=1)
+    assert frame["failure"].isna().all()
+
+
+# failures
+
+
+def test_a_failing_policy_costs_only_its_episodes() -> None:
+    frame = evaluate("tests.helpers.agents:Trouble", variants="Demo", episodes=17, time_limit=0.7).set_index("seed")
+    good = frame.loc[range(0, 17, 2)]
+    assert good["failure"].isna().all()
+    assert (good["steps"] == 40).all()
+    reasons = {
+        1: "RuntimeError: lost its way",
+        3: "18 is not an action",
+        5: "no end within 0.7 s",
+        7: "no end within 0.7 s",
+        9: "no end within 0.7 s",
+        11: "None is not an action",
+        13: "is not an action",
+        15: "is not an action",
+    }
+    for seed, reason in reasons.items():
+        assert frame.loc[seed, "score"] == 0
+        assert reason in frame.loc[seed, "failure"]
+
+
+@pytest.mark.parametrize("kind", ["single", "batch"])
+def test_a_failure_side_by_side_costs_nobody_else(kind: str) -> None:
+    class Half(agents.Batch if kind == "batch" else agents.Counting):
+        def reset(self, episode: Episode) -> None:
+            self.steps = episode.seed
+            self.seed = episode.seed
+
+        def reset_batch(self, episodes: Any) -> None:
+            if any(episode.seed == 1 for episode in episodes):
+                raise ValueError("not this one")
+
+        def __call__(self, observation: Any) -> int:
+            if self.seed == 1:
+                raise ValueError("not this one")
+            return super().__call__(observation)
+
+    side_by_side = evaluate(Half(), envs=3)
+    assert side_by_side["failure"].notna().tolist() == [False, True, False] * 2
+    pd.testing.assert_frame_equal(side_by_side, evaluate(Half()))
+
+
+@pytest.mark.parametrize("how", [{}, {"jobs": 2}, {"envs": 3}])
+def test_a_policy_that_exits_has_failed(how: dict[str, int]) -> None:
+    frame = evaluate("tests.helpers.agents:Leaving", preset="State", variants="Demo", **how)
+    assert frame["failure"].fillna("").tolist() == ["", "SystemExit: enough", ""]
+
+
+def test_after_an_interruption_nothing_is_mixed_up() -> None:
+    """The episode that is interrupted goes on for a moment, and its result must not be taken for the next one's."""
+    pressed: list[str] = []
+
+    def interrupting(observation: Any) -> int:
+        if not pressed:
+            pressed.append("Ctrl-C")
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+        time.sleep(0.05)
+        return 0
+
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(interrupting, preset="State", variants="Demo")
+    assert set(evaluate(agents.Stubborn(2), preset="State", variants="Demo")["actions"]) == {"c" * 40}
+
+
+# what is asked for
+
+
+class Holding:
+    """Holds something that belongs to this process."""
+
+    def __init__(self, thing: Any) -> None:
+        self.thing = thing
+
+    def __call__(self, observation: Any) -> int:
+        return 0
+
+
+@pytest.mark.parametrize(
+    ("policy", "settings", "hint"),
+    [
+        ("rndom", {}, "Did you mean 'random'"),
+        ("", {}, "give a policy"),
+        ("BC=", {}, "BC= names no policy"),
+        (3, {}, "3 is not a policy"),
+        (Path("missing.zip"), {}, "no file missing.zip"),
+        ("no_such_module:thing", {}, "no_such_module:thing cannot be imported"),
+        ("tests.helpers.agents:nothing", {}, "no 'nothing' in agents"),
+        ("tests.helpers.agents:NOT_CALLABLE", {}, "is a int, which cannot be called"),
+        ("missing.zip", {}, "no file missing.zip"),
+        ("noop", {"tasks": "FindDup"}, "Did you mean 'FindDupe'"),
+        ("noop", {"tasks": ""}, "at least one of"),
+        ("noop", {"variants": "Color"}, "Did you mean 'Colour'"),
+        ("noop", {"tasks": "MoveToRegion", "variants": "Shape"}, "It has: Demo"),
+        ("noop", {"episodes": 0}, "episodes must be at least 1"),
+        ("noop", {"time_limit": -1}, "time_limit must be at least 0.1"),
+        ("noop", {"preset": "LoRes5E"}, "LoRes4E"),
+        ("noop", {"rules": "mine"}, "paper"),
+        ("noop", {"jobs": 0}, "jobs must be at least 1"),
+        ("noop", {"episodes": 2.5}, "episodes must be an integer, not 2.5"),
+        ("noop", {"run": "1"}, "run must be an integer, not '1'"),
+        ("noop", {"time_limit": "long"}, "time_limit must be a number, not 'long'"),
+        ("noop", {"time_limit": 10**400}, "time_limit must be at most 1000000, not 1000"),
+        ("noop", {"episodes": 10**10}, "episodes must be at most 1000000"),
+        ("noop", {"trust": "no"}, "trust must be bool, not 'no'"),
+        ("noop", {"address": 8786}, "address must be str | None, not 8786"),
+        ("noop", {"backend": "slurm"}, "local, dask, ray"),
+        ("noop", {"backend": "dask"}, "needs the scheduler's address"),
+        ("noop", {"address": "tcp://there:1"}, "choose the dask or the ray backend"),
+        ("noop", {"vectorization": "fast"}, "sync, async"),
+        ("noop", {"episods": 3}, "Did you mean 'episodes'"),
+        ("tests.helpers.agents:Needy", {}, "is a class, and calling it fails: TypeError"),
+        (agents.Needy, {}, "is a class, and calling it fails: TypeError"),
+        ("leaving:act", {}, "cannot be imported: SystemExit: 3"),
+        (Holding(threading.Lock()), {"envs": 2, "jobs": 1}, "cannot be copied for episodes side by side (TypeEr"),
+        (Holding(ctypes.pointer(ctypes.c_int())), {"jobs": 2}, "cannot be sent to other processes (ValueError"),
+        (agents.Seeing((97,)), {}, "observations of shape (97,), and LoRes4E gives (96, 96, 12): no preset"),
+        (agents.Seeing((None, 96, 12)), {"preset": "State"}, "give --preset LoRes4E or LoRes4A or LoRes3EA"),
+        (agents.Seeing((96, 96, 12)), {"preset": ""}, "gives a dict: give --preset LoRes4E"),
+    ],
+)
+def test_bad_settings_are_explained(
+    policy: Any, settings: dict[str, Any], hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "leaving.py").write_text("import sys\nsys.exit(3)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises((SettingsError, UnknownNameError)) as caught:
+        evaluate(policy, **settings)
+    assert hint in str(caught.value)

@@ -1,0 +1,115 @@
+"""Episodes of rough hands, and how well the physics holds: what `test_physics.py` bounds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import reduce
+
+import mujoco
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+import magical_mj
+from magical_mj.assets.contacts import SETTINGS, SUBSTEPS, PhysicsSettings
+from magical_mj.assets.robot import controls
+from magical_mj.assets.world import World, world_mjcf
+from magical_mj.scene import Block, Robot, Scene
+from magical_mj.scene import constants as c
+from magical_mj.scene.geometry import block_outline
+from magical_mj.variants.dynamics import draw_dynamics
+
+STEPS = 100
+KINDS = ("random", "corner", "spin", "steady")
+VARIANTS = [pair for pair in magical_mj.ENVIRONMENTS if pair[1] in ("Demo", "Dynamics", "All")]
+ANGLES = np.linspace(0, np.pi, 60, endpoint=False)
+DIRECTIONS = np.array([np.cos(ANGLES), np.sin(ANGLES)])
+
+
+def crowd(rng: np.random.Generator) -> Scene:
+    """Ten blocks around the robot, with dynamics of the Dynamics variant."""
+    robot, blocks = Robot(*rng.uniform(-0.5, 0.5, 2).tolist(), float(rng.uniform(-np.pi, np.pi))), []
+    while len(blocks) < 10:
+        x, y = rng.uniform(-0.82, 0.82, 2).tolist()
+        apart = [math.dist((x, y), (block.x, block.y)) for block in blocks]
+        if math.dist((x, y), (robot.x, robot.y)) > 0.56 and min(apart, default=1) > 0.3:
+            shape = c.SHAPES[rng.integers(4)]
+            blocks.append(Block(shape, "red", x, y, float(rng.uniform(-np.pi, np.pi))))
+    return Scene(robot, tuple(blocks), dynamics=draw_dynamics(rng))
+
+
+def episode(number: int) -> tuple[Scene, str]:
+    """The scene of an episode and how it is played."""
+    rng = np.random.default_rng(number)
+    kind = KINDS[number % 4]
+    if kind in ("corner", "spin"):
+        return crowd(rng), kind
+    task, variant = VARIANTS[rng.integers(len(VARIANTS))]
+    return magical_mj.sample_scene(task, variant, number), kind
+
+
+def hands(kind: str, rng: np.random.Generator) -> Iterator[int]:
+    """Actions without end; "corner" steers, and takes the robot's pose at each step."""
+    if kind == "corner":
+        goal, action = rng.choice([-1.0, 1.0], 2), 0
+        while True:
+            pose = yield action
+            bearing = math.atan2(pose[0] - goal[0], goal[1] - pose[1])
+            turn = (bearing - pose[2] + math.pi) % (2 * math.pi) - math.pi
+            action = int(rng.choice([1, 10]) if abs(turn) < 0.3 else 4 if turn > 0 else 7)
+            if rng.random() < 0.15:
+                action = int(rng.integers(18))
+    while True:
+        action = int(rng.choice([3, 6, 12, 15, 4, 7]) if kind == "spin" and rng.random() < 0.8 else rng.integers(18))
+        for _ in range({"random": 1, "spin": 3, "steady": 6}[kind]):
+            yield action
+
+
+def play(number: int, settings: PhysicsSettings = SETTINGS) -> tuple[Scene, NDArray[np.float64], int]:
+    """The scene, the poses after each action (steps, 1 + blocks, 3), and how often MuJoCo warned."""
+    scene, kind = episode(number)
+    world = World(scene)
+    model = mujoco.MjModel.from_xml_string(world_mjcf(scene, settings=settings))
+    data = mujoco.MjData(model)
+    signal, actor = controls(settings), hands(kind, np.random.default_rng(number))
+    action, track = next(actor), []
+    for _ in range(STEPS):
+        data.ctrl[:] = signal[action]
+        mujoco.mj_step(model, data, SUBSTEPS)
+        track.append(world.poses(data.qpos))
+        action = actor.send(track[-1][0])
+    return scene, np.array(track), sum(warning.number for warning in data.warning)
+
+
+def outlines(shape: c.Shape, poses: NDArray[np.float64]) -> NDArray[np.object_]:
+    """A block's outline at each of many poses."""
+    cosine, sine = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    turned = np.einsum("kj,ijn->nki", block_outline(shape), np.array([[cosine, -sine], [sine, cosine]]))
+    return shapely.polygons(turned + poses[:, None, :2])
+
+
+def depth(overlap: shapely.Geometry) -> float:
+    """How far two bodies are in each other: the least width of the convex hull of each piece that they share."""
+    pieces = [piece.convex_hull for piece in shapely.get_parts(overlap) if piece.area > 0]
+    return max((float(np.ptp(np.array(hull.exterior.coords) @ DIRECTIONS, axis=0).min()) for hull in pieces), default=0)
+
+
+def worst(number: int, settings: PhysicsSettings = SETTINGS) -> dict[str, float]:
+    """What went wrong in an episode: states that are no numbers, warnings, and distances in world units."""
+    scene, track, warnings = play(number, settings)
+    shapes = [outlines(block.shape, track[:, i]) for i, block in enumerate(scene.blocks, 1)]
+    robot = np.abs(track[:, 0, :2]).max() + c.ROBOT_RADIUS - c.ARENA_HALF_WIDTH
+    bounds = [np.abs(shapely.bounds(shape)).max() - c.ARENA_HALF_WIDTH for shape in shapes]
+    overlap = 0.0
+    for i, first in enumerate(shapes, 1):
+        for j, second in enumerate(shapes[: i - 1], 1):
+            near = np.flatnonzero(np.hypot(*(track[:, i] - track[:, j])[:, :2].T) < 2 * c.STAR_OUTER_RADIUS)
+            overlap = max([overlap, *map(depth, shapely.intersection(first[near], second[near]))])
+    broken = float(not np.isfinite(track).all())
+    return {"broken": broken, "warnings": warnings, "outside": max(robot, *bounds, 0.0), "overlap": overlap}
+
+
+def together(rows: Iterator[dict[str, float]]) -> dict[str, float]:
+    """The worst of all."""
+    return reduce(lambda a, b: {name: max(a[name], b[name]) for name in a}, rows)

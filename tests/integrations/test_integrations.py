@@ -1,0 +1,128 @@
+"""TorchRL and vla-eval, by themselves, where they are installed: ``pip install torchrl vla-eval``."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+
+import magical_mj
+from magical_mj.scene.actions import to_vector
+from magical_mj.utils.errors import InvalidActionError, MissingExtraError, UnknownNameError
+
+pytestmark = pytest.mark.filterwarnings("default")  # theirs are not ours to mend
+
+
+@pytest.fixture
+def gym_env() -> Any:
+    return pytest.importorskip("torchrl.envs").GymEnv
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("FindDupe-TestAll-LoRes4E", {}),
+        ("MoveToRegion-Demo-LoResFingers", {}),
+        ("MoveToRegion-Demo-State", {"from_pixels": True, "pixels_only": False}),
+        ("MoveToRegion-Demo-State", {"action": "continuous"}),
+    ],
+)
+def test_torchrl_finds_nothing_wrong(gym_env: Any, name: str, options: dict[str, Any]) -> None:
+    from torchrl.envs import check_env_specs
+
+    env = gym_env(f"magical_mj/{name}-v0", **options)
+    check_env_specs(env)
+    assert ("pixels" in env.reset()) == ("from_pixels" in options)
+    env.close()
+
+
+def test_torchrl_seeds_are_ours_and_the_info_is_read(gym_env: Any) -> None:
+    env = gym_env("magical_mj/FixColour-Demo-State-v0").auto_register_info_dict()
+    env.set_seed(3)
+    rollout = env.rollout(100)
+    ours = magical_mj.MagicalEnv("FixColour", "Demo", "State")
+    np.testing.assert_array_equal(rollout["observation"][0].numpy(), ours.reset(seed=3)[0])
+    assert len(rollout) == 60
+    assert bool(rollout["next", "truncated"][-1])
+    assert float(rollout["next", "eval_score"][-1]) == env._env.unwrapped.score()
+    env.close()
+    ours.close()
+
+
+@pytest.mark.slow
+def test_torchrl_workers(gym_env: Any) -> None:
+    env = gym_env("magical_mj:magical_mj/FixColour-Demo-State-v0", num_envs=2)
+    assert env.rollout(3)["observation"].shape == (2, 3, len(magical_mj.scene.state_vector.STATE_NAMES))
+    env.close()
+
+
+# vla-eval
+
+
+@pytest.fixture
+def benchmark() -> Any:
+    pytest.importorskip("vla_eval")
+    return import_module("magical_mj.integrations.vla_eval").MagicalBenchmark
+
+
+@pytest.mark.skipif(find_spec("vla_eval") is not None, reason="vla-eval is installed")
+def test_without_vla_eval_one_line_says_what_to_install() -> None:
+    with pytest.raises(MissingExtraError, match="pip install vla-eval"):
+        import_module("magical_mj.integrations.vla_eval")
+
+
+def test_vla_eval_plays_the_official_scenes(benchmark: Any) -> None:
+    """A model server that answers with the expert's actions has the full score; one seed off, it would not."""
+    import vla_eval
+    from vla_eval.model_servers.predict import PredictModelServer
+
+    expert = {seed: magical_mj.demos.demonstrate("FixColour", "Layout", seed).actions for seed in (0, 1)}
+
+    class Server(PredictModelServer):
+        async def on_episode_start(self, config: Any, ctx: Any) -> None:
+            await super().on_episode_start(config, ctx)
+            self.seed = config["task"]["episode_idx"]
+
+        def predict(self, obs: Any, ctx: Any) -> Any:
+            assert obs["images"]["ego"].shape == (96, 96, 3)
+            assert obs["task_description"]
+            return {"actions": to_vector(expert[self.seed][ctx.step])}
+
+        def get_action_spec(self) -> Any:
+            return benchmark("FixColour").get_action_spec()
+
+        def get_observation_spec(self) -> Any:
+            return benchmark("FixColour").get_observation_spec()
+
+    config = {
+        "benchmarks": [
+            {
+                "benchmark": "magical_mj.integrations.vla_eval:MagicalBenchmark",
+                "episodes_per_task": 2,
+                "params": {"tasks": "FixColour", "variants": "Layout"},
+            }
+        ]
+    }
+    (result,) = vla_eval.evaluate(Server(), config, docker=False, no_save=True)
+    assert [task["task"] for task in result["tasks"]] == ["FixColour-Layout"]
+    assert [episode["steps"] for episode in result["tasks"][0]["episodes"]] == [60, 60]
+    assert (result["mean_score"], result["mean_success"]) == (1.0, 1.0)
+
+
+def test_vla_eval_wrong_inputs(benchmark: Any) -> None:
+    with pytest.raises(UnknownNameError, match="FixColour"):
+        benchmark("FixColor")
+    with pytest.raises(UnknownNameError, match="allo"):
+        benchmark("FixColour", views="wrist")
+    made = benchmark("FixColour")
+    with pytest.raises(ResetNeeded):
+        made.step({"actions": np.zeros(3)})
+    made.reset({"task": "FixColour", "variant": "Demo", "episode_idx": 0})
+    for wrong in (np.array([0, np.nan, 0]), np.zeros(7), np.zeros((8, 3))):
+        with pytest.raises(InvalidActionError, match="three finite numbers"):
+            made.step({"actions": wrong})
+    made.cleanup()

@@ -1,0 +1,215 @@
+"""The LeRobot plug-in, by lerobot itself: `make lerobot-test` runs this in an environment that has it."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import magical_mj
+from magical_mj.demos.export.lerobot import to_lerobot
+from magical_mj.utils.errors import (
+    DemonstrationError,
+    InvalidActionError,
+    MagicalError,
+    SettingsError,
+    UnknownNameError,
+)
+
+ROOT = Path(__file__).parents[2]
+needs_lerobot = pytest.mark.skipif(find_spec("lerobot") is None, reason="lerobot is not installed: make lerobot-test")
+pytestmark = pytest.mark.filterwarnings("default")  # lerobot's own are not ours to mend
+
+
+@pytest.mark.skipif(find_spec("lerobot") is not None, reason="lerobot is installed")
+def test_without_lerobot_one_line_says_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(MagicalError, match="make lerobot"):
+        import_module("magical_mj.integrations.lerobot")
+    with pytest.raises(MagicalError, match="make lerobot"):
+        to_lerobot(magical_mj.demos.load("FixColour")[:1], tmp_path / "set")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+@pytest.mark.parametrize("python", ["", "false", "python-that-is-not-there"])
+def test_make_says_which_python_lerobot_needs(python: str, tmp_path: Path) -> None:
+    command = ["make", "--file", str(ROOT / "Makefile"), "lerobot", f"LEROBOT={tmp_path / 'venv'}"]
+    made = subprocess.run([*command, f"LEROBOT_PYTHON={python}"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert made.returncode != 0
+    assert "lerobot 0.6 needs Python 3.12 or 3.13; give LEROBOT_PYTHON=" in made.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def plugin() -> Any:
+    return import_module("magical_mj.integrations.lerobot")
+
+
+@needs_lerobot
+@pytest.mark.parametrize("task", magical_mj.TASKS)
+def test_a_data_set_read_back_replays_to_the_full_score(task: str, plugin: Any, tmp_path: Path) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    demos = magical_mj.demos.load(task)
+    made = to_lerobot(demos, tmp_path / "set")
+    read = LeRobotDataset(made.repo_id, root=tmp_path / "set")
+    assert (read.num_episodes, read.num_frames) == (len(demos), sum(len(demo.actions) for demo in demos))
+    env = plugin.LeRobotEnv(task, "Demo")
+    number = 0
+    for demo in demos:
+        observation, _ = env.reset(seed=0, options={"scene": demo.scene, "lerobot_new_rollout": True})
+        for _ in demo.actions:
+            row = read[number]
+            picture = (row["observation.image"].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8)
+            np.testing.assert_array_equal(picture, observation["pixels"])
+            assert row["task"] == env.task_description
+            observation, reward, _, truncated, info = env.step(row["action"].numpy())
+            number += 1
+        assert env.unwrapped.score() == 1.0
+        assert reward == info["eval_score"] == (1.0 if truncated else 0.0)  # some end when they have reached their goal
+    env.close()
+    size = sum(path.stat().st_size for path in (tmp_path / "set").rglob("*") if path.is_file())
+    sys.stdout.write(f"{task}: {len(demos)} demonstrations, {number} frames alike, {size / 1e6:.1f} MB, scores 1.0\n")
+
+
+@needs_lerobot
+def test_both_views_and_the_fingers(plugin: Any, tmp_path: Path) -> None:
+    demo = magical_mj.demos.load("FixColour")[0]
+    made = to_lerobot([demo], tmp_path / "set", views="both", fingers=True)
+    env = plugin.LeRobotEnv("FixColour", "Demo", "both", fingers=True)
+    observation, _ = env.reset(seed=0)
+    row = made[0]
+    np.testing.assert_allclose(row["observation.state"].numpy(), observation["agent_pos"], atol=1e-7)
+    np.testing.assert_allclose(observation["agent_pos"], (np.pi / 8, -np.pi / 8), atol=1e-6)
+    assert {f"observation.images.{view}" for view in observation["pixels"]} <= row.keys()
+    env.close()
+
+
+@needs_lerobot
+def test_states_instead_of_pictures(plugin: Any, tmp_path: Path) -> None:
+    demo = magical_mj.demos.load("FixColour")[0]
+    made = to_lerobot([demo], tmp_path / "set", views="state")
+    wanted = magical_mj.demos.observations(demo, "State")
+    env = plugin.LeRobotEnv("FixColour", "Demo", "state")
+    observation, _ = env.reset(options={"scene": demo.scene})
+    assert set(observation) == {"environment_state", "agent_pos"}
+    for number, action in enumerate(demo.actions[:5]):
+        np.testing.assert_array_equal(made[number]["observation.environment_state"].numpy(), wanted[number])
+        np.testing.assert_array_equal(observation["environment_state"], wanted[number])
+        observation = env.step(magical_mj.scene.actions.to_vector(action))[0]
+    env.close()
+
+
+@needs_lerobot
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    demos = magical_mj.demos.load("FixColour")[:1]
+    to_lerobot(demos, tmp_path / "set")
+    with pytest.raises(DemonstrationError, match="exists already"):
+        to_lerobot(demos, tmp_path / "set")
+    with pytest.raises(DemonstrationError, match="one environment"):
+        to_lerobot([*demos, *magical_mj.demos.load("FindDupe")[:1]], tmp_path / "other")
+    with pytest.raises(UnknownNameError, match="both"):
+        to_lerobot(demos, tmp_path / "other", views="bot")
+    assert [path.name for path in tmp_path.iterdir()] == ["set"]
+
+
+ENDING = """
+import os, sys
+from magical_mj.demos import load
+from magical_mj.demos.export.lerobot import to_lerobot
+
+class Ending(list):
+    passes = 0
+    def __iter__(self):
+        self.passes += 1
+        for number, demo in enumerate(super().__iter__()):
+            if self.passes == 2 and number == 1:  # the first pass is the check of the environment
+                {end}
+            yield demo
+
+to_lerobot(Ending(load("FixColour")[:2]), sys.argv[1], views="state")
+"""
+
+
+@needs_lerobot
+@pytest.mark.parametrize("end", ["sys.exit(9)", "os._exit(9)"])
+def test_half_a_data_set_never_has_its_name(tmp_path: Path, end: str) -> None:
+    """What a process leaves that was killed, the next export removes."""
+    folder = tmp_path / "set"
+    ended = subprocess.run(
+        [sys.executable, "-c", ENDING.replace("{end}", end), folder], check=False, capture_output=True
+    )
+    assert ended.returncode == 9
+    assert not folder.exists()
+    demos = magical_mj.demos.load("FixColour")[:1]
+    assert to_lerobot(demos, folder, views="state").num_episodes == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["set"]
+
+
+@needs_lerobot
+@pytest.mark.parametrize("options", [{}, {"views": "both"}, {"views": "allo", "fingers": True}, {"views": "state"}])
+@pytest.mark.filterwarnings("ignore")
+def test_gymnasium_finds_nothing_wrong(plugin: Any, options: dict[str, Any]) -> None:
+    env = plugin.LeRobotEnv("MoveToRegion", "Demo", **options)
+    check_env(env, skip_render_check=True)
+    env.close()
+
+
+@needs_lerobot
+@pytest.mark.parametrize("batch", [1, 3])
+def test_seeds_of_the_evaluation_are_the_official_scenes(plugin: Any, batch: int) -> None:
+    suites = plugin.MagicalConfig(task="FindDupe,MoveToCorner", variant="Demo,Shape").create_envs(batch)
+    assert {task: len(suite) for task, suite in suites.items()} == {"FindDupe": 2, "MoveToCorner": 2}
+    vector = suites["FindDupe"][1]
+    vector.reset(seed=list(range(5, 5 + batch)))
+    scenes = [env.unwrapped.scene for env in vector.envs]
+    wanted = [magical_mj.sample_scene("FindDupe", "Shape", 5 + number) for number in range(batch)]
+    for scene, other in zip(scenes, wanted, strict=True):
+        np.testing.assert_allclose(scene.robot.pose, other.robot.pose, atol=1e-9)
+        assert [(block.shape, block.colour) for block in scene.blocks] == [(b.shape, b.colour) for b in other.blocks]
+    assert vector.call("_max_episode_steps") == (100,) * batch
+    for suite in suites.values():
+        for made in suite.values():
+            made.close()
+
+
+@needs_lerobot
+def test_workers_of_their_own_give_the_same(plugin: Any) -> None:
+    config = plugin.MagicalConfig(task="MoveToRegion", variant="Layout")
+    seen = []
+    for asynchronous in (False, True):
+        envs = config.create_envs(2, asynchronous)["MoveToRegion"][0]
+        assert isinstance(envs, gymnasium.vector.AsyncVectorEnv) == asynchronous
+        observations, _ = envs.reset(seed=[0, 1])
+        seen.append(observations["pixels"])
+        envs.close()
+    np.testing.assert_array_equal(*seen)
+
+
+@needs_lerobot
+@pytest.mark.parametrize("action", [[np.nan, 0, 0], [0, np.inf, 0], [0, 0], [0, 0, 0, 0]])
+def test_invalid_actions_are_refused(plugin: Any, action: list[float]) -> None:
+    env = plugin.LeRobotEnv("MoveToRegion", "Demo", "state")
+    env.reset(seed=0)
+    with pytest.raises(InvalidActionError, match="three finite numbers"):
+        env.step(np.array(action, np.float32))
+    env.close()
+
+
+@needs_lerobot
+def test_unknown_environments_are_named(plugin: Any) -> None:
+    with pytest.raises(UnknownNameError, match="MoveToRegion"):
+        plugin.MagicalConfig(task="MoveToRegoin").create_envs(1)
+    with pytest.raises(UnknownNameError, match="unknown choice of views 'top'"):
+        plugin.LeRobotEnv("MoveToRegion", "Demo", "top")
+    with pytest.raises(SettingsError, match="n_envs must be at least 1, not 0"):
+        plugin.MagicalConfig(task="MoveToRegion").create_envs(0)

@@ -1,0 +1,136 @@
+"""The commands of the leaderboard: what they say of entries, good and bad, and whose pages they keep."""
+
+from __future__ import annotations
+
+import json
+import lzma
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from magical_mj.cli import main
+from magical_mj.leaderboard import submit
+from magical_mj.leaderboard.entry import packed, unpacked
+from magical_mj.utils.errors import EvaluationError, SettingsError
+from tests.helpers.entries import EPISODES, rewrite, tampered_score, whole
+
+
+@pytest.mark.parametrize("name", ["leaderboard.html", "leaderboard.md"])
+def test_pages_of_others_are_kept(name: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """And the command says so before it replays anything; pages of its own are replaced."""
+    submit([folder], tmp_path / "entry.json.xz")
+    for _ in range(2):
+        assert main(["leaderboard", str(tmp_path)]) == 0
+    (tmp_path / name).write_text("# Mine, on the leaderboard\n")
+    capsys.readouterr()
+    assert main(["leaderboard", str(tmp_path)]) == 1
+    out, error = capsys.readouterr()
+    assert (out, f"{name} is not a page of an earlier leaderboard: move it" in error) == ("", True)
+    assert (tmp_path / name).read_text() == "# Mine, on the leaderboard\n"
+    assert main(["leaderboard", str(tmp_path), "--out", "/dev/null/pages"]) == 1
+    out, error = capsys.readouterr()
+    assert (out, "cannot write into /dev/null/pages" in error) == ("", True)
+
+
+def test_a_sample_is_repeated_by_its_seed(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rewrite(folder, lambda rows: [row.update(score=0.5) for row in rows])
+    submit([folder], tmp_path / "entry.json.xz")
+    assert main(["leaderboard", str(tmp_path)]) == 1
+    out, error = capsys.readouterr()
+    (seed,) = re.findall(r"--seed (\d+) chooses the same again", out)
+    assert "entry.json.xz differs: run 0, MoveToRegion Layout" in error
+    assert main(["leaderboard", str(tmp_path), "--seed", seed]) == 1
+    assert capsys.readouterr().err == error
+    assert main(["leaderboard", str(tmp_path), "--all", "--seed", seed]) == 2
+    assert "--seed has an effect only without --all" in capsys.readouterr().err
+
+
+def test_the_commands_say_what_they_found(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "entry.json.xz"
+    assert main(["submit", str(folder), "--out", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert f"expert: {EPISODES} episodes of 1 run," in out
+    assert "the card does not say: description, authors, links, demonstrations.set, demonstrations.per_task" in out
+    assert "a partial entry: 1 of 5 runs, 1 of 60 environments, 96 of 100 episodes missing in the " in out
+    rewrite(folder, tampered_score)
+    assert main(["verify", str(folder)]) == 1
+    out, error = capsys.readouterr()
+    assert f"{EPISODES} episodes replayed, 160 steps in" in out
+    assert f"{folder} differs: run 0, MoveToRegion Layout, seed 2: the score is 0.5" in error
+    assert f"{folder} is incomplete: expert, run 0" in error
+
+
+def test_a_leaderboard_names_bad_entries_and_shows_the_others(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entries = tmp_path / "entries"
+    assert main(["leaderboard", str(tmp_path)]) == 1
+    assert "holds no entries" in capsys.readouterr().err
+    entries.mkdir()
+    submit([folder], entries / "good.json.xz")
+    assert main(["leaderboard", str(entries), "--all"]) == 0
+    assert f"good.json.xz: expert; {EPISODES} episodes replayed" in capsys.readouterr().out
+    (entries / "cut.json.xz").write_bytes((entries / "good.json.xz").read_bytes()[:-20])
+    (entries / "folder.json.xz").mkdir()
+    (entries / "half.json.xz").write_bytes(lzma.compress(b'{"card": "\\ud800"}'))
+    rewrite(folder, tampered_score)
+    (tmp_path / "card.toml").write_text('method = "Liar"')
+    submit([folder], entries / "lie.json.xz", card=tmp_path / "card.toml")
+    assert main(["leaderboard", str(entries), "--all", "--out", str(tmp_path / "pages")]) == 1
+    error = capsys.readouterr().err
+    assert "cut.json.xz cannot be read" in error
+    assert "folder.json.xz cannot be read: Is a directory" in error
+    assert "half.json.xz cannot be read: 'utf-8' codec" in error
+    assert "lie.json.xz differs: run 0, MoveToRegion Layout, seed 2: the score is 0.5" in error
+    assert "entries that are not what they claim, and are not on the page: 4" in error
+    text = (tmp_path / "pages" / "leaderboard.md").read_text()
+    assert "| expert | paper | no observations |" in text
+    assert "Liar" not in text
+
+
+def test_what_somebody_else_played_is_no_entry(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "card.toml").write_text('method = "My own"')
+    entries = tmp_path / "entries"
+    entries.mkdir()
+    submit([folder], entries / "a.json.xz")
+    submit([folder], entries / "b.json.xz", card=tmp_path / "card.toml")
+    assert main(["leaderboard", str(entries)]) == 1
+    assert "b.json.xz is not shown: its run 0 has the same actions as run 0 in a.json.xz" in capsys.readouterr().err
+    text = (entries / "leaderboard.md").read_text()
+    assert "| expert | paper |" in text
+    assert "My own" not in text
+    assert main(["leaderboard", str(entries / "b.json.xz"), "--out", str(tmp_path / "pages")]) == 0
+    assert "My own" in (tmp_path / "pages" / "leaderboard.md").read_text()
+
+
+def test_one_training_is_one_run(folder: Path, tmp_path: Path) -> None:
+    """The file of a policy, evaluated twice, is recorded with the same hash."""
+    settings = json.loads((folder / "run.json").read_text())
+    settings["policies"] = [{"name": "expert", "run": run, "origin": "a", "sha256": "c0ffee"} for run in (0, 1)]
+    (folder / "run.json").write_text(json.dumps(settings))
+    with pytest.raises(EvaluationError, match=r"the runs 0, 1 of expert played with equal policies \(sha256 c0ffee"):
+        submit([folder], tmp_path / "entry.json.xz")
+
+
+@pytest.mark.parametrize("name", [" ", "a\u200b", "\u202eTSB", "a\u2028b", "BC ⭐"])
+def test_names_are_what_they_look_like(name: str, folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "card.toml").write_text(f"method = {json.dumps(name)}")
+    with pytest.raises(SettingsError, match="method"):
+        submit([folder], tmp_path / "entry.json.xz", card=tmp_path / "card.toml")
+    entry = whole(runs=1)
+    with pytest.raises(EvaluationError, match="method"):
+        unpacked(packed(replace(entry, card={**entry.card, "method": name})))
+
+
+def test_a_card_and_further_runs_are_given_to_the_command(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "card.toml").write_text('method = "Mine"')
+    one, two = str(tmp_path / "one.json.xz"), str(tmp_path / "two.json.xz")
+    assert main(["submit", str(folder), "--out", one, "--card", str(tmp_path / "card.toml")]) == 0
+    rewrite(folder, lambda rows: [row.update(run=1) for row in rows])
+    assert main(["submit", str(folder), "--policy", "expert", "--out", two, "--extend", one]) == 0
+    entry = unpacked(Path(two).read_bytes())
+    assert (entry.method, entry.runs) == ("Mine", [0, 1])

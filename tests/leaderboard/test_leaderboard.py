@@ -1,0 +1,240 @@
+"""The leaderboard: its figures by hand, its pages, and its commands."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import magical_mj
+from magical_mj.evaluation.reports.tables import NONE
+from magical_mj.leaderboard import Entry
+from magical_mj.leaderboard.claims import Claim
+from magical_mj.leaderboard.page import write_pages
+from magical_mj.leaderboard.sections import tables
+from magical_mj.leaderboard.standings import improvement, rules_of, standing, standings
+from magical_mj.tasks.registry import ENVIRONMENTS
+from tests.helpers.entries import whole
+
+
+def scored(entry: Entry, score: Callable[[Claim], float]) -> Entry:
+    return replace(entry, episodes=[episode._replace(score=score(episode)) for episode in entry.episodes])
+
+
+def named(entry: Entry, name: str) -> Entry:
+    return replace(entry, card={**entry.card, "method": name})
+
+
+def test_official_entries_are_complete() -> None:
+    assert (standing(whole()).kind, standing(whole()).gaps) == ("official", ())
+    few = standing(whole(runs=2))
+    assert (few.kind, few.gaps) == ("partial", ("2 of 5 runs",))
+    short = standing(replace(whole(), episodes=whole().episodes[1000:]))
+    assert (short.kind, short.gaps) == ("partial", ("1000 of 30000 episodes missing",))
+    one_task = [episode for episode in whole().episodes if episode.task == "FixColour"]
+    assert standing(replace(whole(), episodes=one_task)).gaps == ("8 of 60 environments",)
+
+
+def test_a_run_that_is_another_one_again_is_no_training() -> None:
+    """Evaluated again under another number, were it for a failed episode; to play a third of them alike is fine."""
+    first = [episode for episode in whole().episodes if episode.run == 0]
+    found = standing(replace(whole(), episodes=[one._replace(run=run) for one in first for run in range(5)]))
+    assert found.kind == "partial"
+    assert found.gaps == tuple(f"run {run} has the same actions as run 0" for run in range(1, 5))
+    cut = [one._replace(run=1) for one in first[:-1]] + [first[-1]._replace(run=1, actions="", failure="no")]
+    assert "run 1 has the same actions as run 0" in standing(replace(whole(), episodes=first + cut)).gaps
+    alike = [one._replace(actions="a") if one.seed < 33 else one for one in whole().episodes]
+    assert standing(replace(whole(), episodes=alike)).kind == "official"
+
+
+def test_further_runs_of_some_tasks_do_not_raise_the_score() -> None:
+    """A run of all tasks, and four more of the two that it can: each environment counts as much as the others."""
+    good = "MoveToCorner", "MoveToRegion"
+    entry = scored(whole(), lambda one: 0.9 if one.task in good else 0.1)
+    uneven = standing(replace(entry, episodes=[one for one in entry.episodes if one.run == 0 or one.task in good]))
+    alone = standing(replace(entry, episodes=[one for one in entry.episodes if one.run == 0]))
+    for name, figure in alone.scores.items():
+        assert uneven.scores[name].value == pytest.approx(figure.value)
+        assert not np.isnan(uneven.scores[name].low)
+    np.testing.assert_allclose(uneven.profile, alone.profile)
+
+
+def test_scores_are_interquartile_means_over_environments_and_runs() -> None:
+    """By hand: a run scores 0, 0.25, ..., 1 everywhere; without the best and the worst quarter 0.25, 0.5, 0.75 stay."""
+    found = standing(scored(whole(), lambda episode: episode.run / 4))
+    assert found.scores["all environments"].value == pytest.approx(0.5)
+    assert found.scores["all environments"].low < 0.5 < found.scores["all environments"].high
+    assert set(found.scores) == {"all environments", *magical_mj.VARIANTS}
+    np.testing.assert_allclose(found.profile[[0, 50, 100]], [1, 0.6, 0.2])
+
+
+def test_profiles_count_what_reaches_the_threshold() -> None:
+    """By hand: in a hundred episodes, k successes are a mean of k %, wherever floating point puts it."""
+    found = standing(whole(runs=1))
+    for count in range(101):
+        mean = np.mean([1.0] * count + [0.0] * (100 - count), keepdims=True)
+        reached = replace(found, means={("FindDupe", "Demo"): mean}).profile
+        assert reached.tolist() == [1.0] * (count + 1) + [0.0] * (100 - count)
+
+
+def test_profiles_are_shown_at_their_thresholds() -> None:
+    found = standing(scored(whole(runs=1), lambda episode: 0.245))
+    (shown,) = [table for table in tables([found]) if table.name == "profiles"]
+    assert shown.header[1:4] == ("0.1", "0.25", "0.5")
+    assert shown.groups[0][1][0][1:4] == ("1.00", "0.00", "0.00")
+
+
+def test_only_the_seeds_of_the_protocol_count() -> None:
+    entry = scored(whole(), lambda episode: 0.5)
+    more = [episode._replace(seed=episode.seed + 100, score=1.0) for episode in entry.episodes]
+    found = standing(replace(entry, episodes=entry.episodes + more))
+    assert found.scores["all environments"].value == 0.5
+    assert standing(replace(entry, episodes=more + entry.episodes[100:])).kind == "partial"
+
+
+def test_drops_compare_the_tasks_that_have_the_variant() -> None:
+    """By hand: MoveToRegion, which has no Shape, must not count there."""
+    level = {"Demo": 0.75, "Shape": 0.5, "All": 0.0}
+    found = standing(scored(whole(), lambda one: 0.0 if one.task == "MoveToRegion" else level.get(one.variant, 0.75)))
+    assert found.drops["Shape"].value == pytest.approx(0.25)
+    assert found.drops["Jitter"].value == 0
+    share = sum(task != "MoveToRegion" for task, variant in ENVIRONMENTS if variant == "All") / 8
+    assert found.drops["All"].value == pytest.approx(0.75 * share)
+
+
+def test_drops_count_all_runs_and_have_an_interval_only_if_they_are_the_same() -> None:
+    """By hand: Demo's runs 0 and 1 are at 0.1 and 0.9, those of Jitter, 1 and 2, at 0.9 and 0.1: no drop, no pairs."""
+    scores = {("Demo", 0): 0.1, ("Demo", 1): 0.9, ("Jitter", 1): 0.9, ("Jitter", 2): 0.1, ("Layout", 0): 0.1}
+    some = [one for one in whole().episodes if one.task == "FixColour"]
+    played = [
+        one._replace(run=run, score=score)
+        for (variant, run), score in scores.items()
+        for one in some
+        if one.run == 0 and one.variant == variant
+    ]
+    drops = standing(replace(whole(), episodes=played)).drops
+    assert drops["Jitter"].value == pytest.approx(0)
+    assert np.isnan(drops["Jitter"].low)
+    assert drops["Layout"].value == pytest.approx(0.4)
+    level = {"Demo": 1.0, "Jitter": 0.5}
+    both = standing(scored(whole(), lambda one: level.get(one.variant, 0.0) - one.run / 10)).drops["Jitter"]
+    assert (both.low, both.high) == pytest.approx((0.5, 0.5))
+
+
+def test_the_weakest_variant_is_found_on_tasks_that_have_all() -> None:
+    """By hand: MoveToRegion has no Shape. What it loses in Colour must not outweigh what others lose in Shape."""
+
+    def score(one: Claim) -> float:
+        low = {"Shape": 0.75, "Colour": 0.0 if one.task == "MoveToRegion" else 0.8}
+        return low.get(one.variant, 1.0)
+
+    found = standing(scored(whole(), score))
+    assert found.weakest == "Shape"
+    assert found.drops["Colour"].value > found.drops["Shape"].value
+    assert standing(scored(whole(), lambda one: 1.0)).weakest is None
+    alone = [episode for episode in whole().episodes if episode.task == "MoveToRegion"]
+    assert standing(replace(whole(), episodes=alone)).weakest is None
+
+
+def test_what_is_missing_stands_beside_the_scores() -> None:
+    alone = [episode for episode in whole().episodes if episode.task == "MoveToRegion"]
+    (scores, *_) = tables([standing(replace(whole(), episodes=alone))])
+    ((_, (row,)),) = scores.groups
+    by_column = dict(zip(scores.header, row, strict=True))
+    assert by_column["all environments"].endswith("] (6/60)")
+    assert by_column["Demo"].endswith("] (1/8)")
+    assert by_column["Shape"] == NONE
+
+
+def test_probability_of_improvement() -> None:
+    """By hand: runs of 0.25 and 0.75 against runs of 0.5 win half the time, against runs of 0 always."""
+    mixed, half, nothing = (
+        standing(scored(whole(runs=2), score))
+        for score in (lambda one: 0.25 + 0.5 * one.run, lambda one: 0.5, lambda one: 0.0)
+    )
+    assert improvement(mixed, half).value == improvement(half, mixed).value == 0.5
+    assert improvement(mixed, nothing).value == 1
+    assert improvement(nothing, mixed).value == 0
+    assert improvement(half, half).value == 0.5
+    nearly = replace(half, means={pair: values + 1e-15 for pair, values in half.means.items()})
+    assert improvement(nearly, half).value == 0.5
+    assert np.isnan(improvement(half, replace(half, means={})).value)  # nothing in common
+    strict = standing(replace(whole(runs=2), rules="released"))
+    assert np.isnan(improvement(half, strict).value)
+    (shown,) = [table for table in tables([half, strict]) if table.name == "improvement"]
+    assert [row[1:] for row in shown.groups[0][1]] == [(NONE, NONE)] * 2
+
+
+def test_partial_entries_with_all_environments_come_first() -> None:
+    """However well another one did in the few that it played."""
+    best = [episode._replace(score=1.0) for episode in whole(runs=1).episodes if episode.task == "FindDupe"]
+    entries = [replace(named(whole(runs=1), "Few"), episodes=best), named(whole(runs=2), "All")]
+    assert [one.name for one in standings(entries)[:2]] == ["All", "Few"]
+
+
+def test_published_results_stand_under_their_own_rules() -> None:
+    found = standings([whole()])
+    assert [one.kind for one in found] == ["official", *["published"] * 11]
+    gail = next(one for one in found if one.name == "GAIL (ST)")
+    assert gail.scores["Demo"].value == pytest.approx(0.84, abs=0.005)
+    assert {rules_of(one) for one in found if one.kind == "published"} == {"released"}
+
+
+class Balanced(HTMLParser):
+    """Fails at an element that is closed and was not open."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: Any) -> None:
+        if tag != "meta":
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: Any) -> None:
+        pass
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_pages_need_nothing_from_elsewhere_and_trust_no_text(tmp_path: Path) -> None:
+    entry = whole()
+    evil = "<script>alert(1)</script>"
+    card = {
+        **entry.card,
+        "method": "Näme",
+        "description": evil,
+        "hardware": f"0.50 [{evil}]",
+        "links": ["https://example.org/?a&b"],
+    }
+    pages = write_pages(standings([replace(entry, card=card), named(whole(runs=2), "Other")]), tmp_path)
+    texts = {page.suffix: page.read_text() for page in pages}
+    for text in texts.values():
+        assert evil not in text
+        assert "Näme ★" in text
+        assert "GAIL (ST)†" in text
+        assert "Other is partial: 2 of 5 runs." in text
+    html = texts[".html"]
+    assert not re.findall(r"<(?:script|link|img|iframe)|url\(|@import", html)
+    assert re.findall(r'href="(http[^"]*)"', html) == ["https://example.org/?a&amp;b"]
+    assert html.count("<svg") == 2
+    legend = html[html.index('id="profiles"') :]
+    assert "Näme ★</text>" in legend
+    assert "methods of the paper†</text>" in legend
+    parser = Balanced()
+    parser.feed(html)
+    assert parser.open == []
+
+
+def test_our_own_entries_take_less_than_twenty_megabytes() -> None:
+    """They are in the repository, which everybody clones."""
+    found = list((Path(__file__).parents[2] / "results").iterdir())
+    assert len(found) > 40
+    assert sum(path.stat().st_size for path in found) < 20_000_000

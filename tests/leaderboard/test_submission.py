@@ -1,0 +1,107 @@
+"""Making entries: which folders and cards are taken, and how entries are extended."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magical_mj.evaluation.folder import SETTINGS
+from magical_mj.evaluation.reports.report import report
+from magical_mj.leaderboard import check_entry, submit
+from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError
+from tests.helpers.entries import EPISODES, rewrite
+
+
+@pytest.mark.parametrize(
+    ("card", "arguments", "error", "problem"),
+    [
+        ('colour = "red"', {}, UnknownNameError, "unknown entry of .*card.toml 'colour'"),
+        ("[training]\nhuors = 1", {}, UnknownNameError, "Did you mean 'hours'"),
+        ("method =", {}, SettingsError, "cannot be read as TOML"),
+        ("method = 2020-01-01", {}, SettingsError, "the card is not valid in .*card.toml: card.method must be string"),
+        ('links = "https://example.org"', {}, SettingsError, "card.links must be array or null"),
+        ('training = "long"', {}, SettingsError, "training in .* must be a table with hours"),
+        ("[training]\nhours = nan", {}, SettingsError, "training.hours must be a finite number"),
+        ("[training]\nhours = inf", {}, SettingsError, "training.hours must be a finite number, and is inf"),
+        ("", {"folders": []}, SettingsError, "give at least one folder"),
+        ("", {"policy": "nobody"}, UnknownNameError, "unknown policy 'nobody'"),
+        ("", {"out": "entry.json"}, SettingsError, "must end in .json.xz"),
+    ],
+)
+def test_bad_submissions_are_explained(
+    folder: Path, tmp_path: Path, card: str, arguments: dict[str, Any], error: type[Exception], problem: str
+) -> None:
+    (tmp_path / "card.toml").write_text(card)
+    with pytest.raises(error, match=problem):
+        submit(**{"folders": [folder], "out": tmp_path / "entry.json.xz", "card": tmp_path / "card.toml", **arguments})
+
+
+@pytest.mark.parametrize("number", [[1], "1", True, 0])
+def test_a_protocol_that_is_no_number_is_explained(folder: Path, tmp_path: Path, number: object) -> None:
+    settings = json.loads((folder / SETTINGS).read_text())
+    (folder / SETTINGS).write_text(json.dumps({**settings, "protocol": number}))
+    with pytest.raises(EvaluationError, match=r"the protocol in .*run.json must be a number such as 1, and is"):
+        submit([folder], tmp_path / "entry.json.xz")
+    assert not (tmp_path / "entry.json.xz").exists()
+    assert not list(tmp_path.glob("entry*"))
+
+
+def test_an_episode_is_submitted_once(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(EvaluationError, match=r"holds an episode twice: .* again with another --run"):
+        submit([folder, folder], tmp_path / "entry.json.xz")
+    assert not (tmp_path / "entry.json.xz").exists()
+
+
+def test_what_is_no_evaluation_of_one_method_is_explained(folder: Path, tmp_path: Path) -> None:
+    training = tmp_path / "training"
+    training.mkdir()
+    (training / "policy.safetensors").touch()
+    with pytest.raises(EvaluationError, match=r"training holds a policy, .* --policy .*training --out ANOTHER"):
+        submit([training], tmp_path / "entry.json.xz")
+    rewrite(folder, lambda rows: rows[0].update(policy="bc-1"))
+    with pytest.raises(SettingsError, match=r"bc-1, expert: .*\(--policy NAME\).*--policy BC=runs/a,BC=runs/b"):
+        submit([folder], tmp_path / "entry.json.xz")
+
+
+def test_an_entry_is_extended_by_further_runs(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "card.toml").write_text('method = "Oracle"')
+    submit([folder], tmp_path / "one.json.xz", card=tmp_path / "card.toml")
+    rewrite(folder, lambda rows: [row.update(run=1, mujoco="3.18.0") for row in rows])
+    with pytest.raises(SettingsError, match=r"is of 'Oracle', and the folders hold 'expert': .*\(--policy expert, or"):
+        submit([folder], tmp_path / "two.json.xz", extend=tmp_path / "one.json.xz")
+    two = submit([folder], tmp_path / "two.json.xz", policy="expert", extend=tmp_path / "one.json.xz")
+    entry, found = check_entry(tmp_path / "two.json.xz", everything=True)
+    assert entry == replace(two, episodes=sorted(two.episodes))
+    assert (entry.runs, found.episodes, found.differing) == ([0, 1], 2 * EPISODES, [])
+    assert entry.card == check_entry(tmp_path / "one.json.xz")[0].card
+    assert len(entry.versions["mujoco"]) == 2
+    with pytest.raises(EvaluationError, match=r"two.json.xz with these folders holds an episode twice"):
+        submit([folder], tmp_path / "three.json.xz", policy="expert", extend=tmp_path / "two.json.xz")
+    (tmp_path / "card.toml").write_text('method = "Another"')
+    with pytest.raises(FileNotFoundError):
+        submit([folder], tmp_path / "three.json.xz", extend=tmp_path / "none.json.xz")
+    again = submit([folder], tmp_path / "three.json.xz", card=tmp_path / "card.toml", extend=tmp_path / "one.json.xz")
+    assert (again.method, again.runs) == ("Another", [0, 1])
+
+
+@pytest.mark.parametrize(("what", "value"), [("rules", "released"), ("preset", "LoRes4A")])
+def test_an_entry_is_extended_by_its_own_kind_only(folder: Path, tmp_path: Path, what: str, value: str) -> None:
+    submit([folder], tmp_path / "one.json.xz")
+    rewrite(folder, lambda rows: [row.update({"run": 1, what: value}) for row in rows])
+    with pytest.raises(EvaluationError, match=f"cannot be extended by these folders: .*, {value} here"):
+        submit([folder], tmp_path / "two.json.xz", extend=tmp_path / "one.json.xz")
+    assert not (tmp_path / "two.json.xz").exists()
+
+
+def test_folders_are_a_list_and_the_entrys_own_is_made(folder: Path, tmp_path: Path) -> None:
+    submit((one for one in [folder]), tmp_path / "made" / "entry.json.xz")
+    entry, _ = check_entry(tmp_path / "made" / "entry.json.xz", seed=np.int64(3))  # pyright: ignore[reportArgumentType]
+    assert len(entry.episodes) == EPISODES
+    for use in (submit, report):
+        with pytest.raises(SettingsError, match="give a list of folders"):
+            use(str(folder), tmp_path / "none.json.xz")

@@ -1,0 +1,226 @@
+"""Behavioural cloning: its data, its network, its loss."""
+
+from __future__ import annotations
+
+import math
+import platform
+import subprocess
+import sys
+from collections import Counter, defaultdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from magical_mj import demos
+from magical_mj.learners import checkpoint
+from magical_mj.learners.bc import BehaviouralCloning
+from magical_mj.learners.data import Dataset, drawn
+from magical_mj.learners.learner import seeded
+from magical_mj.learners.network import Actor, Heads, Torso, as_input
+from magical_mj.learners.settings import Network
+from magical_mj.scene.actions import NOOP
+from magical_mj.utils.errors import DemonstrationError
+from tests.helpers.learners import tiny
+
+
+def test_the_seed_draws_ten_of_twenty_five() -> None:
+    draws = {tuple(drawn("FindDupe", seed, 10, 25)) for seed in range(5)}
+    assert len(draws) == 5
+    assert all(len(set(draw)) == 10 and set(draw) <= set(range(25)) for draw in draws)
+    assert drawn("FindDupe", 0, 10, 25) != drawn("MakeLine", 0, 10, 25)
+    assert drawn("FindDupe", 3, 25, 25) == list(range(25))
+    with pytest.raises(DemonstrationError, match=r"26 demonstrations of FindDupe are asked for .*, and there are 25"):
+        drawn("FindDupe", 0, 26, 25)
+
+
+def test_every_method_learns_from_the_same_demonstrations() -> None:
+    """The transitions are those of the drawn demonstrations, with or without the no-ops."""
+    settings = tiny(tasks="FixColour", seed=3)
+    chosen = [demos.load("FixColour")[number] for number in drawn("FixColour", 3, 2, 25)]
+    for drop_noop in (True, False):
+        images, actions = demos.transitions(chosen, drop_noop=drop_noop)
+        data = Dataset(settings, drop_noop=drop_noop)
+        assert data.sizes == [len(actions)]
+        batch = data.rows([torch.arange(len(actions))])
+        np.testing.assert_array_equal(batch.observations, images)
+        np.testing.assert_array_equal(batch.actions, actions)
+        assert (NOOP in actions) != drop_noop
+
+
+def test_every_task_counts_equally() -> None:
+    data = Dataset(tiny(tasks="MoveToRegion,FixColour"), drop_noop=True)
+    assert data.sizes[0] != data.sizes[1]
+    generator = torch.Generator().manual_seed(0)
+    batches = [data.sample(5, generator) for _ in range(200)]
+    shares = torch.stack([batch.tasks.bincount(minlength=2) for batch in batches])
+    assert set(shares[:, 0].tolist()) == {2, 3}
+    assert shares[:, 0].sum() == pytest.approx(500, abs=30)  # the odd one goes to either task alike
+    first = data.rows([torch.arange(data.sizes[0]), torch.arange(0)])
+    seen = {image.tobytes() for image in first.observations}
+    assert [image.tobytes() in seen for image in batches[0].observations] == (batches[0].tasks == 0).tolist()
+
+
+def test_the_network_is_the_papers() -> None:
+    """Figure "Base architecture": 4,608 activations after five convolutions, then 256 and 256."""
+    torso = Torso(Network(), batch_norm=True, actions=True)
+    assert torso.flat == 4608
+    kinds = [type(layer).__name__ for layer in torso.convolutions]
+    assert kinds == 5 * ["Conv2d", "BatchNorm2d", "ReLU"]
+    shapes = [tuple(layer.weight.shape) for layer in torso.convolutions if isinstance(layer, torch.nn.Conv2d)]
+    assert shapes == [(64, 12, 5, 5), (128, 64, 3, 3), *3 * [(128, 128, 3, 3)]]
+    assert [tuple(p.shape) for p in torso.linear.parameters()] == [(256, 4608 + 18), (256,), (256, 256), (256,)]
+    assert not any(isinstance(layer, torch.nn.BatchNorm2d) for layer in Torso(Network()).convolutions)
+    assert torso(torch.zeros(2, 12, 96, 96), torch.tensor([0, 17])).shape == (2, 256)
+
+
+def test_pixels_become_small_numbers() -> None:
+    images = np.random.default_rng(0).integers(0, 256, (2, 96, 96, 12)).astype(np.uint8)
+    stacks = as_input(images, torch.device("cpu"))
+    assert stacks.shape == (2, 12, 96, 96)
+    assert stacks[1, 5, 7, 9] == pytest.approx(images[1, 7, 9, 5] / 255)
+    assert stacks.is_contiguous(memory_format=torch.channels_last)
+
+
+def test_a_head_is_a_linear_map_of_its_own() -> None:
+    with seeded(0):
+        heads = Heads(3, 4, 2)
+    features = torch.randn(5, 4, generator=torch.Generator().manual_seed(0))
+    tasks = torch.tensor([0, 2, 2, 1, 0])
+    expected = torch.stack([heads.weight[t] @ x + heads.bias[t] for x, t in zip(features, tasks, strict=True)])
+    torch.testing.assert_close(heads(features, tasks), expected)
+
+
+def test_heads_touch_only_their_task() -> None:
+    with seeded(0):
+        actor = Actor(tiny().network, 3)
+        stacks = torch.rand(4, 12, 96, 96)
+    actor(stacks, torch.tensor([1, 1, 2, 1])).square().sum().backward()
+    gradient = actor.head.weight.grad
+    assert gradient is not None
+    assert gradient.abs().sum((1, 2))[0] == 0
+    assert (gradient.abs().sum((1, 2))[1:] > 0).all()
+    assert all(p.grad is not None and p.grad.abs().sum() > 0 for p in actor.torso.linear.parameters())
+
+
+def test_the_loss_is_the_log_loss() -> None:
+    """With a head of zeros all actions are equally probable; with a bias the softmax is known by hand."""
+    learner = BehaviouralCloning(tiny(**{"bc.learning_rate": 1e-12, "bc.final_learning_rate": 1e-12}))
+    with torch.no_grad():
+        learner.actor.head.weight.zero_()
+        learner.actor.head.bias.zero_()
+    assert learner.update()["loss"] == pytest.approx(math.log(18), rel=1e-5)
+    with torch.no_grad():
+        learner.actor.head.bias[0, 7] = 100.0
+    _, actions, _ = Dataset(learner.settings, drop_noop=True).sample(4, _after_one_draw(learner))
+    expected = 100.0 * (actions != 7).float().mean().item()
+    assert learner.update()["loss"] == pytest.approx(expected, rel=1e-5)
+
+
+def _after_one_draw(learner: BehaviouralCloning) -> torch.Generator:
+    generator = torch.Generator()
+    generator.set_state(learner.state()["draw"])
+    return generator
+
+
+@pytest.mark.slow
+def test_only_normal_heads_learn_by_the_papers_sgd() -> None:
+    """With a small network and three demonstrations; docs/learners.md has the command for the full setting."""
+    losses = {}
+    for heads in ("normal", "uniform"):
+        sizes = {"network.first_channels": 16, "network.channels": 32, "network.hidden": 64, "augment": "none"}
+        sgd = {"bc.optimizer": "sgd", "bc.final_learning_rate": 1e-3, "bc.batch_size": 32, "bc.batches": 120}
+        learner = BehaviouralCloning(tiny(tasks="FixColour", **sizes, **sgd, **{"bc.heads": heads}))
+        losses[heads] = np.mean([learner.update()["loss"] for _ in range(learner.updates)][-20:])
+    assert losses["normal"] < 1.0
+    assert losses["uniform"] > 2.0
+
+
+def test_recalibration_makes_batch_norms_averages_those_of_the_present_weights() -> None:
+    """And changes nothing of the training to come."""
+    learner, other = BehaviouralCloning(tiny(augment="none")), BehaviouralCloning(tiny(augment="none"))
+    for one in (learner, other):
+        for _ in range(3):
+            one.update()
+    learner.recalibrate()
+    norm = next(layer for layer in learner.actor.modules() if isinstance(layer, torch.nn.BatchNorm2d))
+    images, _, _ = learner._data.rows([torch.arange(learner._data.sizes[0])])
+    with torch.no_grad():
+        expected = learner.actor.torso.convolutions[0](as_input(images, learner.device)).mean((0, 2, 3))
+    torch.testing.assert_close(norm.running_mean, expected, atol=0.02, rtol=0.1)
+    assert learner.update() == other.update()
+
+
+def test_bfloat16_learns_the_same_within_its_precision() -> None:
+    losses = [
+        [learner.update()["loss"] for _ in range(5)]
+        for learner in (BehaviouralCloning(tiny(precision=precision)) for precision in ("float32", "bfloat16"))
+    ]
+    np.testing.assert_allclose(losses[1], losses[0], rtol=0.1)
+    assert losses[0] != losses[1]
+
+
+def test_a_resumed_training_ends_like_an_uninterrupted_one(tmp_path: Path) -> None:
+    """Also where weights and what the optimizer remembers of them are not laid out alike in memory."""
+    whole, resumed = BehaviouralCloning(tiny()), BehaviouralCloning(tiny())
+    for _ in range(3):
+        whole.update()
+    checkpoint.write(tmp_path / "kept.safetensors", whole.state())
+    resumed.restore(checkpoint.read(tmp_path / "kept.safetensors"))
+    for _ in range(3):
+        assert whole.update() == resumed.update()
+    assert all(map(torch.equal, whole.actor.parameters(), resumed.actor.parameters()))
+
+
+def test_equal_seeds_give_equal_weights() -> None:
+    def trained(seed: int) -> torch.Tensor:
+        learner = BehaviouralCloning(tiny(seed=seed))
+        for _ in range(5):
+            learner.update()
+        return torch.cat([weights.flatten() for weights in learner.actor.parameters()])
+
+    before = torch.get_rng_state()
+    first = trained(0)
+    assert torch.equal(torch.get_rng_state(), before)
+    assert torch.equal(first, trained(0))
+    assert not torch.equal(first, trained(1))
+
+
+@pytest.mark.slow
+def test_it_can_learn_five_demonstrations_by_heart() -> None:
+    """99 % of what anybody can know: demonstrators did different things where they saw the very same."""
+    changes = {"demonstrations": 5, "augment": "none", "network.hidden": 64, "network.channels": 32}
+    changes |= {"network.first_channels": 16, "bc.batch_size": 32, "bc.batches": 400}
+    learner = BehaviouralCloning(tiny(**changes))
+    for _ in range(learner.updates):
+        learner.update()
+    data = learner._data
+    images, actions, tasks = data.rows([torch.arange(data.sizes[0])])
+    learner.actor.eval()
+    with torch.no_grad():
+        predicted = learner.actor(as_input(images, learner.device), tasks).argmax(1)
+    done: dict[bytes, Counter[int]] = defaultdict(Counter)
+    for image, action in zip(images, actions.tolist(), strict=True):
+        done[image.tobytes()][action] += 1
+    known = sum(max(counter.values()) for counter in done.values())
+    assert 0.9 * len(actions) < known < len(actions)
+    assert (predicted == actions).sum() >= 0.99 * known
+
+
+FREED = """
+import resource, torch
+from magical_mj.learners.learner import keep_freed_memory
+keep_freed_memory()
+faults = []
+for _ in range(20):
+    torch.ones(20_000_000)  # 80 MB, twenty thousand pages
+    faults.append(resource.getrusage(resource.RUSAGE_SELF).ru_minflt)
+print(faults[-1] - faults[9])  # at first, the heap grows
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries manage memory otherwise")
+def test_freed_memory_is_not_fetched_anew() -> None:
+    done = subprocess.run([sys.executable, "-c", FREED], capture_output=True, text=True, check=True)
+    assert int(done.stdout) < 1000

@@ -1,0 +1,117 @@
+"""The command `train`: what it says of its progress, and of mistakes."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import time
+from io import StringIO
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from magical_mj.cli import progress
+from magical_mj.cli.app import run
+from magical_mj.learners import Progress, watching
+from magical_mj.learners.policy import POLICY
+from tests.helpers.learners import TINY
+
+PICTURES = {name: value for name, value in TINY.items() if name not in ("device", "network.entity")}
+SET = [f"--set={name}={value}" for name, value in {**PICTURES, "bc.batches": 8}.items()]
+TRAIN = ["train", "bc", "--tasks", "MoveToRegion", "--quick", "--device", "cpu", *SET]
+
+
+def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out = str(tmp_path / "a run, or b=c")
+    assert run([*TRAIN, "--out", out]) == 0
+    assert f"magical-mj evaluate --policy '{out}' --tasks MoveToRegion" in capfd.readouterr().out
+    assert run([*TRAIN, "--out", out]) == 1
+    assert "holds a training already; --resume continues it" in capfd.readouterr().err
+    assert run([*TRAIN, "--out", out, "--resume"]) == 0
+    scores = ["--episodes", "2", "--jobs", "1", "--out", str(tmp_path / "scores")]
+    assert run(["evaluate", "--policy", out, "--tasks", "MoveToRegion", "--variants", "Demo", *scores]) == 0
+    assert "a run, or b=c: mean score" in capfd.readouterr().out
+    (Path(out) / POLICY).unlink()
+    assert run(["evaluate", "--policy", out, "--out", str(tmp_path / "none")]) == 2
+    assert "holds no policy: no goals.json or model.safetensors or policy.safetensors" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["train", "bd", "--tasks", "FindDupe"], "unknown method 'bd'. Did you mean 'bc'?"),
+        (["train", "bc", "--tasks", "FindDupe,MakeLine"], "needs --multi-task"),
+        (["train", "bc", "--tasks", "FindDupe", "--set", "ppo.clip"], "--set wants NAME=VALUE"),
+        (["train", "bc", "--tasks", "FindDupe", "--set", "bc.batch=3"], "Did you mean 'bc.batches'?"),
+        (["train", "bc", "--tasks", "FindDupe", "--preset", "LoResCHW4E"], "one stack of frames"),
+        (["train", "bc", "--tasks", "FindDupe", "--device", "abacus"], "no device 'abacus' here"),
+        (["train", "bc", "--tasks", "FindDupe", "--device", "meta"], "'meta' holds no numbers"),
+        (
+            ["train", "bc", "--tasks", "FindDupe", "--set", "ppo.clip=0.1"],
+            "ppo.clip is for gail, wgail-gp, al, and of no use to bc",
+        ),
+        (
+            ["train", "bc", "--tasks", "FindDupe", "--preset", "State", "--set", "network.channels=8"],
+            "network.channels is for pictures, and of no use with the preset State",
+        ),
+        (
+            ["train", "bc", "--tasks", "FindDupe", "--set", "network.entity=8"],
+            "network.entity is for states, and of no",
+        ),
+        (["train", "gail", "--tasks", "FindDupe", "--set", "precision=bfloat16"], "precision is for bc, and of no use"),
+        (["train", "al", "--tasks", "FindDupe", "--augment", "none"], "--augment has an effect only with bc, gail, wg"),
+        (["train", "bc", "--tasks", "FindDupe", "--worlds", "batched"], "bc learns without playing"),
+        (["train", "bc", "--tasks", "FindDupe", "--set", "seed=5"], "seed is given by itself"),
+        (["train", "bc", "--tasks", "FindDupe", "--set", "method=gail"], "method is given by itself"),
+        (["train", "bc", "--tasks", "FindDupe", "--set", "demonstrations=26"], "there are 25"),
+    ],
+)
+def test_mistakes_are_one_line(
+    arguments: list[str], says: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run([*arguments, "--out", str(tmp_path / "run")]) == 2
+    error = capfd.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("package", ["torch", "kornia"])
+def test_a_missing_extra_is_one_line(package: str, tmp_path: Path) -> None:
+    hide = f"import sys; sys.modules[{package!r}] = None; from magical_mj.cli import main; sys.exit(main(sys.argv[1:]))"
+    arguments = [sys.executable, "-c", hide, *TRAIN, "--out", str(tmp_path / "run")]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr == f'magical-mj: learners need {package}: pip install "magical-mj[il]"\n'
+
+
+@pytest.mark.parametrize(
+    ("updates", "left"), [(10, r" \d+:\d\d:\d\d left"), (10**30, r" \d+:\d\d:\d\d left"), (10**400, "")]
+)
+def test_the_line_of_each_minute_counts_any_number_of_updates(
+    updates: int, left: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("FIRST", "MINUTE"):
+        monkeypatch.setattr(progress, name, 0)
+    written = StringIO()
+    watch = watching.Watch(watching.bars(Console(file=written)), "bc")
+    for update in (1, 2):
+        watch(Progress(update, updates, {"loss": 1 / 3}, {}))
+        time.sleep(0.001)
+    line = written.getvalue().splitlines()[-1]
+    assert re.match(rf"bc 2/{updates} updates, \S+/s loss 0.333 \d:\d\d:\d\d{left}$", line)
+
+
+def test_a_training_that_goes_on_tells_its_present_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("FIRST", "MINUTE"):
+        monkeypatch.setattr(progress, name, 0)
+    written = StringIO()
+    watch = watching.Watch(watching.bars(Console(file=written)), "gail")
+    for update in (2001, 2002, 2003):
+        watch(Progress(update, 4000, {}, {}))
+        time.sleep(0.05)
+    speeds = [float(speed) for speed in re.findall(r"updates, (\S+)/s", written.getvalue())]
+    assert len(speeds) == 2
+    assert max(speeds) <= 20

@@ -1,0 +1,216 @@
+"""Experiments: many runs into one report."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import magical_mj
+from magical_mj.cli import progress
+from magical_mj.cli.app import run
+from magical_mj.evaluation.reports.published import published_results
+from magical_mj.evaluation.scores import SCORES
+from magical_mj.learners import conduct, runs, watching
+from magical_mj.learners.experiment import agreement
+from magical_mj.learners.metrics import METRICS
+from magical_mj.learners.policy import POLICY
+from magical_mj.utils.errors import MagicalError, SettingsError, UnknownNameError
+from magical_mj.utils.files import read_toml
+
+EXPERIMENTS = Path(__file__).parents[2] / "experiments"
+EXPERIMENT = """
+methods = ["bc"]
+tasks = ["MoveToRegion", "FixColour"]
+seeds = [0, 1]
+quick = true
+[settings]
+evaluations = 0
+checkpoints = 1
+demonstrations = 2
+bc.batches = 4
+bc.batch_size = 4
+network.first_stride = 4
+network.channels = 4
+[evaluation]
+variants = "Demo"
+episodes = 2
+"""
+
+
+def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
+    """Two processes; done again, with one run damaged, only that is trained anew."""
+    file = tmp_path / "experiment.toml"
+    file.write_text(EXPERIMENT)
+    out = tmp_path / "lr=0.1, twice"
+    lines = list(conduct(runs(str(file), str(out)), str(out), jobs=2))
+    assert len(lines) == 5
+    assert sorted(line.partition(":")[0] for line in lines[:4]) == [
+        f"bc-{task}-{seed}" for task in ("FixColour", "MoveToRegion") for seed in (0, 1)
+    ]
+    page = Path(lines[4]).read_text()
+    assert "BC (ST), ours, quick" in page
+    assert "GAIL (ST)†" in page
+    before = (out / "runs" / "bc-FixColour-1" / POLICY).read_bytes()
+    for path in (out / "runs" / "bc-FixColour-1").glob("*.safetensors"):
+        path.unlink()
+    seen: list[tuple[str, int]] = []
+    again = list(conduct(runs(file, out), out, watch=lambda name, progress: seen.append((name, progress.update))))
+    assert seen == [("bc-FixColour-1", update) for update in range(1, 5)]
+    assert [line.split(":")[0] for line in again[:4] if ": trained;" in line] == ["bc-FixColour-1"]
+    assert sum("was trained before" in line for line in again) == 3
+    assert (out / "runs" / "bc-FixColour-1" / POLICY).read_bytes() == before  # in another process
+    moved = out.rename(tmp_path / "moved")
+    assert sum("was trained before" in line for line in conduct(runs(file, moved), moved)) == 4
+    file.write_text(EXPERIMENT.replace("[0, 1]", "[2, 0, 1]").replace("episodes = 2", "episodes = 3"))
+    with pytest.raises(SettingsError, match="episodes was 2 and is 3"):
+        next(conduct(runs(file, moved), moved))
+    assert not (moved / "runs" / "bc-MoveToRegion-2").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('["bc"]', '["bd"]', "unknown method"),
+        ('["bc"]', "[]", "must give methods"),
+        ("seeds = [0, 1]", "", "must give seeds"),
+        ("quick = true", "quik = true", "quick"),
+        ("FixColour", "FixColor", "FixColour"),
+        ("bc.batches = 4", "bc.batch = 4", "bc.batches"),
+        ('"Demo"', '"Demos"', "Demo"),
+        ("episodes = 2", "runs = 2", "episodes"),
+        ("episodes = 2", 'episodes = "x"', "episodes = 'x'; it must look like: episodes = 100"),
+        ("episodes = 2", "episodes = 1_000_000_000", "at most 1000000"),
+        ("episodes = 2", "episodes = 0", "episodes must be at least 1"),
+        ("seeds = [0, 1]", "seeds = 3", "seeds = 3; it must look like"),
+        ("seeds = [0, 1]", 'seeds = ["x"]', "seed must be a number"),
+        ("quick = true", 'quick = "no"', "quick = 'no'; it must look like: quick = false"),
+        ('["bc"]', '"bc"', "methods = 'bc'; it must look like"),
+        ('["bc"]', '[["bc"]]', "unknown method"),
+        ('["bc"]', '["bc", "bc"]', "one of its methods twice"),
+        ("seeds = [0, 1]", "seeds = [0, 1, 0]", "one of its seeds twice"),
+        ("seeds = [0, 1]", "seeds = [2_000_000_000]", "run must be at most"),
+        ('"FixColour"', '"MoveToRegion"', "one of its tasks twice"),
+        ("bc.batches = 4", "seed = 4", "seed is given by itself"),
+        ('variants = "Demo"', 'variants = "Shape"', "MoveToRegion"),  # which FixColour has
+    ],
+)
+def test_wrong_experiments_are_refused(old: str, new: str, says: str, tmp_path: Path) -> None:
+    file = tmp_path / "experiment.toml"
+    file.write_text(EXPERIMENT.replace(old, new))
+    with pytest.raises((SettingsError, UnknownNameError), match=says):
+        runs(file, tmp_path / "out")
+    with pytest.raises(SettingsError, match="cannot be read"):
+        runs(tmp_path / "none.toml", tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({'["bc"]': '["bc", "goals"]'}, "goals are inferred from states"),
+        ({"demonstrations = 2": "demonstrations = 26"}, "there are 25"),
+        ({"evaluations = 0": 'evaluations = 0\ndevice = "abacus"'}, "no device 'abacus' here"),
+        ({}, "report.md is not of an earlier report"),
+    ],
+)
+def test_what_cannot_be_is_told_before_the_first_run(change: dict[str, str], says: str, tmp_path: Path) -> None:
+    text, out = EXPERIMENT, tmp_path / "out"
+    for old, new in change.items():
+        text = text.replace(old, new)
+    (tmp_path / "e.toml").write_text(text)
+    if not change:
+        (out / "report").mkdir(parents=True)
+        (out / "report" / "report.md").write_text("mine")
+    with pytest.raises(MagicalError, match=says):
+        next(conduct(runs(tmp_path / "e.toml", out), out))
+    assert not (out / "runs").exists()
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_an_experiment_tells_how_far_its_runs_are(
+    jobs: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Where there is no terminal, also of runs in other processes, and of evaluations."""
+    for name in ("FIRST", "MINUTE"):
+        monkeypatch.setattr(progress, name, 0.01)
+    monkeypatch.setattr(watching, "PAUSE", 0.02)
+    file = tmp_path / "e.toml"
+    file.write_text(EXPERIMENT.replace("seeds = [0, 1]", "seeds = [0]").replace(', "FixColour"', ""))
+    assert run(["experiment", str(file), "--out", str(tmp_path / "out"), "--jobs", jobs]) == 0
+    printed = capfd.readouterr().out
+    assert re.search(r"experiment 0/1 runs bc-MoveToRegion-0: \d of 2 episodes evaluated|bc-\S+: \d updates", printed)
+
+
+def test_how_far_a_run_is_is_read_from_its_files(tmp_path: Path) -> None:
+    (tmp_path / "e.toml").write_text(EXPERIMENT)
+    one = runs(tmp_path / "e.toml", tmp_path / "out")[0]
+    assert one.standing(since=0) == ""  # nothing has begun
+    one.trained.mkdir(parents=True)
+    (one.trained / METRICS).write_text("update,seconds\n")
+    assert one.standing(since=0) == "bc-MoveToRegion-0: 0 updates"
+    (one.trained / METRICS).write_text("update,seconds\n2,0.1\n3,0.2\n")
+    assert one.standing(since=0) == "bc-MoveToRegion-0: 3 updates"
+    assert one.standing(since=time.time() + 60) == ""  # it was another process, long ago
+    one.scores.mkdir(parents=True)
+    os.utime(one.trained / METRICS, (1, 1))
+    for count, line in ((0, "0 of 2 episodes evaluated"), (1, "1 of 2 episodes evaluated")):
+        (one.scores / SCORES).write_text("{}\n" * count)
+        assert one.standing(since=0) == f"bc-MoveToRegion-0: {line}"
+    (one.scores / SCORES).write_text("{}\n" * 2)
+    assert one.standing(since=0) == ""  # it is finished
+
+
+def test_an_experiment_that_is_stopped_says_how_to_continue(tmp_path: Path) -> None:
+    (tmp_path / "e.toml").write_text(EXPERIMENT.replace("bc.batches = 4", "bc.batches = 4000"))
+    out = tmp_path / "out"
+    deaf = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # background shells ignore it
+    program = f"{deaf}; import sys; from magical_mj.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", program, "experiment", str(tmp_path / "e.toml"), "--out", str(out)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    while not (out / "runs" / "bc-MoveToRegion-0" / "metrics.csv").exists():
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    assert "stopped; the same command continues" in process.communicate()[0]
+    assert process.returncode == 130
+
+
+def test_the_order_of_environments_is_compared_with_the_papers(tmp_path: Path) -> None:
+    """Scores that are the paper's own have the rank correlation 1; scores that are all alike have none."""
+    (tmp_path / "e.toml").write_text('methods = ["bc"]\ntasks = ["FindDupe"]\nseeds = [0]')
+    planned = runs(tmp_path / "e.toml", tmp_path / "out")
+    out = planned[0].scores
+    magical_mj.evaluate({planned[0].method: "noop"}, tasks="FindDupe", episodes=1, jobs=1, out=out)
+    assert list(agreement(planned)) == []
+    published = published_results().query("policy == 'BC (ST)' and task == 'FindDupe'")
+    paper = dict(zip(published["variant"], published["mean"], strict=True))
+    rows = [json.loads(line) for line in (out / "scores.jsonl").read_text().splitlines()]
+    (out / "scores.jsonl").write_text(
+        "".join(json.dumps({**row, "score": paper[row["variant"]]}) + "\n" for row in rows)
+    )
+    (line,) = agreement(planned)
+    assert "the paper's BC (ST): rank correlation 1.00 over 8 environments, 1.00 over the means of 8 variants" in line
+
+
+def test_changed_settings_show_in_the_methods_name(tmp_path: Path) -> None:
+    file = tmp_path / "experiment.toml"
+    file.write_text(EXPERIMENT)
+    changed = "demonstrations 2, bc.batches 4, bc.batch_size 4, network.first_stride 4, network.channels 4"
+    assert {run.method for run in runs(file, tmp_path)} == {f"BC (ST), ours, quick, {changed}"}
+
+
+@pytest.mark.parametrize("file", sorted(EXPERIMENTS.glob("*.toml")), ids=lambda file: file.stem)
+def test_the_packages_experiments_can_be_run(file: Path, tmp_path: Path) -> None:
+    """Each says how, and plans as many runs as it has methods, groups of tasks and seeds."""
+    assert f"magical-mj experiment experiments/{file.name} --out runs/{file.stem}" in file.read_text()
+    planned, table = runs(file, tmp_path), read_toml(file)
+    tasks = magical_mj.TASKS if table["tasks"] == "all" else table["tasks"]
+    groups = 1 if table.get("multi_task") else len(tasks)
+    assert len({run.name for run in planned}) == len(planned) == len(table["methods"]) * groups * len(table["seeds"])

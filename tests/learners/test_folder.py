@@ -1,0 +1,263 @@
+"""What a training takes for its own in a folder, and what it refuses: files that are damaged, lost, or of others."""
+
+from __future__ import annotations
+
+import json
+import platform
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+
+from magical_mj.learners import TrainingSettings, checkpoint, load_policy, train
+from magical_mj.learners.bc import BehaviouralCloning
+from magical_mj.learners.folder import CHECKPOINT, CONFIG
+from magical_mj.learners.goals.files import from_json
+from magical_mj.learners.metrics import METRICS
+from magical_mj.learners.policy import POLICY
+from magical_mj.utils.errors import MagicalError, SettingsError, TrainingError
+from magical_mj.utils.files import read_toml
+from tests.helpers.learners import is_done, stopped, tiny
+
+
+def state(**changes: Any) -> TrainingSettings:
+    """A tiny training from states."""
+    return tiny(preset="State", **changes)
+
+
+@pytest.fixture(scope="module")
+def stopped_ones(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("stopped")
+    stopped(folder / "state", state())
+    stopped(folder / "pictures")
+    return folder
+
+
+@pytest.fixture
+def begun(stopped_ones: Path, tmp_path: Path) -> Path:
+    """A training from states that was stopped after its third update."""
+    return shutil.copytree(stopped_ones / "state", tmp_path / "begun")
+
+
+@pytest.fixture
+def begun_on_pictures(stopped_ones: Path, tmp_path: Path) -> Path:
+    """The same of one on pictures."""
+    return shutil.copytree(stopped_ones / "pictures", tmp_path / "begun")
+
+
+def changed(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    kept = checkpoint.read(path)
+    change(kept)
+    checkpoint.write(path, kept)
+
+
+def with_tree(path: Path, tree: str) -> None:
+    """Replaces everything but the tensors."""
+    with safe_open(path, "pt") as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    save_file(tensors, path, {"tree": tree})
+
+
+def test_what_a_killed_training_left_unfinished_is_no_obstacle(tmp_path: Path) -> None:
+    """It was killed while it wrote its first file; a file of somebody else with a like name is one."""
+    left = tmp_path / "run" / f".config.{platform.node()}-4194305-139.part.toml"
+    left.parent.mkdir()
+    left.touch()
+    train(state(), left.parent, resume=True)
+    assert is_done(left.parent)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / ".notes.part.toml").touch()
+    with pytest.raises(TrainingError, match="something else"):
+        train(state(), tmp_path / "mine")
+
+
+TREES = ["[]", "null", '"text"', '{"pairs": [1]}', '{"pairs": [[{"pairs": []}, 1]]}', '{"pairs": 3}', "[" * 10**5, "{}"]
+
+
+@pytest.mark.parametrize("tree", TREES, ids=range(len(TREES)))
+def test_trees_of_other_shapes_are_refused(tree: str, begun: Path) -> None:
+    for name in (CHECKPOINT, POLICY):
+        with_tree(begun / name, tree)
+    with pytest.raises(TrainingError, match=f"{CHECKPOINT} cannot be read"):
+        train(state(), begun, resume=True)
+    with pytest.raises(TrainingError, match=f"{POLICY} cannot be read"):
+        load_policy(begun)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({"update": wrong} for wrong in ("7", 5.5, 13, -1, True, None)),
+        *({"updates": wrong} for wrong in ("12", 1)),
+        *({"seconds": wrong} for wrong in ("1", None, float("nan"), -1.0)),
+        *({"settings": wrong} for wrong in (3, "[", "[]")),
+        *({"learner": wrong} for wrong in (None, [], {})),
+        {"update": 40, "updates": 99},
+    ],
+    ids=str,
+)
+def test_checkpoints_that_make_no_sense_are_refused(change: dict[str, Any], begun: Path) -> None:
+    changed(begun / CHECKPOINT, lambda kept: kept.update(change))
+    before = (begun / CHECKPOINT).read_bytes()
+    with pytest.raises(TrainingError, match="is damaged, or does not fit this version of bc"):
+        train(state(), begun, resume=True)
+    assert (begun / CHECKPOINT).read_bytes() == before
+
+
+def test_a_learner_that_lost_a_part_is_refused(begun: Path) -> None:
+    changed(begun / CHECKPOINT, lambda kept: kept["learner"].update(optimizer=None))
+    with pytest.raises(TrainingError, match="does not fit"):
+        train(state(), begun, resume=True)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({"network": {name: 0}} for name in ("hidden", "first_stride", "entity")),
+        *({"network": wrong} for wrong in (None, {"hidden": 10**9}, {"first_stride": 1.5}, {"hiden": 3})),
+        *({"tasks": wrong} for wrong in (None, [], [3], 7)),
+        *({"preset": wrong} for wrong in (None, "LoRes5E", [])),
+        {"weights": None},
+    ],
+    ids=str,
+)
+def test_policies_that_make_no_sense_are_refused(change: dict[str, Any], begun_on_pictures: Path) -> None:
+    changed(begun_on_pictures / POLICY, lambda kept: kept.update(change))
+    with pytest.raises(TrainingError, match="holds something else than a policy"):
+        load_policy(begun_on_pictures)
+
+
+def test_goals_with_numbers_that_are_too_large_are_refused(tmp_path: Path) -> None:
+    train(tiny("goals", preset="State"), tmp_path / "run")
+    goals = json.loads((tmp_path / "run" / "goals.json").read_text())
+    goals["MoveToRegion"]["saved_bits"] = 10**400
+    with pytest.raises(TrainingError, match="no goals as a training writes them"):
+        from_json(json.dumps(goals))
+
+
+def test_another_trainings_files_are_not_taken_for_ones_own(tmp_path: Path) -> None:
+    """Neither its checkpoint nor its policy; nothing is overwritten."""
+    run, other = tmp_path / "run", tmp_path / "other"
+    train(state(), run)
+    train(state(seed=3), tmp_path / "seed")
+    train(state(tasks="FixColour"), other)
+    for name, says in ((CHECKPOINT, "tasks: .*FixColour"), (POLICY, "tasks: .*FixColour.*and here .*MoveToRegion")):
+        before = (run / name).read_bytes()
+        shutil.copy(other / name, run / name)
+        with pytest.raises(TrainingError, match=f"of another training .{says}"):
+            train(state(), run, resume=True)
+        assert (run / name).read_bytes() == (other / name).read_bytes()
+        (run / name).write_bytes(before)
+    shutil.copy(tmp_path / "seed" / CHECKPOINT, run / CHECKPOINT)
+    with pytest.raises(TrainingError, match=r"of another training \(seed: 3"):
+        train(state(), run, resume=True)
+
+
+def test_without_its_checkpoint_a_training_begins_anew_only_when_told(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    train(state(), run)
+    (run / CHECKPOINT).unlink()
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    with pytest.raises(TrainingError, match=rf"{CHECKPOINT} is missing.* delete {POLICY} and metrics\.csv"):
+        train(state(), run, resume=True)
+    assert before == {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    (run / POLICY).unlink()
+    (run / METRICS).unlink()
+    train(state(), run, resume=True)
+    assert is_done(run)
+
+
+@pytest.mark.parametrize("written", [0, 1])
+def test_a_training_that_ends_around_its_first_checkpoint_goes_on(
+    written: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There are rows of metrics, and perhaps a checkpoint, but no policy yet."""
+    original, paths = checkpoint.write, list[Path]()
+
+    def write(path: Path, kept: dict[str, Any]) -> None:
+        if len(paths) == written:
+            raise KeyboardInterrupt
+        paths.append(path)
+        original(path, kept)
+
+    monkeypatch.setattr(checkpoint, "write", write)
+    with pytest.raises(KeyboardInterrupt):
+        train(state(checkpoints=1), tmp_path / "run")
+    monkeypatch.undo()
+    assert (tmp_path / "run" / METRICS).exists()
+    assert not (tmp_path / "run" / POLICY).exists()
+    train(state(checkpoints=1), tmp_path / "run", resume=True)
+    assert is_done(tmp_path / "run")
+
+
+@pytest.mark.parametrize("text", ["", "a,b\n", "update,loss\n", "seconds,update\n1,2\n"])
+def test_metrics_of_somebody_else_are_kept(text: str, begun: Path) -> None:
+    (begun / METRICS).write_text(text)
+    with pytest.raises(
+        TrainingError, match=r"metrics\.csv is damaged: its first columns .*; delete it or move it away"
+    ):
+        train(state(), begun, resume=True)
+    assert (begun / METRICS).read_text() == text
+
+
+def test_a_training_goes_on_with_as_many_threads_as_it_began(tmp_path: Path) -> None:
+    """On pictures: with another number, sums are rounded differently."""
+    before, seen = torch.get_num_threads(), set[int]()
+    try:
+        torch.set_num_threads(1)
+        train(tiny(), tmp_path / "whole")
+        stopped(tmp_path / "cut")
+        torch.set_num_threads(2)
+        train(tiny(), tmp_path / "cut", resume=True, watch=lambda _: seen.add(torch.get_num_threads()))
+        assert (seen, torch.get_num_threads()) == ({1}, 2)
+    finally:
+        torch.set_num_threads(before)
+    assert read_toml(tmp_path / "cut" / CONFIG)["made"]["threads"] == 1
+    whole, cut = (checkpoint.read(tmp_path / name / POLICY)["weights"] for name in ("whole", "cut"))
+    assert all(torch.equal(whole[name], cut[name]) for name in whole)
+
+
+@pytest.mark.parametrize("number", ["0", "-1", "1.5", "true", '"2"', "100000"])
+def test_a_wrong_number_of_threads_is_refused(number: str, begun_on_pictures: Path) -> None:
+    config = begun_on_pictures / CONFIG
+    config.write_text(config.read_text().rpartition("threads")[0] + f"threads = {number}\n")
+    with pytest.raises(SettingsError, match=r"threads in .* must be an integer from 1 to 1024"):
+        train(tiny(), begun_on_pictures, resume=True)
+
+
+class Greedy(BehaviouralCloning):
+    """Wants more memory than there is, of PyTorch or of numpy."""
+
+    def update(self) -> Mapping[str, float]:
+        torch.empty(2**50) if self.settings.seed else np.empty(2**50)
+        return super().update()
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_lack_of_memory_is_told(seed: int, tmp_path: Path) -> None:
+    with pytest.raises(TrainingError, match=r"not enough memory .*smaller sizes"):
+        train(state(seed=seed), tmp_path / "run", learner=Greedy)
+
+
+def test_other_errors_of_a_learner_are_its_own(tmp_path: Path) -> None:
+    class Wrong(BehaviouralCloning):
+        def update(self) -> Mapping[str, float]:
+            return {"loss": float(torch.ones(2) @ torch.ones(3))}
+
+    with pytest.raises(RuntimeError, match="size") as error:
+        train(state(), tmp_path / "run", learner=Wrong)
+    assert not isinstance(error.value, MagicalError)
+
+
+def test_a_training_goes_on_whatever_stood_in_its_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["magical-mj", "train", "--out", "runs/\U0001f389", "\udcff"])
+    stopped(tmp_path / "run", state())
+    train(state(), tmp_path / "run", resume=True)
+    assert is_done(tmp_path / "run")
+    assert "\U0001f389" in read_toml(tmp_path / "run" / CONFIG)["made"]["command"]

@@ -1,0 +1,48 @@
+"""The pages about the learners: what they show in Python runs, and the experiment can be read."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from magical_mj.learners import runs
+from tests.helpers.learners import is_done
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def block(page: str, language: str) -> str:
+    """The only one in this language."""
+    (found,) = re.findall(rf"```{language}\n(.*?)```", (DOCS / page).read_text(), re.DOTALL)
+    return found
+
+
+def test_a_method_of_ones_own_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = block("learners.md", "python")
+    assert len(code.splitlines()) <= 60
+    monkeypatch.chdir(tmp_path)
+    shown: dict[str, Any] = {"__name__": "page"}
+    exec(compile(code, "learners.md", "exec"), shown)
+    assert is_done(tmp_path / "runs" / "forgetful-0")
+    assert len(shown["scores"]) == 4
+
+
+def test_demonstrations_at_hand_are_cloned() -> None:
+    shown: dict[str, Any] = {"__name__": "page"}
+    exec(compile(block("state-track.md", "python"), "state-track.md", "exec"), shown)
+    assert shown["scores"].groupby("variant")["score"].count().to_dict() == {"Demo": 4, "Jitter": 4}
+
+
+def test_the_experiment_can_be_read(tmp_path: Path) -> None:
+    file = tmp_path / "experiment.toml"
+    file.write_text(block("learners.md", "toml"))
+    planned = runs(file, tmp_path)
+    assert len({run.name for run in planned}) == len(planned) == 2 * 2 * 5
+    assert {run.method for run in planned} == {
+        "BC (ST), ours, quick",
+        "GAIL (ST), ours, quick, ppo.clip 0.2",
+    }
+    assert {run.settings.ppo.clip for run in planned} == {0.2}

@@ -1,0 +1,286 @@
+"""What PPO plays and learns from: environments that stop anywhere, even minibatches, rewards from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3.common.utils import obs_as_tensor
+
+from magical_mj import MagicalEnv
+from magical_mj.learners.copies import SEEN, TASK
+from magical_mj.learners.data import Dataset, Rollout
+from magical_mj.learners.environments import Environments
+from magical_mj.learners.learner import seeded
+from magical_mj.learners.network import ONE_HOT, Actor, Heads, Torso, as_input, standardise
+from magical_mj.learners.policy import load_policy, save_policy
+from magical_mj.learners.ppo import EvenBuffer, ExternalRewardPPO
+from magical_mj.learners.reinforced import RewardNormaliser
+from magical_mj.learners.settings import TrainingSettings
+from magical_mj.policies.interface import Episode
+from tests.helpers.learners import playing
+
+CPU = torch.device("cpu")
+
+
+def improver(settings: TrainingSettings) -> ExternalRewardPPO:
+    with seeded(settings.seed):
+        actor = Actor(settings.network, len(settings.tasks))
+        critic = Heads(len(settings.tasks), actor.torso.features, 1)
+        return ExternalRewardPPO(settings, Environments(settings), actor, critic, torch.Generator().manual_seed(0), CPU)
+
+
+@pytest.fixture
+def ppo() -> Iterator[ExternalRewardPPO]:
+    made = improver(playing())
+    yield made
+    made.env.close()
+
+
+def test_copies_are_split_evenly_between_tasks() -> None:
+    environments = Environments(playing(tasks="MoveToRegion,FixColour"))
+    assert environments.tasks.tolist() == [0, 0, 1, 1]
+    seen = environments.reset()
+    assert seen[SEEN].shape == (4, 96, 96, 12)
+    assert seen[SEEN].dtype == np.uint8
+    np.testing.assert_array_equal(seen[TASK], [[1, 0], [1, 0], [0, 1], [0, 1]])
+    environments.close()
+
+
+def test_the_preset_is_the_settings() -> None:
+    environments, one = Environments(playing(preset="LoRes4A")), MagicalEnv("MoveToRegion", "Demo", "LoRes4A")
+    first = one.reset(seed=0)[0]
+    np.testing.assert_array_equal(environments.reset()[SEEN][0], first)  # the demo variant has one scene
+    environments.close()
+    one.close()
+
+
+def test_copies_start_at_different_times_of_their_episodes() -> None:
+    """Copies of each of the tasks, whose episodes have 40 steps: two of them begin in the middle of one."""
+    environments = Environments(playing(tasks="MoveToRegion,MoveToCorner"))
+    environments.reset()
+    assert [len(one["actions"]) for one in environments.state()] == [0, 20, 0, 40]
+    environments.close()
+
+
+def test_an_episode_that_ends_is_truncated_and_the_next_one_begins() -> None:
+    environments = Environments(playing())
+    environments.reset()
+    ends = []
+    for _ in range(40):
+        _, rewards, dones, infos = environments.step(np.zeros(4, int))
+        assert not rewards.any()
+        ends.append(dones)
+    assert np.sum(ends, axis=0).tolist() == [1, 1, 1, 1]
+    assert [int(np.argmax(end)) for end in np.transpose(ends)] == [39, 29, 19, 9]
+    assert dones.tolist() == [True, False, False, False]
+    assert infos[0]["TimeLimit.truncated"]
+    assert infos[0]["terminal_observation"][SEEN].shape == (96, 96, 12)
+    assert 0 <= infos[0]["eval_score"] <= 1
+    assert [one["episode"] for one in environments.state()] == [1, 1, 1, 1]
+    environments.close()
+
+
+def test_environments_are_restored_in_mid_episode() -> None:
+    settings = playing(tasks="MoveToRegion,FixColour")
+    first, second = Environments(settings), Environments(settings)
+    rng = np.random.default_rng(0)
+    first.reset()
+    for _ in range(30):
+        seen = first.step(rng.integers(18, size=4))[0]
+    restored = second.restore(first.state())
+    np.testing.assert_array_equal(restored[SEEN], seen[SEEN])
+    np.testing.assert_array_equal(restored[TASK], seen[TASK])
+    for _ in range(30):
+        actions = rng.integers(18, size=4)
+        ours, theirs = first.step(actions), second.step(actions)
+        np.testing.assert_array_equal(ours[0][SEEN], theirs[0][SEEN])
+        np.testing.assert_array_equal(ours[2], theirs[2])
+        assert [info["eval_score"] for info in ours[3]] == [info["eval_score"] for info in theirs[3]]
+    first.close()
+    second.close()
+
+
+def test_minibatches_are_even_over_tasks() -> None:
+    """Every sample comes once, and each minibatch of 8 has two or three of each of three tasks."""
+    copies = np.repeat([0, 1, 2], 2)
+    spaces = improver_spaces()
+    buffer = EvenBuffer(
+        4, *spaces, tasks=copies, generator=torch.Generator().manual_seed(0), device=CPU, n_envs=6, gamma=0.5
+    )
+    buffer.full = True
+    buffer.values = np.arange(24, dtype=np.float32).reshape(4, 6)  # 6 x step + copy
+    buffer.returns = buffer.values + 100
+    batches = [batch.old_values.numpy() for batch in buffer.get(8)]
+    again = [batch.old_values.numpy() for batch in buffer.get(8)]
+    assert sorted(np.concatenate(batches)) == list(range(24))
+    assert not np.array_equal(batches, again)
+    for batch in batches:
+        assert set(np.bincount(copies[batch.astype(int) % 6])) <= {2, 3}
+    batch = next(buffer.get(8))
+    np.testing.assert_array_equal(batch.returns - batch.old_values, 100)
+    assert batch.observations[SEEN].dtype == torch.uint8
+    before = np.random.get_state()[1]  # noqa: NPY002
+    list(buffer.get())
+    np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+
+
+def improver_spaces() -> tuple:
+    environments = Environments(playing())
+    environments.close()
+    return environments.observation_space, environments.action_space
+
+
+def test_rollouts_are_drawn_evenly_over_tasks() -> None:
+    numbers = np.arange(24, dtype=np.uint8).reshape(4, 6)  # 6 x step + copy
+    images = np.broadcast_to(numbers[..., None, None, None], (4, 6, 1, 1, 1))
+    rollout = Rollout(images, numbers.astype(np.int64), np.repeat([0, 1], 3))
+    generator = torch.Generator().manual_seed(0)
+    drawn = [rollout.sample(6, generator) for _ in range(50)]
+    for batch in drawn:
+        assert batch.tasks.tolist() == [0, 0, 0, 1, 1, 1]
+        np.testing.assert_array_equal(batch.observations[:, 0, 0, 0], batch.actions)
+        np.testing.assert_array_equal(batch.actions % 6 // 3, batch.tasks)
+    assert {int(action) for batch in drawn for action in batch.actions} == set(range(24))
+    whole = list(rollout.batches(10))
+    assert [len(batch.actions) for batch in whole] == [10, 10, 4]
+    assert torch.cat([batch.actions for batch in whole]).tolist() == list(range(24))
+    assert torch.cat([batch.tasks for batch in whole]).tolist() == 4 * [0, 0, 0, 1, 1, 1]
+
+
+def test_pictures_are_scaled_once_and_stay_fast(ppo: ExternalRewardPPO) -> None:
+    """What the torso gets is exactly what `as_input` makes of the stacks, channels last in memory."""
+    got = []
+    ppo.policy.features_extractor.torso.register_forward_pre_hook(lambda _, inputs: got.append(inputs[0]))
+    rollout = ppo.collect()
+    ppo.improve(np.zeros((4, 4), np.float32))
+    assert len(got) == 4 + 1 + 1 + 4  # collecting; its last values, and ours; two epochs of two minibatches
+    for stacks in got:
+        assert stacks.is_contiguous(memory_format=torch.channels_last)
+        assert stacks.max() <= 1
+    np.testing.assert_array_equal(got[0], as_input(rollout.observations[0], CPU))
+
+
+def test_the_saved_policy_has_the_logits_of_the_one_that_plays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch, "set_num_threads", lambda _: None)  # sums of the tests after this would differ in bits
+    settings = playing(tasks="MoveToRegion,FixColour")
+    ppo = improver(settings)
+    ppo.collect()
+    ppo.improve(np.random.default_rng(0).normal(size=(4, 4)).astype(np.float32))
+    seen = ppo.env.reset()
+    save_policy(tmp_path, ppo.policy_kwargs["actor"], settings)
+    saved = load_policy(tmp_path)
+    with torch.inference_mode():
+        logits = ppo.policy.get_distribution(obs_as_tensor(seen, CPU)).distribution.logits
+        actor = ppo.policy_kwargs["actor"]
+        theirs = saved._actor(as_input(seen[SEEN], CPU), torch.tensor([0, 0, 1, 1])).log_softmax(1)
+        np.testing.assert_array_equal(
+            actor(as_input(seen[SEEN], CPU), torch.tensor([0, 0, 1, 1])).log_softmax(1), theirs
+        )
+    torch.testing.assert_close(logits, theirs, rtol=0, atol=1e-6)
+    assert logits.shape == (4, ONE_HOT)
+    saved.reset_batch([Episode("FixColour", "Demo", 0, 0)] * 2)
+    assert saved.act_batch(seen[SEEN][2:]).shape == (2,)
+    ppo.env.close()
+
+
+def test_a_task_trains_its_own_heads_only() -> None:
+    """PPO's loss for samples of the second task has no gradient in the first task's heads."""
+    ppo = improver(playing(tasks="MoveToRegion,FixColour"))
+    seen = obs_as_tensor(ppo.env.reset(), CPU)
+    second = {key: value[2:] for key, value in seen.items()}
+    values, log_probs, entropy = ppo.policy.evaluate_actions(second, torch.tensor([3, 4]))
+    (values.sum() + log_probs.sum() + entropy.sum()).backward()
+    for heads in (ppo.policy.action_net.heads, ppo.policy.value_net.heads):
+        for weights in heads.parameters():
+            assert weights.grad is not None
+            assert not weights.grad[0].any()
+            assert weights.grad[1].any()
+    assert ppo.policy.features_extractor.torso.linear[0].weight.grad.any()
+    ppo.env.close()
+
+
+def test_new_policies_tell_pictures_apart() -> None:
+    """Before its ReLU, each unit has mean 0 and deviation 1 over the stacks; untouched, it hardly depends on them."""
+    data = Dataset(playing(), drop_noop=False)
+    stacks = as_input(data.rows([torch.arange(data.sizes[0])]).observations, CPU)
+    with seeded(0):
+        torso = Torso(playing().network)
+    assert torso.linear[:3](torso.convolutions(stacks).flatten(1)).std(0).max() < 0.1
+    standardise(torso, stacks)
+    values = stacks
+    for layer in (*torso.convolutions, torch.nn.Flatten(), *torso.linear):
+        values = layer(values)
+        if isinstance(layer, torch.nn.Conv2d | torch.nn.Linear):
+            by_unit = values.detach().transpose(0, 1).flatten(1)
+            torch.testing.assert_close(by_unit.mean(1), torch.zeros(len(by_unit)), rtol=0, atol=1e-3)
+            seen = by_unit.std(1) > 1e-3  # all but units that get nothing from the few before them
+            torch.testing.assert_close(by_unit[seen].std(1), torch.ones(int(seen.sum())), rtol=1e-3, atol=0)
+            assert seen.float().mean() > 0.8
+
+
+def test_rewards_from_outside_become_returns(ppo: ExternalRewardPPO) -> None:
+    """Generalised advantages by their definition; the value of a state that ends an episode stands for what follows."""
+    rng = np.random.default_rng(0)
+    for _ in range(3):  # in the third rollout, the steps 9 to 12, the last copy's first episode ends
+        ppo.collect()
+        bootstrap = ppo.rollout_buffer.rewards.copy()
+        rewards = rng.normal(size=(4, 4)).astype(np.float32)
+        with torch.no_grad():
+            last = ppo.policy.predict_values(obs_as_tensor(ppo._last_obs, CPU)).numpy()[:, 0]
+        ends = ppo._last_episode_starts
+        ppo.improve(rewards)
+    buffer, gamma, decay = ppo.rollout_buffer, ppo.gamma, ppo.gamma * ppo.gae_lambda
+    assert np.flatnonzero(bootstrap).tolist() == [1 * 4 + 3]
+    expected, after, following = np.zeros((4, 4)), np.zeros(4), last
+    for step in (3, 2, 1, 0):
+        goes_on = 1 - (ends if step == 3 else buffer.episode_starts[step + 1])
+        reward = rewards[step] + bootstrap[step]
+        error = reward + gamma * following * goes_on - buffer.values[step]
+        after = error + decay * goes_on * after
+        expected[step], following = after, buffer.values[step]
+    np.testing.assert_allclose(buffer.advantages, expected, atol=1e-5)
+    assert buffer.episode_starts[2].tolist() == [0, 0, 0, 1]
+
+
+def test_the_learning_rate_falls_to_zero(ppo: ExternalRewardPPO) -> None:
+    """From the settings' rate in the first of four updates by equal steps: it is 0 after the last."""
+    rates = []
+    for _ in range(4):
+        ppo.collect()
+        ppo.improve(np.zeros((4, 4), np.float32))
+        rates.append(ppo.policy.optimizer.param_groups[0]["lr"])
+    np.testing.assert_allclose(rates, 3e-4 * np.array([1, 0.75, 0.5, 0.25]))
+
+
+def test_the_score_is_that_of_the_last_episodes_that_ended(ppo: ExternalRewardPPO) -> None:
+    ppo._scores.latest = 0.125
+    scores = []
+    for _ in range(4):
+        ppo.collect()
+        scores.append(ppo.improve(np.zeros((4, 4), np.float32))["score"])
+    assert scores[:2] == [0.125, 0.125]  # nothing has ended yet
+    assert scores[2] in (0.0, 1.0)  # MoveToRegion's, of the one that has
+    assert scores[3] == scores[2]
+
+
+def test_rewards_are_normalised_by_all_of_their_task_so_far() -> None:
+    tasks = np.array([0, 0, 1, 1])
+    normalise = RewardNormaliser(0.1, tasks)
+    rng = np.random.default_rng(0)
+    sizes = np.array([1.0, 1.0, 50.0, 50.0])
+    first, second = rng.normal(5, 3, (8, 4)) * sizes, rng.normal(9, 1, (8, 4)) * sizes
+    normalise(first)
+    so_far, expected = np.concatenate([first, second]), np.empty((8, 4))
+    for task in (0, 1):
+        own = so_far[:, tasks == task]
+        expected[:, tasks == task] = (second[:, tasks == task] - own.mean()) / own.std() * 0.1
+    np.testing.assert_allclose(normalise(second), expected, atol=1e-4)
+    other = RewardNormaliser(0.1, tasks)
+    other.restore(normalise.state())
+    np.testing.assert_array_equal(other(first), normalise(first))
+    same = RewardNormaliser(0.1, tasks)(np.full((100, 4), 7.0))
+    assert np.abs(same).max() < 1e-3

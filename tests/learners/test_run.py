@@ -1,0 +1,259 @@
+"""A run's folder: what it holds, that it goes on exactly where it was, and what is refused."""
+
+from __future__ import annotations
+
+import multiprocessing
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import magical_mj
+from magical_mj.learners import checkpoint, train
+from magical_mj.learners.bc import CALIBRATION
+from magical_mj.learners.folder import CHECKPOINT, CONFIG
+from magical_mj.learners.metrics import read_metrics
+from magical_mj.learners.policy import POLICY, TrainedPolicy
+from magical_mj.learners.run import Progress
+from magical_mj.learners.settings_file import from_toml, recorded
+from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.utils.errors import SettingsError, TrainingError, UnknownNameError
+from magical_mj.utils.files import read_toml
+from tests.helpers.learners import is_done, playing, stopped, tiny
+
+ROOT = str(Path(__file__).parents[2])
+START = (
+    f"import sys; sys.path.insert(0, {ROOT!r}); "
+    "from tests.helpers.learners import tiny; from magical_mj.learners import train; "
+)
+
+
+def test_a_folder_holds_everything(tmp_path: Path) -> None:
+    settings = tiny(evaluations=2, episodes=2)
+    seen = []
+    train(settings, tmp_path / "run", watch=seen.append)
+    names = {path.name for path in (tmp_path / "run").iterdir()}
+    assert names == {CONFIG, "metrics.csv", CHECKPOINT, POLICY, "tensorboard"}
+    assert recorded(from_toml(tmp_path / "run" / CONFIG)) == recorded(settings)
+    made = read_toml(tmp_path / "run" / CONFIG)["made"]
+    assert {"date", "command", "torch", "mujoco"} <= set(made)
+    assert (made["magical_mj"], made["protocol"]) == (magical_mj.__version__, PROTOCOL)
+    rows = read_metrics(tmp_path / "run")
+    assert [int(row["update"]) for row in rows] == list(range(1, 13))
+    assert all(float(row["loss"]) > 0 and 0 <= float(row["accuracy"]) <= 1 for row in rows)
+    assert [bool(row["score MoveToRegion"]) for row in rows] == [update in (6, 12) for update in range(1, 13)]
+    assert [progress.update for progress in seen] == list(range(1, 13))
+    assert [bool(progress.scores) for progress in seen] == [update in (6, 12) for update in range(1, 13)]
+    assert any((tmp_path / "run" / "tensorboard").iterdir())
+    assert is_done(tmp_path / "run")
+
+
+def test_a_folder_belongs_to_one_training_at_a_time(tmp_path: Path) -> None:
+    """A second one is refused while the first goes on, and leaves everything as it is."""
+    settings, run, errors = tiny(), tmp_path / "run", list[str]()
+
+    def second(_: Progress) -> None:
+        if not errors:
+            held = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+            command = [sys.executable, "-c", f"{START}train(tiny(), {str(run)!r}, resume=True)"]
+            errors.append(subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False).stderr)
+            assert held == {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+
+    train(settings, run, watch=second)
+    assert f"another process is training in {run}" in errors[0]
+    assert is_done(run)
+
+
+def test_what_a_training_forked_does_not_keep_its_folder_locked(tmp_path: Path) -> None:
+    child = multiprocessing.get_context("fork").Process(target=time.sleep, args=(60,), daemon=True)
+
+    def stop(_: Progress) -> None:
+        child.start()
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(tiny(), tmp_path / "run", watch=stop)
+    train(tiny(), tmp_path / "run", resume=True)
+    assert child.is_alive()
+    assert is_done(tmp_path / "run")
+    child.kill()
+    child.join()
+
+
+def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
+    """Kill -9 in the middle; then the same weights, to the bit, and the same figures as without a break."""
+    settings = "tiny(**{'bc.batches': 60, 'checkpoints': 10})"
+    train(eval(settings), tmp_path / "whole")
+    process = subprocess.Popen([sys.executable, "-c", f"{START}train({settings}, {str(tmp_path / 'cut')!r})"])
+    deadline = time.monotonic() + 120
+    while not (tmp_path / "cut" / CHECKPOINT).exists():
+        assert process.poll() is None, "it ended before it could be killed"
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not is_done(tmp_path / "cut")
+    updates: list[int] = []
+    train(eval(settings), tmp_path / "cut", resume=True, watch=lambda progress: updates.append(progress.update))
+    assert 1 < updates[0] <= updates[-1] == 60
+    whole, cut = (checkpoint.read(tmp_path / name / POLICY)["weights"] for name in ("whole", "cut"))
+    assert all(torch.equal(whole[name], cut[name]) for name in whole)
+    rows = [[row | {"seconds": ""} for row in read_metrics(tmp_path / name)] for name in ("whole", "cut")]
+    assert rows[0] == rows[1]
+
+
+def test_a_run_that_ends_between_its_files_is_finished_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    original, written = checkpoint.write, list[Path]()
+
+    def write(path: Path, state: dict[str, Any]) -> None:
+        if len(written) == 7:  # of the eight files of four checkpoints
+            raise KeyboardInterrupt
+        written.append(path)
+        original(path, state)
+
+    monkeypatch.setattr(checkpoint, "write", write)
+    with pytest.raises(KeyboardInterrupt):
+        train(tiny(preset="State"), tmp_path / "run")
+    monkeypatch.undo()
+    train(tiny(preset="State"), tmp_path / "run", resume=True)
+    assert is_done(tmp_path / "run")
+
+
+def test_a_finished_run_resumes_to_itself(tmp_path: Path) -> None:
+    train(tiny(), tmp_path / "run")
+    before = {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()}
+    train(tiny(), tmp_path / "run", resume=True, watch=lambda progress: pytest.fail("there is nothing left to do"))
+    assert {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()} == before
+    for damaged in (b"", before[tmp_path / "run" / POLICY][:100]):
+        (tmp_path / "run" / POLICY).write_bytes(damaged)
+        train(tiny(), tmp_path / "run", resume=True)
+        assert (tmp_path / "run" / POLICY).read_bytes() == before[tmp_path / "run" / POLICY]
+    (tmp_path / "run" / POLICY).unlink()
+    train(tiny(), tmp_path / "run", resume=True)
+    assert (tmp_path / "run" / POLICY).read_bytes() == before[tmp_path / "run" / POLICY]
+
+
+def test_on_another_kind_of_device_a_run_does_not_go_on(tmp_path: Path) -> None:
+    """It would end otherwise than without the interruption. Its policy is at hand everywhere, once it is finished."""
+    stopped(tmp_path / "begun")
+    train(tiny(), tmp_path / "finished")
+    for name in ("begun", "finished"):
+        kept = checkpoint.read(tmp_path / name / CHECKPOINT)
+        checkpoint.write(tmp_path / name / CHECKPOINT, {**kept, "device": "cuda"})
+    with pytest.raises(TrainingError, match="was trained on cuda, and this is cpu: continue where there is cuda"):
+        train(tiny(), tmp_path / "begun", resume=True)
+    assert isinstance(train(tiny(), tmp_path / "finished", resume=True), TrainedPolicy)
+
+
+def test_runs_of_earlier_versions_stay_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their policies held more, and their checkpoints less. The folder's name is that of an agent."""
+    monkeypatch.chdir(tmp_path)
+    train(tiny(), "noop")
+    kept, policy = checkpoint.read(Path("noop", CHECKPOINT)), checkpoint.read(Path("noop", POLICY))
+    checkpoint.write(Path("noop", CHECKPOINT), {name: kept[name] for name in ("update", "seconds", "learner")})
+    checkpoint.write(Path("noop", POLICY), {**policy, "progress": [12, 12]})
+    before = Path("noop", POLICY).read_bytes()
+    assert isinstance(train(tiny(), "noop", resume=True), TrainedPolicy)
+    assert Path("noop", POLICY).read_bytes() == before
+
+
+def test_a_policy_that_is_saved_on_the_way_is_as_it_would_be_evaluated(tmp_path: Path) -> None:
+    """Its batch norm has averages over enough batches, and not those that lag behind the weights."""
+    stopped(tmp_path / "run")
+    weights = checkpoint.read(tmp_path / "run" / POLICY)["weights"]
+    batches = [int(value) for name, value in weights.items() if name.endswith("num_batches_tracked")]
+    assert batches == [CALIBRATION] * 5
+
+
+@pytest.mark.parametrize(
+    "text", ["update,loss\n,1", "update,loss\n1", "loss\n1", "update\n1,2,3", "update\n\xff", "update\n\0"]
+)
+def test_damaged_figures_are_refused_and_kept(text: str, tmp_path: Path) -> None:
+    stopped(tmp_path / "run")
+    (tmp_path / "run" / "metrics.csv").write_text(text, "latin-1")
+    with pytest.raises(TrainingError, match=r"metrics\.csv is damaged: .*; delete it"):
+        train(tiny(), tmp_path / "run", resume=True)
+    assert (tmp_path / "run" / "metrics.csv").read_text("latin-1") == text
+
+
+def test_a_checkpoint_of_another_version_is_refused_and_kept(tmp_path: Path) -> None:
+    settings = playing()
+    stopped(tmp_path / "run", settings)
+    kept = checkpoint.read(tmp_path / "run" / CHECKPOINT)
+    del kept["learner"]["average"]
+    checkpoint.write(tmp_path / "run" / CHECKPOINT, kept)
+    before = (tmp_path / "run" / CHECKPOINT).read_bytes()
+    with pytest.raises(TrainingError, match=r"does not fit this version of gail .*another folder"):
+        train(settings, tmp_path / "run", resume=True)
+    assert (tmp_path / "run" / CHECKPOINT).read_bytes() == before
+    (tmp_path / "run" / CHECKPOINT).write_bytes((tmp_path / "run" / POLICY).read_bytes())  # which is another thing
+    with pytest.raises(TrainingError, match="does not fit"):
+        train(settings, tmp_path / "run", resume=True)
+
+
+@pytest.mark.parametrize("what", ["protocol", "demonstrations"])
+def test_a_training_with_other_demonstrations_or_worlds_is_not_continued(what: str, tmp_path: Path) -> None:
+    train(tiny(), tmp_path / "run")
+    config = tmp_path / "run" / CONFIG
+    settings, made = config.read_text().split("[made]")
+    config.write_text(f"{settings}[made]{re.sub(f'{what} = .*', f'{what} = 99', made)}")
+    with pytest.raises(TrainingError, match=f"the {what} of number 99"):
+        train(tiny(), tmp_path / "run", resume=True)
+
+
+def test_what_is_there_is_never_overwritten(tmp_path: Path) -> None:
+    train(tiny(), tmp_path / "run")
+    with pytest.raises(TrainingError, match="holds a training already; --resume"):
+        train(tiny(), tmp_path / "run")
+    with pytest.raises(SettingsError, match="seed was 0 and is 1"):
+        train(tiny(seed=1), tmp_path / "run", resume=True)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").touch()
+    with pytest.raises(TrainingError, match="something else"):
+        train(tiny(), tmp_path / "mine")
+    with pytest.raises(TrainingError, match="something else"):
+        train(tiny(), tmp_path / "mine" / "thesis.tex")
+    with pytest.raises(TrainingError, match="cannot write into"):
+        train(tiny(), tmp_path / "mine" / "thesis.tex" / "run")
+
+
+def test_what_cannot_be_leaves_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="no device 'abacus' here"):
+        train(tiny(device="abacus"), tmp_path / "run")
+    with pytest.raises(UnknownNameError, match="Did you mean 'bc'"):
+        train(tiny("bd"), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_loss_that_is_no_number_stops_and_keeps_the_checkpoint(tmp_path: Path) -> None:
+    wild = {"bc.optimizer": "sgd", "bc.learning_rate": 1e6, "bc.final_learning_rate": 1e6}
+    with pytest.raises(TrainingError, match=r"at update 2; the checkpoint of update 1 is kept .*lower learning rate"):
+        train(tiny(**wild, checkpoints=12), tmp_path / "run")
+    assert checkpoint.read(tmp_path / "run" / CHECKPOINT)["update"] == 1
+    kept = checkpoint.read(tmp_path / "run" / POLICY)
+    assert all(tensor.isfinite().all() for tensor in kept["weights"].values())
+
+
+def test_checkpoints_keep_everything(tmp_path: Path) -> None:
+    state = {
+        "a": [1, 2.5, None, True, "text", [torch.arange(3), {"x": np.arange(4.0)}]],
+        "numbers as keys": {0: {"step": torch.tensor(7.0)}, "0": 3},
+        "large": 2**100,
+        "same": (tensor := torch.ones(2)),
+        "again": tensor,
+        "part": torch.arange(10)[::3],
+    }
+    checkpoint.write(tmp_path / "x.safetensors", state)
+    back = checkpoint.read(tmp_path / "x.safetensors")
+    assert repr(back) == repr(state)
+    assert b"pickle" not in (tmp_path / "x.safetensors").read_bytes()
+    with pytest.raises(ValueError, match="no text may begin with tensor:"):
+        checkpoint.write(tmp_path / "x.safetensors", {"a": "tensor:b"})
+    assert repr(checkpoint.read(tmp_path / "x.safetensors")) == repr(state)

@@ -1,0 +1,183 @@
+"""The learners' settings: the paper's numbers, TOML there and back, and what is refused."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magical_mj import TASKS
+from magical_mj.learners import load_settings
+from magical_mj.learners.method_settings import QUICK, changed, names
+from magical_mj.learners.settings import Cloning, TrainingSettings
+from magical_mj.learners.settings_file import flattened, from_toml, to_toml, toml_value
+from magical_mj.utils.errors import SettingsError, UnknownNameError
+from tests.helpers.learners import tiny
+
+
+def test_defaults_are_the_papers() -> None:
+    """Appendix, tables of hyperparameters for BC and GAIL."""
+    settings = load_settings("gail", "FindDupe")
+    assert (settings.bc.batches, settings.bc.batch_size, settings.bc.learning_rate, settings.bc.momentum) == (
+        20_000, 32, 1e-3, 0.1
+    )  # fmt: skip
+    ppo = settings.ppo
+    assert (ppo.environments, ppo.steps, ppo.epochs, ppo.minibatch, ppo.learning_rate) == (32, 8, 12, 64, 6e-5)
+    assert (ppo.discount, ppo.gae_lambda, ppo.entropy, ppo.clip, ppo.gradient_norm) == (0.8, 0.8, 1e-5, 0.01, 1.0)
+    assert (ppo.total_steps, ppo.reward_deviation) == (10**6, 0.1)
+    judge = settings.discriminator
+    assert (judge.steps, judge.batch_size, judge.learning_rate, judge.gradient_penalty) == (12, 24, 2.5e-5, 100)
+    assert (settings.features.batches, settings.features.size, settings.features.samples) == (8192, 32, 512)
+    assert settings.demonstrations == 10
+
+
+def test_quick_changes_only_what_it_says() -> None:
+    full, quick = load_settings("bc", "all"), load_settings("bc", "all", quick=True)
+    assert quick == changed(full, QUICK) != full
+    assert quick.tasks == TASKS
+
+
+@pytest.mark.parametrize("short", [{"quick": True}, {"preset": "State"}])
+def test_al_learns_as_slowly_as_the_papers_in_short_trainings_too(short: dict[str, Any]) -> None:
+    for name in ("ppo.learning_rate", "ppo.clip", "ppo.entropy"):
+        paper, al, gail = (
+            flattened(asdict(load_settings(method, "FindDupe", **given)))[name]
+            for method, given in (("al", {}), ("al", short), ("gail", short))
+        )
+        assert al == paper != gail
+    assert load_settings("al", "FindDupe", **short, **{"ppo.clip": 0.5}).ppo.clip == 0.5
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        load_settings("gail", TASKS[:8]),
+        load_settings("al", "FindDupe,MakeLine", quick=True, seed=7, **{"ppo.clip": 0.02, "features.size": 5}),
+        load_settings("bc", "FindDupe", preset="State", **{"bc.heads": "normal"}),
+        TrainingSettings('odd "name" \\ é', ("MakeLine",)),
+    ],
+)
+def test_toml_there_and_back(settings: TrainingSettings, tmp_path: Path) -> None:
+    path = tmp_path / "config.toml"
+    path.write_text(to_toml(settings))
+    assert to_toml(from_toml(path)) == to_toml(settings)
+
+
+def test_toml_holds_what_means_something_to_the_method() -> None:
+    text = to_toml(TrainingSettings("a method of one's own", ("FindDupe",)))
+    for name in names(tiny()):
+        assert f"{name.rpartition('.')[2]} = " in text
+    assert "[bc]" in to_toml(tiny("bc"))
+    assert "[ppo]" not in to_toml(tiny("bc"))
+    assert "[bc]" not in to_toml(tiny("gail"))
+    assert "[ppo]" in to_toml(tiny("gail"))
+
+
+def test_text_values_are_read_as_the_fields_kind() -> None:
+    settings = changed(tiny(), {"ppo.clip": "0.02", "seed": "3", "preset": "LoRes4A", "ppo.anneal_clip": "true"})
+    assert (settings.ppo.clip, settings.seed, settings.preset) == (0.02, 3, "LoRes4A")
+    assert settings.ppo.anneal_clip is True
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"ppo.clp": 1}, "ppo.clip"),
+        ({"ppo": 1}, "unknown setting"),
+        ({"seed": "one"}, "seed must be a number"),
+        ({"seed": 0.5}, "seed must be a number"),
+        ({"bc.batches": 0}, "bc.batches must be positive"),
+        ({"bc.batches": True}, "bc.batches must be a number"),
+        ({"bc.heads": "odd"}, "bc.heads must be normal or uniform, not 'odd'"),
+        ({"bc.optimizer": "rmsprop"}, "sgd or adam"),
+        ({"bc.optimizer": "adam", "bc.momentum": 0.5}, "bc.momentum is of bc.optimizer=sgd"),
+        ({"precision": "half"}, "float32 or bfloat16"),
+        ({"precision": 16}, "precision must be text"),
+        ({"ppo.anneal_clip": 1}, "ppo.anneal_clip must be true or false"),
+        ({"ppo.entropy": -1}, "ppo.entropy must be 0 or more"),
+        ({"ppo.learning_rate": float("nan")}, "ppo.learning_rate must be positive"),
+        ({"ppo.learning_rate": float("inf")}, "ppo.learning_rate must be positive"),
+        ({"bc.batches": float("inf")}, "bc.batches must be a number"),
+        ({"bc.batches": [3]}, "bc.batches must be a number"),
+        ({"tasks": 3}, "give at least one of"),
+        ({"bc.final_learning_rate": 1}, "learning rates fall"),
+        ({"augment": "odd"}, "unknown augmentation 'odd'"),
+        ({"seed": 2**63}, r"seed must be below 2\*\*63"),
+        ({"network.first_kernel": 4}, "network.first_kernel must be odd"),
+        ({"network.hidden": 10**11}, "network.hidden must be at most 4096"),
+        ({"network.attention": 10**8}, "network.attention must be at most 32"),
+        ({"bc.batch_size": 10**12}, "bc.batch_size must be at most 65536"),
+        ({"episodes": 10**9}, "episodes must be at most 1000000"),
+        ({"network.entity": 62}, "network.entity must be a multiple of 4"),
+        ({"preset": "LoResCHW4E"}, "one stack of frames"),
+        ({"preset": "LoRes5E"}, "LoRes4E"),
+        ({"tasks": "FindDupes"}, "FindDupe"),
+        ({"tasks": "FindDupe,FindDupe"}, "several different tasks"),
+        ({"tasks": ()}, "give at least one of"),
+        ({"tasks": "FindDupe,MakeLine,FixColour"}, "ppo.environments=32 must be a multiple of 3"),
+        ({"ppo.minibatch": 100}, "ppo.minibatch=100 does not divide"),
+        ({"ppo.minibatch": 1}, "more than one sample"),
+        ({"ppo.total_steps": 100}, "too few for one rollout"),
+        ({"ppo.discount": 1.5}, "at most 1"),
+        ({"ppo.averaging": 1}, "would not learn"),
+        ({"discriminator.batch_size": 25}, "must be even"),
+        ({"features.samples": 1, "tasks": "FindDupe,MakeLine"}, "at least one for each of 2 tasks"),
+    ],
+)
+def test_wrong_settings_are_refused(changes: dict[str, Any], says: str) -> None:
+    with pytest.raises((SettingsError, UnknownNameError), match=says):
+        changed(tiny("gail"), changes)
+
+
+def test_cloning_does_not_mind_what_playing_needs() -> None:
+    assert tiny("bc", "FindDupe,MakeLine,FixColour", **{"ppo.minibatch": 100}).tasks == (
+        "FindDupe", "MakeLine", "FixColour"
+    )  # fmt: skip
+    assert len(tiny("goals", "FindDupe,MakeLine,FixColour", preset="State").tasks) == 3
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "method = ",
+        "seed = 3",
+        "method = 'bc'\ntasks = ['Nope']",
+        "method = 'bc'\ntasks = 3",
+        "method = 3\ntasks = 'all'",
+        "method = 'bc'\ntasks = 'all'\nmade = 3",
+        "\xff",
+        f"a = {'[' * 10_000}",
+    ],
+)
+def test_files_that_are_no_settings_are_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "config.toml"
+    path.write_text(text, "latin-1")
+    with pytest.raises((SettingsError, UnknownNameError)):
+        from_toml(path)
+
+
+def test_a_method_is_a_name() -> None:
+    with pytest.raises(SettingsError, match="the method must be a name"):
+        load_settings(np.ones(3), "MoveToRegion")  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("text", ["runs/bc-\U0001f389", 'a\x7f\n"b\\', "no UTF-8: \udcff", "Zürich"])
+def test_any_text_is_written_as_toml(text: str) -> None:
+    read = tomllib.loads(f"text = {toml_value(text)}")["text"]
+    assert read == text.encode(errors="backslashreplace").decode()
+
+
+def test_settings_of_any_origin_are_pythons_numbers() -> None:
+    """Also those that a user makes without `load_settings`."""
+    given = load_settings("bc", "MoveToRegion", preset="State")
+    rate = np.float64(1e-3)
+    made = replace(given, seed=np.int64(3), bc=replace(given.bc, learning_rate=rate, batches=np.int32(7)))  # pyright: ignore[reportArgumentType]
+    assert [type(value) for value in (made.seed, made.bc.learning_rate, made.bc.batches)] == [int, float, int]
+    half: Any = 4.5
+    for wrong in ({"device": None}, {"seed": "x"}, {"seed": np.int64(-1)}, {"bc": None}, {"bc": Cloning(batches=half)}):
+        with pytest.raises(SettingsError, match="must be"):
+            replace(given, **wrong)

@@ -1,0 +1,210 @@
+"""A task in a package of its own, as docs/adding-a-task.md builds it: installed, and used as a user would."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+from magical_mj.tasks.registry import VARIANTS
+
+PAGE = (Path(__file__).parents[2] / "docs" / "adding-a-task.md").read_text()
+TINY = "network.first_stride=4 network.first_channels=4 network.channels=4 network.hidden=8 "
+TINY += "bc.batches=4 bc.batch_size=4 evaluations=0 checkpoints=1 demonstrations=1"
+
+
+def block(language: str, start: str) -> str:
+    """The page's block of code that starts like this."""
+    return next(text for text in re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL) if text.startswith(start))
+
+
+class User:
+    """Somebody who has installed the package, and works in a folder of their own."""
+
+    def __init__(self, home: Path, site: Path) -> None:
+        self.home, self.site = home, site
+        home.mkdir()
+        (home / "watcher.py").write_text("def act(observation):\n    return int(observation.sum()) % 18\n")
+
+    def python(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        """Run Python; whether it succeeds is for the test to say."""
+        path = os.pathsep.join(filter(None, (str(self.site), os.environ.get("PYTHONPATH"))))
+        environment = {**os.environ, "PYTHONPATH": path, "PYTHONWARNINGS": "default"}
+        command = [sys.executable, *arguments]
+        return subprocess.run(command, cwd=self.home, env=environment, capture_output=True, text=True, check=False)
+
+    def does(self, command: str) -> str:
+        """Run `magical-mj` with these arguments, which must succeed; what it printed."""
+        done = self.python("-m", "magical_mj", *shlex.split(command))
+        assert done.returncode == 0, f"{command}: {done.stderr}"
+        return done.stdout
+
+    def runs(self, code: str) -> None:
+        """Run some Python, which must succeed."""
+        done = self.python("-c", dedent(code))
+        assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="module")
+def user(tmp_path_factory: pytest.TempPathFactory) -> User:
+    project, site = tmp_path_factory.mktemp("project"), tmp_path_factory.mktemp("site")
+    (project / "push_out.py").write_text(block("python", '"""PushOut'))
+    (project / "pyproject.toml").write_text(block("toml", "[build-system]"))
+    (project / "push_out_demonstrations").mkdir()
+    (project / "push_out_demonstrations" / "about.txt").touch()
+    options = ["--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--target", str(site)]
+    subprocess.run([sys.executable, "-m", "pip", "install", *options, str(project)], check=True, capture_output=True)
+    return User(tmp_path_factory.mktemp("user") / "home", site)
+
+
+def test_it_has_rows_and_ids_like_ours(user: User) -> None:
+    listed = re.findall(r"^PushOut +(\w+) +120 ", user.does("list"), re.MULTILINE)
+    assert listed == list(VARIANTS)
+    ids = user.does("list --ids").split()
+    assert ids[-2:] == ["magical_mj/PushOut-TestDynamics-v0", "magical_mj/PushOut-TestAll-v0"]
+
+
+def test_its_demonstrations_are_installed_with_it(user: User) -> None:
+    assert (user.site / "push_out_demonstrations" / "about.txt").exists()
+    assert (user.site / "push_out.py").exists()
+
+
+def test_it_is_played_by_its_name_and_by_its_reference(user: User) -> None:
+    user.runs(
+        """
+        import push_out  # before magical_mj, which announces it
+        import gymnasium, magical_mj
+        from magical_mj.tasks.registry import environments
+        from magical_mj.scene import Scene
+
+        assert len(magical_mj.ENVIRONMENTS) == 60
+        assert environments("push_out:SPEC", "Demo") == [("PushOut", "Demo")]
+        scene = magical_mj.sample_scene("push_out:SPEC", "All", 7)
+        assert scene == magical_mj.sample_scene("PushOut", "All", 7)
+        apart = scene.moved(blocks=[(-2, -2, 0)] * len(scene.blocks))
+        assert magical_mj.score("PushOut", scene, scene) == 0 and magical_mj.score("PushOut", scene, apart) == 1
+
+        for task in ("PushOut", "push_out:SPEC"):
+            env = magical_mj.load(task, "All", seed=7)
+            env.reset(seed=7)
+            assert env.scene == scene and env.horizon == 120
+            name = magical_mj.env_id(task, "All", "State")
+            assert name == "magical_mj/PushOut-TestAll-State-v0"
+            env = gymnasium.make(name)
+            env.reset(seed=7)
+            assert env.unwrapped.scene == scene
+            env = gymnasium.make_vec(name, 2, vectorization_mode="async", vector_kwargs={"context": "spawn"})
+            env.reset(seed=7)
+            env.close()
+        """
+    )
+
+
+@pytest.mark.slow
+def test_it_is_evaluated_and_reported(user: User) -> None:
+    episodes = "--variants Demo --episodes 2 --preset LoRes4A --envs 2 --jobs 1"
+    user.does(f"evaluate --policy watcher:act,expert --tasks PushOut {episodes} --out own")
+    user.does(f"evaluate --policy watcher:act --tasks push_out:SPEC,MoveToRegion {episodes} --out mixed")
+    for folder in ("own", "mixed"):
+        user.does(f"report {folder} --published")
+    table = (user.home / "own" / "report" / "report.md").read_text()
+    assert re.search(r"^\| expert \| 1\.00", table, re.MULTILINE)
+    assert "PushOut" in table
+    assert "without MoveToCorner" not in table
+    assert "Mean score over PushOut, " in table
+    assert "BC (ST)" not in table
+    assert "it has none in these tasks" in table
+    mixed = (user.home / "mixed" / "report" / "report.md").read_text()
+    assert "not part of the means over tasks: PushOut" in mixed
+    assert "Mean score over all tasks, " in mixed
+    assert "BC (ST)" in mixed
+    assert mixed.index("**MoveToRegion**") < mixed.index("**PushOut**")
+    assert (user.home / "mixed" / "report" / "heat_map.png").stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_it_is_demonstrated_exported_and_learnt(user: User) -> None:
+    folder = user.site / "push_out_demonstrations"
+    user.does(f"demos generate --tasks push_out:SPEC --count 1 --out {folder}")
+    assert [path.name for path in folder.glob("*.npz")] == ["PushOut-Demo-000.npz"]
+    assert "1 of 1 replay to the same score" in user.does(f"demos verify {folder}")
+    user.does(f"demos export {folder} --out seen.npz")
+    user.does("demos export --tasks push_out:SPEC --out same.npz")  # by default those in the task's own folder
+    assert (user.home / "same.npz").read_bytes() == (user.home / "seen.npz").read_bytes()
+    user.runs(
+        """
+        from dataclasses import replace
+        from magical_mj import demos
+
+        (demo,) = demos.load("PushOut")
+        demos.write(replace(demo, task="push_out:SPEC"), "before/PushOut-Demo-000.npz")  # before it was announced
+        assert [demo.task for demo in demos.load("PushOut", "before")] == ["PushOut"]
+        """
+    )
+    assert "PushOut-Demo" in user.does("demos info before")
+    settings = " ".join(f"--set {setting}" for setting in TINY.split())
+    user.does(f"train bc --tasks PushOut --quick --out run {settings}")
+    user.does("evaluate --policy run --tasks PushOut --variants Demo --episodes 1 --out learnt")
+    user.does(f"demos generate --tasks push_out:SPEC --variants All --count 1 --out {folder}")
+    user.runs(  # of which learners see nothing
+        """
+        from magical_mj import demos
+        from magical_mj.learners.data import shipped
+
+        assert [demo.variant for demo in demos.load("PushOut")] == ["All", "Demo"]
+        assert [demo.variant for demo in shipped("PushOut")] == ["Demo"]
+        """
+    )
+    user.does("view PushOut All --out picture.png")
+    assert user.does("export push_out:SPEC All --out models").strip() == "models/PushOut-All-0.xml"
+    user.runs(
+        """
+        import mujoco
+        model = mujoco.MjModel.from_xml_path("models/PushOut-All-0.xml")
+        mujoco.mj_step(model, mujoco.MjData(model), 100)
+        """
+    )
+
+
+def test_without_a_plan_everything_but_the_expert_works(user: User) -> None:
+    (user.home / "planless.py").write_text(
+        "from dataclasses import replace\nfrom push_out import SPEC as PUSH_OUT\n"
+        'SPEC = replace(PUSH_OUT, name="Planless", plan=None)\n'
+    )
+    episodes = "--tasks planless:SPEC --variants Demo --episodes 1 --jobs 1"
+    user.does(f"evaluate --policy noop {episodes} --out planless")
+    done = user.python("-m", "magical_mj", "evaluate", "--policy", "expert", *episodes.split(), "--out", "stuck")
+    assert "Planless has no plan, so no expert can play it" in done.stderr + done.stdout
+    user.runs(
+        """
+        from magical_mj import demos, load
+
+        for task, known, name in (
+            ("planless:SPEC", "planless:SPEC", "Planless"), ("push_out:SPEC", "PushOut", "PushOut")
+        ):
+            env = load(task, seed=0, observations=())
+            env.reset()
+            recorder = demos.Recorder(env)
+            recorder.step(1)
+            path, _ = demos.keep(recorder.demonstration(task, "Demo", 0, "human", 0), "played")
+            assert path.name == f"{name}-Demo-human-000.npz"
+            assert [demo.task for demo in demos.load(task, "played")] == [known]
+        """
+    )
+
+
+def test_rules_can_be_exchanged_for_ones_own() -> None:
+    code: dict[str, object] = {}
+    exec(compile(block("python", "from dataclasses"), "adding-a-task.md", "exec"), code)
+    from magical_mj.variants import vary
+
+    spec = code["SPEC"]
+    for variant in ("Shape", "All"):  # in All after the dynamics were drawn
+        assert all(vary(spec, variant, seed).dynamics.block_friction_force > 1.5 for seed in range(6))  # type: ignore[arg-type]
+    assert vary(spec, "Colour", 0).dynamics.block_friction_force == 1.5  # type: ignore[arg-type]

@@ -1,0 +1,78 @@
+"""What a protocol number promises has not changed since the number was given.
+
+If this fails and you did not mean to change anything, you changed the order of some draws, the placement, a score or a
+setting of the physics. If you did mean to, see `regenerate_protocol`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import pytest
+
+import magical_mj
+from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS
+from tests.helpers import regenerate_protocol as fingerprints
+
+GOLDEN = fingerprints.golden()
+
+
+def test_the_numbers_are_those_of_the_data_file_and_of_the_page() -> None:
+    assert GOLDEN["numbers"] == {"protocol": PROTOCOL, "demonstrations": DEMONSTRATIONS}
+    page = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
+    for title, newest in (("Protocols", PROTOCOL), ("Demonstrations", DEMONSTRATIONS)):
+        (rows,) = re.findall(rf"## {title}\n(.*?)(?:\n## |\Z)", page, re.DOTALL)
+        numbers = re.findall(r"^\| (\d+) \|", rows, re.MULTILINE)
+        assert numbers == [str(number) for number in range(1, newest + 1)]
+
+
+def test_the_environments_are_the_same() -> None:
+    assert list(GOLDEN["scenes"]) == [f"{task}-{variant}" for task, variant in ENVIRONMENTS]
+
+
+@pytest.mark.parametrize(("task", "variant"), ENVIRONMENTS)
+def test_the_scenes_of_seeds_0_to_99_are_the_same(task: str, variant: str) -> None:
+    assert fingerprints.scenes(task, variant) == GOLDEN["scenes"][f"{task}-{variant}"]
+
+
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("part", [fingerprints.horizons, fingerprints.scores, fingerprints.physics])
+def test_horizons_scores_and_physics_are_the_same(part: Callable[[str], object], task: str) -> None:
+    assert part(task) == GOLDEN[part.__name__][task]
+
+
+def test_mujoco_is_of_the_same_series() -> None:
+    assert mujoco.__version__.partition(".")[0] == GOLDEN["mujoco"]
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_shipped_demonstrations_are_the_same(task: str) -> None:
+    assert fingerprints.demonstrations(task) == GOLDEN["demonstrations"][task]
+
+
+def test_the_fingerprint_of_the_physics_notices_physics_and_nothing_else() -> None:
+    env = magical_mj.load("FindDupe", "Demo", observations=())
+    env.reset()
+    model, before = env.physics.model.ptr, fingerprints.physics("FindDupe")
+    assert before == fingerprints.physics("FindDupe")
+    same = fingerprints.model_digest(model)
+    model.geom_rgba[:] = 0.5
+    model.geom_group[:] = 0
+    assert fingerprints.model_digest(model) == same
+    touching = int(model.geom_contype.nonzero()[0][0])
+    for array, row in (
+        (model.pair_friction, 0),
+        (model.dof_frictionloss, 0),
+        (model.actuator_gear, 0),
+        (model.geom_solref, touching),
+    ):
+        kept = array[row].copy()
+        array[row] += 1e-3
+        assert fingerprints.model_digest(model) != same
+        array[row] = kept
+    assert fingerprints.model_digest(model) == same
+    env.close()

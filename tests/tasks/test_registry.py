@@ -1,0 +1,279 @@
+"""Tasks, variants and environments by name."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from magical_mj import load
+from magical_mj.envs.registration import env_id
+from magical_mj.tasks.planning import Noise
+from magical_mj.tasks.registry import ENVIRONMENTS, environments, sample_scene, score, task_name, task_spec
+from magical_mj.utils.errors import InvalidSceneError, SettingsError, TaskError, UnknownNameError
+
+
+def test_lists_of_environments() -> None:
+    assert environments() == environments("all", ["all"]) == list(ENVIRONMENTS)
+    assert environments("MoveToCorner, MoveToRegion", ["Layout", "TestShape"]) == [
+        ("MoveToCorner", "Shape"),
+        ("MoveToRegion", "Layout"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("tasks", "variants", "error", "message"),
+    [
+        ("", "all", SettingsError, "give at least one of MoveToCorner"),
+        ([], "all", SettingsError, "give at least one of MoveToCorner"),
+        (np.array("all"), "all", SettingsError, "give at least one of MoveToCorner"),
+        ([np.ones(3)], "all", UnknownNameError, "unknown task array"),
+        ("FindDup", "all", UnknownNameError, "Did you mean 'FindDupe'"),
+        ("all", "Shapes", UnknownNameError, "Did you mean 'Shape'"),
+        ("MoveToCorner", "Layout", UnknownNameError, "MoveToCorner has no variant 'Layout'"),
+    ],
+)
+def test_lists_that_name_no_environment(
+    tasks: str | list[str], variants: str, error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        environments(tasks, variants)
+
+
+def test_a_reference_to_a_task_with_a_name_is_that_task() -> None:
+    assert task_name("magical_mj.tasks.find_dupe:SPEC") == "FindDupe"
+    assert environments("magical_mj.tasks.find_dupe:SPEC,FindDupe", "Demo") == [("FindDupe", "Demo")]
+    assert env_id("magical_mj.tasks.find_dupe:SPEC", "TestShape") == "magical_mj/FindDupe-TestShape-v0"
+
+
+MINE = """
+from dataclasses import replace
+import numpy as np
+from magical_mj.tasks.planning import Subgoal
+from magical_mj.scene import Robot
+from magical_mj.tasks.match_regions import SPEC as OURS
+
+GOOD = replace(OURS, name="Mine")
+AGAIN = replace(GOOD)
+TAKEN = replace(OURS)
+DEMO = OURS.demo
+OUTSIDE = replace(GOOD, demo=replace(DEMO, robot=Robot(2.0, 0.0, 0.0)))
+NOT_ITS_OWN = replace(GOOD, demo=replace(DEMO, regions=()))
+TWO = replace(GOOD, score=lambda initial, final, rules: 2.0)
+TEXT = replace(GOOD, score=lambda initial, final, rules: "all")
+NO_RULES = replace(GOOD, score=lambda initial, final: 0.0)
+YES = replace(GOOD, check=lambda scene: True)
+WRONG_ERROR = replace(GOOD, check=lambda scene: 1 / 0)
+NO_SCENE = replace(GOOD, colour=lambda rng, scene: None)
+MOVED = replace(GOOD, colour=lambda rng, scene: scene.moved(blocks=[(0, 0, 0)] * len(scene.blocks)))
+LATER = replace(GOOD, score=lambda initial, final, rules: 2.0 if final.robot != initial.robot else 0.0)
+ROUNDED = replace(GOOD, score=lambda initial, final, rules: 0.05 + 0.55 + 0.3 + 0.1)
+PURPLE = replace(GOOD, colour=lambda rng, scene: replace(scene, blocks=(replace(scene.blocks[0], colour="purple"),)))
+TURNED = lambda scene: scene.moved(robot=(scene.robot.x, scene.robot.y, float(np.random.default_rng().uniform())))
+CHANCE = replace(GOOD, colour=lambda rng, scene: TURNED(scene))
+LOST = lambda initial, now: 1 / 0 if now.robot != initial.robot else None
+FAILS = replace(GOOD, score=lambda initial, final, rules: LOST(initial, final) or 0.0)
+NO_PLAN = replace(GOOD, plan=lambda initial, now, noise: LOST(initial, now) or (Subgoal(k / 0, (0, 0)) for k in (0,)))
+ERRS = replace(GOOD, colour=lambda rng, scene: 1 / 0 if rng.random() < 0.1 else scene)
+NOWHERE = replace(GOOD, plan=lambda initial, now, noise: None)
+PAIRS = replace(GOOD, plan=lambda initial, now, noise: [(0, (0.0, 0.0))])
+BEYOND = replace(GOOD, plan=lambda initial, now, noise: [Subgoal(99, (0.0, 0.0))])
+NAN = replace(GOOD, plan=lambda initial, now, noise: [Subgoal(0, (float("nan"), 0.0))])
+SOLID = replace(GOOD, plan=lambda initial, now, noise: [Subgoal(0, (0.0, 0.0, 0.0))])
+NUMBER = replace(GOOD, plan=lambda initial, now, noise: [Subgoal(None, 0.5)])
+MANY = lambda rng, scene: replace(scene, blocks=scene.blocks[:1] * (20 - int(rng.integers(8, 13))))
+CROWDED = replace(GOOD, count=MANY)
+RARELY = replace(GOOD, colour=lambda rng, scene: replace(scene, regions=()) if rng.random() < 0.1 else scene)
+(REGION,) = DEMO.regions
+STUCK = replace(GOOD, demo=DEMO.moved(robot=(REGION.x_min - 0.05, REGION.y_max - 0.3, 0.0)))
+INSIDE = replace(GOOD, demo=DEMO.moved(robot=(*REGION.centre, 0.0)))
+"""
+
+
+@pytest.fixture
+def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The name of a module with tasks of one's own."""
+    name = f"mine_{tmp_path.name}"
+    (tmp_path / f"{name}.py").write_text(MINE)
+    monkeypatch.chdir(tmp_path)  # whose modules are found
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    monkeypatch.setattr(gymnasium, "registry", dict(gymnasium.registry))
+    monkeypatch.setattr("gymnasium.envs.registration.registry", gymnasium.registry)
+    yield name
+    del sys.modules[name]
+
+
+def test_tasks_of_ones_own_are_played_by_reference(mine: str) -> None:
+    good = f"{mine}:GOOD"
+    assert environments([good, "MakeLine"], "Demo") == [("MakeLine", "Demo"), (good, "Demo")]
+    scene = sample_scene(good, "CountPlus", 3)
+    assert score(good, scene, scene) == 0.0
+    assert scene != sample_scene("MatchRegions", "CountPlus", 3), "a task has random numbers of its own"
+    assert env_id(good, "All") == env_id(good, "All") == "magical_mj/Mine-TestAll-v0"
+    with pytest.raises(TaskError, match=f"Mine-TestAll-v0 is the id of {good}; give .*:AGAIN another name than 'Mine'"):
+        env_id(f"{mine}:AGAIN", "All")
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("DEMO", r"is not a magical_mj\.tasks\.TaskSpec but Scene\("),
+        ("TAKEN", "is called 'MatchRegions', as a task of the benchmark is"),
+        ("OUTSIDE", "no episode of Mine can start in its own demo scene: robot at"),
+        ("NOT_ITS_OWN", "no episode of .* can start in its own demo scene: this is not a scene of MatchRegions"),
+        ("TWO", r"Mine.score must return a number in \[0, 1\], and returned 2.0"),
+        ("TEXT", r"Mine.score must return a number in \[0, 1\], and returned 'all'"),
+        ("NO_RULES", r"Mine.score failed: TypeError: .*takes 2 positional arguments but 3 were given"),
+        ("YES", "Mine.check must raise InvalidSceneError or return None, not True"),
+        ("WRONG_ERROR", r"cannot be played: ZeroDivisionError: division by zero \(.*mine_.*, line \d+\)"),
+        ("PURPLE", r"Block.colour is 'purple'; it must be one of .* \(.*mine_.*, line \d+\)"),
+        ("CHANCE", "Mine-Colour draws different scenes for one seed: its rules must use no random numbers except"),
+        ("NO_SCENE", "Mine.colour must return a magical_mj.Scene, not None"),
+        ("MOVED", "no episode of Mine can start in the scene of Colour that seed 0 draws: block 0 and block 1 overlap"),
+        ("STUCK", "cannot be played: found no room for Robot.*let nothing stick out into a region in which its centre"),
+    ],
+)
+def test_tasks_that_cannot_be_played_are_refused(mine: str, name: str, message: str) -> None:
+    sample_scene(f"{mine}:GOOD", "Demo", 0)
+    with pytest.raises(TaskError, match=message):
+        sample_scene(f"{mine}:{name}", "Demo", 0)
+
+
+def test_later_scores_and_scenes_of_ones_own_are_checked_too(mine: str) -> None:
+    env = load(f"{mine}:LATER", observations=(), seed=0)
+    env.reset()
+    assert env.score() == 0.0
+    env.step(2)
+    with pytest.raises(TaskError, match=r"Mine.score must return a number in \[0, 1\], and returned 2.0"):
+        env.score()
+    with pytest.raises(
+        TaskError, match=r"no episode of Mine can start in the scene of Colour that seed \d+ draws: this"
+    ):
+        [sample_scene(f"{mine}:RARELY", "Colour", seed) for seed in range(100)]
+
+
+def test_errors_in_the_code_of_ones_own_task_say_where(mine: str) -> None:
+    """Also in code that runs later than the checks of a task."""
+    where = r"ZeroDivisionError: .* \(.*mine_.*\.py, line \d+\)$"
+    env = load(f"{mine}:FAILS", observations=(), seed=0)
+    env.reset()
+    env.step(2)
+    with pytest.raises(TaskError, match=f"^Mine.score failed: {where}"):
+        env.score()
+    spec = task_spec(f"{mine}:NO_PLAN")
+    for now in (spec.demo, spec.demo.moved(robot=(0.0, 0.0, 0.0))):  # in the generator, and in the function
+        with pytest.raises(TaskError, match=f"^Mine.plan failed: {where}"):
+            spec.subgoals(spec.demo, now, Noise(np.random.default_rng(0), 0.0))
+    with pytest.raises(TaskError, match=rf"^Mine-Colour cannot be drawn from seed \d+: {where}"):
+        [sample_scene(f"{mine}:ERRS", "Colour", seed) for seed in range(100)]
+
+
+def test_a_scene_that_does_not_fit_the_state_vector_ends_no_episode(mine: str) -> None:
+    env = gymnasium.make(env_id(f"{mine}:CROWDED", "CountPlus", "State"))
+    seeds = [seed for seed in range(8) if len(sample_scene(f"{mine}:CROWDED", "CountPlus", seed).blocks) > 10]
+    assert 0 < len(seeds) < 8
+    env.reset(seed=min(set(range(8)) - set(seeds)))
+    env.step(1)
+    with pytest.raises(InvalidSceneError, match="the state vector holds 10 blocks"):
+        env.reset(seed=seeds[0])
+    env.step(1)
+
+
+@pytest.mark.parametrize("name", ["NAN", "SOLID", "NUMBER"])
+def test_targets_that_are_no_points_are_refused(mine: str, name: str) -> None:
+    spec = task_spec(f"{mine}:{name}")
+    with pytest.raises(TaskError, match=r"targets are points \(x, y\), and Mine.plan returned Subgoal"):
+        spec.subgoals(spec.demo, spec.demo, Noise(np.random.default_rng(0), 0.0))
+
+
+def test_rounding_makes_no_score_invalid(mine: str) -> None:
+    scene = sample_scene(f"{mine}:ROUNDED", "Demo", 0)
+    assert 0.05 + 0.55 + 0.3 + 0.1 > 1
+    assert score(f"{mine}:ROUNDED", scene, scene) == 1
+
+
+@pytest.mark.parametrize(("name", "returned"), [("NOWHERE", "None"), ("PAIRS", r"\(0, "), ("BEYOND", "Subgoal")])
+def test_plans_of_ones_own_are_checked(mine: str, name: str, returned: str) -> None:
+    spec = task_spec(f"{mine}:{name}")
+    with pytest.raises(
+        TaskError, match=rf"Mine.plan must return Subgoals of .* blocks 0 to \d, and returned {returned}"
+    ):
+        spec.subgoals(spec.demo, spec.demo, Noise(np.random.default_rng(0), 0.0))
+
+
+def test_a_task_that_was_edited_and_reloaded_is_the_new_one(mine: str) -> None:
+    good = f"{mine}:GOOD"
+    assert load(good).horizon == task_spec("MatchRegions").steps
+    file = Path(f"{mine}.py")
+    file.write_text(MINE.replace('name="Mine"', 'name="Mine", steps=17'))
+    gymnasium.make(env_id(good)).close()
+    importlib.reload(sys.modules[mine])
+    assert load(good).horizon == 17
+    spec = gymnasium.make(env_id(good)).spec
+    assert spec is not None
+    assert spec.max_episode_steps == 17
+    file.write_text(MINE.replace('name="Mine"', 'name="Mine", score=lambda initial, final, rules: 2.0'))
+    importlib.reload(sys.modules[mine])
+    with pytest.raises(TaskError, match=r"and returned 2\.0"):
+        load(good)
+
+
+def test_a_robot_that_belongs_in_a_region_stays_there(mine: str) -> None:
+    for variant in ("Jitter", "Layout", "All"):
+        for seed in range(5):
+            scene = sample_scene(f"{mine}:INSIDE", variant, seed)
+            assert scene.regions[0].contains(scene.robot)
+
+
+@pytest.mark.parametrize(
+    ("task", "message"),
+    [
+        ("no_such_module:SPEC", "cannot be imported: No module named 'no_such_module'"),
+        ("magical_mj.tasks:NONE", "cannot be imported: .*there is no 'NONE' in magical_mj.tasks"),
+        ("magical_mj.tasks.find_dupe", "unknown task 'magical_mj.tasks.find_dupe'.*package.module:SPEC"),
+        ("a b:SPEC", "unknown task 'a b:SPEC'"),
+        (["FindDupe"], r"unknown task \['FindDupe'\]"),
+        (None, "unknown task None"),
+        ("x" * 10_000, r"unknown task 'x{79}\.\.\."),
+        pytest.param(10**5000, "unknown task a value of type int", id="many digits"),
+    ],
+)
+def test_what_is_no_task_is_refused(task: Any, message: str) -> None:
+    with pytest.raises(UnknownNameError, match=message):
+        task_spec(task)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"name": "Find-Dupe"}, "must be made of letters and digits, not 'Find-Dupe'"),
+        ({"demo": None}, "FindDupe.demo must be a Scene, not None"),
+        ({"steps": 0}, "must be an integer above 0, not 0"),
+        ({"released_steps": 1.5}, "must be an integer above 0, not 1.5"),
+        ({"region_size": (0.0, 0.0)}, "region_size must be the least and greatest side"),
+        ({"region_size": (0.8, 0.5)}, r"region_size must be the least and greatest side .*, not \(0.8, 0.5\)"),
+        ({"region_size": 0.5}, "region_size must be the least and greatest side"),
+        ({"region_size": (0.5, 0.7)}, r"region_size is \(0.5, 0.7\); the sides in its demo must be within: 0.67, 0.72"),
+        ({"layout": False}, "FindDupe.count needs layouts, which place the blocks that it adds"),
+        ({"inner_margin": 0.25}, "inner_margin must be 0, or less than half of the least side"),
+        ({"layout": "no"}, "FindDupe.layout must be a bool, not 'no'"),
+        ({"score": None}, "FindDupe.score must be a function"),
+        ({"plan": "drive"}, "FindDupe.plan must be a function, or None"),
+    ],
+)
+def test_specs_are_checked(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(TaskError, match=message):
+        replace(task_spec("FindDupe"), **changes)
+
+
+@pytest.mark.parametrize("names", [5, None, ",", [""]])
+def test_lists_that_name_nothing(names: Any) -> None:
+    with pytest.raises(SettingsError, match="give at least one of MoveToCorner"):
+        environments(names)

@@ -1,0 +1,144 @@
+"""Files are written as a whole or not at all, and never replaced unasked."""
+
+from __future__ import annotations
+
+import errno
+import multiprocessing
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from magical_mj.utils import files
+
+
+@pytest.mark.parametrize("data", ["äö\n", b"\x00\xff", ""])
+def test_what_is_written_is_there(tmp_path: Path, data: str | bytes) -> None:
+    files.write(tmp_path / "a.txt", data)
+    assert (tmp_path / "a.txt").read_bytes() == (data.encode() if isinstance(data, str) else data)
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.txt"]
+
+
+def test_nothing_is_replaced_unasked(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    files.write(path, "one")
+    with pytest.raises(FileExistsError, match="exists already") as caught:
+        files.write(path, "two")
+    assert caught.value.filename == str(path)
+    assert path.read_text() == "one"
+    files.write(path, "two", overwrite=True)
+    assert path.read_text() == "two"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_that_appears_meanwhile_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+
+    def slowly() -> None:
+        with files.new_file(path) as beside:
+            beside.write_text("mine")
+            path.write_text("theirs")
+
+    with pytest.raises(FileExistsError):
+        slowly()
+    assert path.read_text() == "theirs"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_program_that_fails_leaves_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "a.mp4"
+    path.write_bytes(b"before")
+
+    def fail() -> None:
+        with files.new_file(path, overwrite=True) as beside:
+            assert beside.suffix == ".mp4"
+            beside.write_bytes(b"half")
+            raise ValueError("no")
+
+    with pytest.raises(ValueError, match="no"):
+        fail()
+    assert path.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_errors_name_the_file(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="nowhere") as caught:
+        files.write(tmp_path / "nowhere" / "a.txt", "x")
+    assert caught.value.filename == str(tmp_path / "nowhere" / "a.txt")
+
+
+def test_a_link_leads_to_the_new_content(tmp_path: Path) -> None:
+    """Whoever put a large file elsewhere wants it to stay there."""
+    (tmp_path / "large").mkdir()
+    (tmp_path / "large" / "file").write_text("old")
+    (tmp_path / "link").symlink_to(tmp_path / "large" / "file")
+    files.write(tmp_path / "link", "new", overwrite=True)
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "large" / "file").read_text() == "new"
+    with pytest.raises(FileExistsError):
+        files.write(tmp_path / "link", "newer")
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_folder_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overwrite: bool) -> None:
+    monkeypatch.chdir(tmp_path)
+    for folder in (".", "..", tmp_path):
+        with pytest.raises(IsADirectoryError, match="is a folder"):
+            files.write(folder, "x", overwrite=overwrite)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_names_the_file_and_leaves_nothing(tmp_path: Path) -> None:
+    """A process that may write no more than 1 kB, as if the disk were full."""
+    program = (
+        "import resource, signal, sys\n"
+        "from magical_mj import files\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+        "try:\n"
+        "    files.write(sys.argv[1], b'x' * 10_000, overwrite=True)\n"
+        "except OSError as error:\n"
+        "    print(error.errno, error.filename)\n"
+    )
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"before")
+    command = [sys.executable, "-c", program, str(path)]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert result.stdout == f"{errno.EFBIG} {path}\n"
+    assert path.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="looks for processes in /proc")
+def test_what_a_killed_process_left_goes_with_the_next_attempt(tmp_path: Path) -> None:
+    program = (
+        "import os, signal, sys\n"
+        "from magical_mj import files\n"
+        "with files.new_file(sys.argv[1]) as beside:\n"
+        "    beside.write_text('half')\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    path = tmp_path / "a[1].txt"
+    assert subprocess.run([sys.executable, "-c", program, str(path)], check=False).returncode == -9
+    assert [other.name for other in tmp_path.iterdir()] != []
+    files.write(path, "whole")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_lock_is_for_one_at_a_time_and_ends_with_its_context(tmp_path: Path) -> None:
+    """Although a child that was forked meanwhile lives on, and holds the same descriptor."""
+    (tmp_path / "a.txt").write_text("text")
+    busy = ValueError("busy")
+    for path in (tmp_path, tmp_path / "a.txt"):
+        child = multiprocessing.get_context("fork").Process(target=time.sleep, args=(60,), daemon=True)
+        with files.locked(path):
+            child.start()
+            with pytest.raises(ValueError, match="busy"), files.locked(path, busy=busy):
+                pytest.fail("two are in it")
+        with files.locked(path, busy=busy):
+            assert child.is_alive()
+        child.kill()
+        child.join()
+    assert (tmp_path / "a.txt").read_text() == "text"

@@ -1,0 +1,160 @@
+"""What every sampled scene must be, over all 60 environments, and what is refused."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magical_mj.scene import Dynamics, Scene
+from magical_mj.scene import constants as c
+from magical_mj.scene.geometry import check_scene, inside_walls, region_solid, solids, touch
+from magical_mj.tasks.registry import (
+    ENVIRONMENTS,
+    TASKS,
+    VARIANTS,
+    environment_axes,
+    sample_scene,
+    task_spec,
+    variant_name,
+)
+from magical_mj.utils.errors import InvalidSeedError, PlacementError, UnknownNameError
+from magical_mj.variants import vary
+
+TABLE = """
+MoveToCorner    Demo Jitter -      Colour Shape -         Dynamics All
+MoveToRegion    Demo Jitter Layout Colour -     -         Dynamics All
+MatchRegions    Demo Jitter Layout Colour Shape CountPlus Dynamics All
+MakeLine        Demo Jitter Layout Colour Shape CountPlus Dynamics All
+FindDupe        Demo Jitter Layout Colour Shape CountPlus Dynamics All
+FixColour       Demo Jitter Layout Colour Shape CountPlus Dynamics All
+ClusterColour   Demo Jitter Layout Colour Shape CountPlus Dynamics All
+ClusterShape    Demo Jitter Layout Colour Shape CountPlus Dynamics All
+"""
+"""The paper's table of what exists; here, and nowhere else, it is written out by hand."""
+
+
+def scenes(task: str, variant: str, number: int) -> list[Scene]:
+    return [sample_scene(task, variant, seed) for seed in range(number)]
+
+
+def test_the_first_environments_are_those_of_the_paper() -> None:
+    rows = [line.split() for line in TABLE.strip().splitlines()]
+    pairs = [(row[0], variant) for row in rows for variant in row[1:] if variant != "-"]
+    assert [row[0] for row in rows] == list(TASKS[: len(rows)])
+    assert pairs == list(ENVIRONMENTS[: len(pairs)])
+    assert len(pairs) == 60
+
+
+@pytest.mark.parametrize(("task", "variant"), ENVIRONMENTS)
+def test_every_scene_is_legal_and_of_its_task(task: str, variant: str) -> None:
+    """Inside the walls, nothing touching; only blocks that belong in a region touch one, and just that one."""
+    demo = task_spec(task).demo
+    belong = any(region.contains(block) for region in demo.regions for block in demo.blocks)
+    for scene in scenes(task, variant, 30):
+        check_scene(scene)
+        task_spec(task).check(scene)
+        bodies = solids(scene)
+        regions = [region_solid(region) for region in scene.regions]
+        assert all(inside_walls(solid) for solid in [*bodies.values(), *regions])
+        everything = list(bodies.items())
+        for index, (name, solid) in enumerate(everything):
+            assert not any(touch(solid, other) for _, other in everything[:index]), name
+        for number, area in enumerate(regions):
+            guests = {f"block {i}" for i, b in enumerate(scene.blocks) if scene.regions[number].contains(b)}
+            assert not any(touch(area, other) for other in regions[:number])
+            assert not any(touch(area, solid) for name, solid in everything if name not in guests)
+            assert bool(guests) == belong
+        assert scene.robot.fingers == (c.FINGER_OPEN, -c.FINGER_OPEN)
+
+
+def _aspects(scene: Scene) -> dict[str, object]:
+    """The scene taken apart by what an axis may change."""
+    return {
+        "poses": (scene.robot.pose, [b.pose for b in scene.blocks], [replace(r, colour="red") for r in scene.regions]),
+        "colour": ([b.colour for b in scene.blocks], [r.colour for r in scene.regions]),
+        "shape": [b.shape for b in scene.blocks],
+        "count": (len(scene.blocks), len(scene.regions)),
+        "dynamics": scene.dynamics,
+    }
+
+
+@pytest.mark.parametrize(("task", "variant"), ENVIRONMENTS)
+def test_a_variant_changes_what_it_declares_and_nothing_else(task: str, variant: str) -> None:
+    axes: set[str] = set(environment_axes(task, variant))
+    if axes & {"jitter", "layout"}:
+        axes = axes - {"jitter", "layout"} | {"poses"}
+    demo = _aspects(sample_scene(task, "Demo", 0))
+    found = [_aspects(scene) for scene in scenes(task, variant, 12)]
+    changed = {aspect for aspect in demo for scene in found if scene[aspect] != demo[aspect]}
+    assert changed == axes
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_each_axis_has_random_numbers_of_its_own(task: str) -> None:
+    """So the scene of All is that of the parts: a draw added to one axis never moves another."""
+    for seed in range(5):
+        everything = sample_scene(task, "All", seed)
+        assert everything.dynamics == sample_scene(task, "Dynamics", seed).dynamics
+        if (task, "CountPlus") in ENVIRONMENTS:
+            assert replace(everything, dynamics=Dynamics()) == sample_scene(task, "CountPlus", seed)
+    if task == "MoveToRegion":
+        everything, coloured, laid_out = (sample_scene(task, name, 7) for name in ("All", "Colour", "Layout"))
+        assert everything.regions[0] == replace(laid_out.regions[0], colour=coloured.regions[0].colour)
+        assert everything.robot == laid_out.robot
+
+
+def test_scenes_are_the_same_in_another_process() -> None:
+    code = (
+        "from magical_mj.tasks.registry import ENVIRONMENTS, sample_scene\n"
+        "import sys\n"
+        "for pair in ENVIRONMENTS: sys.stdout.write(sample_scene(*pair, 11).to_json() + '\\n')"
+    )
+    environment = {**os.environ, "PYTHONHASHSEED": "12345"}
+    run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert run.stdout.splitlines() == [sample_scene(*pair, 11).to_json() for pair in ENVIRONMENTS]
+
+
+def test_seeds_may_have_any_size_and_integer_type() -> None:
+    assert sample_scene("MakeLine", "All", np.uint8(7)) == sample_scene("MakeLine", "All", 7)  # type: ignore[arg-type]
+    big = [2**32, 2**64, 10**40, 10**40 + 1]
+    assert len({sample_scene("MakeLine", "All", seed) for seed in [0, 1, *big]}) == 6
+
+
+@pytest.mark.parametrize("seed", [-1, 1.0, "7", None, True, [1]])
+@pytest.mark.parametrize("variant", ["Demo", "All"])
+def test_other_seeds_are_refused(seed: Any, variant: str) -> None:
+    with pytest.raises(InvalidSeedError, match="is not a seed: seeds are integers from 0"):
+        sample_scene("MakeLine", variant, seed)
+
+
+def test_variants_go_by_their_names_in_the_ids_too() -> None:
+    assert [variant_name(f"Test{name}") for name in VARIANTS[1:]] == list(VARIANTS[1:])
+    assert sample_scene("FindDupe", "TestAll", 3) == sample_scene("FindDupe", "All", 3)
+
+
+@pytest.mark.parametrize(
+    ("task", "variant", "message"),
+    [
+        ("FindDup", "All", r"unknown task 'FindDup'\. Did you mean 'FindDupe'\?"),
+        ("FindDupe", "Jiter", r"unknown variant 'Jiter'\. Did you mean 'Jitter'\? There are: Demo, Jitter, Layout"),
+        ("FindDupe", "TestDemo", r"unknown variant 'TestDemo'\. Did you mean 'Demo'\?"),
+        ("FindDupe", None, "unknown variant None"),
+        ("MoveToRegion", "Shape", "no variant 'Shape', for its shape cannot vary. It has: Demo, Jitter, Layout, Col"),
+        ("MoveToCorner", "TestCountPlus", "no variant 'CountPlus', for its layout and count cannot vary. It has: Demo"),
+    ],
+)
+def test_what_does_not_exist_is_refused_with_what_does(task: str, variant: Any, message: str) -> None:
+    with pytest.raises(UnknownNameError, match=message):
+        sample_scene(task, variant, 0)
+
+
+def test_a_placement_that_cannot_be_gives_up_and_names_remedies() -> None:
+    crowded = replace(task_spec("FixColour"), region_size=(0.4, 1.9))
+    with pytest.raises(PlacementError, match=r"found no room for GoalRegion.*Use fewer blocks, fewer or smaller reg"):
+        vary(crowded, "Layout", 0)

@@ -1,0 +1,285 @@
+"""What the page is told, and the server behind it: real processes, real sockets."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError
+from urllib.request import urlopen
+
+import pytest
+
+import magical_mj
+from magical_mj import demos
+from magical_mj.assets.world import world_mjcf
+from magical_mj.cli import main
+from magical_mj.demos.recording import Recorder
+from magical_mj.policies.interface import actions_of
+from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.web import PAGE
+from magical_mj.web.catalogue import catalogue, scene_data, sections
+from magical_mj.web.collection import Collection
+from magical_mj.web.scenes import environment_scenes, with_models
+
+websockets = pytest.importorskip("websockets")
+
+from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
+from websockets.sync.client import ClientConnection, connect  # noqa: E402
+
+from magical_mj.web.server import PlayServer  # noqa: E402
+
+
+@pytest.fixture(autouse=True)
+def _no_proxy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The user's proxy does not know this machine's servers."""
+    monkeypatch.setenv("no_proxy", "127.0.0.1,localhost,::1")
+
+
+def test_the_page_is_told_of_every_task_in_words_and_with_a_solved_example() -> None:
+    told = json.loads(json.dumps(catalogue(magical_mj.ENVIRONMENTS, "browser")))
+    assert set(told["tasks"]) == set(magical_mj.TASKS)
+    for task, facts in told["tasks"].items():
+        solved = magical_mj.Scene.from_json(json.dumps(facts["solved"]))
+        assert magical_mj.score(task, magical_mj.sample_scene(task, "Demo", 0), solved) == 1.0
+        assert facts["goal"].endswith(".")
+
+
+@pytest.mark.parametrize("task", magical_mj.TASKS)
+def test_every_task_says_the_same_things_of_itself(task: str) -> None:
+    found = sections(task)
+    assert {"Summary", "Goal", "What varies", "Score", "Differences from the original"} <= set(found)
+    assert all(found.values())
+
+
+def test_outlines_have_their_sizes_and_layers() -> None:
+    look = catalogue(magical_mj.ENVIRONMENTS[:1], "browser")["look"]
+    square = look["blocks"]["square"][0][0]
+    assert max(square) == pytest.approx(magical_mj.scene.constants.SQUARE_SIDE / 2, abs=1e-6)
+    assert [layer["part"] for layer in look["robot"]][-1] != "left_finger"  # the body hides the fingers' roots
+    assert {layer["part"] for layer in look["robot"]} >= {"left_finger", "right_finger"}
+    assert set(look["blocks"]) == set(magical_mj.scene.constants.SHAPES)
+    assert len(look["arena"]) == 2  # what lies beyond the walls, and the line between
+    assert all(len(layers) == 2 for layers in look["blocks"].values())
+
+
+def test_models_come_back_whole() -> None:
+    data = environment_scenes("FindDupe", "All")
+    scenes = [magical_mj.sample_scene("FindDupe", "All", entry["seed"]) for entry in data["scenes"]]
+    models = [world_mjcf(scene) for scene in scenes]
+    packed = with_models(data, models)
+    for scene, entry, model in zip(scenes, packed["scenes"], models, strict=True):
+        assert entry["scene"] == scene_data(scene)
+        assert "".join(packed["elements"][number] for number in entry["mjcf"]) == model
+    assert len(json.dumps(packed)) < sum(map(len, models)) / 2
+
+
+@pytest.mark.parametrize("task", magical_mj.TASKS)
+def test_the_expert_that_is_watched_solves_every_variant(task: str) -> None:
+    for number, variant in enumerate(magical_mj.VARIANTS):
+        if (task, variant) in magical_mj.ENVIRONMENTS:
+            entries = environment_scenes(task, variant)["scenes"]
+            assert len(entries) == (1 if variant == "Demo" else 20)
+            entry = entries[number % len(entries)]
+            env = magical_mj.load(task, variant, seed=entry["seed"], observations=())
+            env.reset()
+            for action in actions_of(entry["expert"]):
+                env.step(action)
+            assert env.score() == 1.0, (task, variant)
+            env.close()
+
+
+def recording(task: str, variant: str, seed: int, actions: list[int]) -> dict[str, Any]:
+    return {"format": 1, "protocol": PROTOCOL, "task": task, "variant": variant, "seed": seed, "actions": actions}
+
+
+def test_a_collection_asks_for_what_it_has_least_of(tmp_path: Path) -> None:
+    pairs = [("MoveToRegion", "Demo"), ("MoveToRegion", "Layout")]
+    collection = Collection(tmp_path, pairs, wanted=1)
+    asked = [collection.next(), collection.next(), collection.next()]
+    assert [(one["variant"], one["seed"]) for one in asked if one] == [("Demo", 0), ("Layout", 0), ("Demo", 1)]
+    me = collection.participant("../../somewhere")
+    assert re.fullmatch("[0-9a-f]{16}", me)
+    assert collection.participant(me) == me
+    collection = Collection(tmp_path, pairs, wanted=2)
+    for _ in range(2):  # as if the first answer was lost
+        collection.keep(json.dumps(recording(*pairs[0], 0, [0] * 40)), me)
+    assert (collection.next() or {})["variant"] == "Demo"
+    collection = Collection(tmp_path, pairs, wanted=1)
+    assert (collection.next() or {})["variant"] == "Layout"
+    collection.keep(json.dumps(recording(*pairs[1], 0, [1] * 40)), me)
+    assert collection.next() is None
+    again = Collection(tmp_path, pairs, wanted=1)
+    assert again.next() is None  # what was kept counts after a restart
+    assert len(again.token()) > 20
+    assert again.token() == collection.token()
+    for damaged in (b"", b"\xff\xfe", b"a/b"):
+        (tmp_path / "token").write_bytes(damaged)
+        with pytest.raises(magical_mj.utils.errors.SettingsError, match="delete it"):
+            again.token()
+    with pytest.raises(magical_mj.utils.errors.DemonstrationError, match="not collected"):
+        collection.keep(json.dumps(recording("MoveToRegion", "Jitter", 0, [0] * 40)), me)
+    assert len(list(tmp_path.rglob("*.npz"))) == 2
+
+
+def test_a_collection_asks_for_scenes_that_it_has_not(tmp_path: Path) -> None:
+    """Those that were given up are asked for again after a restart, and no others."""
+    pair = "MoveToRegion", "Demo"
+    collection = Collection(tmp_path, [pair])
+    assert [(collection.next() or {})["seed"] for _ in range(3)] == [0, 1, 2]
+    collection.keep(json.dumps(recording(*pair, 2, [0] * 40)), collection.participant(None))
+    again = Collection(tmp_path, [pair])
+    assert [(again.next() or {})["seed"] for _ in range(3)] == [0, 1, 3]
+    (tmp_path / "0123456789abcdef").mkdir()
+    (tmp_path / "0123456789abcdef" / "MoveToRegion-Demo-human-000.npz").touch()
+    with pytest.raises(magical_mj.utils.errors.DemonstrationError, match="damaged"):
+        Collection(tmp_path, [pair])
+
+
+@pytest.mark.parametrize(
+    ("host", "port", "origin", "start"),
+    [
+        ("127.0.0.1", 8008, None, "http://127.0.0.1:8008"),
+        ("127.0.0.1", 80, None, "http://127.0.0.1"),
+        ("0.0.0.0", 8080, None, "http://localhost:8080"),
+        ("::1", 8008, None, "http://[::1]:8008"),
+        ("::1", 80, None, "http://[::1]"),
+        ("::1", 8008, "https://study.example.org:443", "https://study.example.org"),
+        ("::1", 8008, "http://study.example.org:80", "http://study.example.org"),
+        ("::1", 8008, "https://study.example.org:80", "https://study.example.org:80"),
+    ],
+)
+def test_addresses_are_written_as_browsers_do(host: str, port: int, origin: str | None, start: str) -> None:
+    assert PlayServer(magical_mj.ENVIRONMENTS[:1], host, port, "secret", origin).address == f"{start}/secret/"
+
+
+def test_an_ipv6_address_is_played_at() -> None:
+    def visit(address: str) -> Any:
+        with sit(address) as seat:
+            return ask(seat, {"dance": 1})
+
+    async def play() -> Any:
+        server = PlayServer(magical_mj.ENVIRONMENTS[:1], "::1", 0)
+        async with await server.start():
+            return await asyncio.to_thread(visit, server.address)
+
+    try:
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError:
+        pytest.skip("there is no IPv6 here")
+    assert "error" in asyncio.run(play())
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ([], "give TASK"),
+        (["--web", "--tasks", "Tetris"], "Tetris"),
+        (["--web", "--wanted", "3"], "--wanted needs --collect"),
+        (["FindDupe", "--web", "--tasks", "MakeLine"], "not among"),
+        (["FindDupe", "--web", "--seed", str(2**53)], "seeds in a browser are at most 9007199254740991"),
+        (["FindDupe", "--web", "--collect", "study"], "the server chooses what is played"),
+        (["--web", "--seed", "5"], "--seed has an effect only with TASK"),
+        (["--web", "--origin", "https://[bad"], "such as https://study.example.org"),
+        (["--web", "--port", "99999"], "port"),
+    ],
+)
+def test_wrong_options_are_said(options: list[str], complaint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["play", *options]) == 2
+    assert complaint in capsys.readouterr().err
+
+
+def test_a_host_that_cannot_be_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["play", "--web", "--host", "127..0.0.1"]) == 1
+    assert "give another --host" in capsys.readouterr().err
+
+
+def test_a_taken_port_is_said_with_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        assert main(["play", "--web", "--port", str(taken.getsockname()[1])]) == 1
+    error = capsys.readouterr().err
+    assert "cannot listen there" in error
+    assert "--port 0" in error
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str, Path]]:
+    """The process, the page's address and the folder in which it collects."""
+    command = [sys.executable, "-m", "magical_mj", "play", "--web", "--port", "0", "--tasks", "MoveToRegion,FindDupe"]
+    folder = tmp_path / "collected"
+    with subprocess.Popen([*command, "--collect", str(folder)], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        yield process, process.stdout.readline().strip(), folder
+        process.kill()
+
+
+def sit(address: str, origin: str | None = None) -> ClientConnection:
+    own = address.rsplit("/", 2)[0]
+    return connect(f"{address.replace('http', 'ws', 1)}socket", origin=own if origin is None else origin)
+
+
+def ask(seat: ClientConnection, message: Any) -> Any:
+    seat.send(json.dumps(message))
+    return json.loads(seat.recv())
+
+
+def test_an_episode_at_the_server_is_pythons_and_outlives_a_kill(server: tuple[Any, str, Path]) -> None:
+    process, address, folder = server
+    with urlopen(address, timeout=60) as reply:
+        assert reply.read() == (PAGE / "index.html").read_bytes()
+    env = magical_mj.load("MoveToRegion", "All", seed=7, observations=())
+    env.reset()
+    recorder, actions = Recorder(env), [1, 4, 7, 10] * 10
+    with sit(address) as seat:
+        arrived = ask(seat, {"arrive": None})
+        opened = ask(seat, {"open": {"task": "MoveToRegion", "variant": "All", "seed": 7}})
+        assert opened["scene"] == scene_data(env.scene)
+        for action in actions:
+            recorder.step(action)
+            poses = ask(seat, {"act": action})["poses"]
+        assert poses["robot"] == list(env.scene.robot.pose)
+        mine = {**recording("MoveToRegion", "All", 7, actions), "final": poses}
+        wrong = {**mine, "final": {**poses, "robot": [0.0, 0.0, 0.0]}}
+        assert "away from what was played" in ask(seat, {"keep": wrong})["error"]
+        assert ask(seat, {"keep": mine})["score"] == env.score()
+        with sit(address) as other:
+            assert ask(other, {"return": arrived["participant"]}) == {"participant": arrived["participant"]}
+            assert ask(other, {"keep": mine})["score"] == env.score(), "the same episode, which counts once"
+        process.send_signal(signal.SIGKILL)
+    process.wait()
+    (path,) = folder.rglob("*.npz")
+    assert path.parent.name == arrived["participant"]
+    kept = demos.read(path)
+    assert (kept.scene_seed, kept.demonstrator, kept.score) == (7, "human", env.score())
+    assert demos.verify(kept).exact
+    env.close()
+
+
+def test_strangers_are_refused(server: tuple[Any, str, Path]) -> None:
+    _, address, folder = server
+    for wrong in (address[:-2] + "/", address[:-1], address.rsplit("/", 2)[0] + "/", f"{address}../pyproject.toml"):
+        with pytest.raises(HTTPError, match=r"40[34]"):
+            urlopen(wrong, timeout=60)
+    for origin in ("http://evil.example", "null"):
+        with pytest.raises(InvalidStatus, match="403"):
+            sit(address, origin)
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(f"{address.replace('http', 'ws', 1)}socket")  # without an origin
+    with pytest.raises(InvalidStatus, match="403"):
+        sit(address[:-3] + "xx/", address.rsplit("/", 2)[0])
+    with sit(address) as seat:
+        elsewhere = {"open": {"task": "MakeLine", "variant": "Demo", "seed": 0}}
+        for message in ("act", {"act": 0}, {"act": 99}, elsewhere, {"dance": 1}):
+            assert "error" in ask(seat, message)
+        assert "arrive" in ask(seat, {"keep": {}})["error"]
+        seat.send("x" * 200_000)
+        with pytest.raises(ConnectionClosed):
+            seat.recv()
+    assert [path.name for path in folder.iterdir()] == ["token"]
