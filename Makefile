@@ -1,23 +1,40 @@
-# `make demo` and `make test` work on a bare machine with Python 3.11 to 3.13: they create .venv and install what is
+# `make demo` and `make test` work on a bare machine with Python 3.11 or newer: they create .venv and install what is
 # missing, in the versions of constraints.txt. For another Python than the first one found:
 # `make PYTHON=python3.13 VENV=.venv-3.13 test`.
 # `make demo` needs no torch. `make test` and `make check` do: on Linux, point PIP_EXTRA_INDEX_URL to PyTorch's index of
 # CPU builds to be spared the CUDA packages.
 
-SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))
-PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3 python; do \
+SUPPORTED := import sys; sys.exit(sys.version_info < (3, 11))
+PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3.14 python3 python; do \
 	$$p -c '$(SUPPORTED)' 2>/dev/null && echo $$p && break; done)
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints system site site-test site-picture node chromium xvfb
+.PHONY: demo test fast bench mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints system site site-test site-picture node chromium xvfb
 
 demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
 
 test: $(VENV)/.installed-dev  ## run all tests; ARGS="-k scene" selects some
 	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadgroup $(ARGS)
+
+fast: $(VENV)/.installed-dev  ## the tests that take under a minute: no processes, no training
+	$(BIN)/python -m pytest -n auto --maxprocesses 8 -m "not slow" tests/scene tests/variants tests/tasks tests/engine $(ARGS)
+
+bench: $(VENV)/.installed-dev  ## measure speed
+	$(BIN)/python -m benchmarks $(ARGS)
+
+mujoco4-test: .venv-mujoco4/.installed  ## the shipped demonstrations and the scores under MuJoCo 4, in an environment of its own
+	.venv-mujoco4/bin/python -m pytest -n auto tests/demos/test_shipped.py tests/tasks tests/envs $(ARGS)
+
+.venv-mujoco4/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv-mujoco4
+	grep -v '^mujoco\b\|^mujoco-warp\|^dm_control' constraints.txt > .venv-mujoco4/constraints.txt
+	.venv-mujoco4/bin/python -m pip install --quiet --constraint .venv-mujoco4/constraints.txt 'mujoco>=4,<5' cloudpickle filelock \
+		gymnasium msgspec numba numpy pillow rich shapely typer pytest pytest-xdist
+	.venv-mujoco4/bin/python -m pip install --quiet --no-deps --editable .
+	@touch $@
 
 leaderboard: $(VENV)/.installed-dev  ## check the entries in results/ and make the leaderboard in out/leaderboard
 	$(BIN)/magical-mj leaderboard results --out out/leaderboard
@@ -81,7 +98,7 @@ $(LEROBOT)/.installed: pyproject.toml
 	@$(or $(LEROBOT_PYTHON),false) -c 'import sys; sys.exit(not (3, 12) <= sys.version_info < (3, 14))' || { \
 		echo "lerobot 0.6 needs Python 3.12 or 3.13; give LEROBOT_PYTHON=/path/to/python3.12" >&2; exit 1; }
 	$(LEROBOT_PYTHON) -m venv $(LEROBOT)
-	$(LEROBOT)/bin/python -m pip install --quiet --editable '.[cli,eval]' 'lerobot[dataset,training,evaluation,diffusion]==0.6.1' pytest pytest-xdist
+	$(LEROBOT)/bin/python -m pip install --quiet --editable '.[eval]' 'lerobot[dataset,training,evaluation,diffusion]==0.6.1' pytest pytest-xdist
 	@touch $@
 
 constraints:  ## write constraints.txt: the newest versions that a fresh environment gets today
@@ -94,7 +111,6 @@ constraints:  ## write constraints.txt: the newest versions that a fresh environ
 $(VENV)/.installed-%: pyproject.toml constraints.txt magical_mj/_version.py $(BIN)/python | system
 	@echo "installing magical-mj[$*] into $(VENV) ..."
 	@$(INSTALL) --editable '.[$*]'
-	@$(BIN)/python -c "import dm_control" 2>/dev/null || $(INSTALL) --no-deps dm_control  # Python 3.13: see pyproject.toml
 	@touch $@ $(VENV)/.installed-all
 
 $(BIN)/python: | system
@@ -105,5 +121,5 @@ node chromium xvfb:
 
 system:
 	@$(or $(PYTHON),false) -c '$(SUPPORTED)' || { \
-		echo "magical-mj needs Python 3.11 to 3.13; call make with PYTHON=/path/to/python3.11" >&2; exit 1; }
+		echo "magical-mj needs Python 3.11 or newer; call make with PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@tools/system.sh $(PYTHON)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
-
-EXTRA = ("typer", "rich")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -14,9 +11,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from magical_mj.cli.app import run
     except KeyboardInterrupt:  # while the command's modules are loaded; importing the package came before
         return 130
-    except ModuleNotFoundError as error:
-        if error.name not in EXTRA:
-            raise
-        sys.stderr.write('magical-mj: the command line needs its extra: pip install "magical-mj[cli]"\n')
-        return 1
     return run(arguments)
