@@ -107,7 +107,8 @@ def test_entry_point() -> None:
 def test_import_needs_no_extra_and_no_opengl() -> None:
     code = (
         "import sys, magical_mj; from magical_mj.utils.extras import MODULES; "
-        "late = {'typer', 'rich', 'numba', 'msgspec', 'imageio_ffmpeg', 'pygame', 'websockets', 'minari', 'h5py', 'lerobot', 'OpenGL'}; "
+        "late = {'typer', 'rich', 'numba', 'msgspec', 'imageio_ffmpeg', 'pygame', 'websockets', 'minari', 'h5py'}; "
+        "late |= {'lerobot', 'OpenGL', 'dm_control', 'dm_env'}; "
         "print(*(late.union(*MODULES.values()) & sys.modules.keys()))"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
