@@ -14,10 +14,10 @@ from typing import Any, Final
 from magical_mj.scene import Scene
 from magical_mj.scene.geometry import check_scene
 from magical_mj.tasks import RULES, SPECS, TaskSpec
-from magical_mj.tasks.spec import is_task_name
 from magical_mj.utils.errors import InvalidSceneError, MagicalError, TaskError, UnknownNameError, shown
 from magical_mj.utils.imports import is_reference, place, resolve, source_of, with_place
 from magical_mj.variants import variants_of, vary
+from magical_mj.variants.rules import is_task_name
 
 GROUP: Final = "magical_mj.tasks"
 """The entry-point group in which installed packages announce tasks, such as ``PushOut = "push_out:SPEC"``."""

@@ -20,8 +20,8 @@ import numpy as np
 from magical_mj.scene import Block, GoalRegion, Pose, Robot, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.geometry import Solid, block_solid, inside_walls, region_solid, robot_solid, solids, touch
-from magical_mj.tasks.spec import TaskSpec
 from magical_mj.utils.errors import PlacementError
+from magical_mj.variants.rules import VariationRules
 
 MAX_TRIES: Final = 10_000
 """The number of draws for one thing before placement starts over."""
@@ -50,14 +50,14 @@ Boxes = Callable[[Pose, GoalRegion | None], Box]
 """From a thing's old pose and the region it belongs in (already placed; or None) to the box its pose is drawn from."""
 
 
-def jitter(spec: TaskSpec, scene: Scene, rng: np.random.Generator) -> Scene:
+def jitter(rules: VariationRules, scene: Scene, rng: np.random.Generator) -> Scene:
     """The scene with small random changes of all poses and of the regions' sizes.
 
     Raises:
         PlacementError: if no legal placement was found.
     """
     step = c.JITTER_REGION_SIZE
-    low, high = spec.region_size
+    low, high = rules.region_size
     regions = []
     for region in scene.regions:  # resized with the left and top edge fixed, as in the original
         height = min(max(region.height + _between(rng, -step, step), low), high)
@@ -66,7 +66,7 @@ def jitter(spec: TaskSpec, scene: Scene, rng: np.random.Generator) -> Scene:
     return _place(scene, regions, _around, rng)
 
 
-def layout(spec: TaskSpec, scene: Scene, rng: np.random.Generator) -> Scene:
+def layout(rules: VariationRules, scene: Scene, rng: np.random.Generator) -> Scene:
     """The scene with new poses in the whole workspace and new sizes of the regions.
 
     Raises:
@@ -74,13 +74,13 @@ def layout(spec: TaskSpec, scene: Scene, rng: np.random.Generator) -> Scene:
     """
     regions = []
     for region in scene.regions:
-        height, width = _between(rng, *spec.region_size), _between(rng, *spec.region_size)
+        height, width = _between(rng, *rules.region_size), _between(rng, *rules.region_size)
         regions.append(replace(region, x_max=region.x_min + width, y_max=region.y_min + height))
 
     def anywhere(_: Pose, home: GoalRegion | None) -> Box:
         if home is None:
             return WORKSPACE
-        (x, y), half = home.centre, min(home.height, home.width) / 2 - spec.inner_margin
+        (x, y), half = home.centre, min(home.height, home.width) / 2 - rules.inner_margin
         return Box((x - half, y - half, -math.pi), (x + half, y + half, math.pi))
 
     return _place(scene, regions, anywhere, rng)

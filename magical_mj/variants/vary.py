@@ -4,22 +4,33 @@ from __future__ import annotations
 
 import operator
 import zlib
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 
-from magical_mj.scene import Scene
-from magical_mj.tasks.spec import TaskSpec
+from magical_mj.scene import Dynamics, Scene
 from magical_mj.utils.errors import InvalidSeedError, PlacementError, TaskError, shown
-from magical_mj.variants.axes import AXES, Axis, varied_axes
-from magical_mj.variants.dynamics import draw_dynamics
 from magical_mj.variants.placement import contact, jitter, layout
+from magical_mj.variants.rules import AXES, Axis, VariationRules, varied_axes
 
 MAX_SHAPE_DRAWS: Final = 1_000
 
+DYNAMICS_RANGES: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
+    {
+        "drive_force": (2.2, 3.5),
+        "turn_torque": (0.7, 1.5),
+        "finger_torque": (2.5, 4.5),
+        "block_friction_force": (1.0, 1.8),
+        "block_friction_torque": (0.07, 0.15),
+    }
+)
+"""Force or torque cap -> the range from which it is drawn, independently and uniformly, as in the released code."""
 
-def vary(spec: TaskSpec, variant: str, seed: int) -> Scene:
+
+def vary(rules: VariationRules, variant: str, seed: int) -> Scene:
     """The scene in which `variant` of the task starts, for a seed of any size.
 
     Each axis has its own random generator, so that adding a draw to one axis never changes another. Dynamics are
@@ -32,49 +43,54 @@ def vary(spec: TaskSpec, variant: str, seed: int) -> Scene:
         TaskError: if a rule of the task does not return a scene.
     """
     seed = check_seed(seed)
-    rngs = {axis: _generator(spec.name, axis, seed) for axis in varied_axes(spec, variant)}
-    scene = spec.demo
+    rngs = {axis: _generator(rules.name, axis, seed) for axis in varied_axes(rules, variant)}
+    scene = rules.demo
     dynamics = draw_dynamics(rngs["dynamics"]) if "dynamics" in rngs else None
     if dynamics is not None:
         scene = replace(scene, dynamics=dynamics)
     if "count" in rngs:
-        scene = _draw(spec, "count", rngs["count"], scene)
+        scene = _draw(rules, "count", rngs["count"], scene)
     if "colour" in rngs:
-        scene = _draw(spec, "colour", rngs["colour"], scene)
+        scene = _draw(rules, "colour", rngs["colour"], scene)
     if "shape" in rngs:
         draw_shapes = _draw if "jitter" in rngs or "layout" in rngs else _draw_until_it_fits
-        scene = draw_shapes(spec, "shape", rngs["shape"], scene)
-    if dynamics is not None and scene.dynamics == spec.demo.dynamics:
+        scene = draw_shapes(rules, "shape", rngs["shape"], scene)
+    if dynamics is not None and scene.dynamics == rules.demo.dynamics:
         scene = replace(scene, dynamics=dynamics)  # of a scene that a rule made anew, instead of changing the given one
     if "jitter" in rngs:
-        scene = jitter(spec, scene, rngs["jitter"])
+        scene = jitter(rules, scene, rngs["jitter"])
     if "layout" in rngs:
-        scene = layout(spec, scene, rngs["layout"])
+        scene = layout(rules, scene, rngs["layout"])
     return scene
 
 
-def _draw(spec: TaskSpec, axis: Axis, rng: np.random.Generator, scene: Scene) -> Scene:
+def draw_dynamics(rng: np.random.Generator) -> Dynamics:
+    """Five independent uniform draws; the values for blocks hold for all blocks."""
+    return Dynamics(**{name: low + (high - low) * rng.random() for name, (low, high) in DYNAMICS_RANGES.items()})
+
+
+def _draw(rules: VariationRules, axis: Axis, rng: np.random.Generator, scene: Scene) -> Scene:
     """The scene with what the task's rule for this axis draws."""
-    drawn: Any = getattr(spec, axis)(rng, scene)
+    drawn: Any = getattr(rules, axis)(rng, scene)
     if not isinstance(drawn, Scene):
-        raise TaskError(f"{spec.name}.{axis} must return a magical_mj.Scene, not {shown(drawn)}")
+        raise TaskError(f"{rules.name}.{axis} must return a magical_mj.Scene, not {shown(drawn)}")
     return drawn
 
 
-def _draw_until_it_fits(spec: TaskSpec, axis: Axis, rng: np.random.Generator, scene: Scene) -> Scene:
+def _draw_until_it_fits(rules: VariationRules, axis: Axis, rng: np.random.Generator, scene: Scene) -> Scene:
     """The scene with shapes drawn by the rule, repeatedly until all fit at the blocks' poses.
 
     If poses stay as in the demo, some shapes would overlap a neighbour or a wall: in ClusterColour, two
     stars side by side do. So the shapes are uniform over those that fit.
     """
-    found: str | None = None
+    touching: str | None = None
     for _ in range(MAX_SHAPE_DRAWS):
-        drawn = _draw(spec, axis, rng, scene)
-        found = contact(drawn)
-        if found is None:
+        drawn = _draw(rules, axis, rng, scene)
+        touching = contact(drawn)
+        if touching is None:
             return drawn
     raise PlacementError(
-        f"none of {MAX_SHAPE_DRAWS} draws of shapes fits the poses of the demo scene; in the last, {found}. "
+        f"none of {MAX_SHAPE_DRAWS} draws of shapes fits the poses of the demo scene; in the last, {touching}. "
         "Move these further apart in it"
     )
 

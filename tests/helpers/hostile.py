@@ -18,7 +18,7 @@ from magical_mj.assets.world import World, world_mjcf
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.geometry import block_outline
-from magical_mj.variants.dynamics import draw_dynamics
+from magical_mj.variants.vary import draw_dynamics
 
 STEPS = 100
 KINDS = ("random", "corner", "spin", "steady")

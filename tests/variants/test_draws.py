@@ -14,7 +14,7 @@ from magical_mj.scene import Dynamics, Pose, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, environment_axes, sample_scene, task_spec
-from magical_mj.variants.dynamics import RANGES
+from magical_mj.variants.vary import DYNAMICS_RANGES
 
 SIZE_SLACK = 1e-12
 """Of the rounding of a region's edges."""
@@ -83,7 +83,7 @@ def test_layout_places_inner_blocks_around_the_regions_centre(task: str, margin:
 
 def test_dynamics_are_uniform_in_their_ranges() -> None:
     found = [scene.dynamics for scene in scenes("MakeLine", "Dynamics", 500)]
-    for name, (low, high) in RANGES.items():
+    for name, (low, high) in DYNAMICS_RANGES.items():
         values = np.array([getattr(dynamics, name) for dynamics in found])
         assert low <= values.min() < low + 0.02 * (high - low)
         assert high - 0.02 * (high - low) < values.max() <= high
