@@ -41,6 +41,8 @@ import magical_mj
 LIMIT: Final = 570  # seconds for one part
 ROOT: Final = Path(__file__).parent.parent
 COMMAND: Final = [sys.executable, "-m", "magical_mj"]
+FROM_HERE: Final = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))}
+"""The environment in which `benchmarks` is found from any folder."""
 FIDELITY: Final = [sys.executable, str(ROOT / "research" / "batched_fidelity.py")]
 
 
@@ -99,7 +101,7 @@ def parts(device: str, out: Path, amounts: Amounts) -> Mapping[str, list[str]]:
     for task in amounts.tasks:
         for variant, preset in product(amounts.variants, amounts.presets):
             chosen = ["--tasks", task, "--variants", variant, "--presets", preset, "--num-envs", amounts.worlds]
-            made[f"speed-{task}-{variant}-{preset}"] = [*COMMAND, "bench", "--batched", *on, *chosen]
+            made[f"speed-{task}-{variant}-{preset}"] = [sys.executable, "-m", "benchmarks", "--batched", *on, *chosen]
     where = ["--tasks", "MoveToRegion", "--preset", "LoRes4E"]
     for name, settings in amounts.trainings.items():
         run, scores = str(out / name), str(out / f"{name}-scores")
@@ -114,7 +116,7 @@ def run(command: list[str], done: Path) -> str:
     """Runs the command of a part; in a word or two, how it ended. What it printed is in `done` if it succeeded."""
     partial = done.with_suffix(".partial")
     with partial.open("w") as file:
-        process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, process_group=0)
+        process = subprocess.Popen(command, stdout=file, stderr=subprocess.STDOUT, process_group=0, env=FROM_HERE)
         try:
             code = process.wait(LIMIT)
         except subprocess.TimeoutExpired:

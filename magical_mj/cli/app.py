@@ -12,7 +12,7 @@ from typing import Annotated, Final
 import typer
 
 import magical_mj
-from magical_mj.cli import bench, demo, demo_exports, demos, doctor, environments, evaluate, leaderboard, play, results
+from magical_mj.cli import demo, demo_exports, demos, doctor, environments, evaluate, leaderboard, play, results
 from magical_mj.cli.console import complain
 from magical_mj.cli.doctor import NO_DM_CONTROL
 from magical_mj.utils.errors import MagicalError
@@ -39,7 +39,6 @@ demos.app.command("export")(demo_exports.export)
 app.add_typer(demos.app, name="demos")
 app.command("play")(play.play)
 app.command("export")(environments.export)
-app.command("bench")(bench.bench)
 app.command("doctor")(doctor.doctor)
 app.command("demo")(demo.demo)
 for plugin in entry_points(group="magical_mj.commands"):  # commands of the learners, and of other packages

@@ -1,4 +1,4 @@
-"""What `bench --batched` counts and expects; how fast batched worlds are is printed by the benchmark itself."""
+"""What `python -m benchmarks --batched` counts and expects, not how fast anything is."""
 
 from __future__ import annotations
 
@@ -7,12 +7,19 @@ import torch
 import warp as wp
 
 import magical_mj
+from benchmarks.__main__ import _batched_lines
+from benchmarks.batched import (
+    Accelerator,
+    BatchedMeasurement,
+    Kernel,
+    Work,
+    by_part,
+    newton_operations,
+    recorded_launches,
+    step_seconds,
+)
 from magical_mj.batched.pictures import Painter
 from magical_mj.batched.scenes import Capacity, SceneArrays
-from magical_mj.cli.bench import _batched_lines
-from magical_mj.speed.batched import BatchedMeasurement
-from magical_mj.speed.launches import Kernel, by_part, recorded_launches
-from magical_mj.speed.roofline import Accelerator, Work, newton_operations, step_seconds
 
 pytestmark = [pytest.mark.xdist_group("warp"), pytest.mark.filterwarnings("default")]
 

@@ -21,7 +21,6 @@ from tests.helpers.commands import COMMANDS, process
         ("rollout FindDupe Co", ["Colour", "CountPlus"]),
         ("evaluate --tasks FindDupe,ClusterS", ["FindDupe,ClusterShape"]),
         ("demos info --variants Demo,Dy", ["Demo,Dynamics"]),
-        ("bench --presets LoRes4", ["LoRes4E", "LoRes4A"]),
         ("demos ve", ["verify"]),
     ],
 )

@@ -1,4 +1,7 @@
-"""`magical-mj bench`: the speed of the environments on this machine, compared with a bare MuJoCo loop."""
+"""`python -m benchmarks`: the speed of the environments on this machine, compared with a bare MuJoCo loop.
+
+From the checkout's folder. Single environments are measured in processor time, batched worlds in wall time.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,6 @@ import json
 import platform
 import pstats
 import re
-import resource
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
@@ -23,12 +25,13 @@ from magical_mj.cli.progress import with_bar
 from magical_mj.envs.presets import PRESETS, preset_named
 from magical_mj.rendering.backend import check_opengl
 from magical_mj.tasks.registry import environments, listed
+from magical_mj.utils.errors import MagicalError
 from magical_mj.utils.extras import check_extra
 from magical_mj.utils.parallel import cores
 
 if TYPE_CHECKING:
-    from magical_mj.speed.batched import BatchedMeasurement
-    from magical_mj.speed.measure import Cause, Measurement
+    from benchmarks.batched import BatchedMeasurement
+    from benchmarks.single import Cause, Measurement
 
 PROFILED: Final = 30  # functions shown
 HEAD: Final = (
@@ -36,7 +39,7 @@ HEAD: Final = (
     "Preset",
     "steps/s",
     "bare loop",
-    "ratio",
+    "share",
     "reset, same structure",
     "reset, new structure",
 )
@@ -49,7 +52,7 @@ Presets = Annotated[str, typer.Option(help="Presets, separated by commas; or all
 Steps = Annotated[
     int, typer.Option(min=1, help="Least number of steps in each environment; whole episodes are played.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON, times in seconds.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON, times in seconds of processor time.")]
 Markdown = Annotated[bool, typer.Option("--markdown", help="Print a Markdown table.")]
 Batched = Annotated[bool, typer.Option("--batched", help="Measure batched worlds instead (extra gpu).")]
 NumEnvs = Annotated[str, typer.Option(help="With --batched: numbers of worlds, separated by commas.")]
@@ -70,7 +73,7 @@ def bench(
     num_envs: NumEnvs = WORLDS,
     device: Device = "cuda",
 ) -> None:
-    """Measure steps per second including resets, the bare MuJoCo loop for comparison, and the time of resets."""
+    """Measure steps per second of processor time, with resets, beside the bare MuJoCo loop; and the time of resets."""
     if as_json + markdown + profile > 1:
         raise typer.BadParameter("give one of --json, --markdown and --profile.")
     check_fits(context, batched, "with --batched", "num_envs", "device")
@@ -104,8 +107,8 @@ def _counts(text: str) -> list[int]:
 def _print_batched(chosen: Sequence[tuple[str, str, str]], counts: Sequence[int], device: str, profile: bool) -> None:
     """Prints some lines for each environment and number of worlds as soon as it is measured."""
     check_extra("batched worlds", "gpu")
+    from benchmarks.batched import measure_batched, single_rate
     from magical_mj.batched.physics import check_device
-    from magical_mj.speed.batched import measure_batched, single_rate
 
     check_device(device)
     screen = console()
@@ -119,7 +122,7 @@ def _print_batched(chosen: Sequence[tuple[str, str, str]], counts: Sequence[int]
 
 def _batched_lines(made: BatchedMeasurement, single: float, profile: bool) -> Iterator[str]:
     """What was measured; the launches by part, or with `profile` by kernel."""
-    from magical_mj.speed.launches import by_part
+    from benchmarks.batched import by_part
 
     times = [1000 * seconds for seconds in (made.physics_seconds, made.observation_seconds, made.reset_seconds)]
     yield f"{made.task} {made.variant}, {made.preset}, {made.worlds} worlds: {made.rate:,.0f} steps/s"
@@ -140,8 +143,7 @@ def _batched_lines(made: BatchedMeasurement, single: float, profile: bool) -> It
 
 def _measure(chosen: Sequence[tuple[str, str, str]], steps: int) -> tuple[list[Measurement], float | None]:
     """Measures one environment after another, alternating with gym-pusht; shows progress on standard error."""
-    from magical_mj.speed.measure import measure
-    from magical_mj.speed.yardstick import Yardstick
+    from benchmarks.single import Yardstick, measure
 
     screen, yardstick, measurements = Output(stderr=True), Yardstick(), []
     if yardstick.problem is not None:
@@ -171,7 +173,7 @@ def rows(measurements: Sequence[Measurement]) -> list[tuple[str, ...]]:
             made.preset or "none",
             f"{made.rate:,.0f}",
             f"{made.bare_rate:,.0f}",
-            f"{made.ratio:.0%}",
+            f"{made.share:.0%}",
             *(_milliseconds(made, cause) for cause in CAUSES),
         )
         for made in measurements
@@ -192,8 +194,10 @@ def markdown_table(measurements: Sequence[Measurement], yardstick: float | None)
 
 def summary(yardstick: float | None) -> str:
     """The machine, the memory of this process, and the speed of gym-pusht."""
-    here = machine()
-    text = f"{here['cpu']}, {here['cores']} cores; {here['opengl']}; at most {memory():.0f} MB"
+    here, peak = machine(), memory()
+    text = f"{here['cpu']}, {here['cores']} cores; {here['opengl']}"
+    if peak is not None:
+        text += f"; at most {peak:.0f} MB"
     return text if yardstick is None else f"{text}; gym-pusht's pixels: {yardstick:,.0f} steps/s"
 
 
@@ -216,7 +220,7 @@ def _entry(made: Measurement) -> Mapping[str, Any]:
         }
         for cause in CAUSES
     }
-    names = ("task", "variant", "preset", "steps", "rate", "bare_rate", "ratio")
+    names = ("task", "variant", "preset", "steps", "rate", "bare_rate", "share")
     return {name: getattr(made, name) for name in names} | {"resets": resets}
 
 
@@ -236,7 +240,31 @@ def machine() -> dict[str, str | int]:
     }
 
 
-def memory() -> float:
-    """The peak memory of this process, in MB."""
-    unit = 2**20 if sys.platform == "darwin" else 2**10  # bytes per unit that the system reports
+def memory() -> float | None:
+    """The peak memory of this process, in MB; None where the system does not tell, as Windows."""
+    try:
+        import resource
+    except ModuleNotFoundError:
+        return None
+    unit = 1 if sys.platform == "darwin" else 2**10  # bytes per unit that the system reports
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark and return the exit code; an expected error becomes one line."""
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app.command(context_settings={"help_option_names": ["-h", "--help"]})(bench)
+    try:
+        return app(args=arguments, prog_name="python -m benchmarks", standalone_mode=False) or 0
+    except typer.TyperException as error:
+        complain(error.format_message())
+        return error.exit_code
+    except typer.Abort:
+        return 130
+    except MagicalError as error:
+        complain(str(error))
+        return 2 if isinstance(error, ValueError) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,215 @@
+"""Measures single environments: steps including resets, alternating with a bare MuJoCo loop, and then resets alone.
+
+All times are seconds of this process's processor time, over all its threads, since wall time says more about what else
+the machine does: under load it gave shares of the bare loop between 58 and 100 %, where processor time gives 78 to 89.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing, nullcontext
+from copy import copy
+from dataclasses import dataclass
+from importlib.util import find_spec
+from time import process_time
+from typing import Any, Final, Literal
+
+import gymnasium
+import mujoco
+import numpy as np
+
+from magical_mj.assets.contacts import SUBSTEPS
+from magical_mj.assets.robot import control_signal
+from magical_mj.assets.world import World, world_model
+from magical_mj.envs.gymnasium_env import MagicalEnv
+from magical_mj.envs.presets import Preset, preset_named
+from magical_mj.rendering.canvas import CANVAS
+from magical_mj.rendering.renderer import Renderer, on_white
+from magical_mj.scene import Scene
+from magical_mj.scene.actions import ACTIONS
+
+Cause = Literal["rewritten", "compiled"]
+"""What a reset does: rewrite the numbers of a model with the same structure, or get a model of another structure."""
+
+TURN: Final = 20
+"""The number of steps after which environment and bare loop alternate, so that other load affects both equally."""
+RESETS: Final = 40
+"""Resets that are measured alone."""
+YARDSTICK_STEPS: Final = 100
+"""Of the yardstick at a time, in turn with what is measured."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """The measurement of one environment. Times are processor time, in seconds.
+
+    Attributes:
+        steps: the number of steps, in whole episodes.
+        seconds: the time of these steps and of the resets between them.
+        bare_seconds: the time of the same number of steps of the bare loop.
+        resets: the times of the resets that were measured alone.
+    """
+
+    task: str
+    variant: str
+    preset: str
+    steps: int
+    seconds: float
+    bare_seconds: float
+    resets: Mapping[Cause, list[float]]
+
+    @property
+    def rate(self) -> float:
+        """Steps per second, resets included."""
+        return self.steps / self.seconds
+
+    @property
+    def bare_rate(self) -> float:
+        """Steps per second of the bare loop."""
+        return self.steps / self.bare_seconds
+
+    @property
+    def share(self) -> float:
+        """The rate as a share of the bare loop's."""
+        return self.rate / self.bare_rate
+
+    def reset_quantile(self, cause: Cause, share: float) -> float | None:
+        """The quantile of the times of resets of one cause, in seconds; None if there were none."""
+        return float(np.quantile(self.resets[cause], share)) if self.resets[cause] else None
+
+
+def measure(task: str, variant: str, preset: str, steps: int) -> Measurement:
+    """Plays random episodes in the scenes of seeds 0, 1, 2... until at least `steps` steps are done."""
+    done, seconds, bare_seconds = 0, 0.0, 0.0
+    with closing(MagicalEnv(task, variant, preset)) as env:
+        env.reset(seed=0)  # the first frame starts OpenGL
+        for seed, plan in enumerate(plans(env)):
+            if done >= steps:
+                break
+            taken, bare_taken = _episode(env, seed, plan, preset_named(preset))
+            seconds += taken
+            bare_seconds += bare_taken
+            done += len(plan)
+    return Measurement(task, variant, preset, done, seconds, bare_seconds, _reset_times(task, variant, preset))
+
+
+def _episode(env: MagicalEnv, seed: int, plan: list[int], preset: Preset) -> tuple[float, float]:
+    """Seconds of an episode with its reset, and of its steps in the bare loop.
+
+    The bare loop is made after the first turn, since in normal use nothing happens between a reset and its first steps.
+    """
+
+    def play(actions: list[int]) -> None:
+        for action in actions:
+            env.step(action)
+
+    first, *others = (plan[begin : begin + TURN] for begin in range(0, len(plan), TURN))
+    start = process_time()
+    env.reset(seed=seed)
+    seconds = process_time() - start + _seconds(play, first)
+    with closing(BareLoop(env.dm_env.initial_scene, preset)) as bare:
+        bare_seconds = _seconds(bare.run, first)
+        for actions in others:
+            seconds += _seconds(play, actions)
+            bare_seconds += _seconds(bare.run, actions)
+    return seconds, bare_seconds
+
+
+def _seconds(take: Callable[[list[int]], None], actions: list[int]) -> float:
+    """How long it takes to take these actions."""
+    start = process_time()
+    take(actions)
+    return process_time() - start
+
+
+def plans(env: MagicalEnv) -> Iterator[list[int]]:
+    """Random actions for one episode after another."""
+    rng = np.random.default_rng(0)
+    while True:
+        yield rng.integers(len(ACTIONS), size=env.dm_env.horizon).tolist()
+
+
+def _reset_times(task: str, variant: str, preset: str) -> dict[Cause, list[float]]:
+    """Seconds of each reset, with the first picture, in the scenes of seeds 0, 1, 2..."""
+    times: dict[Cause, list[float]] = {"rewritten": [], "compiled": []}
+    with closing(MagicalEnv(task, variant, preset)) as env:
+        for seed in range(RESETS):
+            before, start = env.dm_env.task.world.structure, process_time()
+            env.reset(seed=seed)
+            taken = process_time() - start
+            times["rewritten" if env.dm_env.task.world.structure == before else "compiled"].append(taken)
+    return times
+
+
+class BareLoop:
+    """Steps the model of a scene, and draws the views of a preset with the same renderer as the environment.
+
+    There are no resets, hooks, checks, scores, stacked frames or wrappers. The averaging of the pixels is included.
+    """
+
+    def __init__(self, scene: Scene, preset: Preset) -> None:
+        world = World(scene)
+        self.model = copy(world_model(world.structure))
+        self.data = mujoco.MjData(self.model)
+        world.rewrite(self.model, self.data)
+        mujoco.mj_resetData(self.model, self.data)  # to the scene
+        self._views = [view for view, _ in preset.frames]
+        self._size = preset.image_size
+        self._renderer = Renderer(self.model)
+        self._canvas = CANVAS if self._views else nullcontext()
+        with self._canvas:
+            self._draw()  # the first picture includes initialisation
+
+    def run(self, actions: Iterable[int]) -> None:
+        """Takes these actions."""
+        with self._canvas:
+            for action in actions:
+                self.data.ctrl[:] = control_signal(action)
+                mujoco.mj_step(self.model, self.data, SUBSTEPS)
+                self._draw()
+
+    def _draw(self) -> None:
+        for view in self._views:
+            on_white(self._renderer.paint(self.data, view, self._size))
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        self._renderer.close()
+
+
+class Yardstick:
+    """Another simulated pushing task with 96 px pictures, gym-pusht, under random actions, resets included.
+
+    Attributes:
+        problem: why it cannot be used though it is installed; None if it can, or is not there.
+    """
+
+    def __init__(self) -> None:
+        self.steps, self.seconds = 0, 0.0
+        self.problem: str | None = None
+        self._env: gymnasium.Env[Any, Any] | None = None
+        self._actions = np.random.default_rng(0)
+        if find_spec("gym_pusht"):
+            try:
+                self._env = gymnasium.make("gym_pusht:gym_pusht/PushT-v0", obs_type="pixels")
+                self._env.reset(seed=0)
+            except Exception as error:  # noqa: BLE001  # whatever is wrong with it, ours can be measured
+                self._env, self.problem = None, f"{type(error).__name__}: {error}"
+
+    def run(self) -> None:
+        """Takes a few more steps."""
+        if self._env is None:
+            return
+        targets = self._actions.uniform(0, 512, (YARDSTICK_STEPS, 2)).astype(np.float32)
+        start = process_time()
+        for target in targets:
+            _, _, terminated, truncated, _ = self._env.step(target)
+            if terminated or truncated:
+                self._env.reset()
+        self.seconds += process_time() - start
+        self.steps += YARDSTICK_STEPS
+
+    @property
+    def rate(self) -> float | None:
+        """Steps per second of processor time; None if it is not installed."""
+        return self.steps / self.seconds if self.steps else None
