@@ -16,6 +16,7 @@ from magical_mj.cli import demo, demo_exports, demos, doctor, environments, eval
 from magical_mj.cli.console import complain
 from magical_mj.cli.doctor import NO_DM_CONTROL
 from magical_mj.utils.errors import MagicalError
+from magical_mj.utils.imports import command_line
 
 CLOSED_PIPE: Final = 141
 """The exit code where the reader of the output has seen enough before the help was printed; as of shells' commands."""
@@ -68,7 +69,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # characters that a terminal cannot show become question marks
     try:
-        return app(args=arguments, prog_name="magical-mj", standalone_mode=False) or 0
+        with command_line(sys.argv[1:] if arguments is None else arguments):
+            return app(args=arguments, prog_name="magical-mj", standalone_mode=False) or 0
     except typer.TyperException as error:
         context = getattr(error, "ctx", None)
         command = context.command_path if context else "magical-mj"

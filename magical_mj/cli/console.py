@@ -54,6 +54,7 @@ Cameras = Annotated[
     str, typer.Option("--camera", help="Views side by side, separated by commas: allo, ego; scene: solid, for people.")
 ]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Worker processes.", show_default="one per core")]
+Trust = Annotated[bool, typer.Option("--trust", help="Use tasks whose code the files name, and run it.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there already.")]
 
 

@@ -10,7 +10,7 @@ import typer
 
 import magical_mj
 from magical_mj.tasks.registry import Pair, environments
-from magical_mj.utils.errors import DemonstrationError, UntrustedTaskError
+from magical_mj.utils.errors import DemonstrationError, UntrustedNameError
 
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
     from magical_mj.demos import Demonstration
@@ -67,12 +67,12 @@ def read_asked(path: Path, wanted: Collection[Pair] | None) -> Demonstration | s
 
     Raises:
         DemonstrationError: if the file is damaged.
-        UntrustedTaskError: if reading it runs the code of a task, and nothing in particular was asked for.
+        UntrustedNameError: if reading it runs the code of a task, and nothing in particular was asked for.
     """
     try:
         demo = magical_mj.demos.read(path, trusted=[task for task, _ in wanted or ()])
-    except UntrustedTaskError as error:
+    except UntrustedNameError as error:
         if wanted is None:
             raise
-        return error.task
+        return error.reference
     return demo if wanted is None or (demo.task, demo.variant) in wanted else demo.name

@@ -30,7 +30,7 @@ from magical_mj.cli.film import film
 from magical_mj.cli.progress import with_bar
 from magical_mj.evaluation.settings import LARGEST_SETTING
 from magical_mj.tasks.registry import Pair, environments, score, task_spec
-from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError
+from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError, UntrustedNameError
 from magical_mj.utils.parallel import map_unordered
 
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
@@ -202,7 +202,7 @@ def check(wanted: Collection[Pair] | None, path: Path) -> tuple[Path, Verdict | 
     try:
         demo = read_asked(path, wanted)
         return path, None if isinstance(demo, str) else magical_mj.demos.verify(demo)
-    except DemonstrationError as error:
+    except (DemonstrationError, UntrustedNameError) as error:
         return path, str(error)
     except MagicalError as error:
         return path, f"{path}: {error}"

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from magical_mj.cli.console import console, make_writable_folder
+from magical_mj.cli.console import Trust, console, make_writable_folder
 from magical_mj.cli.film import film, replay
 from magical_mj.evaluation.reports.compare import choose, compare
 from magical_mj.evaluation.reports.report import begin, extremes, report
@@ -44,8 +44,10 @@ def make_report(
     published: Published = False,
     mixed_presets: Mixed = False,
     videos: Videos = False,
+    trust: Trust = False,
 ) -> None:
     """Write a report of one or several evaluations: tables (Markdown, CSV, LaTeX), figures and videos."""
+    del trust  # see magical_mj.utils.imports.command_line
     if out is None and len(folders) > 1:
         raise typer.BadParameter("several folders have one report: give --out, its folder.")
     screen = console()

@@ -27,8 +27,8 @@ from magical_mj.demos.demonstration import Demonstration
 from magical_mj.scene import Scene
 from magical_mj.tasks.plugins import announced_name
 from magical_mj.utils import files
-from magical_mj.utils.errors import DemonstrationError, MagicalError, UntrustedTaskError
-from magical_mj.utils.imports import is_reference
+from magical_mj.utils.errors import DemonstrationError, MagicalError, UntrustedNameError
+from magical_mj.utils.imports import check_named
 
 FORMAT: Final = 1
 SUFFIX: Final = ".npz"
@@ -87,7 +87,7 @@ def keep(demo: Demonstration, folder: Path | str) -> tuple[Path, bool]:
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
     for path in files_in(folder, _beginning(demo)):
-        with contextlib.suppress(DemonstrationError, OSError):  # a file that cannot be read must not cost this episode
+        with contextlib.suppress(DemonstrationError, UntrustedNameError, OSError):  # this episode is saved anyway
             other = read(path, demo.task)
             if (other.scene_seed, other.actions.tobytes()) == (demo.scene_seed, demo.actions.tobytes()):
                 return path, False
@@ -111,12 +111,12 @@ def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] 
     Args:
         path: the file.
         task: the task that it must be of.
-        trusted: besides that task, references such as "mine:SPEC" whose modules may be imported. Files may be
-            somebody else's, and must not choose which code runs.
+        trusted: besides that task, references such as "mine:SPEC" whose modules may be imported; see
+            `magical_mj.utils.imports`.
 
     Raises:
         DemonstrationError: if it is truncated, altered, of another version or of another task.
-        UntrustedTaskError: if its task is a reference that is not trusted.
+        UntrustedNameError: if its task is a reference that is not trusted.
         OSError: if there is no such file, or it cannot be read.
     """
     parts = _parts(Path(path))
@@ -136,8 +136,8 @@ def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] 
     header["task"] = announced_name(header.get("task"))
     if task is not None and header["task"] != announced_name(task):
         raise DemonstrationError(f"{path} is a demonstration of {header['task']}, not of {task}")
-    if is_reference(header["task"]) and header["task"] not in (task, *trusted):
-        raise UntrustedTaskError(header["task"])
+    if header["task"] not in (task, *trusted):
+        check_named(header["task"], "a demonstration")
     try:
         scene = Scene.from_json(json.dumps(header["scene"]))
         return Demonstration(**{name: header[name] for name in HEADER_FIELDS}, scene=scene, **arrays)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from magical_mj import learners
-from magical_mj.cli.console import check_fits, console
+from magical_mj.cli.console import Trust, check_fits, console
 from magical_mj.learners.method_settings import check_changes, check_used, users, uses
 from magical_mj.learners.watching import Watch, bars, how_to_continue, repeating
 from magical_mj.policies.agents import AGENTS
@@ -52,8 +52,11 @@ Where = Annotated[Backend, typer.Option(help="Where the runs execute: on this ma
 Address = Annotated[str | None, typer.Option(help="Of the cluster, such as tcp://host:8786.", show_default=False)]
 
 
-def experiment(file: File, out: Folder, jobs: Jobs = None, backend: Where = "local", address: Address = None) -> None:
+def experiment(
+    file: File, out: Folder, jobs: Jobs = None, backend: Where = "local", address: Address = None, trust: Trust = False
+) -> None:
     """Train and evaluate methods x tasks x seeds. Called again, it continues."""
+    del trust  # see magical_mj.utils.imports.command_line
     planned = learners.runs(file, out)
     screen, began = console(), time.time()
     watches: dict[str, Watch] = {}

@@ -24,6 +24,7 @@ from magical_mj.learners.settings_file import flattened
 from magical_mj.tasks.registry import TASKS, listed, task_name
 from magical_mj.utils.errors import SettingsError, check_name, shown
 from magical_mj.utils.files import read_toml
+from magical_mj.utils.imports import check_named
 from magical_mj.utils.parallel import check_backend, map_unordered
 
 ENTRIES: Final = {
@@ -52,6 +53,7 @@ def runs(file: Path | str, out: Path | str) -> list[Run]:
 
     Raises:
         SettingsError, UnknownNameError: if the file holds invalid settings.
+        UntrustedNameError: if it names the code of a task that the user has not named.
     """
     file, out = Path(file), Path(out)
     table = read_toml(file)
@@ -69,7 +71,10 @@ def runs(file: Path | str, out: Path | str) -> list[Run]:
         at_most = f"it must look like: episodes = 100, and be at most {LARGEST_SETTING}"
         raise SettingsError(f"{file} gives episodes = {shown(episodes)}; {at_most}")
     evaluation = EVALUATION | evaluation
-    tasks = [task_name(task) for task in listed(table["tasks"], TASKS)]
+    names = listed(table["tasks"], TASKS)
+    for task in names:
+        check_named(task, file)
+    tasks = [task_name(task) for task in names]
     for method in table["methods"]:
         check_name("method", method, METHODS)
     for name, values in (("methods", table["methods"]), ("tasks", tasks), ("seeds", table["seeds"])):

@@ -26,6 +26,7 @@ from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, TrainingError, shown
 from magical_mj.utils.files import read_toml
+from magical_mj.utils.imports import trust
 
 CONFIG: Final = "config.toml"
 CHECKPOINT: Final = "checkpoint.safetensors"
@@ -66,6 +67,7 @@ def check(folder: Path, settings: TrainingSettings, resume: bool) -> None:
         return
     if not resume:
         raise TrainingError(f"{folder} holds a training already; --resume continues it (resume=True)")
+    trust(*settings.tasks)
     check_unchanged(folder, recorded(from_toml(config)), recorded(settings))
     begun = read_toml(config).get(MADE, {})
     for name, number in (("protocol", PROTOCOL), ("demonstrations", DEMONSTRATIONS)):

@@ -13,6 +13,7 @@ from magical_mj.learners.settings import TrainingSettings
 from magical_mj.tasks.registry import TASKS, listed
 from magical_mj.utils.errors import SettingsError
 from magical_mj.utils.files import read_toml
+from magical_mj.utils.imports import check_named
 
 MADE: Final = "made"
 """The table of a config.toml that says when and with what a run was started; no setting."""
@@ -41,6 +42,7 @@ def from_toml(path: Path) -> TrainingSettings:
 
     Raises:
         SettingsError, UnknownNameError: if it is not TOML, or holds invalid settings.
+        UntrustedNameError: if it names the code of a task that the user has not named.
     """
     table = read_toml(path)
     if not isinstance(table.pop(MADE, {}), dict):
@@ -48,6 +50,8 @@ def from_toml(path: Path) -> TrainingSettings:
     if "method" not in table or "tasks" not in table:
         raise SettingsError(f"{path} must give a method and tasks")
     method, tasks = table.pop("method"), tuple(listed(table.pop("tasks"), TASKS))
+    for task in tasks:
+        check_named(task, path)
     return changed(TrainingSettings(method, tasks), flattened(table))
 
 

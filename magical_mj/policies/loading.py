@@ -17,7 +17,7 @@ from magical_mj.policies.agents import AGENTS
 from magical_mj.policies.failures import reason
 from magical_mj.policies.folders import FOLDERS, loader_in
 from magical_mj.policies.models import LOADERS
-from magical_mj.utils.errors import SettingsError, shown, unknown_name
+from magical_mj.utils.errors import SettingsError, UntrustedNameError, shown, unknown_name
 from magical_mj.utils.imports import resolve, source_of
 
 ACCEPTED_POLICIES: Final = (
@@ -169,6 +169,8 @@ def _imported(origin: str) -> Act:
     """The object that ``module:object`` refers to; a class is instantiated."""
     try:
         found = resolve(origin)
+    except UntrustedNameError:
+        raise
     except (Exception, SystemExit) as error:
         raise SettingsError(f"the policy {origin} cannot be imported: {reason(error)}") from error
     if inspect.isclass(found):

@@ -14,8 +14,15 @@ from typing import Any, Final
 from magical_mj.scene import Scene
 from magical_mj.scene.geometry import check_scene
 from magical_mj.tasks import RULES, SPECS, TaskSpec
-from magical_mj.utils.errors import InvalidSceneError, MagicalError, TaskError, UnknownNameError, shown
-from magical_mj.utils.imports import is_reference, place, resolve, source_of, with_place
+from magical_mj.utils.errors import (
+    InvalidSceneError,
+    MagicalError,
+    TaskError,
+    UnknownNameError,
+    UntrustedNameError,
+    shown,
+)
+from magical_mj.utils.imports import is_reference, place, resolve, resolve_installed, source_of, with_place
 from magical_mj.variants import variants_of, vary
 from magical_mj.variants.rules import is_task_name
 
@@ -63,11 +70,14 @@ def load_spec(task: str) -> TaskSpec:
 
     Raises:
         UnknownNameError: if its module or the object in it does not exist.
+        UntrustedNameError: if a file names it, and the command does not.
         TaskError: if its module fails when it is imported, or the object is not a valid task.
     """
     point = announced().get(task)
     try:
-        spec = resolve(task if point is None else _reference(point))
+        spec = resolve(task) if point is None else resolve_installed(_reference(point))
+    except UntrustedNameError:
+        raise
     except ImportError as error:
         raise UnknownNameError(f"the task {shown(task)} cannot be imported: {error}") from error
     except (Exception, SystemExit) as error:

@@ -42,15 +42,20 @@ class DemonstrationError(MagicalError, ValueError):
     """A demonstration that is damaged, of another version or task, or does not fit its world."""
 
 
-class UntrustedTaskError(DemonstrationError):
-    """A demonstration of a task in a module that may not be imported. Its `task` is the reference to that task."""
+class UntrustedNameError(MagicalError, ValueError):
+    """A file names code that its reader has not named: see `magical_mj.utils.imports`.
 
-    def __init__(self, task: str) -> None:
+    Attributes:
+        reference: the name, such as "package.module:SPEC".
+    """
+
+    def __init__(self, reference: str, origin: object) -> None:
         super().__init__(
-            f"demonstrations of {task} are read only if you name that task, since reading them runs its code: "
-            f"if you trust it, add --tasks {task} (in Python, trusted=[...])"
+            f"{origin} names {reference}, and using it runs that module's code: if you trust it, name it in the "
+            f"command (--tasks {reference}; or --trust, for all that the files name), or in Python call "
+            f"magical_mj.utils.imports.trust({reference!r}) before"
         )
-        self.task = task
+        self.reference = reference
 
 
 class StateError(MagicalError, ValueError):

@@ -1,4 +1,18 @@
-"""Users' modules: objects in them as ``"package.module:NAME"``, and the errors that their code raises."""
+"""Users' modules: objects in them as ``"package.module:NAME"``, and the errors that their code raises.
+
+Importing a module runs its code, so a file that may be somebody else's must not choose one. The rule:
+
+- What the user types is imported: arguments of Python functions, and of the command line. `resolve` does it, and looks
+  in the working folder too.
+- What an installed package announces by an entry point is imported, but not from the working folder:
+  `resolve_installed`.
+- A name that is read from a file is text. Whoever reads one that will be resolved calls `check_named` first, which
+  refuses it unless the user has typed the same name, or has called `trust`.
+- On the command line `resolve` itself refuses what is not among its arguments, see `command_line`, so that a name
+  reaches no import there whichever way it takes.
+
+docs/trust.md lists which file may name what.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +20,15 @@ import importlib
 import os
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from sysconfig import get_path
 from traceback import extract_tb
 from typing import Any, Final
 
-from magical_mj.utils.errors import MagicalError, TaskError
+from magical_mj.utils.errors import MagicalError, TaskError, UntrustedNameError
 
 _REFERENCE: Final = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
 _PACKAGE: Final = f"{Path(__file__).parents[1]}{os.sep}"
@@ -25,21 +40,91 @@ def is_reference(text: object) -> bool:
     return isinstance(text, str) and _REFERENCE.fullmatch(text) is not None
 
 
+@dataclass
+class _Trust:
+    """The references that this process may import.
+
+    Attributes:
+        named: those that the user has typed.
+        everything: whether all others may be imported as well.
+        only_named: whether `resolve` refuses all others: on the command line.
+    """
+
+    named: set[str] = field(default_factory=set)
+    everything: bool = False
+    only_named: bool = False
+
+
+_TRUST: Final = _Trust()
+
+
+def trust(*references: str) -> None:
+    """Allows files to name these references, such as ``"package.module:SPEC"``, in this process."""
+    _TRUST.named.update(references)
+
+
+def check_named(reference: object, origin: object) -> None:
+    """Checks a name from a file that may be somebody else's; to be called before it is resolved.
+
+    Args:
+        reference: the name. All but references are accepted: a name that is announced is the benchmark's or installed.
+        origin: the file, for the message.
+
+    Raises:
+        UntrustedNameError: if it is a reference that the user has not named.
+    """
+    if isinstance(reference, str) and is_reference(reference) and not _is_trusted(reference):
+        raise UntrustedNameError(reference, origin)
+
+
+def _is_trusted(reference: str) -> bool:
+    return _TRUST.everything or reference in _TRUST.named
+
+
+@contextmanager
+def command_line(arguments: Iterable[str]) -> Iterator[None]:
+    """A context in which only those references are imported that the arguments of a command hold.
+
+    With ``--trust`` among them, all are.
+    """
+    arguments, before = list(arguments), vars(_TRUST).copy()
+    named = {part for argument in arguments for part in re.split("[,=]", argument) if is_reference(part)}
+    vars(_TRUST).update(named=named, everything="--trust" in arguments, only_named=True)
+    try:
+        yield
+    finally:
+        vars(_TRUST).update(before)
+
+
 def resolve(reference: str) -> Any:
-    """The object that ``"package.module:NAME"`` refers to; modules in the current folder are found too.
+    """The object that ``"package.module:NAME"`` refers to, typed by the user; the working folder is searched too.
+
+    Raises:
+        UntrustedNameError: if it is not among the arguments of the present `command_line`.
+        ImportError: if there is no such module or object. Errors raised by the module itself pass through.
+    """
+    if _TRUST.only_named:
+        check_named(reference, "a file")
+    trust(reference)
+    module = reference.partition(":")[0]
+    if module not in sys.modules and (here := str(Path.cwd())) not in sys.path:
+        sys.path.insert(0, here)  # Python adds it for scripts, but not for installed commands
+    return resolve_installed(reference)
+
+
+def resolve_installed(reference: str) -> Any:
+    """The object that an installed package has announced as ``"package.module:NAME"``.
 
     Raises:
         ImportError: if there is no such module or object. Errors raised by the module itself pass through.
     """
     module, _, name = reference.partition(":")
-    if module not in sys.modules and (here := str(Path.cwd())) not in sys.path:
-        sys.path.insert(0, here)  # Python adds it for scripts, but not for installed commands
-    found: Any = importlib.import_module(module)
+    value: Any = importlib.import_module(module)
     for part in name.split("."):
-        if not hasattr(found, part):
+        if not hasattr(value, part):
             raise ImportError(f"{reference!r} does not exist: there is no {part!r} in {module}")
-        found = getattr(found, part)
-    return found
+        value = getattr(value, part)
+    return value
 
 
 def source_of(reference: str) -> Path | None:
