@@ -11,12 +11,14 @@ from pathlib import Path
 from typing import IO, Annotated, Any
 
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 
 from magical_mj import TASKS, VARIANTS
 from magical_mj.envs.presets import PRESETS
 from magical_mj.evaluation.settings import described
 from magical_mj.tasks.registry import Names, task_spec, variant_name
+from magical_mj.utils.escape import terminal
 
 PLAIN_WIDTH = 120  # columns where the output is a file or a pipe
 
@@ -97,7 +99,15 @@ def check_fits(context: typer.Context, fits: bool, condition: str, *options: str
 
 
 class Output(Console):
-    """A console that goes quiet when the reader of its output is gone: the work behind it goes on to its end."""
+    """A console that goes quiet when the reader of its output is gone: the work behind it goes on to its end.
+
+    Control characters in what it prints, such as names from other people's files, are shown and not obeyed.
+    """
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """As rich's, through which everything passes that is printed."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=terminal(segment.text))
 
     def on_broken_pipe(self) -> None:
         """Send all further output nowhere; rich would end the process."""
@@ -123,7 +133,7 @@ def console() -> Console:
 def complain(message: str) -> None:
     """One line on standard error."""
     try:
-        typer.echo(f"magical-mj: {' '.join(message.split())}", err=True)
+        typer.echo(f"magical-mj: {terminal(' '.join(message.split()))}", err=True)
     except BrokenPipeError:
         silence(sys.stderr)
 

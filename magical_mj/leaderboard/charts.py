@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from html import escape
 from typing import Final
 
 from magical_mj.evaluation.reports.tables import DAGGER
 from magical_mj.leaderboard.sections import label, share
 from magical_mj.leaderboard.standings import OVERALL, THRESHOLDS, Standing
+from magical_mj.utils.escape import html
 
 WIDTH: Final = 910
 NAMES: Final = 310
@@ -51,7 +51,7 @@ def profiles(found: Sequence[Standing]) -> str:
             f"{_x(x)},{(1 - y) * (HEIGHT - ROW):.1f}" for x, y in zip(THRESHOLDS, one.profile, strict=True)
         )
         line = _line(index) if one.kind != "published" else "published"
-        rows += f'<polyline class="{line}" points="{points}"><title>{escape(label(one))}</title></polyline>'
+        rows += f'<polyline class="{line}" points="{points}"><title>{html(label(one))}</title></polyline>'
     lines = [*map(_line, range(len(names))), "published"]
     for index, (name, line) in enumerate(zip([*names, f"methods of the paper{DAGGER}"], lines, strict=True)):
         y = LEGEND * (index + 0.7)
@@ -65,8 +65,8 @@ def _name(name: str, right: float, y: float) -> str:
     """A method's name, shortened if it is long, left of a place."""
     most = int(right / LETTER)
     short = name if len(name) <= most else f"{name[: most - 1]}…"
-    whole = f"<title>{escape(name)}</title>" if short != name else ""
-    return f'<text x="{right}" y="{y:.0f}" text-anchor="end">{escape(short)}{whole}</text>'
+    whole = f"<title>{html(name)}</title>" if short != name else ""
+    return f'<text x="{right}" y="{y:.0f}" text-anchor="end">{html(short)}{whole}</text>'
 
 
 def _line(index: int) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from html import escape
 from importlib.resources import files as resources
 from pathlib import Path
 from typing import Final
@@ -15,6 +14,7 @@ from magical_mj.leaderboard.sections import tables
 from magical_mj.leaderboard.standings import Standing
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError
+from magical_mj.utils.escape import html
 
 TITLE: Final = "MAGICAL on MuJoCo: leaderboard"
 INTRODUCTION: Final = (
@@ -64,18 +64,8 @@ def write_pages(found: Sequence[Standing], out: Path) -> list[Path]:
 def _markdown(made: Sequence[Table]) -> str:
     parts = [BEGINNINGS[MARKDOWN].strip(), INTRODUCTION]
     for table in made:
-        parts += [f"## {HEADINGS[table.name]}", markdown(_escaped(table)).strip()]
+        parts += [f"## {HEADINGS[table.name]}", markdown(table).strip()]
     return "\n\n".join(parts) + "\n"
-
-
-def _escaped(table: Table) -> Table:
-    """The table with HTML and links escaped for Markdown: names and devices are untrusted text."""
-    groups = tuple((heading, tuple(tuple(map(_plain, row)) for row in rows)) for heading, rows in table.groups)
-    return Table(table.name, table.caption, table.header, groups, tuple(map(_plain, table.notes)))
-
-
-def _plain(text: str) -> str:
-    return escape(text, quote=False).replace("](", "]\\(")
 
 
 def _html(found: Sequence[Standing], made: Sequence[Table]) -> str:
@@ -100,16 +90,16 @@ def _section(name: str, heading: str, content: str) -> str:
 
 
 def _table(table: Table) -> str:
-    head = "".join(f"<th>{escape(name)}</th>" for name in table.header)
+    head = "".join(f"<th>{html(name)}</th>" for name in table.header)
     body = ""
     for heading, rows in table.groups:
         if heading:
-            body += f'<tr><th class="group" colspan="{len(table.header)}">{escape(heading)}</th></tr>'
+            body += f'<tr><th class="group" colspan="{len(table.header)}">{html(heading)}</th></tr>'
         for first, *cells in rows:
             shown = "".join(_cell(cell, table.name in SHADED) for cell in cells)
-            body += f"<tr><th>{escape(first)}</th>{shown}</tr>"
-    notes = "".join(f"<li>{escape(note)}</li>" for note in table.notes)
-    caption = escape(table.caption)
+            body += f"<tr><th>{html(first)}</th>{shown}</tr>"
+    notes = "".join(f"<li>{html(note)}</li>" for note in table.notes)
+    caption = html(table.caption)
     return (
         f'<p class="caption">{caption}.</p><div class="wide" tabindex="0" role="region" aria-label="{caption}">'
         f"<table><thead><tr>{head}</tr></thead>"
@@ -121,7 +111,7 @@ def _cell(text: str, shaded: bool) -> str:
     """A table cell. Below a number stand its interval and its share of the environments; its shade shows its size."""
     figure = re.fullmatch(r"(-?\d\.\d\d)( \[[\d., -]+\])?( \(\d+/\d+\))?", text)
     if figure is None:
-        return f"<td>{escape(text)}</td>"
+        return f"<td>{html(text)}</td>"
     share = round(60 * min(1.0, abs(float(figure[1])))) if shaded else 0
     below = "".join(f"<small>{part}</small>" for part in figure.groups()[1:] if part)
     return f'<td class="figure" style="--share: {share}%">{figure[1]}{below}</td>'
@@ -131,7 +121,7 @@ def _cards(found: Sequence[Standing]) -> Iterator[str]:
     for one in found:
         if one.entry is not None:
             entry, card = one.entry, one.entry.card
-            links = " ".join(f'<a href="{escape(link)}">{escape(link)}</a>' for link in card["links"] or ())
+            links = " ".join(f'<a href="{html(link)}">{html(link)}</a>' for link in card["links"] or ())
             facts = {
                 "by": card["authors"],
                 "other data": card["demonstrations"]["other"],
@@ -141,6 +131,6 @@ def _cards(found: Sequence[Standing]) -> Iterator[str]:
                 "magical_mj": ", ".join(entry.versions["version"]),
                 "MuJoCo": ", ".join(entry.versions["mujoco"]),
             }
-            said = "".join(f"<dt>{name}</dt><dd>{escape(str(fact))}</dd>" for name, fact in facts.items() if fact)
-            text = escape(card["description"] or "")
-            yield f"<article><h3>{escape(one.name)}</h3><p>{text} {links}</p><dl>{said}</dl></article>"
+            said = "".join(f"<dt>{name}</dt><dd>{html(fact)}</dd>" for name, fact in facts.items() if fact)
+            text = html(card["description"] or "")
+            yield f"<article><h3>{html(one.name)}</h3><p>{text} {links}</p><dl>{said}</dl></article>"

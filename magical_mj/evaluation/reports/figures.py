@@ -10,6 +10,7 @@ import numpy as np
 from magical_mj.evaluation.reports.results import Results, counted_tasks
 from magical_mj.evaluation.reports.tables import DAGGER, marked, share
 from magical_mj.tasks.registry import ENVIRONMENTS, VARIANTS, in_order
+from magical_mj.utils import escape
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,11 +56,11 @@ def _panel(axes: Axes, results: Results, policy: str) -> Any:
             text, colour = "?" if (tasks[y], VARIANTS[x]) in ENVIRONMENTS else "", "black"
         axes.text(x, y, text, ha="center", va="center", fontsize=8, color=colour)
     axes.set_xticks(range(len(VARIANTS)), VARIANTS, rotation=45, ha="right", rotation_mode="anchor", fontsize=9)
-    axes.set_yticks(range(len(tasks)), tasks, fontsize=9)
+    axes.set_yticks(range(len(tasks)), map(escape.mathtext, tasks), fontsize=9)
     axes.set_facecolor(NO_ENVIRONMENT)
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
-    axes.set_title(_literal(marked(policy, bool(found["published"].any()))), fontsize=11)
+    axes.set_title(escape.mathtext(marked(policy, bool(found["published"].any()))), fontsize=11)
     return image
 
 
@@ -77,11 +78,6 @@ def bars(results: Results) -> Figure:
             figure.legend(*handles, loc="outside upper center", ncols=8, frameon=False, fontsize=9, handlelength=1)
     _explain(figure, results)
     return figure
-
-
-def _literal(name: str) -> str:
-    """A name for matplotlib, which takes what is between dollar signs as a formula."""
-    return name.replace("$", r"\$")
 
 
 def _explain(figure: Figure, results: Results) -> None:
@@ -117,7 +113,7 @@ def _bar_row(axes: Axes, results: Results, policies: list[str], columns: int) ->
         lines: dict[str, Any] = {"fmt": "none", "ecolor": "#444", "elinewidth": 0.8, "capsize": 1.5}
         axes.errorbar(places[known], means[known], ends[:, known], **lines)
     published = set(results.variants[results.variants["published"]]["policy"])
-    names = [_literal(marked(name, name in published)).replace(", ", ",\n") for name in policies]
+    names = [escape.mathtext(marked(name, name in published)).replace(", ", ",\n") for name in policies]
     axes.set_xticks(range(len(policies)), names)
     axes.tick_params(axis="x", length=0)
     axes.set_xlim(-0.55, columns - 0.45)

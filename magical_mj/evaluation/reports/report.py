@@ -14,7 +14,7 @@ from magical_mj.evaluation.reports.figures import bars, heat_map
 from magical_mj.evaluation.reports.results import APPROXIMATE, Results, results
 from magical_mj.evaluation.reports.tables import csv, latex, markdown, result_tables
 from magical_mj.evaluation.scores import Score
-from magical_mj.utils import files
+from magical_mj.utils import escape, files
 from magical_mj.utils.errors import EvaluationError
 from magical_mj.utils.extras import check_extra
 
@@ -106,7 +106,7 @@ def report(
         "![Mean scores](heat_map.png)",
         *map(markdown, tables[2:]),
         "## Files",
-        "\n".join(f"- [{text}]({quote(name)})" for text, name in {**links, **FILES}.items()),
+        "\n".join(f"- {escape.markdown_link(text, quote(name))}" for text, name in {**links, **FILES}.items()),
     ]
     page = out / PAGE
     files.write(page, "\n\n".join(part.strip() for part in parts) + "\n", overwrite=True)
@@ -125,14 +125,16 @@ def report(
 def _settings(found: Results) -> str:
     """What was played, in a paragraph."""
     scores = found.scores
-    presets = ", ".join(f"`{name or 'none'}`" for name in scores["preset"].dropna().unique())
+    presets = ", ".join(escape.markdown_code(name or "none") for name in scores["preset"].dropna().unique())
     count = scores["policy"].nunique()
     methods = "one method" if count == 1 else f"{count} methods"
     facts = [
         f"{len(scores)} episodes of {methods} in {len(scores.groupby(['task', 'variant']))} environments",
-        f"scores by the rules `{scores['rules'].iloc[0]}`",
+        f"scores by the rules {escape.markdown_code(scores['rules'].iloc[0])}",
         f"observations: {presets or 'none needed'}",
-        f"magical_mj {', '.join(scores['version'].unique())}, MuJoCo {', '.join(scores['mujoco'].unique())}",
+        escape.markdown(
+            f"magical_mj {', '.join(scores['version'].unique())}, MuJoCo {', '.join(scores['mujoco'].unique())}"
+        ),
     ]
     return "; ".join(facts) + "."
 

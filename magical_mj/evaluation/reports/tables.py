@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from magical_mj.evaluation.reports.results import Results
 from magical_mj.tasks.registry import ENVIRONMENTS, VARIANTS, in_order
+from magical_mj.utils import escape
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,14 +44,14 @@ class Table:
 
 def markdown(table: Table) -> str:
     """The table in Markdown; headings become rows in bold."""
-    lines = [table.header, ("---", *["---:"] * (len(table.header) - 1))]
+    lines = [tuple(map(escape.markdown, table.header)), ("---", *["---:"] * (len(table.header) - 1))]
     for heading, rows in table.groups:
         if heading:
-            lines.append((f"**{heading}**", *[""] * (len(table.header) - 1)))
-        lines += rows
-    body = "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |" for cells in lines)
-    notes = "\n".join(f"- {note}" for note in table.notes)
-    return "\n\n".join(filter(None, (f"{table.caption}.", body, notes))) + "\n"
+            lines.append((f"**{escape.markdown(heading)}**", *[""] * (len(table.header) - 1)))
+        lines += [tuple(map(escape.markdown, cells)) for cells in rows]
+    body = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+    notes = "\n".join(f"- {escape.markdown(note)}" for note in table.notes)
+    return "\n\n".join(filter(None, (f"{escape.markdown(table.caption)}.", body, notes))) + "\n"
 
 
 def latex(table: Table) -> str:
@@ -71,7 +72,7 @@ def _float(table: Table, groups: Sequence[Group], number: int, last: bool) -> st
         r"  \centering",
         r"  \scriptsize",
         r"  \setlength{\tabcolsep}{3pt}",
-        rf"  \caption{{{_escaped(table.caption)}{'' if number == 1 else ' (continued)'}.}}",
+        rf"  \caption{{{escape.latex(table.caption)}{'' if number == 1 else ' (continued)'}.}}",
         rf"  \label{{tab:{table.name}{'' if number == 1 else f'-{number}'}}}",
         r"  \smallskip",
         r"  \makebox[\linewidth][c]{%",  # a wide table stands out on both sides
@@ -82,28 +83,22 @@ def _float(table: Table, groups: Sequence[Group], number: int, last: bool) -> st
     for heading, rows in groups:
         lines.append(r"    \midrule")
         if heading:
-            lines.append(rf"    \multicolumn{{{columns}}}{{l}}{{\textbf{{{_escaped(heading)}}}}} \\")
+            lines.append(rf"    \multicolumn{{{columns}}}{{l}}{{\textbf{{{escape.latex(heading)}}}}} \\")
         lines += [f"    {_latex_row(row)}" for row in rows]
     lines += [r"    \bottomrule", r"  \end{tabular}}"]
     if last:
-        lines += [rf"  \par\smallskip\parbox{{\linewidth}}{{{_escaped(note)}}}" for note in table.notes]
+        lines += [rf"  \par\smallskip\parbox{{\linewidth}}{{{escape.latex(note)}}}" for note in table.notes]
     return "\n".join([*lines, r"\end{table}"]) + "\n"
 
 
 def csv(frame: pd.DataFrame) -> str:
     """The frame as CSV with a header; numbers have four decimals."""
-    return frame.to_csv(index=False, float_format="%.4f", lineterminator="\n")
+    texts = {name: column.map(escape.csv) for name, column in frame.select_dtypes(["object", "string"]).items()}
+    return frame.assign(**texts).to_csv(index=False, float_format="%.4f", lineterminator="\n")
 
 
 def _latex_row(cells: Sequence[str]) -> str:
-    return " & ".join(_escaped(cell.replace(f" {PLUS_MINUS} ", PLUS_MINUS)) for cell in cells) + r" \\"
-
-
-def _escaped(text: str) -> str:
-    special = {**{mark: f"\\{mark}" for mark in "&%$#_{}"}, "\\": r"\textbackslash{}", "~": r"\textasciitilde{}"}
-    special |= {"^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}"}
-    special |= {PLUS_MINUS: r"$\pm$", NONE: "--", DAGGER: r"\textsuperscript{\textdagger}"}
-    return "".join(special.get(letter, letter) for letter in text)
+    return " & ".join(escape.latex(cell.replace(f" {PLUS_MINUS} ", PLUS_MINUS)) for cell in cells) + r" \\"
 
 
 def result_tables(results: Results) -> list[Table]:

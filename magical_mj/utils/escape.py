@@ -1,0 +1,98 @@
+r"""Untrusted text, such as names and failures from other people's files, in the formats that this package writes.
+
+There is one function for each format. All of them show control characters and what turns the direction of writing
+round by their escapes, such as ``\x1b``: none of these has a place in a name, and terminals and browsers obey them.
+"""
+
+from __future__ import annotations
+
+import html as _html
+import re
+from typing import Final
+
+_CONTROL: Final = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+"""All but tabs and ends of lines; the halves of characters cannot even be encoded."""
+
+_MARKDOWN: Final = re.compile(
+    r"(?P<backslash>\\(?=[!-/:-@\[-`{-~]|$))"
+    r"|(?P<always>[*`|~])"
+    r"|(?P<border>(?<![^\W_])_|_(?![^\W_]))"  # inside a word it has no meaning
+    r"|(?P<link>\](?=[(\[:]))"
+    r"|(?P<block>^(?:#{1,6}|[-+]|\d{1,9}[.)])(?=\s|$))"
+    r"|(?P<entity>&(?=#?\w+;))"
+    r"|(?P<html>[<>])"
+)
+_LATEX: Final = {
+    **{mark: f"\\{mark}" for mark in "&%$#_{}"},
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "±": r"$\pm$",
+    "–": "--",  # noqa: RUF001 a dash is meant
+    "†": r"\textsuperscript{\textdagger}",
+}
+
+
+def terminal(text: str) -> str:
+    """The text for a terminal, which would obey escape sequences."""
+    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+def html(text: object) -> str:
+    """The text of something for HTML, in elements and in quoted attributes."""
+    return _html.escape(terminal(str(text)))
+
+
+def markdown(text: str) -> str:
+    """The text in one line of Markdown (CommonMark, and GitHub's): in a paragraph, an item of a list, or a table."""
+    return _MARKDOWN.sub(_in_markdown, " ".join(terminal(text).split()))
+
+
+def markdown_code(text: str) -> str:
+    """The text as code in Markdown; a name with other signs than letters, digits and ``.-_`` is no code."""
+    return f"`{text}`" if re.fullmatch(r"[\w.-]+", text) else markdown(text)
+
+
+def markdown_link(text: str, target: str) -> str:
+    """A link in Markdown to a target that is quoted already."""
+    inside = re.sub(r"(\\.)|([\[\]])", lambda found: found[1] or f"\\{found[2]}", markdown(text))
+    return f"[{inside}]({target})"
+
+
+def csv(text: str) -> str:
+    """The text as a cell of CSV, in which spreadsheets take what begins with ``=``, ``+``, ``-`` or ``@`` as a formula.
+
+    An apostrophe in front prevents that. Texts of numbers stay as they are. Quotes are left to the writer of the file.
+    """
+    text = terminal(text)
+    if not text.lstrip().startswith(("=", "+", "-", "@")):
+        return text
+    try:
+        float(text)
+    except ValueError:
+        return f"'{text}"
+    return text
+
+
+def latex(text: str) -> str:
+    """The text in LaTeX."""
+    return "".join(_LATEX.get(letter, letter) for letter in terminal(text))
+
+
+def mathtext(text: str) -> str:
+    """The text for matplotlib, which takes what is between dollar signs as a formula."""
+    return terminal(text).replace("$", r"\$")
+
+
+def _in_markdown(found: re.Match[str]) -> str:
+    match found.lastgroup:
+        case "html":
+            return "&lt;" if found[0] == "<" else "&gt;"
+        case "entity":
+            return "&amp;"
+        case "block" if found[0][0].isdigit():  # a list's number is made none at its end
+            return f"{found[0][:-1]}\\{found[0][-1]}"
+        case _:
+            return f"\\{found[0]}"
