@@ -6,13 +6,12 @@ import io
 import sys
 import warnings
 from collections.abc import Sequence
-from importlib.metadata import entry_points
 from typing import Annotated, Final
 
 import typer
 
 import magical_mj
-from magical_mj.cli import demo, demo_exports, demos, doctor, environments, evaluate, leaderboard, play, results
+from magical_mj.cli import demo, demo_exports, demos, doctor, environments, evaluate, leaderboard, play, results, train
 from magical_mj.cli.console import complain
 from magical_mj.cli.doctor import NO_DM_CONTROL
 from magical_mj.utils.errors import MagicalError
@@ -42,11 +41,8 @@ app.command("play")(play.play)
 app.command("export")(environments.export)
 app.command("doctor")(doctor.doctor)
 app.command("demo")(demo.demo)
-for plugin in entry_points(group="magical_mj.commands"):  # commands of the learners, and of other packages
-    try:
-        app.command(plugin.name)(plugin.load())
-    except Exception as error:  # noqa: BLE001 another package's fault must not take all commands away
-        complain(f"the command {plugin.name} ({plugin.value}) cannot be loaded: {type(error).__name__}: {error}")
+app.command("train")(train.train)
+app.command("experiment")(train.experiment)
 
 
 @app.callback(invoke_without_command=True)

@@ -7,14 +7,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import torch
 
 from magical_mj.learners.data import drawn, shipped
 from magical_mj.learners.network import Actor
 from magical_mj.learners.policy import TrainedPolicy, save_policy
-from magical_mj.learners.settings import TrainingSettings
+from magical_mj.learners.settings import ALL_PARTS, TrainingSettings
 from magical_mj.policies.interface import Policy
 from magical_mj.utils.errors import SettingsError
 
@@ -33,6 +33,8 @@ class Method(ABC):
         updates: how many make a training.
     """
 
+    parts: ClassVar[tuple[str, ...]] = ALL_PARTS
+    """The parts of the settings that it uses: only these are written into config.toml, and may be changed."""
     updates: int
 
     def __init__(self, settings: TrainingSettings) -> None:

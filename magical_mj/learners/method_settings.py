@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import fields, is_dataclass, replace
+from importlib.metadata import EntryPoint, entry_points
 from types import MappingProxyType
 from typing import Any, Final, TypeVar, get_type_hints
 
-from magical_mj.learners.settings import STATE, TrainingSettings, fitting
+from magical_mj.learners.settings import ALL_PARTS, STATE, TrainingSettings, fitting
 from magical_mj.tasks.registry import TASKS, listed, task_name
 from magical_mj.utils.errors import SettingsError, check_name
+from magical_mj.utils.imports import with_place
 
 PARTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
@@ -17,10 +19,11 @@ PARTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "gail": ("network", "ppo", "discriminator"),
         "wgail-gp": ("network", "ppo", "discriminator"),
         "al": ("network", "ppo", "features"),
-        "goals": (),
     }
 )
-"""Method -> the parts of the settings that it uses; methods that are not listed may use all parts."""
+"""Method of this package -> the parts of the settings that it uses."""
+GROUP: Final = "magical_mj.methods"
+"""The entry-point group in which installed packages announce methods, such as ``mine = "package.module:Mine"``."""
 _USERS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
         "augment": ("bc", "gail", "wgail-gp"),
@@ -130,6 +133,29 @@ def check_changes(changes: Iterable[str], given: Collection[str]) -> None:
             raise SettingsError(f"{name} is given by itself, and not among the settings that are changed")
 
 
+def announced_methods() -> Mapping[str, EntryPoint]:
+    """The entry points of methods of installed packages, by name."""
+    return MappingProxyType({point.name: point for point in entry_points(group=GROUP) if point.name not in PARTS})
+
+
+def load_method(name: str) -> Any:
+    """The class of an announced method.
+
+    Raises:
+        SettingsError: if its module fails when it is imported, or has no such class.
+    """
+    point = announced_methods()[name]
+    try:
+        return point.load()
+    except Exception as error:
+        raise SettingsError(f"the method {name!r} ({point.value}) cannot be imported: {with_place(error)}") from error
+
+
+def parts_of(method: str) -> tuple[str, ...]:
+    """The parts of the settings that a method uses; one that no package announces may use all of them."""
+    return PARTS.get(method) or (load_method(method).parts if method in announced_methods() else ALL_PARTS)
+
+
 def users(name: str) -> tuple[str, ...]:
     """The methods of this package that use a setting."""
     part, dot, _ = name.partition(".")
@@ -137,8 +163,11 @@ def users(name: str) -> tuple[str, ...]:
 
 
 def uses(method: str, name: str) -> bool:
-    """Whether a method may use a setting; those of a user's own may use all."""
-    return method not in PARTS or method in users(name)
+    """Whether a method may use a setting."""
+    if method in PARTS:
+        return method in users(name)
+    part, dot, _ = name.partition(".")
+    return not dot or part in parts_of(method)
 
 
 def check_used(changes: Mapping[str, Any], methods: Collection[str]) -> None:

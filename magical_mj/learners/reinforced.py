@@ -33,6 +33,7 @@ class RewardLearner(Learner):
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
+        settings.check_reinforcement()  # of whatever method
         self.updates = settings.ppo.total_steps // (settings.ppo.environments * settings.ppo.steps)
         self._expert = Dataset(settings, drop_noop=False)
         self._draw = torch.Generator().manual_seed(settings.seed)

@@ -21,8 +21,8 @@ from magical_mj.learners.adversarial import GAIL, WGAILGP
 from magical_mj.learners.apprenticeship import Apprenticeship
 from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.folder import CHECKPOINT, CONFIG, begin, check, kept_policy, last_checkpoint, misfit, threads
-from magical_mj.learners.goals.method import GoalInference
 from magical_mj.learners.learner import Method, device, threads_for
+from magical_mj.learners.method_settings import announced_methods, load_method
 from magical_mj.learners.metrics import Metrics
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.learners.settings_file import recorded
@@ -31,9 +31,24 @@ from magical_mj.policies.models import torch_threads
 from magical_mj.utils import files
 from magical_mj.utils.errors import TrainingError, check_name
 
-METHODS: Final[Mapping[str, type[Method]]] = MappingProxyType(
-    {"bc": BehaviouralCloning, "gail": GAIL, "wgail-gp": WGAILGP, "al": Apprenticeship, "goals": GoalInference}
-)
+
+class _Methods(Mapping[str, type[Method]]):
+    """The methods of this package, and those that other packages announce, which are imported when asked for."""
+
+    _OWN: Final = MappingProxyType({"bc": BehaviouralCloning, "gail": GAIL, "wgail-gp": WGAILGP, "al": Apprenticeship})
+
+    def __getitem__(self, name: str) -> type[Method]:
+        return self._OWN.get(name) or load_method(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self._OWN, *announced_methods()))
+
+    def __len__(self) -> int:
+        return len(self._OWN) + len(announced_methods())
+
+
+METHODS: Final = _Methods()
+"""Name -> class of every method that `train` knows by name."""
 ROWS: Final = 200
 """Of metrics.csv for a whole training."""
 

@@ -20,6 +20,8 @@ AUGMENT: Final = ("all", "none", "no-trans-rot")
 """The sets of augmentations, of pictures and of states."""
 HEADS: Final = 4
 """Of the attention between blocks and regions, which share the units of `Network.entity`."""
+ALL_PARTS: Final = ("network", "bc", "ppo", "discriminator", "features")
+"""The tables of settings below."""
 SEEDS: Final = 2**63
 """Seeds are below this: half of what PyTorch's generators take, since some of them get a little more than the seed."""
 
@@ -170,18 +172,18 @@ class TrainingSettings:
                 f"learning rates fall: bc.final_learning_rate={self.bc.final_learning_rate} must be at most "
                 f"bc.learning_rate={self.bc.learning_rate}; set both"
             )
-        if self.method in ("bc", "goals") and self.ppo.worlds != "single":
-            raise SettingsError(f"{self.method} learns without playing: worlds are chosen for gail, wgail-gp and al")
-        if self.method not in ("bc", "goals"):
-            self._check_reinforcement()
+        if self.method == "bc" and self.ppo.worlds != "single":
+            raise SettingsError("bc learns without playing: worlds are chosen for gail, wgail-gp and al")
+        if self.method in ("gail", "wgail-gp", "al"):
+            self.check_reinforcement()
 
     @property
     def states(self) -> bool:
         """Whether states are looked at, and not pictures."""
         return self.preset == STATE
 
-    def _check_reinforcement(self) -> None:
-        """Of all methods but BC and goals, whatever the user's own may be: most of them play."""
+    def check_reinforcement(self) -> None:
+        """Raises a `SettingsError` if no method that plays can use the settings of `ppo` together."""
         ppo, tasks = self.ppo, len(self.tasks)
         rollout = ppo.environments * ppo.steps
         if ppo.environments % tasks:

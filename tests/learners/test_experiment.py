@@ -18,7 +18,7 @@ from magical_mj.cli import progress
 from magical_mj.cli.app import run
 from magical_mj.evaluation.reports.published import published_results
 from magical_mj.evaluation.scores import SCORES
-from magical_mj.learners import conduct, runs, watching
+from magical_mj.learners import conduct, runs
 from magical_mj.learners.experiment import agreement
 from magical_mj.learners.metrics import METRICS
 from magical_mj.learners.policy import POLICY
@@ -140,7 +140,7 @@ def test_an_experiment_tells_how_far_its_runs_are(
     """Where there is no terminal, also of runs in other processes, and of evaluations."""
     for name in ("FIRST", "MINUTE"):
         monkeypatch.setattr(progress, name, 0.01)
-    monkeypatch.setattr(watching, "PAUSE", 0.02)
+    monkeypatch.setattr("magical_mj.cli.train.PAUSE", 0.02)
     file = tmp_path / "e.toml"
     file.write_text(EXPERIMENT.replace("seeds = [0, 1]", "seeds = [0]").replace(', "FixColour"', ""))
     assert run(["experiment", str(file), "--out", str(tmp_path / "out"), "--jobs", jobs]) == 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import platform
 import shutil
 from collections.abc import Callable, Mapping
@@ -18,7 +17,6 @@ from safetensors.torch import save_file
 from magical_mj.learners import TrainingSettings, checkpoint, load_policy, train
 from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.folder import CHECKPOINT, CONFIG
-from magical_mj.learners.goals.files import from_json
 from magical_mj.learners.metrics import METRICS
 from magical_mj.learners.policy import POLICY
 from magical_mj.utils.errors import MagicalError, SettingsError, TrainingError
@@ -131,14 +129,6 @@ def test_policies_that_make_no_sense_are_refused(change: dict[str, Any], begun_o
     changed(begun_on_pictures / POLICY, lambda kept: kept.update(change))
     with pytest.raises(TrainingError, match="holds something else than a policy"):
         load_policy(begun_on_pictures)
-
-
-def test_goals_with_numbers_that_are_too_large_are_refused(tmp_path: Path) -> None:
-    train(tiny("goals", preset="State"), tmp_path / "run")
-    goals = json.loads((tmp_path / "run" / "goals.json").read_text())
-    goals["MoveToRegion"]["saved_bits"] = 10**400
-    with pytest.raises(TrainingError, match="no goals as a training writes them"):
-        from_json(json.dumps(goals))
 
 
 def test_another_trainings_files_are_not_taken_for_ones_own(tmp_path: Path) -> None:

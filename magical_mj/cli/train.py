@@ -1,26 +1,39 @@
-"""`magical-mj train` and `magical-mj experiment`: plug-ins of the command line (see pyproject.toml)."""
+"""`magical-mj train` and `magical-mj experiment`, and what they show: progress bars, and a line per evaluation."""
 
 from __future__ import annotations
 
 import shlex
+import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
+from rich.console import Console
+from rich.progress import ProgressColumn, Task, TimeElapsedColumn
+from rich.table import Column
+from rich.text import Text
 
 from magical_mj import learners
 from magical_mj.cli.console import Trust, check_fits, console
+from magical_mj.cli.progress import Bars
 from magical_mj.learners.method_settings import check_changes, check_used, users, uses
-from magical_mj.learners.watching import Watch, bars, how_to_continue, repeating
 from magical_mj.policies.agents import AGENTS
-from magical_mj.utils.errors import SettingsError, check_name
+from magical_mj.utils.errors import MagicalError, SettingsError, check_name
+from magical_mj.utils.extras import check_extra
 from magical_mj.utils.parallel import Backend
 
 if TYPE_CHECKING:
-    from magical_mj.learners import Progress as Trained
+    from magical_mj.learners import Progress
 
-Method = Annotated[str, typer.Argument(help="bc, gail, wgail-gp, al or goals.", show_default=False)]
+DAY: Final = 86400.0
+"""Seconds over which speeds are averaged, or over the last thousand updates: a run of an experiment may take hours."""
+PAUSE: Final = 10.0
+"""Seconds between two looks at what other processes have done."""
+
+Method = Annotated[str, typer.Argument(help="bc, gail, wgail-gp, al, or another package's.", show_default=False)]
 Tasks = Annotated[str, typer.Option(help="A task; with --multi-task several, separated by commas, or all.")]
 Out = Annotated[Path, typer.Option(help="The run's folder.", show_default=False)]
 Seed = Annotated[int, typer.Option(min=0, help="Decides which demonstrations are learnt from, and all else.")]
@@ -59,24 +72,24 @@ def experiment(
     del trust  # see magical_mj.utils.imports.command_line
     planned = learners.runs(file, out)
     screen, began = console(), time.time()
-    watches: dict[str, Watch] = {}
+    views: dict[str, TrainingView] = {}
     with how_to_continue(screen, "the same command continues"), bars(screen) as progress:
         bar = progress.add_task("experiment", total=len(planned), unit="runs", latest="")
 
-        def watch(name: str, trained: Trained) -> None:
-            watches[name] = watches.get(name) or Watch(progress, name)
-            watches[name](trained)
+        def watch(name: str, trained: Progress) -> None:
+            views[name] = views.get(name) or TrainingView(progress, name)
+            views[name](trained)
             if trained.update == trained.updates:
-                progress.remove_task(watches.pop(name).bar)
+                progress.remove_task(views.pop(name).bar)
 
-        def look() -> None:
+        def poll() -> None:
             """How far evaluations are, and trainings in other processes; one in this process tells by itself."""
-            if not watches:
+            if not views:
                 news = filter(None, (run.standing(began) for run in planned))
                 progress.update(bar, latest=", ".join(news))
 
         lines = learners.conduct(planned, out, jobs=jobs, backend=backend, address=address, watch=watch)
-        with repeating(look):
+        with repeating(poll):
             for number, line in enumerate(lines, 1):
                 screen.print(line, soft_wrap=True)
                 done = min(number, len(planned))  # after the runs come lines about all of them
@@ -99,7 +112,11 @@ def train(
     resume: Resume = False,
 ) -> None:
     """Train a policy. OUT then holds the policy, for `magical-mj evaluate --policy OUT`, with settings and metrics."""
-    check_name("method", method, learners.METHODS)  # which also says what to install, if something is missing
+    check_extra("learners", "eval", "il")
+    from magical_mj.learners.learner import keep_freed_memory
+    from magical_mj.learners.run import METHODS
+
+    check_name("method", method, METHODS)
     given = {"seed": seed, "augment": augment, "preset": preset, "device": device, "ppo.worlds": worlds}
     others = dict(_change(text) for text in change or [])
     check_changes(others, ("method", "tasks", "quick", *given))
@@ -110,12 +127,10 @@ def train(
         raise SettingsError(
             "one policy for several tasks needs --multi-task; magical-mj experiment trains one for each"
         )
-    from magical_mj.learners.learner import keep_freed_memory
-
     keep_freed_memory()
     screen = console()
     with how_to_continue(screen, "the same command with --resume continues"), bars(screen) as progress:
-        learners.train(settings, out, resume=resume, watch=Watch(progress, method))
+        learners.train(settings, out, resume=resume, watch=TrainingView(progress, method))
     folder = shlex.quote(f"./{out}" if str(out) in AGENTS else str(out))
     again = f"magical-mj evaluate --policy {folder} --tasks {','.join(settings.tasks)} --preset {settings.preset}"
     screen.print(f"the policy is in {out}; to evaluate it: {again} --out ...", soft_wrap=True)
@@ -126,3 +141,70 @@ def _change(text: str) -> tuple[str, str]:
     if not equals:
         raise SettingsError(f"--set wants NAME=VALUE, such as ppo.clip=0.02, not {text!r}")
     return name, value
+
+
+def bars(screen: Console) -> Bars:
+    """Progress bars of trainings; or of an experiment, which counts runs."""
+    updates = UpdateColumn(Column(no_wrap=True, overflow="ellipsis"))
+    return Bars(screen, updates, TimeElapsedColumn(Column(no_wrap=True)), speed_estimate_period=DAY)
+
+
+@contextmanager
+def how_to_continue(screen: Console, how: str) -> Iterator[None]:
+    """A context in which Ctrl-C says how to continue."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        screen.print(f"stopped; {how}")
+        raise
+
+
+@contextmanager
+def repeating(poll: Callable[[], None]) -> Iterator[None]:
+    """A context in which a thread calls a function every few seconds; what it cannot read is left out."""
+    ended = threading.Event()
+
+    def repeat() -> None:
+        while not ended.wait(PAUSE):
+            with suppress(OSError, MagicalError):
+                poll()
+
+    thread = threading.Thread(target=repeat, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+class UpdateColumn(ProgressColumn):
+    """Finished updates of the total, updates per second, and the latest metrics; or finished runs."""
+
+    def render(self, task: Task) -> Text:
+        """As text."""
+        done = f"{task.completed}/{task.total or 0} {task.fields['unit']}"
+        speed = f", {task.speed:.2f}/s" if task.speed and task.fields["unit"] == "updates" else ""
+        return Text(f"{done}{speed} {task.fields['latest']}".rstrip())
+
+
+class TrainingView:
+    """Shows a training: a progress bar with the latest metrics, and a line per evaluation.
+
+    Attributes:
+        bar: the number of its progress bar.
+    """
+
+    def __init__(self, progress: Bars, name: str) -> None:
+        self._progress, self._name = progress, name
+        self.bar = progress.add_task(name, total=None, unit="updates", latest="")
+
+    def __call__(self, trained: Progress) -> None:
+        """Called after each update."""
+        shown = "  ".join(f"{name} {value:.3g}" for name, value in trained.metrics.items())
+        latest = {"latest": shown} if shown else {}  # metrics come with some updates only
+        self._progress.update(self.bar, completed=trained.update, total=trained.updates, **latest)
+        if trained.scores:
+            scores = ", ".join(f"{task} {score:.2f}" for task, score in trained.scores.items())
+            line = f"{self._name}: after {trained.update} updates: mean score on Demo: {scores}"
+            self._progress.console.print(line, soft_wrap=True)

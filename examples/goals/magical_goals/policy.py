@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
-from magical_mj.learners.goals.inference import Goal
+from magical_goals.inference import InferredGoal
 from magical_mj.learners.settings import STATE
 from magical_mj.policies.expert.expert import PlanFollower
 from magical_mj.policies.expert.lookahead import Lookahead
@@ -34,7 +34,7 @@ class GoalPolicy:
     blind = True
     preset = STATE
 
-    def __init__(self, goals: Mapping[str, Goal], tasks: Sequence[str] = ()) -> None:
+    def __init__(self, goals: Mapping[str, InferredGoal], tasks: Sequence[str] = ()) -> None:
         self.goals, self.tasks = dict(goals), tuple(tasks or goals)
 
     def reset(self, episode: Episode) -> None:

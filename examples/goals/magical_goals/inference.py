@@ -15,11 +15,10 @@ from typing import Final
 
 import numpy as np
 
-from magical_mj.learners.goals.arrangements import ATTRIBUTES, Grouped, InLine, Together
-from magical_mj.learners.goals.layouts import Floats, Layouts, layouts_of, random_layouts
-from magical_mj.learners.goals.places import LANDMARKS, WHO, Near
-from magical_mj.learners.goals.regions import RobotInside, formulas
-from magical_mj.learners.goals.relation import Relation, Situation
+from magical_goals.arrangements import ATTRIBUTES, Grouped, InLine, Together
+from magical_goals.places import LANDMARKS, WHO, Near
+from magical_goals.regions import RobotInside, formulas
+from magical_goals.relation import Floats, Layouts, Relation, Situation, layouts_of, random_layouts
 from magical_mj.scene import Scene
 from magical_mj.tasks.planning import Noise, Subgoal
 from magical_mj.utils.errors import TrainingError
@@ -34,7 +33,7 @@ Example = tuple[Scene, Scene]
 
 
 @dataclass(frozen=True)
-class Goal:
+class InferredGoal:
     """A relation with limits.
 
     Attributes:
@@ -75,7 +74,7 @@ def vocabulary(scenes: Sequence[Scene]) -> Iterator[Relation]:
         yield from (Near(who, landmark) for landmark in LANDMARKS)
 
 
-def infer(examples: Sequence[Example]) -> list[Goal]:
+def infer(examples: Sequence[Example]) -> list[InferredGoal]:
     """The goals that shorten the description, the best first; equal ones in the order of the vocabulary.
 
     Raises:
@@ -93,7 +92,7 @@ def infer(examples: Sequence[Example]) -> list[Goal]:
     return goals
 
 
-def _fitted(relation: Relation, examples: Sequence[Example], chance: dict[Scene, Layouts]) -> Goal:
+def _fitted(relation: Relation, examples: Sequence[Example], chance: dict[Scene, Layouts]) -> InferredGoal:
     """The relation with the limits that save most: they hold at all ends, or at all but the worst few."""
     found = [relation.deviations(layouts_of(initial, [initial, final])) for initial, final in examples]
     worst = np.array([off[1].max(axis=0) for off in found])  # (demonstrations, measures)
@@ -104,7 +103,7 @@ def _fitted(relation: Relation, examples: Sequence[Example], chance: dict[Scene,
         limits = worst[order[: len(order) - missed]].max(axis=0)
         share = {initial: _share(off, limits) for initial, off in by_chance.items()}
         saved = sum(_saved(off, limits, share[initial]) for off, (initial, _) in zip(found, examples, strict=True))
-        options.append(Goal(relation, tuple(limits.tolist()), saved - relation.bits))
+        options.append(InferredGoal(relation, tuple(limits.tolist()), saved - relation.bits))
     return max(options, key=lambda goal: goal.saved)
 
 

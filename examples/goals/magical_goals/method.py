@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+from magical_goals.files import from_json, save_goals, to_json
+from magical_goals.inference import infer
+from magical_goals.policy import GoalPolicy
 from magical_mj.demos import Demonstration
 from magical_mj.learners.data import drawn, shipped
-from magical_mj.learners.goals.files import from_json, save_goals, to_json
-from magical_mj.learners.goals.inference import infer
-from magical_mj.learners.goals.policy import GoalPolicy
 from magical_mj.learners.learner import Method
 from magical_mj.learners.settings import STATE, TrainingSettings
 from magical_mj.scene import Scene
@@ -19,6 +19,8 @@ from magical_mj.utils.errors import SettingsError
 
 class GoalInference(Method):
     """Infers the goal of each task from the first and last states of its demonstrations: see `infer`."""
+
+    parts: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)

@@ -10,8 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from magical_mj.learners.goals.layouts import Floats, Layouts
-from magical_mj.learners.goals.relation import LIMIT_BITS, Relation, Situation, choice_bits
+from magical_goals.relation import LIMIT_BITS, Floats, Layouts, Relation, Situation, choice_bits
 from magical_mj.tasks.planning import Subgoal, bring, done, drive, places_anywhere
 from magical_mj.tasks.planning.subgoals import TOLERANCE
 from magical_mj.utils.errors import check_name

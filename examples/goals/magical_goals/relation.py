@@ -1,4 +1,4 @@
-"""The interface of relations, the possible goals."""
+"""The interface of relations, the possible goals; and the positions of robot and blocks that they are measured on."""
 
 from __future__ import annotations
 
@@ -8,12 +8,50 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
-from magical_mj.learners.goals.layouts import Floats, Layouts
+import numpy as np
+from numpy.typing import NDArray
+
 from magical_mj.scene import Scene
 from magical_mj.tasks.planning import Noise, Subgoal
+from magical_mj.tasks.planning.subgoals import REACHABLE
 
+Floats = NDArray[np.float64]
+
+SAMPLES: Final = 20_000
+"""Random layouts, by which the chance that a relation holds is estimated."""
 LIMIT_BITS: Final = 4.0
 """The description length of a learnt limit: one of sixteen values."""
+
+
+@dataclass(frozen=True)
+class Layouts:
+    """Positions of the robot and the blocks of a scene, n times.
+
+    Attributes:
+        initial: the initial scene of the episode.
+        robot: shape (n, 2).
+        blocks: shape (n, blocks, 2).
+    """
+
+    initial: Scene
+    robot: Floats
+    blocks: Floats
+
+
+def layouts_of(initial: Scene, scenes: Sequence[Scene]) -> Layouts:
+    """The positions in several scenes of one episode."""
+    blocks = [[(block.x, block.y) for block in scene.blocks] for scene in scenes]
+    return Layouts(
+        initial,
+        np.array([(scene.robot.x, scene.robot.y) for scene in scenes]),
+        np.array(blocks, dtype=float).reshape(len(scenes), len(initial.blocks), 2),
+    )
+
+
+def random_layouts(initial: Scene, rng: np.random.Generator) -> Layouts:
+    """Independent uniform positions of the robot and of all blocks."""
+    robot = rng.uniform(-REACHABLE, REACHABLE, (SAMPLES, 2))
+    return Layouts(initial, robot, rng.uniform(-REACHABLE, REACHABLE, (SAMPLES, len(initial.blocks), 2)))
 
 
 @dataclass(frozen=True)

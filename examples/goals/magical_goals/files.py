@@ -10,12 +10,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from magical_mj.learners.goals.arrangements import Grouped, InLine, Together
-from magical_mj.learners.goals.inference import Goal
-from magical_mj.learners.goals.places import Near
-from magical_mj.learners.goals.policy import GoalPolicy
-from magical_mj.learners.goals.regions import Belonging, RobotInside
-from magical_mj.learners.goals.relation import Relation
+from magical_goals.arrangements import Grouped, InLine, Together
+from magical_goals.inference import InferredGoal
+from magical_goals.places import Near
+from magical_goals.policy import GoalPolicy
+from magical_goals.regions import Belonging, RobotInside
+from magical_goals.relation import Relation
 from magical_mj.utils import files
 from magical_mj.utils.errors import MagicalError, TrainingError
 
@@ -29,7 +29,7 @@ RELATIONS: Final[Mapping[str, type[Relation]]] = MappingProxyType(
 """By name in the file."""
 
 
-def to_json(found: Mapping[str, Sequence[Goal]]) -> str:
+def to_json(found: Mapping[str, Sequence[InferredGoal]]) -> str:
     """The goals of each task, the best first. Only the best one is read again."""
     table = {
         task: {
@@ -44,7 +44,7 @@ def to_json(found: Mapping[str, Sequence[Goal]]) -> str:
     return json.dumps(table, indent=2) + "\n"
 
 
-def from_json(text: str) -> dict[str, Goal]:
+def from_json(text: str) -> dict[str, InferredGoal]:
     """The goal of each task.
 
     Raises:
@@ -74,13 +74,13 @@ def save_goals(folder: Path, written: str) -> None:
     files.write(folder / GOALS, written, overwrite=True)
 
 
-def _goal(entry: Mapping[str, Any]) -> Goal:
+def _goal(entry: Mapping[str, Any]) -> InferredGoal:
     fields = dict(entry["relation"])
     relation = RELATIONS[fields.pop("kind")](**{name: _frozen(value) for name, value in fields.items()})
     limits = tuple(float(limit) for limit in entry["limits"])
     if len(limits) != relation.measures or not all(math.isfinite(limit) for limit in limits):
         raise ValueError(f"the relation {relation} needs {relation.measures} finite limits, not {limits}")
-    return Goal(relation, limits, float(entry["saved_bits"]))
+    return InferredGoal(relation, limits, float(entry["saved_bits"]))
 
 
 def _frozen(value: Any) -> Any:

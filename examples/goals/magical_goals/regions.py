@@ -15,8 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.learners.goals.layouts import Floats, Layouts
-from magical_mj.learners.goals.relation import LIMIT_BITS, Relation, Situation, choice_bits
+from magical_goals.relation import LIMIT_BITS, Floats, Layouts, Relation, Situation, choice_bits
 from magical_mj.scene import Block, GoalRegion, Scene
 from magical_mj.scene.constants import COLOURS, SHAPES, Colour, Shape
 from magical_mj.tasks.planning import Subgoal, bring, done, drive, places_inside, places_outside

@@ -8,8 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from magical_mj.learners.goals.layouts import Floats, Layouts, layouts_of
-from magical_mj.learners.goals.relation import LIMIT_BITS, Relation, Situation, choice_bits
+from magical_goals.relation import LIMIT_BITS, Floats, Layouts, Relation, Situation, choice_bits, layouts_of
 from magical_mj.scene import Block, Scene
 from magical_mj.tasks.planning import Subgoal, bring, done, each_to, places_anywhere
 from magical_mj.tasks.planning.arrangements import Point, cluster_targets, line_targets
