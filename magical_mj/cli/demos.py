@@ -80,7 +80,12 @@ def generate(
     longest_first = sorted(keys, key=lambda key: -pairs.index(key[:2]))
     todo = [(*key, least_score, paths[key]) for key in longest_first if key not in there]
     reasons = with_bar(screen, "demonstrating", map_unordered(make, todo, jobs), len(todo))
-    failures = [reason for reason in reasons if reason]
+    try:
+        failures = [reason for reason in reasons if reason]
+    except KeyboardInterrupt:
+        there = [path for path in paths.values() if path.exists()]
+        complain(f"interrupted: {len(there)} of {len(paths)} demonstrations are in {out}; the same command goes on")
+        raise
     describe([magical_mj.demos.read(path, key[0]) for key, path in paths.items() if path.exists()])
     if failures:
         raise DemonstrationError(f"{len(failures)} demonstrations are missing: {'; '.join(sorted(failures))}")

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from numbers import Integral, Real
 from typing import Final, Literal, get_args
 
 import numpy as np
@@ -16,7 +15,7 @@ from magical_mj.assets.robot import JOINTS
 from magical_mj.assets.world import World
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS
-from magical_mj.tasks.registry import environment_axes, score, task_spec, variant_name
+from magical_mj.tasks.registry import environment_axes, score, task_spec
 from magical_mj.utils.errors import DemonstrationError, shown
 
 Demonstrator = Literal["expert", "human"]
@@ -25,12 +24,7 @@ DEMONSTRATORS: Final[tuple[Demonstrator, ...]] = get_args(Demonstrator)
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """An episode: its initial scene, the actions, and the states before the first action and after each action.
-
-    Raises:
-        DemonstrationError: if the parts do not fit each other.
-        UnknownNameError: if there is no such environment.
-    """
+    """An episode: its initial scene, the actions, and the states before the first action and after each action."""
 
     task: str
     variant: str
@@ -51,41 +45,6 @@ class Demonstration:
     package: str = __version__
     mujoco: str = version("mujoco")
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "variant", variant_name(self.variant))
-        environment_axes(self.task, self.variant)
-        for name in ("scene_seed", "seed"):
-            seed = getattr(self, name)
-            if not isinstance(seed, Integral) or isinstance(seed, bool) or seed < 0:
-                raise DemonstrationError(f"seeds must be integers of at least 0, not {shown(seed)}")
-            object.__setattr__(self, name, int(seed))
-        if not isinstance(self.score, Real) or isinstance(self.score, bool) or not 0 <= self.score <= 1:
-            raise DemonstrationError(f"the score must be a number in [0, 1], not {shown(self.score)}")
-        object.__setattr__(self, "score", float(self.score))
-        if not isinstance(self.scene, Scene):
-            raise DemonstrationError(f"the scene must be a magical_mj.Scene, not {shown(self.scene)}")
-        if not isinstance(self.package, str) or not isinstance(self.mujoco, str):
-            raise DemonstrationError("the versions of package and mujoco must be texts")
-        if self.demonstrator not in DEMONSTRATORS:
-            raise DemonstrationError(f"demonstrator is {self.demonstrator!r}; it must be one of {DEMONSTRATORS}")
-        kinds = [(self.actions, np.uint8, 1), (self.qpos, np.float64, 2), (self.qvel, np.float64, 2)]
-        for array, kind, dimensions in kinds:
-            if not isinstance(array, np.ndarray) or array.dtype != kind or array.ndim != dimensions:
-                raise DemonstrationError(
-                    "actions must be an array (steps,) of uint8, qpos and qvel (steps + 1, n) of float64"
-                )
-        steps = len(self.actions)
-        if steps == 0 or not len(self.qpos) == len(self.qvel) == steps + 1:
-            raise DemonstrationError(f"{steps} actions do not fit {len(self.qpos)} and {len(self.qvel)} states")
-        if (self.actions >= len(ACTIONS)).any():
-            raise DemonstrationError(f"actions must be below {len(ACTIONS)}")
-        if not (np.isfinite(self.qpos).all() and np.isfinite(self.qvel).all()):
-            raise DemonstrationError("states must be finite")
-        sizes = self.qpos.shape[1], self.qvel.shape[1]
-        needed = len(JOINTS) + 3 * len(self.scene.blocks)
-        if sizes != (needed, needed):
-            raise DemonstrationError(f"states of this scene have {needed} positions and velocities, not {sizes}")
-
     @property
     def name(self) -> str:
         """Such as ``"FindDupe-Demo"``: the name of the task, also if that is given by reference, and the variant."""
@@ -99,6 +58,46 @@ class Demonstration:
     def rescored(self) -> float:
         """The score computed from the last state."""
         return score(self.task, self.scene, World(self.scene).read(self.qpos[-1]))
+
+
+def check(demo: Demonstration) -> None:
+    """Checks what somebody may have altered: the parts of a demonstration from or for a file.
+
+    Raises:
+        DemonstrationError: if they are of wrong types, out of range, or do not fit each other.
+        UnknownNameError: if there is no such environment.
+    """
+    environment_axes(demo.task, demo.variant)
+    for fits, problem in _claims(demo):
+        if not fits:
+            raise DemonstrationError(problem)
+
+
+def _claims(demo: Demonstration) -> Iterator[tuple[bool, str]]:
+    """What must be true, and what is said if it is not. Each may rely on those before it."""
+    for seed in (demo.scene_seed, demo.seed):
+        is_seed = isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0
+        yield is_seed, f"seeds must be integers of at least 0, not {shown(seed)}"
+    is_score = isinstance(demo.score, int | float) and not isinstance(demo.score, bool) and 0 <= demo.score <= 1
+    yield is_score, f"the score must be a number in [0, 1], not {shown(demo.score)}"
+    are_texts = isinstance(demo.package, str) and isinstance(demo.mujoco, str)
+    yield are_texts, "the versions of package and mujoco must be texts"
+    yield demo.demonstrator in DEMONSTRATORS, f"demonstrator must be one of {DEMONSTRATORS}"
+    for array, kind, dimensions in (
+        (demo.actions, np.uint8, 1),
+        (demo.qpos, np.float64, 2),
+        (demo.qvel, np.float64, 2),
+    ):
+        yield (
+            (array.dtype, array.ndim) == (kind, dimensions),
+            "actions must be an array (steps,) of uint8, qpos and qvel (steps + 1, n) of float64",
+        )
+    steps, states = len(demo.actions), (len(demo.qpos), len(demo.qvel))
+    yield 0 < steps == states[0] - 1 == states[1] - 1, f"{steps} actions do not fit {states[0]} and {states[1]} states"
+    yield bool((demo.actions < len(ACTIONS)).all()), f"actions must be below {len(ACTIONS)}"
+    yield bool(np.isfinite(demo.qpos).all() and np.isfinite(demo.qvel).all()), "states must be finite"
+    sizes, needed = (demo.qpos.shape[1], demo.qvel.shape[1]), len(JOINTS) + 3 * len(demo.scene.blocks)
+    yield sizes == (needed, needed), f"states of this scene have {needed} positions and velocities, not {sizes}"
 
 
 def only_environment(demos: Sequence[Demonstration]) -> str:

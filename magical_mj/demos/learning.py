@@ -66,7 +66,11 @@ def stream(demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop_noop
 
 def observations(demo: Demonstration, preset: str = "LoRes4E") -> Observations:
     """The observations of the preset at the start and after each action: steps + 1 rows."""
-    made = preset_named(preset)
+    with np.errstate(all="ignore"):  # numbers below the smallest of float32 become 0, whatever the caller's settings
+        return _observations(demo, preset_named(preset))
+
+
+def _observations(demo: Demonstration, made: Preset) -> Observations:
     if made.layout == "state":
         world, encode = World(demo.scene), StateEncoder(demo.scene)
         states = zip(demo.qpos, demo.qvel, strict=True)

@@ -1,12 +1,13 @@
-"""Writing files atomically, so that a file appears under its name only when it is complete; locks; and reading TOML."""
+"""Writing files atomically, so that a file appears under its name only when it is complete; locks; and reading."""
 
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import platform
 import re
-import threading
+import secrets
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -14,63 +15,88 @@ from glob import escape
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.utils.errors import SettingsError
+from filelock import FileLock, Timeout
 
-_UNFINISHED: Final = re.compile(r"\..+-\d+-\d+\.part(\.[^.]*)?")
-"""The names of the temporary files of `new_file`."""
+from magical_mj.utils.errors import MagicalError, SettingsError, shown
+
+_UNFINISHED: Final = re.compile(r"\..*\.[0-9a-f]{8}-[0-9a-f]{8}\.(part(\.[^.]*)?|lock)|\.(.*\.)?lock")
+"""The names of the temporary files and locks of this module."""
+_LONGEST_STEM: Final = 30
+"""The characters of a file's name in that of its temporary file: file systems take 255 bytes."""
 
 
-def write(path: Path | str, data: str | bytes, *, overwrite: bool = False) -> None:
+def to_path(path: Path | str) -> Path:
+    """`path` as a `Path`; for public functions, whose users may give something else.
+
+    Raises:
+        SettingsError: if it is of another type, such as bytes.
+    """
+    if not isinstance(path, str | os.PathLike):
+        raise SettingsError(f"a path must be a text or a pathlib.Path, not {shown(path)}")
+    return Path(path)
+
+
+def write(path: Path | str, data: str | bytes, *, overwrite: bool = False, mode: int | None = None) -> None:
     """Writes a file completely or not at all. Text is encoded as UTF-8.
 
     Args:
         path: the file. Its folder must exist.
         data: the file's content.
         overwrite: replace an existing file.
+        mode: who may use the file, as for `os.chmod`, from its beginning on; None: as the system's default is.
 
     Raises:
         FileExistsError: if the file exists and `overwrite` is false.
         IsADirectoryError: if it is a folder.
         OSError: if it cannot be written; its `filename` is the path. An existing file is kept.
     """
-    with new_file(path, overwrite=overwrite) as beside:
-        beside.write_bytes(data.encode() if isinstance(data, str) else data)
+    with new_file(path, overwrite=overwrite) as unfinished:
+        if mode is not None:
+            unfinished.touch(mode)
+        unfinished.write_bytes(data.encode() if isinstance(data, str) else data)
 
 
 @contextmanager
 def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
     """For code that writes a file by itself: yields a temporary path next to `path`, and renames that file at the end.
 
-    If the block raises, the temporary file is removed. The yielded path has the same suffix as `path`.
+    If the block raises, the temporary file is removed. The yielded path has the same suffix as `path`. A lock lies
+    beside it as long as it is being written, and tells others that its process lives.
 
     Raises:
         FileExistsError, OSError: as `write`.
     """
-    path = Path(path)
+    path = to_path(path)
     if overwrite and path.is_symlink():
         path = Path(os.path.realpath(path))  # what it leads to is replaced, not the link
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, "is a folder", str(path))
-    mine = f"{platform.node()}-{os.getpid()}-{threading.get_ident()}"
-    unfinished = path.with_name(f".{path.stem}.{mine}.part{path.suffix}")
+    if not path.parent.is_dir():  # which the lock would make
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+    host_and_name = hashlib.sha256(f"{platform.node()}/{path.name}".encode(errors="surrogateescape")).hexdigest()[:8]
+    beginning = f".{path.stem[:_LONGEST_STEM]}.{host_and_name}-"
+    lock = path.with_name(f"{beginning}{secrets.token_hex(4)}.lock")
+    unfinished = lock.with_suffix(f".part{path.suffix}")
     try:
-        _clear_up(path)
-        if path.exists() and not overwrite:
-            raise _exists(path)
-        yield unfinished
-        _to_disk(unfinished)
-        _rename(unfinished, path, overwrite)
+        _clear_up(path, beginning)
+        with _held(lock):
+            try:
+                if path.exists() and not overwrite:
+                    raise _exists(path)
+                yield unfinished
+                _to_disk(unfinished)
+                _rename(unfinished, path, overwrite)
+            finally:
+                with suppress(OSError):
+                    unfinished.unlink()
     except OSError as error:
-        if error.errno is None or error.filename not in (None, str(unfinished)):
+        if error.errno is None or error.filename not in (None, str(unfinished), str(lock)):
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error  # a full disk's error has no file name
-    finally:
-        with suppress(OSError):
-            unfinished.unlink()
 
 
 def is_unfinished(path: Path) -> bool:
-    """Whether this is a temporary file of `new_file`, which a process that was killed may have left."""
+    """Whether this is a temporary file or a lock of this module, which a process that was killed may have left."""
     return _UNFINISHED.fullmatch(path.name) is not None
 
 
@@ -81,28 +107,42 @@ def is_empty(folder: Path) -> bool:
 
 @contextmanager
 def locked(path: Path, *, busy: Exception | None = None) -> Iterator[None]:
-    """A context that one process at a time enters for a file or folder, which must exist. Not on Windows.
+    """A context that one process at a time enters for a file or folder, which must exist.
+
+    A hidden file lies in the folder, or beside the file, as long as somebody is in it.
 
     Args:
         path: the file or folder.
         busy: what is raised if another process is in it; None: this one waits.
     """
+    lock = path / ".lock" if path.is_dir() else path.with_name(f".{path.name}.lock")
     try:
-        import fcntl
-    except ImportError:
-        yield
-        return
-    mode = os.O_RDONLY if path.is_dir() else os.O_RDWR  # NFS locks no file that is open for reading only
-    descriptor = os.open(path, mode)
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX if busy is None else fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise busy or error from None
-        yield
-    finally:
-        fcntl.flock(descriptor, fcntl.LOCK_UN)  # closing is not enough if a child, forked meanwhile, lives on
-        os.close(descriptor)
+        with _held(lock, timeout=-1 if busy is None else 0):
+            yield
+    except Timeout as error:
+        if busy is None or error.lock_file != str(lock):
+            raise
+        raise busy from None
+
+
+def read_foreign(path: Path, *, most: int, error: type[MagicalError]) -> bytes:
+    """The content of a file that somebody else may have made.
+
+    Args:
+        path: the file.
+        most: the largest number of bytes that is read.
+        error: what is raised if it is larger, or not a plain file: a pipe could be waited for without end.
+
+    Raises:
+        OSError: if there is no such file, or it cannot be read.
+    """
+    if path.exists() and not path.is_file():
+        raise error(f"{path} is not a plain file, but a folder, a pipe or a device")
+    with path.open("rb") as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise error(f"{path} is larger than {most:,} bytes, and is not read")
+    return content
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -117,13 +157,30 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise SettingsError(f"{path} cannot be read as TOML: {error}") from error
 
 
-def _clear_up(path: Path) -> None:
-    """Removes temporary files of this path that processes killed on this machine have left."""
-    for left in path.parent.glob(f".{escape(path.stem)}.{escape(platform.node())}-*.part{escape(path.suffix)}"):
-        with suppress(OSError, ValueError):
-            process = int(left.name.split("-")[-2])
-            if not Path(f"/proc/{process}").exists() and Path("/proc/self").exists():
-                left.unlink()
+@contextmanager
+def _held(path: Path, timeout: float = -1) -> Iterator[None]:
+    """Holds the lock that this file is; the file is removed at the end.
+
+    It is removed while it is held: `FileLock` makes a new one if the file that it has locked is gone. On Windows, where
+    an open file cannot be removed, `FileLock` does it.
+    """
+    with FileLock(path, timeout=timeout):
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                path.unlink()
+
+
+def _clear_up(path: Path, beginning: str) -> None:
+    """Removes temporary files of this path whose processes are gone: nobody holds their locks.
+
+    Locks see through all namespaces of a machine; those of other machines, whose file systems may not share locks, have
+    other names.
+    """
+    for lock in path.parent.glob(f"{escape(beginning)}*.lock"):
+        with suppress(OSError), _held(lock, timeout=0):
+            lock.with_suffix(f".part{path.suffix}").unlink(missing_ok=True)
 
 
 def _exists(path: Path) -> FileExistsError:
@@ -131,7 +188,7 @@ def _exists(path: Path) -> FileExistsError:
 
 
 def _to_disk(path: Path) -> None:
-    with path.open("rb") as file:
+    with path.open("r+b") as file:  # Windows flushes only what is open for writing
         os.fsync(file.fileno())
 
 

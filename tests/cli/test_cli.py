@@ -110,7 +110,7 @@ def test_a_demo_leaves_alone_what_it_must(shell: Shell, tmp_path: Path) -> None:
 @pytest.mark.parametrize("finished_some", [False, True])
 def test_demo(tmp_path: Path, finished_some: bool) -> None:
     """The main job, on the quickest task, over what a killed run left: before its first episode, or after some."""
-    (tmp_path / ".run.here-1-1.part.json").write_text("{")
+    (tmp_path / ".run.0123abcd-4567cdef.part.json").write_text("{")
     (tmp_path / "scores.jsonl").touch()
     few = {"tasks": "MoveToRegion", "episodes": 1, "jobs": 1}
     if finished_some:

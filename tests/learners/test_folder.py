@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import platform
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -64,7 +63,7 @@ def with_tree(path: Path, tree: str) -> None:
 
 def test_what_a_killed_training_left_unfinished_is_no_obstacle(tmp_path: Path) -> None:
     """It was killed while it wrote its first file; a file of somebody else with a like name is one."""
-    left = tmp_path / "run" / f".config.{platform.node()}-4194305-139.part.toml"
+    left = tmp_path / "run" / ".config.0123abcd-4567cdef.part.toml"
     left.parent.mkdir()
     left.touch()
     train(state(), left.parent, resume=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import multiprocessing
+import os
 import subprocess
 import sys
 import time
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from magical_mj.utils import files
+from magical_mj.utils.errors import SettingsError
 
 
 @pytest.mark.parametrize("data", ["äö\n", b"\x00\xff", ""])
@@ -94,7 +96,7 @@ def test_a_full_disk_names_the_file_and_leaves_nothing(tmp_path: Path) -> None:
     """A process that may write no more than 1 kB, as if the disk were full."""
     program = (
         "import resource, signal, sys\n"
-        "from magical_mj import files\n"
+        "from magical_mj.utils import files\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
         "try:\n"
@@ -111,20 +113,71 @@ def test_a_full_disk_names_the_file_and_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.skipif(not Path("/proc/self").exists(), reason="looks for processes in /proc")
 def test_what_a_killed_process_left_goes_with_the_next_attempt(tmp_path: Path) -> None:
+    """By its lock, which nobody holds any more; that of a process which lives stays, whatever /proc says of it."""
     program = (
-        "import os, signal, sys\n"
-        "from magical_mj import files\n"
-        "with files.new_file(sys.argv[1]) as beside:\n"
-        "    beside.write_text('half')\n"
-        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+        "import sys, time\n"
+        "from magical_mj.utils import files\n"
+        "with files.new_file(sys.argv[1]) as unfinished:\n"
+        "    unfinished.write_text(sys.argv[2])\n"
+        "    print('ready', flush=True)\n"
+        "    sys.stdin.readline()\n"
     )
     path = tmp_path / "a[1].txt"
-    assert subprocess.run([sys.executable, "-c", program, str(path)], check=False).returncode == -9
-    assert [other.name for other in tmp_path.iterdir()] != []
-    files.write(path, "whole")
+    command = [sys.executable, "-c", program, str(path)]
+    dead, living = (
+        subprocess.Popen([*command, text], stdin=subprocess.PIPE, stdout=subprocess.PIPE) for text in ("half", "whole")
+    )
+    for process in (dead, living):
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"ready\n"
+    assert len(list(tmp_path.iterdir())) == 4
+    assert files.is_empty(tmp_path)
+    dead.kill()
+    dead.communicate()
+    with pytest.raises(ValueError, match="no"), files.new_file(path):
+        raise ValueError("no")
+    assert len(list(tmp_path.iterdir())) == 2
+    living.communicate(b"\n")
+    assert living.returncode == 0
     assert list(tmp_path.iterdir()) == [path]
+    assert path.read_text() == "whole"
+
+
+def test_files_are_flushed_as_windows_allows_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """There, `os.fsync` takes only what is open for writing."""
+    fcntl = pytest.importorskip("fcntl")
+    flush = os.fsync
+
+    def flush_as_windows(descriptor: int) -> None:
+        if fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY:
+            raise OSError(errno.EBADF, "Bad file descriptor")
+        flush(descriptor)
+
+    monkeypatch.setattr(os, "fsync", flush_as_windows)
+    files.write(tmp_path / "a.txt", "text")
+    assert (tmp_path / "a.txt").read_text() == "text"
+
+
+def test_long_names_and_modes(tmp_path: Path) -> None:
+    path = tmp_path / f"{'ä' * 125}.txt"  # 254 bytes
+    files.write(path, "secret", mode=0o600)
+    assert list(tmp_path.iterdir()) == [path]
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+def test_files_of_others_are_plain_and_of_bounded_size(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"12345")
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("/dev/zero")
+    assert files.read_foreign(tmp_path / "file", most=5, error=SettingsError) == b"12345"
+    with pytest.raises(SettingsError, match="larger than 4 bytes"):
+        files.read_foreign(tmp_path / "file", most=4, error=SettingsError)
+    for name in ("pipe", "link", "."):
+        with pytest.raises(SettingsError, match="not a plain file"):
+            files.read_foreign(tmp_path / name, most=5, error=SettingsError)
+    with pytest.raises(FileNotFoundError):
+        files.read_foreign(tmp_path / "nothing", most=5, error=SettingsError)
 
 
 def test_a_lock_is_for_one_at_a_time_and_ends_with_its_context(tmp_path: Path) -> None:
