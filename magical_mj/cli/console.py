@@ -16,9 +16,9 @@ from rich.segment import Segment
 
 from magical_mj import TASKS, VARIANTS
 from magical_mj.envs.presets import PRESETS
-from magical_mj.evaluation.settings import described
-from magical_mj.tasks.registry import Names, task_spec, variant_name
+from magical_mj.tasks.registry import task_spec, variant_name
 from magical_mj.utils.escape import terminal
+from magical_mj.utils.settings import Names, described
 
 PLAIN_WIDTH = 120  # columns where the output is a file or a pipe
 
@@ -72,14 +72,13 @@ def add_options(command: Callable[..., None], settings: type) -> None:
 
 
 def _options(settings: type) -> Iterator[tuple[str, Any]]:
-    for name, (kind, about) in described(settings).items():
-        declared = [f"--{name.replace('_', '-')}"] if kind is bool else []
-        shown = str if kind == Names else kind  # lists are separated by commas
-        completion = COMPLETIONS.get(name)
-        yield (
-            name,
-            Annotated[shown, typer.Option(*declared, help=about.text, min=about.least, autocompletion=completion)],
+    for name, setting in described(settings).items():
+        declared = [f"--{name.replace('_', '-')}"] if setting.kind is bool else []
+        kind = str if setting.kind == Names else setting.kind  # lists are separated by commas
+        option = typer.Option(
+            *declared, help=setting.description, min=setting.least, autocompletion=COMPLETIONS.get(name)
         )
+        yield name, Annotated[kind, option]
 
 
 def check_fits(context: typer.Context, fits: bool, condition: str, *options: str) -> None:

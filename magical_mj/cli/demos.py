@@ -28,10 +28,10 @@ from magical_mj.cli.console import (
 from magical_mj.cli.demo_files import Paths, asked_for, files_of, read_asked, read_chosen
 from magical_mj.cli.film import film
 from magical_mj.cli.progress import with_bar
-from magical_mj.evaluation.settings import LARGEST_SETTING
 from magical_mj.tasks.registry import Pair, environments, score, task_spec
 from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError, UntrustedNameError
 from magical_mj.utils.parallel import map_unordered
+from magical_mj.utils.settings import LARGEST_SETTING
 
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
     from magical_mj.demos import Demonstration, Imported, Verdict

@@ -31,11 +31,12 @@ from magical_mj.cli.film import film, replay, views_of
 from magical_mj.cli.progress import Bars, with_bar
 from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES, Score
-from magical_mj.evaluation.settings import LARGEST_SETTING, EvaluationSettings
+from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.evaluation.worker import Unit, player
 from magical_mj.policies.loading import sources
 from magical_mj.policies.requirements import check_fit
 from magical_mj.tasks.registry import Pair, task_name, task_spec, variant_name
+from magical_mj.utils.settings import LARGEST_SETTING
 
 _POLICIES = (
     "expert, random, noop, module:object, the folder of a training, or a file (.zip of stable-baselines3, .onnx); "

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from magical_mj.evaluation.scores import SCORES, Score, ScoreFile, read
-from magical_mj.evaluation.settings import check_unchanged
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, SettingsError, shown
+from magical_mj.utils.settings import check_unchanged
 
 SETTINGS: Final = "run.json"
 

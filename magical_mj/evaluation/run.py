@@ -14,7 +14,7 @@ import cloudpickle
 from magical_mj._version import __version__
 from magical_mj.evaluation.folder import load_or_start, prepare
 from magical_mj.evaluation.scores import Key, Score, ScoreFile, frame
-from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings, described, settings_from
+from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
 from magical_mj.evaluation.worker import Unit, plan, play_unit, player
 from magical_mj.policies.failures import reason
 from magical_mj.policies.interface import is_blind
@@ -23,6 +23,7 @@ from magical_mj.policies.requirements import check_fit
 from magical_mj.utils.errors import EvaluationError, SettingsError, WorkerError
 from magical_mj.utils.extras import check_extra
 from magical_mj.utils.parallel import cores, map_unordered
+from magical_mj.utils.settings import described, made
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -53,7 +54,7 @@ def evaluate(policy: Any, *, watch: Callable[[Score], None] = lambda _: None, **
         TaskError: if a task of another package has no scene for a seed, or an invalid score.
         MissingExtraError: if an extra is not installed.
     """
-    evaluation = Evaluation(policy, settings_from(settings))
+    evaluation = Evaluation(policy, made(EvaluationSettings, settings))
     for score in evaluation.play():
         watch(score)
     return frame(evaluation.scores)
@@ -63,8 +64,8 @@ def _signature() -> inspect.Signature:
     """The signature of `evaluate` with all settings, for `help` and editors."""
     kind = inspect.Parameter.KEYWORD_ONLY
     known = [
-        inspect.Parameter(name, kind, default=getattr(EvaluationSettings, name), annotation=type_)
-        for name, (type_, _) in described(EvaluationSettings).items()
+        inspect.Parameter(name, kind, default=setting.default, annotation=setting.kind)
+        for name, setting in described(EvaluationSettings).items()
     ]
     *given, _ = inspect.signature(evaluate).parameters.values()
     return inspect.Signature([*given, *known], return_annotation="pd.DataFrame")

@@ -16,7 +16,7 @@ from magical_mj._version import __version__
 from magical_mj.envs.registration import env_id
 from magical_mj.evaluation.playing import Act, Envs, Outcome, environment_for, play
 from magical_mj.evaluation.scores import Key, Score
-from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
+from magical_mj.evaluation.settings import MUJOCO_VERSION, WORLDS, EvaluationSettings
 from magical_mj.evaluation.side_by_side import PolicyCopies, play_side_by_side
 from magical_mj.evaluation.time_limit import TimeLimitedCaller, TimeLimitError
 from magical_mj.policies.failures import reason
@@ -156,7 +156,7 @@ class Player:
         return self._keep("policy", _policy_key(unit), lambda: self._caller.call(unit.source.load, None))
 
     def _vector(self, unit: Unit, policy: Act) -> tuple[Envs, BatchPolicy]:
-        names = ("envs", "vectorization", "worlds", "device")
+        names = ("envs", "simulator", "device")
         key = (*_env_key(unit, policy), *(getattr(unit.settings, name) for name in names))
         envs = self._keep("vector", key, lambda: _vector_env(unit))
         if isinstance(policy, BatchPolicy):
@@ -196,12 +196,8 @@ def _vector_env(unit: Unit) -> Envs:
     if unit.settings.batched:
         return _batch(unit)
     kwargs: dict[str, Any] = {"autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
-    if unit.settings.vectorization == "async":
-        kwargs["context"] = "spawn"  # OpenGL does not survive a fork
     name = f"magical_mj:{env_id(unit.task, unit.variant, unit.settings.preset)}"
-    return gymnasium.make_vec(
-        name, unit.settings.envs, unit.settings.vectorization, vector_kwargs=kwargs, rules=unit.settings.rules
-    )
+    return gymnasium.make_vec(name, unit.settings.envs, "sync", vector_kwargs=kwargs, rules=unit.settings.rules)
 
 
 def _batch(unit: Unit) -> Envs:
@@ -237,5 +233,5 @@ def _score(unit: Unit, preset: str | None, episode: Episode, outcome: Outcome) -
         actions=outcome.actions,
         failure=outcome.failure,
         scene=sample_scene(unit.task, unit.variant, episode.seed).digest(),
-        worlds=unit.settings.worlds,
+        worlds=WORLDS[unit.settings.simulator],
     )

@@ -14,7 +14,7 @@ from magical_mj.evaluation.reports.report import check_free, report
 from magical_mj.evaluation.reports.results import gather
 from magical_mj.evaluation.reports.statistics import by_environment, rank_correlation
 from magical_mj.evaluation.scores import frame
-from magical_mj.evaluation.settings import LARGEST_SETTING, EvaluationSettings, check_unchanged, settings_from
+from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.learners.folder import check
 from magical_mj.learners.learner import device
 from magical_mj.learners.method_settings import check_changes, check_used, load_settings
@@ -26,6 +26,7 @@ from magical_mj.utils.errors import SettingsError, check_name, shown
 from magical_mj.utils.files import read_toml
 from magical_mj.utils.imports import check_named
 from magical_mj.utils.parallel import check_backend, map_unordered
+from magical_mj.utils.settings import LARGEST_SETTING, check_unchanged, made
 
 ENTRIES: Final = {
     "methods": '["bc"]',
@@ -90,7 +91,7 @@ def runs(file: Path | str, out: Path | str) -> list[Run]:
             for group in groups:
                 settings = load_settings(method, group, quick=quick, **{**changes, "seed": seed})
                 found.append(Run(settings, quick, changes, evaluation, out.absolute()))  # workers are in other folders
-                settings_from(found[-1].played)  # an error now, not after the training
+                made(EvaluationSettings, found[-1].played)  # an error now, not after the training
     return found
 
 
@@ -135,7 +136,7 @@ def _check_runs(planned: list[Run], out: Path, here: bool) -> None:
     for run in planned:
         check(run.trained, run.settings, resume=True)
         if (run.scores / SETTINGS).exists():
-            check_unchanged(run.scores, read_settings(run.scores), settings_from(run.played).recorded())
+            check_unchanged(run.scores, read_settings(run.scores), made(EvaluationSettings, run.played).recorded())
         if here:
             device(run.settings.device)
     for run in {(run.settings.method, run.settings.tasks): run for run in planned}.values():

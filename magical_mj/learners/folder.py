@@ -15,7 +15,7 @@ from typing import Any, Final
 import torch
 
 from magical_mj._version import __version__
-from magical_mj.evaluation.settings import MUJOCO_VERSION, check_unchanged
+from magical_mj.evaluation.settings import MUJOCO_VERSION
 from magical_mj.learners import checkpoint
 from magical_mj.learners.metrics import METRICS
 from magical_mj.learners.settings import TrainingSettings
@@ -27,6 +27,7 @@ from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, TrainingError, shown
 from magical_mj.utils.files import read_toml
 from magical_mj.utils.imports import trust
+from magical_mj.utils.settings import check_unchanged
 
 CONFIG: Final = "config.toml"
 CHECKPOINT: Final = "checkpoint.safetensors"

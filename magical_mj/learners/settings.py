@@ -8,9 +8,9 @@ from numbers import Real
 from typing import Any, Final, get_type_hints
 
 from magical_mj.envs.presets import PRESETS, preset_named
-from magical_mj.evaluation.settings import LARGEST_SETTING, WORLDS
 from magical_mj.tasks.registry import TASKS, listed, task_spec
 from magical_mj.utils.errors import SettingsError, check_name, shown
+from magical_mj.utils.settings import LARGEST_SETTING
 
 STATE: Final = "State"
 """The preset of the state track."""
@@ -160,7 +160,7 @@ class TrainingSettings:
         for name, (value, allowed) in {
             "bc.optimizer": (self.bc.optimizer, ("sgd", "adam")),
             "bc.heads": (self.bc.heads, ("normal", "uniform")),
-            "ppo.worlds": (self.ppo.worlds, WORLDS),
+            "ppo.worlds": (self.ppo.worlds, ("single", "batched")),
             "precision": (self.precision, ("float32", "bfloat16")),
         }.items():
             if value not in allowed:

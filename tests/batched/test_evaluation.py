@@ -10,23 +10,21 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
 import magical_mj
 from magical_mj import batched
 from magical_mj.batched.arrays import Arrays
-from magical_mj.cli.app import app
 from magical_mj.evaluation import Episode, rollouts
 from magical_mj.evaluation.folder import SETTINGS
 from magical_mj.evaluation.reports.report import report
 from magical_mj.evaluation.scores import read
 from magical_mj.leaderboard import submit, verify
-from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError
+from magical_mj.utils.errors import EvaluationError, SettingsError
 from tests.helpers.entries import rewrite
 
 pytestmark = [pytest.mark.xdist_group("warp"), pytest.mark.filterwarnings("default")]
 
-BATCHED = {"worlds": "batched", "approximate": True, "device": "cpu", "envs": 2, "preset": "State", "episodes": 2}
+BATCHED = {"simulator": "warp", "device": "cpu", "envs": 2, "preset": "State", "episodes": 2}
 ONE = {"tasks": "MoveToRegion", "variants": "Demo"}
 
 
@@ -97,29 +95,16 @@ def test_a_world_that_breaks_is_a_failure() -> None:
     env.close()
 
 
-def test_official_tables_are_not_played_in_them() -> None:
-    result = CliRunner().invoke(app, ["evaluate", "--policy", "noop", "--worlds", "batched", "--out", "nowhere"])
-    assert isinstance(result.exception, SettingsError)
-    said = str(result.exception)
-    assert "batched worlds calculate in single precision, and their scores are approximate: --approximate" in said
-    assert not Path("nowhere").exists()
-
-
 @pytest.mark.parametrize(
     ("settings", "says"),
     [
-        ({"approximate": True}, "give --worlds batched as well"),
-        ({"device": "cpu"}, "device is that of batched worlds, not 'cpu'"),
-        ({"vectorization": "async"}, "vectorization async is of several single worlds"),
-        ({**BATCHED, "vectorization": "async"}, "vectorization async is of several single worlds"),
-        ({**BATCHED, "worlds": "many"}, "many"),
         ({**BATCHED, "device": "cuda:7"}, "no device 'cuda:7'"),
         (BATCHED, "noop uses no observations"),
     ],
 )
 def test_what_cannot_be_is_refused(settings: dict[str, Any], says: str) -> None:
     policy = "noop" if settings is BATCHED else {"demonstrator": Demonstrator()}
-    with pytest.raises((SettingsError, UnknownNameError), match=says):
+    with pytest.raises(SettingsError, match=says):
         magical_mj.evaluate(policy, **settings, **ONE)
 
 

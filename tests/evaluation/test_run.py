@@ -100,16 +100,14 @@ def test_two_jobs_give_the_same_as_one() -> None:
     pd.testing.assert_frame_equal(evaluate(policies, episodes=12, jobs=2), evaluate(policies, episodes=12))
 
 
-@pytest.mark.parametrize("vectorization", ["sync", "async"])
 @pytest.mark.parametrize("policy", [agents.Counting, agents.Batch])
-def test_episodes_side_by_side_give_the_same(policy: Any, vectorization: str) -> None:
+def test_episodes_side_by_side_give_the_same(policy: Any) -> None:
     """Two at once of three: the last has no company."""
-    side_by_side = evaluate(policy, envs=2, vectorization=vectorization)
-    pd.testing.assert_frame_equal(side_by_side, evaluate(policy))
+    pd.testing.assert_frame_equal(evaluate(policy, envs=2), evaluate(policy))
 
 
 def test_side_by_side_in_each_of_several_processes() -> None:
-    crowd = evaluate("tests.helpers.agents:Counting", envs=2, vectorization="async", jobs=2, variants="Demo")
+    crowd = evaluate("tests.helpers.agents:Counting", envs=2, jobs=2, variants="Demo")
     pd.testing.assert_frame_equal(crowd, evaluate("tests.helpers.agents:Counting", variants="Demo"))
 
 
@@ -240,29 +238,31 @@ class Holding:
         (3, {}, "3 is not a policy"),
         (Path("missing.zip"), {}, "no file missing.zip"),
         ("no_such_module:thing", {}, "no_such_module:thing cannot be imported"),
-        ("tests.helpers.agents:nothing", {}, "no 'nothing' in agents"),
+        ("tests.helpers.agents:nothing", {}, "no 'nothing' in tests.helpers.agents"),
         ("tests.helpers.agents:NOT_CALLABLE", {}, "is a int, which cannot be called"),
         ("missing.zip", {}, "no file missing.zip"),
         ("noop", {"tasks": "FindDup"}, "Did you mean 'FindDupe'"),
         ("noop", {"tasks": ""}, "at least one of"),
         ("noop", {"variants": "Color"}, "Did you mean 'Colour'"),
         ("noop", {"tasks": "MoveToRegion", "variants": "Shape"}, "It has: Demo"),
-        ("noop", {"episodes": 0}, "episodes must be at least 1"),
-        ("noop", {"time_limit": -1}, "time_limit must be at least 0.1"),
+        ("noop", {"episodes": 0}, "episodes must be an integer of at least 1, not 0"),
+        ("noop", {"time_limit": -1}, "time_limit must be a number of at least 0.1, not -1"),
         ("noop", {"preset": "LoRes5E"}, "LoRes4E"),
         ("noop", {"rules": "mine"}, "paper"),
-        ("noop", {"jobs": 0}, "jobs must be at least 1"),
-        ("noop", {"episodes": 2.5}, "episodes must be an integer, not 2.5"),
-        ("noop", {"run": "1"}, "run must be an integer, not '1'"),
-        ("noop", {"time_limit": "long"}, "time_limit must be a number, not 'long'"),
-        ("noop", {"time_limit": 10**400}, "time_limit must be at most 1000000, not 1000"),
-        ("noop", {"episodes": 10**10}, "episodes must be at most 1000000"),
-        ("noop", {"trust": "no"}, "trust must be bool, not 'no'"),
-        ("noop", {"address": 8786}, "address must be str | None, not 8786"),
+        ("noop", {"jobs": np.int64(0)}, "jobs must be an integer of at least 1"),
+        ("noop", {"episodes": 2.5}, "episodes must be an integer of at least 1, not 2.5"),
+        ("noop", {"run": "1"}, "run must be an integer of at least 0, not '1'"),
+        ("noop", {"time_limit": "long"}, "time_limit must be a number of at least 0.1, not 'long'"),
+        ("noop", {"time_limit": 10**400}, "time_limit must be a number of at most 1000000, not 1000"),
+        ("noop", {"episodes": 10**10}, "episodes must be an integer of at most 1000000"),
+        ("noop", {"trust": "no"}, "trust must be true or false, not 'no'"),
+        ("noop", {"address": 8786}, "address must be a text, not 8786"),
         ("noop", {"backend": "slurm"}, "local, dask, ray"),
         ("noop", {"backend": "dask"}, "needs the scheduler's address"),
         ("noop", {"address": "tcp://there:1"}, "choose the dask or the ray backend"),
-        ("noop", {"vectorization": "fast"}, "sync, async"),
+        ("noop", {"simulator": "wrap"}, "Did you mean 'warp'"),
+        ("noop", {"device": "cpu"}, "give --simulator warp"),
+        ("noop", {"tasks": 3}, "tasks must be names, as a list or separated by commas, not 3"),
         ("noop", {"episods": 3}, "Did you mean 'episodes'"),
         ("tests.helpers.agents:Needy", {}, "is a class, and calling it fails: TypeError"),
         (agents.Needy, {}, "is a class, and calling it fails: TypeError"),

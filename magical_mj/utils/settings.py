@@ -1,0 +1,202 @@
+"""Settings: frozen dataclasses whose fields say type, bounds, meaning and default once, for Python, TOML and options.
+
+A field is annotated, ``episodes: Annotated[Count, Meta(description="Episodes in each environment.")] = 100``, and a
+class that derives from `Settings` checks all its fields when an object is made. `changed` takes values as text, too,
+and `described` says what the command line needs. Classes of settings may be parts of others.
+
+msgspec converts the values: it loads in half of pydantic's time, and has no dependencies.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+
+import msgspec
+import numpy as np
+from msgspec import Meta, inspect
+
+from magical_mj.utils.errors import SettingsError, check_name, shown
+
+T = TypeVar("T")
+
+LARGEST_SETTING: Final = 1_000_000
+"""The greatest number of episodes, workers, seconds and the like: more than anybody waits for."""
+_LENGTH: Final = 300
+"""The number of characters of a setting that a message about a difference shows."""
+
+Count = Annotated[int, Meta(ge=1, le=LARGEST_SETTING)]
+"""An integer of at least 1."""
+Natural = Annotated[int, Meta(ge=0, le=LARGEST_SETTING)]
+"""An integer of at least 0."""
+Names = str | tuple[str, ...]
+"""Names, as one text separated by commas or as a tuple; any other iterable becomes a tuple."""
+
+_WORDS: Final[Mapping[type, str]] = {
+    inspect.BoolType: "true or false",
+    inspect.IntType: "an integer",
+    inspect.FloatType: "a number",
+    inspect.StrType: "a text",
+    inspect.CustomType: "a path",
+}
+
+
+class Setting(NamedTuple):
+    """What the command line must know about a setting."""
+
+    kind: Any
+    """Its type, without bounds."""
+    default: Any
+    description: str
+    least: float | None
+    """The smallest allowed number, if it is one."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Base of settings, which checks and converts their values.
+
+    Raises:
+        SettingsError: if a value is of another type or out of bounds.
+        UnknownNameError: if a name is not among those that are allowed.
+    """
+
+    part: ClassVar[str] = ""
+    """Of settings that are a part of others: the name of the field there, for messages."""
+
+    def __post_init__(self) -> None:
+        for name, kind in annotations(type(self)).items():
+            path = f"{self.part}.{name}" if self.part else name
+            object.__setattr__(self, name, fitting(path, getattr(self, name), kind))
+
+
+def fitting(name: str, value: Any, kind: Any, *, text: bool = False) -> Any:
+    """The value of a setting as one of its type.
+
+    Args:
+        name: the setting's name, for messages.
+        value: the value. Numbers of numpy are accepted, but no bool where a number is due.
+        kind: the annotation of its field: a type with `Meta`, in which ``ge``, ``gt`` and ``le`` are bounds.
+        text: whether numbers and truth values may be given as text, as in ``--set ppo.clip=0.02``.
+
+    Raises:
+        SettingsError: if it does not fit.
+        UnknownNameError: if it is not one of the names of a `Literal`.
+    """
+    plain = _plain(kind)
+    if is_dataclass(plain):
+        if not isinstance(value, plain):  # pyright: ignore[reportArgumentType]
+            raise SettingsError(f"{name} must be of the type {plain.__name__}, not {shown(value)}")  # pyright: ignore[reportAttributeAccessIssue]
+        return value
+    if get_origin(plain) is Literal:
+        check_name(name, value, get_args(plain))
+    try:
+        if isinstance(value, np.generic):
+            value = value.item()
+        elif plain == Names and isinstance(value, Iterable) and not isinstance(value, str | Mapping):
+            value = tuple(value)
+        return msgspec.convert(value, kind, strict=not text, dec_hook=lambda cls, given: cls(given))
+    except (msgspec.ValidationError, TypeError):  # the latter of arrays without a dimension, which look iterable
+        raise SettingsError(f"{name} must be {_wanted(kind, value)}, not {shown(value)}") from None
+
+
+def described(settings: type, prefix: str = "") -> dict[str, Setting]:
+    """All settings by name, in order; those of parts are called ``part.name``."""
+    known: dict[str, Setting] = {}
+    for item in fields(settings):
+        kind, path = annotations(settings)[item.name], f"{prefix}{item.name}"
+        if is_dataclass(part := _plain(kind)):
+            known |= described(part, f"{path}.")  # pyright: ignore[reportArgumentType]
+        else:
+            notes = [note.description for note in get_args(kind) if isinstance(note, Meta) and note.description]
+            plain = get_type_hints(settings)[item.name]
+            known[path] = Setting(plain, item.default, "".join(notes), getattr(_information(kind), "ge", None))
+    return known
+
+
+def made(settings: Callable[..., T], values: Mapping[str, Any]) -> T:
+    """Settings with these values, and defaults for all others.
+
+    Raises:
+        UnknownNameError: if there is no such setting; the closest name is suggested.
+        SettingsError: if a value does not fit.
+    """
+    for name in values:
+        check_name("setting", name, annotations(settings))
+    return settings(**values)
+
+
+def changed(settings: T, changes: Mapping[str, Any]) -> T:
+    """Settings with other values, which may be given as text; those of parts by names with dots, as in "ppo.clip".
+
+    Raises:
+        UnknownNameError: if there is no such setting; the closest name is suggested.
+        SettingsError: if a value does not fit.
+    """
+    known = described(type(settings))
+    for name in changes:
+        check_name("setting", name, known)
+    return _changed(settings, changes, "")
+
+
+def _changed(settings: T, changes: Mapping[str, Any], prefix: str) -> T:
+    values = {}
+    for name, kind in annotations(type(settings)).items():
+        path = f"{prefix}{name}"
+        if is_dataclass(_plain(kind)):
+            values[name] = _changed(getattr(settings, name), changes, f"{path}.")
+        elif path in changes:
+            values[name] = fitting(path, changes[path], kind, text=True)
+    return replace(settings, **values)  # pyright: ignore[reportArgumentType]
+
+
+@lru_cache
+def annotations(settings: Any) -> dict[str, Any]:
+    """The annotations of a class's settings by name, in order; parts are not taken apart."""
+    hints = get_type_hints(settings, include_extras=True)
+    return {item.name: hints[item.name] for item in fields(settings)}
+
+
+def check_unchanged(folder: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Raises a `SettingsError` that names what differs from the settings that a folder was started with."""
+    differences = [
+        f"{name} was {_short(before.get(name))} and is {_short(value)}"
+        for name, value in now.items()
+        if before.get(name) != value
+    ]
+    if differences:
+        raise SettingsError(f"{folder} was started with other settings: {'; '.join(differences)}")
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= _LENGTH else f"{text[: _LENGTH // 2]} ... {text[-_LENGTH // 2 :]}"
+
+
+def _plain(kind: Any) -> Any:
+    """A type without its notes."""
+    return get_args(kind)[0] if get_origin(kind) is Annotated else kind
+
+
+def _information(kind: Any) -> inspect.Type:
+    """What msgspec knows about a type; of several, such as ``Count | None``, about the first."""
+    known = inspect.type_info(kind)
+    known = known.type if isinstance(known, inspect.Metadata) else known
+    return known.types[0] if isinstance(known, inspect.UnionType) else known
+
+
+def _wanted(kind: Any, value: Any) -> str:
+    """What a setting must be, in words, such as "an integer of at least 1"."""
+    if _plain(kind) == Names:
+        return "names, as a list or separated by commas"
+    known = _information(kind)
+    words = _WORDS.get(type(known), "valid")
+    least, above, most = (getattr(known, bound, None) for bound in ("ge", "gt", "le"))
+    if most is not None and type(value) in (int, float) and value > most:
+        return f"{words} of at most {most}"
+    bound = "" if least is None else f" of at least {least}"
+    return words + (bound if above is None else f" above {above}")
