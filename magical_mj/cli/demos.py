@@ -25,10 +25,10 @@ from magical_mj.cli.console import (
     console,
     make_writable_folder,
 )
-from magical_mj.cli.demo_files import Paths, asked_for, files_of, read_asked, read_chosen
 from magical_mj.cli.film import film
 from magical_mj.cli.progress import with_bar
 from magical_mj.tasks.registry import Pair, environments, score, task_spec
+from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError, UntrustedNameError
 from magical_mj.utils.parallel import map_unordered
 from magical_mj.utils.settings import LARGEST_SETTING
@@ -36,6 +36,10 @@ from magical_mj.utils.settings import LARGEST_SETTING
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
     from magical_mj.demos import Demonstration, Imported, Verdict
 
+Paths = Annotated[
+    list[Path] | None,
+    typer.Argument(help="Files and folders.", show_default="those that come with the tasks"),
+]
 Recordings = Annotated[list[Path], typer.Argument(help="The JSON files that the browser saved.", show_default=False)]
 Count = Annotated[
     int, typer.Option(min=1, max=LARGEST_SETTING, help="Number in each environment, in the scenes of seeds 0, 1, ...")
@@ -115,12 +119,12 @@ def make(work: tuple[str, str, int, float, Path]) -> str:
 
 
 @app.command(name="import")
-def import_recordings(files: Recordings, out: Folder) -> None:
+def import_recordings(recordings: Recordings, out: Folder) -> None:
     """Import episodes that were saved in the browser: they are replayed and scored here."""
-    made = [(file, _replayed(file)) for file in files]  # replay all before anything is written
+    episodes = [(file, _replayed(file)) for file in recordings]  # replay all before anything is written
     make_writable_folder(out)
     screen = console()
-    for file, (demo, deviation, suspect) in made:
+    for file, (demo, deviation, suspect) in episodes:
         path, is_new = magical_mj.demos.keep(demo, out)
         if not is_new:
             screen.print(f"{file} is there already: {path}", soft_wrap=True)
@@ -130,8 +134,7 @@ def import_recordings(files: Recordings, out: Folder) -> None:
 
 
 def _replayed(file: Path) -> Imported:
-    with file.open("rb") as stream:
-        text = stream.read(magical_mj.demos.MAX_BYTES + 1)
+    text = files.read_foreign(file, most=magical_mj.demos.MAX_BYTES, error=DemonstrationError)
     try:
         return magical_mj.demos.from_recording(text)
     except MagicalError as error:
@@ -183,22 +186,22 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
     differ where machines or versions do.
     """
     screen = console()
-    files = files_of(paths, tasks, variants)
+    chosen = files_of(paths, tasks, variants)
     work = partial(check, asked_for(tasks, variants))
-    checked = with_bar(screen, "verifying", map_unordered(work, files, jobs), len(files))
-    found = [(path, verdict) for path, verdict in checked if verdict]
-    if not found:
-        raise DemonstrationError(f"none of the {len(files)} files is of these tasks and variants")
-    verdicts = [verdict for _, verdict in found if not isinstance(verdict, str)]
+    checked = with_bar(screen, "verifying", map_unordered(work, chosen, jobs), len(chosen))
+    outcomes = [(path, verdict) for path, verdict in checked if verdict]
+    if not outcomes:
+        raise DemonstrationError(f"none of the {len(chosen)} files is of these tasks and variants")
+    verdicts = [verdict for _, verdict in outcomes if not isinstance(verdict, str)]
     exact, alike = (sum(getattr(verdict, name) for verdict in verdicts) for name in ("exact", "pictures"))
     screen.print(
-        f"{sum(verdict.score and verdict.replay for verdict in verdicts)} of {len(found)} replay to the same score, "
+        f"{sum(verdict.score and verdict.replay for verdict in verdicts)} of {len(outcomes)} replay to the same score, "
         f"{exact} through the same states, {alike} with the same pictures"
     )
-    problems = (problem_of(path, verdict) for path, verdict in sorted(found, key=str))
+    problems = (problem_of(path, verdict) for path, verdict in sorted(outcomes, key=str))
     for problem in dict.fromkeys(filter(None, problems)):  # that a task must be named is said once
         complain(problem)
-    if sum(verdict.good for verdict in verdicts) < len(found):
+    if sum(verdict.good for verdict in verdicts) < len(outcomes):
         raise typer.Exit(1)
 
 
@@ -250,3 +253,60 @@ def video(
                     made.add(views, step, int(demo.actions[step - 1]), reached)
             made.end()
     console().print(out, soft_wrap=True)
+
+
+def files_of(paths: Sequence[Path] | None, tasks: str, variants: str) -> list[Path]:
+    """The files, each once, even if it is given in several ways; by default those that come with the tasks."""
+    pairs = environments(tasks, variants)
+    if not paths:
+        return [path for task in dict.fromkeys(task for task, _ in pairs) for path in magical_mj.demos.paths_of(task)]
+    chosen: dict[Path, Path] = {}
+    for path in paths:
+        if path.is_dir():
+            inside = magical_mj.demos.files_in_or_below(path)
+            if not inside:
+                raise DemonstrationError(f"there are no demonstrations in {path}")
+            chosen |= {file.resolve(): file for file in inside}
+        elif path.exists():
+            chosen[path.resolve()] = path
+        else:
+            raise DemonstrationError(
+                f"there is no {path}; for those of a task that come with the package: --tasks TASK"
+            )
+    return list(chosen.values())
+
+
+def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str) -> list[Demonstration]:
+    """The demonstrations of these tasks and variants in files and folders, by default those that come with tasks."""
+    wanted = asked_for(tasks, variants)
+    demos_and_names = [read_asked(path, wanted) for path in files_of(paths, tasks, variants)]
+    chosen = [demo for demo in demos_and_names if not isinstance(demo, str)]
+    if not chosen:
+        others = sorted({name for name in demos_and_names if isinstance(name, str)})
+        raise DemonstrationError(f"there are none of these tasks and variants; there are {', '.join(others)}")
+    return chosen
+
+
+def asked_for(tasks: str, variants: str) -> list[Pair] | None:
+    """The environments that were asked for; None if none was in particular."""
+    return None if (tasks, variants) == ("all", "all") else environments(tasks, variants)
+
+
+def read_asked(path: Path, wanted: Collection[Pair] | None) -> Demonstration | str:
+    """The demonstration in a file; the name of its environment or task if others were asked for.
+
+    Args:
+        path: the file.
+        wanted: as `asked_for` returns it; only the code of these tasks may run.
+
+    Raises:
+        DemonstrationError: if the file is damaged.
+        UntrustedNameError: if reading it runs the code of a task, and nothing in particular was asked for.
+    """
+    try:
+        demo = magical_mj.demos.read(path, trusted=[task for task, _ in wanted or ()])
+    except UntrustedNameError as error:
+        if wanted is None:
+            raise
+        return error.reference
+    return demo if wanted is None or (demo.task, demo.variant) in wanted else demo.name

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Final
 
 from magical_mj.demos.demonstration import Demonstration
+from magical_mj.demos.export.archives import to_npz
 from magical_mj.demos.export.minari import to_minari
-from magical_mj.demos.export.npz import to_npz
 from magical_mj.demos.files import files_in, files_in_or_below, keep, read, write
 from magical_mj.demos.importing import MAX_BYTES, Imported, from_recording
 from magical_mj.demos.learning import Transitions, observations, stream, transitions

@@ -8,6 +8,7 @@ import os
 import platform
 import re
 import secrets
+import shutil
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -93,6 +94,40 @@ def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
         if error.errno is None or error.filename not in (None, str(unfinished), str(lock)):
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error  # a full disk's error has no file name
+
+
+@contextmanager
+def new_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """For code that makes a folder: yields the path next to `path` where to make it, and renames it at the end.
+
+    If the block raises, or its process dies, what was at `path` stays or is restored by the next call. Other processes
+    that make folders beside it wait. The folder's parent is made if missing.
+
+    Raises:
+        FileExistsError: if the folder exists and `overwrite` is false.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished, replaced = (path.with_name(f".{path.name}.{what}") for what in ("part", "old"))
+    with locked(path.parent):
+        shutil.rmtree(unfinished, ignore_errors=True)  # what a process left that was killed
+        _restore(replaced, path)
+        if path.exists() and not overwrite:
+            raise _exists(path)
+        try:
+            yield unfinished
+            if path.exists():
+                path.rename(replaced)
+            unfinished.rename(path)
+        finally:
+            shutil.rmtree(unfinished, ignore_errors=True)
+            _restore(replaced, path)
+
+
+def _restore(replaced: Path, path: Path) -> None:
+    """Puts a folder back unless there is another one by now, which counts."""
+    if replaced.exists() and not path.exists():
+        replaced.rename(path)
+    shutil.rmtree(replaced, ignore_errors=True)
 
 
 def is_unfinished(path: Path) -> bool:

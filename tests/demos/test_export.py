@@ -1,7 +1,8 @@
-"""Demonstrations for other tools: numpy archives and Minari data sets."""
+"""Demonstrations for other tools: numpy archives, Minari data sets, and robomimic's HDF5."""
 
 from __future__ import annotations
 
+import json
 import resource
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from pathlib import Path
 from subprocess import PIPE
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -19,14 +21,16 @@ import magical_mj
 from magical_mj import demos
 from magical_mj.cli import main
 from magical_mj.demos import Demonstration
+from magical_mj.demos.export.archives import to_robomimic
+from magical_mj.scene.actions import to_vector
 from magical_mj.tasks.protocol import PROTOCOL
-from magical_mj.utils.errors import DemonstrationError
+from magical_mj.utils.errors import DemonstrationError, UnknownNameError
 
 
 @pytest.fixture(scope="module")
 def demo() -> Demonstration:
     """A short one."""
-    return demos.demonstrate("FixColour", "Demo", 0)
+    return demos.load("FixColour")[0]
 
 
 def test_npz_export(demo: Demonstration, tmp_path: Path) -> None:
@@ -123,7 +127,7 @@ def test_all_ids_are_checked_before_the_first_minari_set_is_made(
 
 def test_minari_sets_of_other_presets_and_variants_stand_side_by_side(demo: Demonstration, minari: Any) -> None:
     other = demos.demonstrate("FixColour", "All", 0)
-    made = {demos.to_minari([some], preset=preset) for some in (demo, other) for preset in ("State", "")}
+    made = {demos.to_minari([some], preset=preset) for some in (demo, other) for preset in ("State", "LoRes4A")}
     assert made == set(minari.list_local_datasets())
     assert len(made) == 4
     with pytest.raises(DemonstrationError, match="already"):
@@ -176,99 +180,99 @@ def test_a_disk_with_room_for_the_arrays_alone_leaves_what_was_there(
     assert minari.load_dataset(name).total_episodes == 10
 
 
-def test_exports_at_the_same_time_take_turns(demo: Demonstration, minari: Any) -> None:
+def test_exports_at_the_same_time_take_turns(demo: Demonstration, minari: Any, tmp_path: Path) -> None:
+    """Instead of taking what is there for the rest of a dead process."""
+    sets = tmp_path / "sets" / "new" / "sets"
     program = (
-        "import sys, time, minari; from magical_mj import demos\n"
-        "make = minari.create_dataset_from_buffers\n"
-        "def slowly(**given):\n"
-        "    made = make(**given); print('here', flush=True); sys.stdin.readline(); return made\n"
-        "minari.create_dataset_from_buffers = slowly\n"
-        "demos.to_minari(demos.load('FixColour')[:3], 'both-v0')\n"
+        "import time; from magical_mj import demos; from magical_mj.demos.export import minari\n"
+        "fill = minari._fill\n"
+        "minari._fill = lambda *parts: (fill(*parts), print('here', flush=True), time.sleep(1))\n"
+        "demos.to_minari(demos.load('FixColour')[:3], 'new/sets/both-v0')\n"
     )
-    first = subprocess.Popen([sys.executable, "-c", program], stdin=PIPE, stdout=PIPE, text=True)
+    first = subprocess.Popen([sys.executable, "-c", program], stdout=PIPE, text=True)
     assert first.stdout is not None
     assert first.stdout.readline() == "here\n"
-    program = (
-        "from magical_mj import demos; some = demos.load('FixColour')[:1]; import minari\n"
-        "print('here', flush=True); demos.to_minari(some, 'both-v0')\n"
-    )
-    second = subprocess.Popen([sys.executable, "-c", program], stdout=PIPE, stderr=PIPE, text=True)
-    assert second.stdout is not None
-    assert second.stdout.readline() == "here\n"
-    with pytest.raises(subprocess.TimeoutExpired):
-        second.wait(1)  # it waits, instead of taking what is there for the rest of a dead process
-    first.communicate("go on\n")
-    assert "there is a data set" in second.communicate()[1]
-    assert (first.returncode, second.returncode) == (0, 1)
-    assert minari.load_dataset("both-v0").total_episodes == 3
-
-
-def test_a_process_that_died_while_it_made_a_new_set_leaves_room_for_another(demo: Demonstration, minari: Any) -> None:
-    program = (
-        "import os, minari; from magical_mj import demos\n"
-        "make = minari.create_dataset_from_buffers\n"
-        "minari.create_dataset_from_buffers = lambda **given: (make(**given), os.kill(os.getpid(), 9))\n"
-        "demos.to_minari(demos.load('FixColour')[:2], 'new-v0')\n"
-    )
-    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == -9
-    demos.to_minari([demo], "new-v0")
-    assert minari.load_dataset("new-v0").total_episodes == 1
-
-
-@pytest.mark.parametrize("overwrite", [True, False])
-def test_a_process_that_died_while_it_replaced_a_set_costs_nothing(
-    demo: Demonstration, minari: Any, overwrite: bool
-) -> None:
-    name = demos.to_minari([demo])
-    program = (
-        "import os, sys, minari; from magical_mj import demos\n"
-        "minari.create_dataset_from_buffers = lambda **_: os.kill(os.getpid(), 9)\n"
-        "demos.to_minari(demos.load('FixColour')[:1], sys.argv[1], overwrite=True)\n"
-    )
-    assert subprocess.run([sys.executable, "-c", program, name], check=False).returncode == -9
-    assert name not in minari.list_local_datasets()
-    if overwrite:
-        demos.to_minari([demo, demo], overwrite=True)
-    else:
-        with pytest.raises(DemonstrationError, match="already"):
-            demos.to_minari([demo])
-    assert minari.load_dataset(name).total_episodes == 1 + overwrite
-
-
-def test_a_process_that_died_while_it_removed_the_replaced_set_leaves_the_new_one(
-    demo: Demonstration, minari: Any, tmp_path: Path
-) -> None:
-    name = demos.to_minari([demo])
-    program = (
-        "import os, shutil, sys; from magical_mj import demos\n"
-        "shutil.rmtree = lambda folder, **_: os.path.exists(folder) and os.kill(os.getpid(), 9)\n"
-        "some = demos.load('FixColour')[:1]\n"
-        "demos.to_minari([*some, *some], sys.argv[1], overwrite=True)\n"
-    )
-    assert subprocess.run([sys.executable, "-c", program, name], check=False).returncode == -9
+    assert minari.list_local_datasets() == {}
     with pytest.raises(DemonstrationError, match="already"):
-        demos.to_minari([demo])
-    assert minari.load_dataset(name).total_episodes == 2
-    assert list((tmp_path / "sets" / name).parent.glob(".*")) == []
+        demos.to_minari([demo], "new/sets/both-v0")
+    first.communicate()
+    assert minari.load_dataset("new/sets/both-v0").total_episodes == 3
+    assert sorted(path.name for path in sets.iterdir()) == ["both-v0", "namespace_metadata.json"]
 
 
-def test_an_export_that_fails_leaves_what_others_made_beside_it(
-    demo: Demonstration, minari: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """Both start in a namespace that does not exist yet; the other one ends first."""
-    write = minari.create_dataset_from_buffers
+def test_minari_collects_stacks_of_frames_as_arrays(minari: Any) -> None:
+    pytest.importorskip("jax")  # which Minari's collector needs
+    env = minari.DataCollector(gymnasium.make(magical_mj.env_id("FixColour", "Demo", "LoRes4E")), jpeg_encoding=False)
+    env.reset(seed=0)
+    for _ in range(60):
+        env.step(1)
+    made = env.create_dataset("mine/collected-v0", algorithm_name="none", author="me", description="an episode")
+    assert made[0].observations.shape == (61, 96, 96, 12)
 
-    def interrupted(**arguments: Any) -> None:
-        monkeypatch.setattr(minari, "create_dataset_from_buffers", write)
-        demos.to_minari([demo], "new/theirs/set-v0")
-        write(**arguments)
-        raise KeyboardInterrupt
 
-    monkeypatch.setattr(minari, "create_dataset_from_buffers", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        demos.to_minari([demo], "new/mine/set-v0")
-    assert list(minari.list_local_datasets()) == ["new/theirs/set-v0"]
-    assert not (tmp_path / "sets" / "new" / "mine").exists()
+@pytest.fixture(scope="module")
+def two() -> list[demos.Demonstration]:
+    return demos.load("FixColour")[:2]
+
+
+def test_the_file_replays_to_the_full_score(two: list[demos.Demonstration], tmp_path: Path) -> None:
+    to_robomimic(two, tmp_path / "set.hdf5", views="state")
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "set.hdf5") as file:
+        assert list(file["data"]) == ["demo_0", "demo_1"]
+        assert file["data"].attrs["total"] == 120
+        told = json.loads(file["data"].attrs["env_args"])
+        env = gymnasium.make(told["env_name"], **told["env_kwargs"])
+        for demo, group in zip(two, file["data"].values(), strict=True):
+            assert group.attrs["num_samples"] == len(demo.actions)
+            env.reset(options={"scene": demo.scene})
+            rewards = [float(env.step(action)[1]) for action in group["actions"][()]]
+            assert rewards == group["rewards"][()].tolist()
+            assert rewards[-1] == 1.0
+            np.testing.assert_array_equal(group["obs/state"][1:], group["next_obs/state"][:-1])
+            np.testing.assert_array_equal(group["states"], np.concatenate([demo.qpos, demo.qvel], axis=1)[:-1])
+        env.close()
+
+
+def test_pictures_are_those_of_the_episode(two: list[demos.Demonstration], tmp_path: Path) -> None:
+    to_robomimic(two[:1], tmp_path / "set.hdf5", views="both")
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "set.hdf5") as file:
+        group = file["data/demo_0"]
+        wanted = demos.observations(two[0], "LoResFingers")
+        for view in ("ego", "allo"):
+            np.testing.assert_array_equal(group[f"obs/{view}_image"], wanted[view][:-1])
+            np.testing.assert_array_equal(group[f"next_obs/{view}_image"], wanted[view][1:])
+        assert group["dones"][()].tolist() == [0] * 59 + [1]
+
+
+def test_nothing_is_overwritten_or_half_written(two: list[demos.Demonstration], tmp_path: Path) -> None:
+    (tmp_path / "set.hdf5").write_text("mine")
+    with pytest.raises(FileExistsError):
+        to_robomimic(two, tmp_path / "set.hdf5", views="state")
+    with pytest.raises(DemonstrationError, match="one environment"):
+        to_robomimic([*two, *demos.load("FindDupe")[:1]], tmp_path / "other.hdf5")
+    with pytest.raises(UnknownNameError, match="both"):
+        to_robomimic(two, tmp_path / "other.hdf5", views="bot")
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"set.hdf5": b"mine"}
+
+
+def test_robomimic_reads_it(two: list[demos.Demonstration], tmp_path: Path) -> None:
+    pytest.importorskip("robomimic")
+    from robomimic.utils import obs_utils
+    from robomimic.utils.dataset import SequenceDataset
+
+    to_robomimic(two, tmp_path / "set.hdf5")
+    obs_utils.initialize_obs_utils_with_obs_specs({"obs": {"rgb": ["ego_image"]}})
+    read = SequenceDataset(
+        str(tmp_path / "set.hdf5"), ("ego_image",), ("actions", "rewards", "dones"), frame_stack=4, seq_length=8
+    )
+    assert len(read) == 120
+    item = read[61]  # the second step of the second demonstration
+    assert item["obs"]["ego_image"].shape == (11, 96, 96, 3)
+    wanted = demos.observations(two[1], "LoResFingers")["ego"]
+    np.testing.assert_array_equal(item["obs"]["ego_image"][3], wanted[1])
+    np.testing.assert_array_equal(item["actions"][3:], to_vector(two[1].actions[1:9]))
 
 
 @contextmanager

@@ -140,7 +140,7 @@ def refused(content: bytes, hint: str, good: dict[str, Any], folder: Path, capsy
     assert main(["demos", "import", *files, "--out", str(folder / "made")]) == 2
     out, error = capsys.readouterr()
     assert out == ""
-    assert "bad.json: " in error
+    assert "bad.json" in error
     assert hint in error
     assert error.count("\n") == 1
     assert len(error) < 1000

@@ -180,6 +180,41 @@ def test_files_of_others_are_plain_and_of_bounded_size(tmp_path: Path) -> None:
         files.read_foreign(tmp_path / "nothing", most=5, error=SettingsError)
 
 
+def test_a_folder_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path) -> None:
+    path, text = tmp_path / "new" / "set", "one"
+    for text in ("one", "two"):
+        with files.new_folder(path, overwrite=True) as unfinished:
+            unfinished.mkdir()
+            (unfinished / text).touch()
+    with pytest.raises(FileExistsError), files.new_folder(path):
+        pytest.fail("nothing is replaced unasked")
+    with pytest.raises(FileNotFoundError), files.new_folder(path, overwrite=True) as unfinished:
+        (unfinished / "without" / "its" / "parent").mkdir()
+    assert [file.name for file in path.iterdir()] == ["two"]
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("left", "there"),
+    [
+        (["part"], []),  # killed while it made a new one
+        (["set", "part"], ["set"]),  # killed while it made one to replace this one
+        (["part", "old"], ["old"]),  # killed before it had renamed it
+        (["set", "old"], ["set"]),  # killed after that; or somebody has made another one by now, which counts
+    ],
+)
+def test_a_process_that_died_costs_no_folder(left: list[str], there: list[str], tmp_path: Path) -> None:
+    path = tmp_path / "set"
+    for name in left:
+        folder = path if name == "set" else tmp_path / f".set.{name}"
+        folder.mkdir()
+        (folder / name).touch()
+    with pytest.raises(KeyboardInterrupt), files.new_folder(path, overwrite=True):
+        raise KeyboardInterrupt
+    assert [file.name for file in path.glob("*")] == there
+    assert list(tmp_path.iterdir()) == [path] * len(there)
+
+
 def test_a_lock_is_for_one_at_a_time_and_ends_with_its_context(tmp_path: Path) -> None:
     """Although a child that was forked meanwhile lives on, and holds the same descriptor."""
     (tmp_path / "a.txt").write_text("text")

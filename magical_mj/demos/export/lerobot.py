@@ -7,7 +7,6 @@ spaced in time.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -19,14 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration, demonstrators, only_environment
 from magical_mj.demos.learning import observations
-from magical_mj.demos.replay import see
+from magical_mj.demos.replay import see as render_demo
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import to_vector
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
-from magical_mj.utils.errors import DemonstrationError, MagicalError, check_name
+from magical_mj.utils.errors import MagicalError, check_name
 
 if TYPE_CHECKING:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset  # pyright: ignore[reportMissingImports]
@@ -57,8 +56,8 @@ def image_keys(views: str) -> dict[str, str]:
         UnknownNameError: if `views` is none of `VIEWS`.
     """
     check_name("choice of views", views, VIEWS)
-    shown = VIEWS[views]
-    return {view: "observation.image" if len(shown) == 1 else f"observation.images.{view}" for view in shown}
+    only_one = len(VIEWS[views]) == 1
+    return {view: "observation.image" if only_one else f"observation.images.{view}" for view in VIEWS[views]}
 
 
 def to_lerobot(
@@ -84,36 +83,27 @@ def to_lerobot(
 
     Raises:
         MagicalError: if lerobot is not installed.
-        DemonstrationError: if the demonstrations are not of one environment, or the folder exists.
+        DemonstrationError: if the demonstrations are not of one environment.
+        FileExistsError: if the folder exists.
     """
     try:
         from lerobot.datasets.lerobot_dataset import LeRobotDataset  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise missing_lerobot() from None
     keys = image_keys(views)
-    environment, folder = only_environment(demos), Path(folder)
-    who, seen = "-".join(demonstrators(demos)), f"{views}{'-fingers' if fingers else ''}"
-    name = f"magical-mj/{environment}-{who}-{seen}-p{PROTOCOL}"
+    environment, folder = only_environment(demos), files.to_path(folder)
+    who, observed = "-".join(demonstrators(demos)), f"{views}{'-fingers' if fingers else ''}"
+    name = f"magical-mj/{environment}-{who}-{observed}-p{PROTOCOL}"
     features = _features(keys, fingers=fingers, video=video)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with files.locked(folder.parent):
-        if folder.exists():
-            raise DemonstrationError(f"{folder} exists already; give a new folder")
-        beside = folder.with_name(f".{folder.name}.part")  # half a data set reads like a whole one
-        shutil.rmtree(beside, ignore_errors=True)  # what an export left that was killed
-        try:
-            made = LeRobotDataset.create(
-                name, c.CONTROL_RATE, features, root=beside, robot_type="magical_mj", use_videos=video
-            )
-            for demo in demos:
-                for frame in _frames(demo, keys, fingers=fingers):
-                    made.add_frame(frame)
-                made.save_episode()
-            made.finalize()
-            beside.rename(folder)
-        except BaseException:
-            shutil.rmtree(beside, ignore_errors=True)
-            raise
+    with files.new_folder(folder) as unfinished:  # half a data set reads like a whole one
+        data_set = LeRobotDataset.create(
+            name, c.CONTROL_RATE, features, root=unfinished, robot_type="magical_mj", use_videos=video
+        )
+        for demo in demos:
+            for frame in _frames(demo, keys, fingers=fingers):
+                data_set.add_frame(frame)
+            data_set.save_episode()
+        data_set.finalize()
     return LeRobotDataset(name, root=folder)
 
 
@@ -134,9 +124,8 @@ def _features(keys: Mapping[str, str], *, fingers: bool, video: bool) -> dict[st
         "shape": (IMAGE_SIZE, IMAGE_SIZE, 3),
         "names": ["height", "width", "channels"],
     }
-    seen = dict.fromkeys(keys.values(), image) if keys else {STATE_VECTOR: _vector(STATE_NAMES)}
     return {
-        **seen,
+        **(dict.fromkeys(keys.values(), image) if keys else {STATE_VECTOR: _vector(STATE_NAMES)}),
         "observation.state": _vector(FINGERS if fingers else NO_STATE),
         "action": _vector(("drive", "turn", "grip")),
     }
@@ -147,19 +136,20 @@ def _vector(names: Sequence[str]) -> dict[str, Any]:
 
 
 def _frames(demo: Demonstration, keys: Mapping[str, str], *, fingers: bool) -> Iterator[dict[str, Any]]:
-    """What was seen before each action, and the action."""
+    """What is observed before each action, and the action."""
     sentence, world = task_spec(demo.task).summary, World(demo.scene)
-    for seen, qpos, action in zip(_seen(demo, keys), demo.qpos, demo.actions, strict=False):
+    for observed, qpos, action in zip(_observed(demo, keys), demo.qpos, demo.actions, strict=False):
         yield {
-            **seen,
+            **observed,
             "observation.state": state(world.fingers(qpos) if fingers else None),
             "action": to_vector(action),
             "task": sentence,
         }
 
 
-def _seen(demo: Demonstration, keys: Mapping[str, str]) -> Iterator[dict[str, Any]]:
+def _observed(demo: Demonstration, keys: Mapping[str, str]) -> Iterator[dict[str, Any]]:
     """What a policy sees at the start and after each action: pictures, or without keys of any the state vector."""
     if not keys:
         return ({STATE_VECTOR: row} for row in observations(demo, "State"))
-    return ({key: pictures[view] for view, key in keys.items()} for pictures in see(demo, list(keys), IMAGE_SIZE))
+    frames = render_demo(demo, list(keys), IMAGE_SIZE)
+    return ({key: pictures[view] for view, key in keys.items()} for pictures in frames)

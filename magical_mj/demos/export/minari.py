@@ -1,13 +1,11 @@
-"""Demonstrations as Minari data sets, written by minari itself, completely or not at all."""
+"""Demonstrations as Minari data sets, written by minari's storage, completely or not at all."""
 
 from __future__ import annotations
 
 import os
-import shutil
 import tempfile
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,8 +21,6 @@ from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError
 from magical_mj.utils.extras import missing_extra
 
-NAMESPACE: Final = "namespace_metadata.json"
-"""The file that Minari writes into each folder of data sets."""
 HDF5_BYTES: Final = 32_000
 """What HDF5 writes for each episode besides its arrays, at most."""
 
@@ -47,9 +43,10 @@ def to_minari(
 ) -> str:
     """Makes a Minari data set of demonstrations of one environment.
 
-    The observations are those of the preset; `infos` holds the exact positions and velocities. The reward is the
-    score at the last step. The environment that `dataset.recover_environment()` makes has the same rewards, and its
-    `reset(seed=episode's seed)` starts in the episode's scene.
+    The observations are those of the preset, as arrays: Minari's JPEG is lossy, and takes no stacks. `infos` holds the
+    exact positions and velocities. The reward is the score at the last step. The environment that
+    `dataset.recover_environment()` makes has the same rewards, and its `reset(seed=episode's seed)` starts in the
+    episode's scene.
 
     Args:
         demos: demonstrations of one environment.
@@ -65,53 +62,57 @@ def to_minari(
         DemonstrationError: if the demonstrations are not of one environment, a scene's seed is 2**63 or more, the id is
             invalid, or the data set exists already.
     """
+    environment, first = only_environment(demos), demos[0]
+    check_seeds(demos)
+    name = minari_name(demos, preset) if name is None else name
+    path = dataset_path(name)
+    episodes = [_episode(demo, number, preset) for number, demo in enumerate(demos)]
+    _check_space(dataset_path(), sum(HDF5_BYTES + _size(episode) for episode in [*episodes, {}, {}]))
+    who = " and ".join(demonstrators(demos))
+    versions = {f"magical-mj=={demo.package}" for demo in demos} | {f"mujoco=={demo.mujoco}" for demo in demos}
+    about = {
+        "algorithm_name": f"magical_mj {who}",
+        "description": f"{len(demos)} demonstrations of {environment} by the {who} of magical_mj",
+        "requirements": sorted(versions) if len(versions) == 2 else [],
+    }
     try:
-        import minari
-        from minari.data_collector import EpisodeBuffer
+        with (
+            closing(gymnasium.make(env_id(first.task, first.variant, preset), reward="score")) as env,
+            files.new_folder(path, overwrite=overwrite) as unfinished,
+        ):
+            _fill(unfinished, name, env, about, episodes)
+    except FileExistsError:
+        check_new(name)
+        raise
+    return name
+
+
+def dataset_path(name: str = "") -> Path:
+    """The folder of the data set with this id, or of all of them.
+
+    Raises:
+        MissingExtraError: if minari is not installed.
+        DemonstrationError: if the id is invalid.
+    """
+    try:
         from minari.dataset.minari_dataset import parse_dataset_id
         from minari.storage import get_dataset_path
     except ModuleNotFoundError:
         raise missing_extra("exporting to Minari", "minari") from None
-    environment, first = only_environment(demos), demos[0]
-    check_seeds(demos)
-    name = minari_name(demos, preset) if name is None else name
-    who = " and ".join(demonstrators(demos))
-    versions = {f"magical-mj=={demo.package}" for demo in demos} | {f"mujoco=={demo.mujoco}" for demo in demos}
+    if not name:
+        return get_dataset_path()
     try:
         parse_dataset_id(name)
     except (TypeError, ValueError):  # TypeError if the version is missing
         raise DemonstrationError(
             f"Minari does not take the id {name!r}, which must be like magical-mj/mine-v0"
         ) from None
-    episodes = [_episode(demo, number, preset) for number, demo in enumerate(demos)]
-    _check_space(get_dataset_path(), sum(HDF5_BYTES + _size(episode) for episode in [*episodes, {}, {}]))
-    made = gymnasium.make(env_id(first.task, first.variant, preset), reward="score")
-    with closing(made) as env, warnings.catch_warnings(), _new_folder(get_dataset_path(name), overwrite):
-        warnings.filterwarnings("ignore", module="minari")  # it asks for optional metadata
-        minari.create_dataset_from_buffers(
-            dataset_id=name,
-            buffer=[EpisodeBuffer(**episode) for episode in episodes],
-            env=env,
-            eval_env=env,
-            algorithm_name=f"magical_mj {who}",
-            author="magical_mj",
-            description=f"{len(demos)} demonstrations of {environment} by the {who} of magical_mj",
-            requirements=sorted(versions) if len(versions) == 2 else [],
-            jpeg_encoding=False,
-        )
-    return name
+    return get_dataset_path(name)
 
 
 def check_new(name: str) -> None:
-    """Raises a `DemonstrationError` if there is a data set of this id, and a `MissingExtraError` without minari."""
-    try:
-        from minari.storage import get_dataset_path
-    except ModuleNotFoundError:
-        raise missing_extra("exporting to Minari", "minari") from None
-    _check_new(get_dataset_path(name))
-
-
-def _check_new(path: Path) -> None:
+    """Raises a `DemonstrationError` if there is a data set of this id, or if it is invalid."""
+    path = dataset_path(name)
     if path.exists():
         raise DemonstrationError(f"there is a data set {path} already; give it another id, or overwrite it (--force)")
 
@@ -132,59 +133,24 @@ def _check_space(folder: Path, size: int) -> None:
             raise OSError(error.errno, error.strerror, str(folder)) from None
 
 
-@contextmanager
-def _new_folder(path: Path, overwrite: bool) -> Iterator[None]:
-    """For a block that makes a folder. If the block raises, or its process dies, the previous content is restored.
+def _fill(
+    folder: Path, name: str, env: gymnasium.Env[Any, Any], about: dict[str, Any], episodes: list[dict[str, Any]]
+) -> None:
+    """Writes a data set into a new folder, wherever it lies; its namespaces are made where its id says."""
+    import minari
+    from minari.data_collector import EpisodeBuffer
+    from minari.dataset.minari_storage import MinariStorage
+    from minari.namespace import create_namespace, list_local_namespaces
 
-    Other processes that make folders beside it wait.
-    """
-    missing = [folder for folder in path.parents if not folder.exists()]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        with files.locked(path.parent):
-            old, new, discarded = (path.with_name(f".{path.name}.{what}") for what in ("old", "new", "discarded"))
-            _restore(path, old, new, discarded)
-            if not overwrite:
-                _check_new(path)
-            if path.exists():
-                path.rename(old)
-            else:
-                new.mkdir()
-            try:
-                yield
-            except BaseException:
-                _restore(path, old, new, discarded)
-                raise
-            if old.exists():
-                old.rename(discarded)  # from here on, the new content counts
-            _remove(new, discarded)
-    except BaseException:
-        for folder in missing:
-            _remove_unused(folder)
-        raise
-
-
-def _restore(path: Path, old: Path, new: Path, discarded: Path) -> None:
-    """Restores a folder that was not completed: `old` is its previous content, and `new` says that there was none."""
-    _remove(discarded)
-    if old.exists() or new.exists():
-        _remove(path)
-    if old.exists():
-        old.rename(path)
-    _remove(new)
-
-
-def _remove(*folders: Path) -> None:
-    for folder in folders:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _remove_unused(folder: Path) -> None:
-    """Removes a folder of Minari's unless it holds a data set or a folder, which another process may have made."""
-    with suppress(OSError):
-        if {path.name for path in folder.iterdir()} <= {NAMESPACE}:
-            (folder / NAMESPACE).unlink(missing_ok=True)
-            folder.rmdir()
+    namespace, _, _ = name.rpartition("/")
+    if namespace and namespace not in list_local_namespaces():
+        create_namespace(namespace)
+    folder.mkdir()
+    spec = env.spec
+    storage = MinariStorage.new(folder / "data", env.observation_space, env.action_space, spec, jpeg_encoding=False)
+    metadata: dict[str, Any] = {"dataset_id": name, "author": {"magical_mj"}, "minari_version": minari.__version__}
+    storage.update_metadata({**metadata, **about, "eval_env_spec": spec.to_json() if spec else None})
+    storage.update_episodes([EpisodeBuffer(**episode) for episode in episodes])
 
 
 def _episode(demo: Demonstration, number: int, preset: str) -> dict[str, Any]:
@@ -192,7 +158,6 @@ def _episode(demo: Demonstration, number: int, preset: str) -> dict[str, Any]:
     steps = len(demo.actions)
     rewards = np.zeros(steps)
     rewards[-1] = demo.score
-    last = np.arange(steps) == steps - 1
     return {
         "id": number,
         "seed": demo.scene_seed,
@@ -200,6 +165,6 @@ def _episode(demo: Demonstration, number: int, preset: str) -> dict[str, Any]:
         "actions": demo.actions.astype(np.int64),
         "rewards": rewards,
         "terminations": np.zeros(steps, bool),
-        "truncations": last,
+        "truncations": np.arange(steps) == steps - 1,
         "infos": {"qpos": demo.qpos, "qvel": demo.qvel},
     }

@@ -1,0 +1,154 @@
+"""Demonstrations as single files: transitions as one numpy archive for any learner, and HDF5 for robomimic.
+
+robomimic's `SequenceDataset` reads the HDF5 files. Their frames are single and drawn at 96 px: robomimic stacks them
+itself. Actions are vectors (drive, turn, grip); no-ops stay.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.demos.demonstration import Demonstration, check_seeds, only_environment
+from magical_mj.demos.export.lerobot import IMAGE_SIZE, VIEWS
+from magical_mj.demos.learning import observations, stream
+from magical_mj.demos.replay import see as render_demo
+from magical_mj.envs.registration import env_id
+from magical_mj.scene.actions import NOOP, to_vector
+from magical_mj.utils import files
+from magical_mj.utils.errors import DemonstrationError, check_name
+from magical_mj.utils.extras import missing_extra
+
+GYM: Final = 2
+"""robomimic's number for Gym environments; its class for them imports the old `gym`, so rollouts need one's own."""
+
+
+def to_npz(
+    demos: Iterable[Demonstration],
+    path: Path | str,
+    preset: str = "LoRes4E",
+    *,
+    drop_noop: bool = True,
+    overwrite: bool = False,
+) -> None:
+    """Writes transitions as one numpy archive without pickles.
+
+    Arrays with a row for each transition: `observations` (for presets with several parts, one for each, such as
+    `observations_ego`), `actions`, `episodes` (the number of the episode) and `steps` (the number of the step in it,
+    from 0). Arrays with a row for each episode: `tasks`, `variants`, `seeds` (of the scenes), `demonstrators`,
+    `lengths` (in steps) and `scores`.
+
+    Args:
+        demos: demonstrations of any environments.
+        path: the file. Its folder is made if missing.
+        preset: the Gymnasium preset of the observations.
+        drop_noop: leave out the transitions with the no-op action.
+        overwrite: replace an existing file.
+
+    Raises:
+        DemonstrationError: if there are no demonstrations, or a scene's seed is 2**63 or more.
+        FileExistsError: if the file exists.
+    """
+    demos, path = list(demos), files.to_path(path)
+    if not demos:
+        raise DemonstrationError("there are no demonstrations to write")
+    check_seeds(demos)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    columns: dict[str, list[Any]] = {}
+    with files.new_file(path, overwrite=overwrite) as unfinished:
+        for number, (demo, part) in enumerate(zip(demos, stream(demos, preset, drop_noop=drop_noop), strict=True)):
+            views = part.observations if isinstance(part.observations, dict) else {"": part.observations}
+            steps = np.flatnonzero(demo.actions != NOOP) if drop_noop else np.arange(len(demo.actions))
+            rows = {
+                **{f"observations_{view}".rstrip("_"): pictures for view, pictures in views.items()},
+                "actions": part.actions,
+                "episodes": np.full(len(steps), number),
+                "steps": steps,
+                "tasks": [demo.task],
+                "variants": [demo.variant],
+                "seeds": [demo.scene_seed],
+                "demonstrators": [demo.demonstrator],
+                "lengths": [len(demo.actions)],
+                "scores": [demo.score],
+            }
+            for name, values in rows.items():
+                columns.setdefault(name, []).append(values)
+        with unfinished.open("wb") as file:
+            joined = {name: np.concatenate(rows) for name, rows in columns.items()}
+            np.savez_compressed(file, allow_pickle=False, **joined)
+
+
+def to_robomimic(
+    demos: Sequence[Demonstration], path: Path | str, *, views: str = "ego", overwrite: bool = False
+) -> None:
+    """Writes demonstrations of one environment as a data set of robomimic.
+
+    Each becomes ``data/demo_0`` and so on: ``obs`` and ``next_obs`` (``ego_image`` and ``allo_image``, uint8, height x
+    width x channels; or ``state``), ``actions`` (float32, drive, turn, grip), ``rewards`` (the score at the last step),
+    ``dones`` (1 at the last step) and ``states`` (positions and velocities, exact).
+
+    Args:
+        demos: demonstrations of one environment.
+        path: of the file. Its folder is made if missing.
+        views: "ego", "allo" or "both"; "state" for the state vector instead of pictures.
+        overwrite: replace a file of that name.
+
+    Raises:
+        MissingExtraError: if h5py is not installed.
+        DemonstrationError: if the demonstrations are not of one environment.
+        UnknownNameError: if `views` is none of `magical_mj.demos.export.lerobot.VIEWS`.
+        FileExistsError: if the file exists.
+    """
+    try:
+        import h5py
+    except ModuleNotFoundError:
+        raise missing_extra("exporting to robomimic", "robomimic") from None
+    check_name("choice of views", views, VIEWS)
+    only_environment(demos)
+    path = files.to_path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    written = io.BytesIO()  # since HDF5 ends the process if the disk is full
+    with files.new_file(path, overwrite=overwrite) as unfinished:
+        with h5py.File(written, "w") as file:
+            _fill(file, demos, views)
+        unfinished.write_bytes(written.getvalue())
+
+
+def _fill(file: Any, demos: Sequence[Demonstration], views: str) -> None:
+    """Writes everything into an open HDF5 file."""
+    first = demos[0]
+    data = file.create_group("data")
+    data.attrs["total"] = sum(len(demo.actions) for demo in demos)
+    kwargs = {"action": "continuous", "reward": "score"}
+    name = env_id(first.task, first.variant)
+    data.attrs["env_args"] = json.dumps({"env_name": name, "type": GYM, "env_kwargs": kwargs})
+    for number, demo in enumerate(demos):
+        group = data.create_group(f"demo_{number}")
+        group.attrs["num_samples"] = len(demo.actions)
+        group.attrs["seed"] = str(demo.scene_seed)
+        for key, rows in _columns(demo, views).items():
+            group.create_dataset(key, data=rows, compression="gzip" if rows.dtype == np.uint8 else None)
+
+
+def _columns(demo: Demonstration, views: str) -> dict[str, NDArray[Any]]:
+    """Everything of an episode, by its key."""
+    if VIEWS[views]:
+        frames = list(render_demo(demo, VIEWS[views], IMAGE_SIZE))
+        parts = {f"{view}_image": np.array([pictures[view] for pictures in frames]) for view in VIEWS[views]}
+    else:
+        parts = {"state": np.asarray(observations(demo, "State"))}
+    last = np.arange(len(demo.actions)) == len(demo.actions) - 1
+    return {
+        **{f"obs/{key}": rows[:-1] for key, rows in parts.items()},
+        **{f"next_obs/{key}": rows[1:] for key, rows in parts.items()},
+        "actions": to_vector(demo.actions),
+        "rewards": np.where(last, demo.score, 0.0),
+        "dones": last.astype(np.int64),
+        "states": np.concatenate([demo.qpos, demo.qvel], axis=1)[:-1],
+    }
