@@ -11,10 +11,9 @@ from rich.table import Table
 
 from magical_mj.cli.console import Trust, console, make_writable_folder
 from magical_mj.cli.film import film, replay
-from magical_mj.evaluation.reports.compare import choose, compare
-from magical_mj.evaluation.reports.report import begin, extremes, report
-from magical_mj.evaluation.reports.results import gather
-from magical_mj.evaluation.scores import Score
+from magical_mj.evaluation.reports.report import begin, extremes, write_report
+from magical_mj.evaluation.reports.results import compare, results
+from magical_mj.evaluation.scores import Score, episodes_in
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.utils.errors import SettingsError
 from magical_mj.utils.extras import check_extra
@@ -50,37 +49,37 @@ def make_report(
     del trust  # see magical_mj.utils.imports.command_line
     if out is None and len(folders) > 1:
         raise typer.BadParameter("several folders have one report: give --out, its folder.")
+    check_extra("reports", "eval")
     screen = console()
-    scores = gather(folders, mixed_presets)  # raises errors before anything is written
-    if videos and any(score.worlds != "single" for score in scores):
+    data = results(folders, published, mixed_presets)  # raises errors before anything is written
+    if videos and set(data.scores["worlds"]) != {"single"}:
         raise SettingsError(f"--videos replays episodes of single worlds only, not of batched ones: {UNOFFICIAL}")
     if videos:
         check_extra("videos", "video")
     out = make_writable_folder(out or folders[0] / "report")
-    chosen = extremes(scores) if videos else []
+    chosen = extremes(score for folder in folders for score in episodes_in(folder)) if videos else []
     replaced = begin(out, film_names(chosen))
-    links = film_episodes(chosen, out)
-    page = report(folders, out, with_published=published, mixed_presets=mixed_presets, links=links)
+    page = write_report(data, out, film_episodes(chosen, out))
     screen.print(f"{page} replaces an earlier report" if replaced else page, soft_wrap=True)
 
 
 def make_comparison(a: Side, b: Side) -> None:
     """Compare two policies on the scenes that both have played: A - B, with its 95 % interval."""
-    found = compare(a, b)
-    names = [choose(side)[0] for side in (a, b)]
+    comparison = compare(a, b)
+    names = comparison.attrs["policies"]
     if names[0] == names[1]:
-        names = [a, b]
+        names = a, b
     screen = console()
     table = Table("variant", *names, "difference", "95 %", "better", "worse", "scenes", box=None, header_style="bold")
     for column in table.columns[1:]:
         column.justify = "right"
-    for row in found.to_dict("records"):
+    for row in comparison.to_dict("records"):
         interval = f"[{row['low']:+.3f}, {row['high']:+.3f}]" if row["low"] == row["low"] else "-"
         means = (f"{row[side]:.3f}" for side in ("first", "second"))
         counts = (str(row[name]) for name in ("better", "worse", "scenes"))
         table.add_row(row["variant"], *means, f"{row['difference']:+.3f}", interval, *counts)
     screen.print(table)
-    unpaired = found["unpaired"].iloc[-1]
+    unpaired = comparison["unpaired"].iloc[-1]
     if unpaired:
         screen.print(f"{unpaired} scenes that only one of them has played are left out")
 

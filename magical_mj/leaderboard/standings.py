@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.evaluation.reports.published import PUBLISHED_RULES, published_results
+from magical_mj.evaluation.reports.results import PUBLISHED_RULES, published_results
 from magical_mj.evaluation.reports.statistics import (
     SCORE_TOLERANCE,
     bootstrap,

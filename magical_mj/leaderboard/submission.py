@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from magical_mj.evaluation.folder import folders_of
-from magical_mj.evaluation.reports.results import check_same
 from magical_mj.evaluation.scores import Score, read
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.leaderboard.claims import claim_of
@@ -108,7 +107,7 @@ def _entry(card: dict[str, Any], found: Sequence[tuple[Score, Path]], protocol: 
     if batched is not None:
         raise EvaluationError(f"{batched} was played in batched worlds, and cannot be an entry: {UNOFFICIAL}")
     for what in ("rules", "preset"):
-        check_same(found, what, "an entry is of one kind")
+        _check_same(found, what)
     seen = {score.preset is None: folder for score, folder in found}
     if len(seen) > 1:
         raise EvaluationError(
@@ -128,6 +127,17 @@ def _entry(card: dict[str, Any], found: Sequence[tuple[Score, Path]], protocol: 
         versions={what: sorted({getattr(score, what) for score, _ in found}) for what in ("version", "mujoco", "gl")},
         episodes=[claim_of(score) for score, _ in found],
     )
+
+
+def _check_same(found: Sequence[tuple[Score, Path]], what: str) -> None:
+    """Raises an `EvaluationError` unless this attribute is the same in all scores; None matches anything."""
+    where: dict[str, Path] = {}
+    for score, folder in found:
+        if getattr(score, what) is not None:
+            where.setdefault(getattr(score, what), folder)
+    if len(where) > 1:
+        kinds = ", ".join(f"{name} in {folder}" for name, folder in where.items())
+        raise EvaluationError(f"different {what}: {kinds}; an entry is of one kind")
 
 
 def _extended(earlier: Entry, added: Entry, name: object, *, keep_card: bool) -> Entry:

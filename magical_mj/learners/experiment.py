@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from magical_mj.evaluation.folder import SETTINGS, read_settings
-from magical_mj.evaluation.reports.published import published_results
 from magical_mj.evaluation.reports.report import check_free, report
-from magical_mj.evaluation.reports.results import gather
+from magical_mj.evaluation.reports.results import gather, published_results
 from magical_mj.evaluation.reports.statistics import by_environment, rank_correlation
-from magical_mj.evaluation.scores import frame
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.learners.folder import check
 from magical_mj.learners.learner import device
@@ -145,7 +143,7 @@ def _check_runs(planned: list[Run], out: Path, here: bool) -> None:
 
 def agreement(planned: list[Run]) -> Iterator[str]:
     """The rank correlation of each finished method's mean scores with the paper's over environments, a line each."""
-    ours = by_environment(frame(gather([run.scores for run in planned])))
+    ours = by_environment(gather([run.scores for run in planned]))
     paper = published_results()
     published = set(paper["policy"])
     for method, rows in {run.method: run.counterparts for run in planned}.items():

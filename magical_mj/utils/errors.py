@@ -107,6 +107,11 @@ def shown(value: object) -> str:
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
+def counted(number: int, noun: str) -> str:
+    """A number of things in words, such as "1 episode" or "2 episodes"."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 def check_name(kind: str, name: object, allowed: Iterable[str]) -> None:
     """Raise `UnknownNameError`, which suggests the closest name, unless `name` is one of the `allowed`."""
     allowed = tuple(allowed)

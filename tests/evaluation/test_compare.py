@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical_mj.evaluation.reports.compare import choose, compare
 from magical_mj.evaluation.reports.report import report
+from magical_mj.evaluation.reports.results import choose, compare
 from magical_mj.evaluation.scores import Score
 from magical_mj.tasks.registry import Pair
 from magical_mj.utils.errors import EvaluationError, SettingsError

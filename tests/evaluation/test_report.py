@@ -19,8 +19,8 @@ from PIL import Image
 
 from magical_mj.evaluation.reports import figures, results, tables
 from magical_mj.evaluation.reports.figures import bars, heat_map
-from magical_mj.evaluation.reports.published import published_results
 from magical_mj.evaluation.reports.report import extremes, report
+from magical_mj.evaluation.reports.results import published_results
 from magical_mj.evaluation.scores import SCORES
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS
 from magical_mj.utils.errors import EvaluationError
@@ -45,7 +45,8 @@ def _benchmark_of_the_paper() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         for module in (results, tables, figures):
             patch.setattr(module, "ENVIRONMENTS", tuple(pair for pair in ENVIRONMENTS if pair[0] in paper))
-        patch.setattr(results, "TASKS", TASKS[: len(paper)])
+        for module in (results, tables):
+            patch.setattr(module, "TASKS", TASKS[: len(paper)])
         yield
 
 
@@ -224,7 +225,7 @@ def test_mixed_presets_are_refused_unless_wanted(tmp_path: Path) -> None:
 
 def test_an_episode_counts_once(tmp_path: Path) -> None:
     folders = [write(tmp_path / name, example()) for name in "ab"]
-    with pytest.raises(EvaluationError, match="both hold run 0 of BC_4 & more in MoveToCorner Demo, seed 0"):
+    with pytest.raises(EvaluationError, match="both hold run 0 of BC_4 & more"):
         report(folders, tmp_path / "out")
 
 

@@ -12,7 +12,7 @@ import pytest
 import scipy.stats
 
 from magical_mj import ENVIRONMENTS
-from magical_mj.evaluation.reports.published import published_by_environment, published_by_variant, published_results
+from magical_mj.evaluation.reports.results import published_by_environment, published_by_variant, published_results
 from magical_mj.evaluation.reports.statistics import (
     bootstrap,
     by_environment,

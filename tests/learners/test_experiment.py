@@ -16,7 +16,7 @@ import pytest
 import magical_mj
 from magical_mj.cli import progress
 from magical_mj.cli.app import run
-from magical_mj.evaluation.reports.published import published_results
+from magical_mj.evaluation.reports.results import published_results
 from magical_mj.evaluation.scores import SCORES
 from magical_mj.learners import conduct, runs
 from magical_mj.learners.experiment import agreement

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from magical_mj.evaluation.reports.results import Results, counted_tasks
+from magical_mj.evaluation.reports.results import Results
 from magical_mj.evaluation.reports.tables import DAGGER, marked, share
-from magical_mj.tasks.registry import ENVIRONMENTS, VARIANTS, in_order
+from magical_mj.tasks.registry import ENVIRONMENTS, VARIANTS
 from magical_mj.utils import escape
 
 if TYPE_CHECKING:
@@ -43,10 +43,9 @@ def heat_map(results: Results) -> Figure:
 
 
 def _panel(axes: Axes, results: Results, policy: str) -> Any:
-    found = results.environments[results.environments["policy"] == policy]
-    tasks = in_order([*counted_tasks(results.environments), *results.environments["task"]])
+    environments, tasks = results.environments[results.environments["policy"] == policy], results.tasks
     scores = np.full((len(tasks), len(VARIANTS)), np.nan)
-    for row in found.itertuples():
+    for row in environments.itertuples():
         scores[tasks.index(str(row.task)), VARIANTS.index(str(row.variant))] = row.mean
     image = axes.imshow(scores, vmin=0, vmax=1, cmap="Blues", aspect="auto")
     for (y, x), score in np.ndenumerate(scores):
@@ -60,7 +59,7 @@ def _panel(axes: Axes, results: Results, policy: str) -> Any:
     axes.set_facecolor(NO_ENVIRONMENT)
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
-    axes.set_title(escape.mathtext(marked(policy, bool(found["published"].any()))), fontsize=11)
+    axes.set_title(escape.mathtext(marked(policy, bool(environments["published"].any()))), fontsize=11)
     return image
 
 
@@ -99,16 +98,17 @@ def _bar_row(axes: Axes, results: Results, policies: list[str], columns: int) ->
     colours = [DEMO_COLOUR, *colormaps["YlGnBu"](np.linspace(0.75, 0.25, len(VARIANTS) - 1))]
     width = 0.85 / len(VARIANTS)
     for index, (variant, colour) in enumerate(zip(VARIANTS, colours, strict=True)):
-        found = results.variants[results.variants["variant"] == variant].set_index("policy").reindex(policies)
-        means = found["mean"].to_numpy(float)
-        ends = np.stack([means - found["low"].to_numpy(float), found["high"].to_numpy(float) - means]).clip(min=0)
+        rows = results.variants[results.variants["variant"] == variant].set_index("policy").reindex(policies)
+        means, low, high = (rows[name].to_numpy(float) for name in ("mean", "low", "high"))
+        ends = np.stack([means - low, high - means]).clip(min=0)
         places = np.arange(len(policies)) + (index - (len(VARIANTS) - 1) / 2) * width
         drawn = axes.bar(places, means, width * 0.92, color=colour, label=variant)
-        for bar, end, row in zip(drawn, ends[1], found.itertuples(), strict=True):
+        for bar, end, row in zip(drawn, ends[1], rows.itertuples(), strict=True):
             if isinstance(row.missing, str) and row.missing:
                 bar.set(hatch="////", edgecolor="white", linewidth=0)
                 place = bar.get_x() + bar.get_width() / 2, bar.get_height() + np.nan_to_num(end) + 0.015
-                axes.annotate(share(row), place, ha="center", va="bottom", rotation=90, fontsize=6, color="#444")
+                text: dict[str, Any] = {"ha": "center", "va": "bottom", "rotation": 90, "fontsize": 6, "color": "#444"}
+                axes.annotate(share(row), place, annotation_clip=False, **text)  # above bars of 1.0, too
         known = ~np.isnan(ends).any(axis=0)
         lines: dict[str, Any] = {"fmt": "none", "ecolor": "#444", "elinewidth": 0.8, "capsize": 1.5}
         axes.errorbar(places[known], means[known], ends[:, known], **lines)

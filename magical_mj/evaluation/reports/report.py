@@ -11,11 +11,11 @@ from urllib.parse import quote
 
 from magical_mj.evaluation.folder import folders_of
 from magical_mj.evaluation.reports.figures import bars, heat_map
-from magical_mj.evaluation.reports.results import APPROXIMATE, Results, results
-from magical_mj.evaluation.reports.tables import csv, latex, markdown, result_tables
+from magical_mj.evaluation.reports.results import Results, results
+from magical_mj.evaluation.reports.tables import APPROXIMATE, csv, latex, markdown, result_tables
 from magical_mj.evaluation.scores import Score
 from magical_mj.utils import escape, files
-from magical_mj.utils.errors import EvaluationError
+from magical_mj.utils.errors import EvaluationError, counted
 from magical_mj.utils.extras import check_extra
 
 PAGE: Final = "report.md"
@@ -90,15 +90,19 @@ def report(
         MissingExtraError: if an extra is missing.
     """
     check_extra("reports", "eval")
-    found = results(folders_of(folders), with_published, mixed_presets)
+    return write_report(results(folders_of(folders), with_published, mixed_presets), out, links)
+
+
+def write_report(data: Results, out: Path | str, links: Mapping[str, str] = MappingProxyType({})) -> Path:
+    """The part of `report` that writes the files; see there."""
     out = Path(out)
-    tables = result_tables(found)
+    tables = result_tables(data)
     out.mkdir(parents=True, exist_ok=True)
     begin(out)
     parts = [
         TITLE,
-        *(f"**{note}**" for note in found.notes if note.startswith(APPROXIMATE)),
-        _settings(found),
+        *(f"**{note}**" for note in tables[0].notes if note.startswith(APPROXIMATE)),
+        _settings(data),
         "## Variants",
         *map(markdown, tables[:2]),
         "![Mean scores over tasks](bars.png)",
@@ -110,43 +114,49 @@ def report(
     ]
     page = out / PAGE
     files.write(page, "\n\n".join(part.strip() for part in parts) + "\n", overwrite=True)
-    texts = {"variants.csv": csv(found.variants), "environments.csv": csv(found.environments)}
+    texts = {"variants.csv": csv(data.variants), "environments.csv": csv(data.environments)}
     for name, text in {**texts, **{f"{table.name}.tex": latex(table) for table in tables}}.items():
         files.write(out / name, text, overwrite=True)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from font")  # of methods in other scripts
-        for name, figure in {"bars": bars(found), "heat_map": heat_map(found)}.items():
+        for name, figure in {"bars": bars(data), "heat_map": heat_map(data)}.items():
             for suffix in ("png", "pdf"):
                 with files.new_file(out / f"{name}.{suffix}", overwrite=True) as path:
                     figure.savefig(path, dpi=DPI, metadata=None if suffix == "png" else {"CreationDate": None})
     return page
 
 
-def _settings(found: Results) -> str:
+def _settings(data: Results) -> str:
     """What was played, in a paragraph."""
-    scores = found.scores
-    presets = ", ".join(escape.markdown_code(name or "none") for name in scores["preset"].dropna().unique())
+    scores = data.scores
+    presets = ", ".join(map(escape.markdown_code, scores["preset"].dropna().unique()))
     count = scores["policy"].nunique()
     methods = "one method" if count == 1 else f"{count} methods"
-    facts = [
-        f"{len(scores)} episodes of {methods} in {len(scores.groupby(['task', 'variant']))} environments",
-        f"scores by the rules {escape.markdown_code(scores['rules'].iloc[0])}",
-        f"observations: {presets or 'none needed'}",
-        escape.markdown(
-            f"magical_mj {', '.join(scores['version'].unique())}, MuJoCo {', '.join(scores['mujoco'].unique())}"
-        ),
-    ]
-    return "; ".join(facts) + "."
+    environments = len(scores[["task", "variant"]].drop_duplicates())
+    return (
+        f"{counted(len(scores), 'episode')} of {methods} in {counted(environments, 'environment')}; "
+        f"scores by the rules {escape.markdown_code(scores['rules'].iloc[0])}; "
+        f"observations: {presets or 'none needed'}; "
+        + escape.markdown(
+            f"magical_mj {', '.join(scores['version'].unique())}, MuJoCo {', '.join(scores['mujoco'].unique())}."
+        )
+    )
 
 
-def extremes(scores: Sequence[Score]) -> list[tuple[str, Score]]:
-    """The episodes for videos: the best and the worst of each policy and task, if they differ."""
+def extremes(scores: Iterable[Score]) -> list[tuple[str, Score]]:
+    """The episodes for videos: the best and the worst of each policy and task (the first of equals), if they differ."""
+    best: dict[tuple[str, str], Score] = {}
+    worst: dict[tuple[str, str], Score] = {}
+    for score in scores:
+        key = score.policy, score.task
+        if score.actions:
+            if score.score > best.setdefault(key, score).score:
+                best[key] = score
+            if score.score < worst.setdefault(key, score).score:
+                worst[key] = score
     chosen: list[tuple[str, Score]] = []
-    for policy, task in dict.fromkeys((score.policy, score.task) for score in scores):
-        mine = [score for score in scores if (score.policy, score.task) == (policy, task) and score.actions]
-        if mine:
-            worst, best = (extreme(mine, key=lambda score: score.score) for extreme in (min, max))
-            chosen.append(("best", best))
-            if worst.score < best.score:
-                chosen.append(("worst", worst))
+    for key, score in best.items():
+        chosen.append(("best", score))
+        if worst[key].score < score.score:
+            chosen.append(("worst", worst[key]))
     return chosen

@@ -1,30 +1,47 @@
-"""The data of a report: scores from one or several folders, their statistics, and notes about them."""
+"""The data of a report: scores from one or several folders, their statistics, and comparisons of two policies.
+
+Scores are read line by line into columns, so that a million episodes fit into memory; their actions are left out.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from magical_mj.evaluation.reports.published import (
-    PUBLISHED_EPISODES,
-    PUBLISHED_RULES,
-    PUBLISHED_RUNS,
-    published_by_environment,
-    published_by_variant,
-    published_results,
+import numpy as np
+
+from magical_mj.evaluation.reports.statistics import (
+    COLUMNS,
+    SCORE_TOLERANCE,
+    by_environment,
+    by_variant,
+    mean_interval,
 )
-from magical_mj.evaluation.reports.statistics import by_environment, by_variant
-from magical_mj.evaluation.scores import Key, Score, frame, read
-from magical_mj.evaluation.settings import UNOFFICIAL
+from magical_mj.evaluation.scores import episodes_in
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, in_order
-from magical_mj.utils.errors import EvaluationError, shown
+from magical_mj.utils.errors import EvaluationError, SettingsError, shown
+from magical_mj.utils.extras import check_extra
 
 if TYPE_CHECKING:
     import pandas as pd
 
-APPROXIMATE: Final = "Approximate, no official results"
+KEY: Final = ["policy", "run", "task", "variant", "seed"]
+"""What identifies an episode."""
+NAMES: Final = ("policy", "task", "variant", "rules", "preset", "version", "mujoco", "gl", "scene", "worlds", "failure")
+"""The columns of texts, which are categories; a last one, `folder`, says where an episode stands."""
+
+PUBLISHED_RULES: Final = "released"
+"""The paper's results were scored by the authors' code, in its simulator: AL scores 0.00 on ClusterShape's demo, where
+by the paper's formula an agent that does nothing has 0.25."""
+PUBLISHED_RUNS: Final = 5
+PUBLISHED_EPISODES: Final = 100
+"""Of each run in each environment."""
+ALL: Final = "all of them"
+"""The row of a comparison that is about all variants."""
 
 
 @dataclass(frozen=True)
@@ -32,17 +49,17 @@ class Results:
     """The data of a report.
 
     Attributes:
-        scores: a row for each episode.
+        scores: a row for each episode; see `gather`.
         environments: a row for each policy and environment; `published` says whether it is a published result, `rules`
             how it was scored.
         variants: a row for each policy and variant, over tasks; `missing` names the tasks that it lacks.
-        notes: sentences that readers must know.
+        lacks_published: whether the paper's results were wanted, and it has none in these tasks.
     """
 
     scores: pd.DataFrame
     environments: pd.DataFrame
     variants: pd.DataFrame
-    notes: tuple[str, ...]
+    lacks_published: bool
 
     @property
     def policies(self) -> list[str]:
@@ -50,76 +67,99 @@ class Results:
         return list(dict.fromkeys(self.environments["policy"]))
 
     @property
-    def counted(self) -> str:
-        """What means over tasks are taken over, as titles say it."""
-        tasks = counted_tasks(self.scores)
-        return "all tasks" if set(tasks) & set(TASKS) else " and ".join(tasks)
+    def tasks(self) -> list[str]:
+        """All tasks with results, in the order of tables."""
+        return in_order(self.environments["task"])
 
 
-def gather(folders: Sequence[Path], mixed_presets: bool = False) -> list[Score]:
-    """The scores of all folders.
+def gather(folders: Sequence[Path], mixed_presets: bool = False) -> pd.DataFrame:
+    """The scores of all folders, a row for each episode, in a fixed order.
+
+    Returns:
+        A frame with the columns `NAMES`, `folder`, `run`, `seed` and `score`.
 
     Raises:
         EvaluationError: if there are no folders, one is not an evaluation or names an unknown variant, two hold the
-            same episode, or rules, presets or scenes differ.
+            same episode, or rules, worlds, presets or scenes differ.
     """
     if not folders:
         raise EvaluationError("give at least one folder of an evaluation")
-    found: dict[Key, tuple[Score, Path]] = {}
-    for folder in folders:
-        for score in read(folder):
-            if score.variant not in VARIANTS:
-                raise EvaluationError(
-                    f"{folder} holds results in the variant {shown(score.variant)}; there are: {', '.join(VARIANTS)}"
-                )
-            if score.key in found:
-                raise EvaluationError(
-                    f"{found[score.key][1]} and {folder} both hold run {score.run} of {score.policy} in {score.task} "
-                    f"{score.variant}, seed {score.seed}; evaluate one of them with another --run or NAME=POLICY"
-                )
-            found[score.key] = score, folder
-    scores = [score for score, _ in found.values()]
-    check_same(found.values(), "rules", "their scores cannot be compared")
-    check_same(found.values(), "worlds", "scores of batched worlds are approximate, and reported by themselves")
+    scores = _read(folders)
+    for name in scores["variant"].cat.categories:
+        if name not in VARIANTS:
+            folder = scores[scores["variant"] == name]["folder"].iloc[0]
+            raise EvaluationError(
+                f"{folder} holds results in the variant {shown(name)}; there are: {', '.join(VARIANTS)}"
+            )
+    twice = scores[scores.duplicated(KEY, keep=False)]
+    if len(twice):
+        first, second = twice.iloc[0], twice.iloc[1]
+        raise EvaluationError(
+            f"{first.folder} and {second.folder} both hold run {first.run} of {first.policy} in {first.task} "
+            f"{first.variant}, seed {first.seed}; evaluate one of them with another --run or NAME=POLICY"
+        )
+    check_same(scores, "rules", "their scores cannot be compared")
+    check_same(scores, "worlds", "scores of batched worlds are approximate, and reported by themselves")
     if not mixed_presets:
-        check_same(found.values(), "preset", "--mixed-presets (mixed_presets=True) reports them together anyway")
-    check_scenes(found.values())
+        check_same(scores, "preset", "--mixed-presets (mixed_presets=True) reports them together anyway")
+    check_scenes(scores)
     return scores
 
 
-def check_same(found: Iterable[tuple[Score, object]], what: str, consequence: str) -> None:
-    """Raises an `EvaluationError` unless this attribute is the same in all scores; None matches anything.
+def _read(folders: Sequence[Path]) -> pd.DataFrame:
+    import pandas as pd
+
+    categories: dict[str, dict[str | None, int]] = {name: {None: -1} for name in NAMES}
+    codes = {name: array("i") for name in (*NAMES, "folder")}
+    numbers = {"run": array("q"), "seed": array("q"), "score": array("d")}
+    for index, folder in enumerate(folders):
+        for score in episodes_in(folder):
+            for name, known in categories.items():
+                codes[name].append(known.setdefault(getattr(score, name), len(known) - 1))
+            try:
+                for name, column in numbers.items():
+                    column.append(getattr(score, name))
+            except OverflowError:
+                raise EvaluationError(f"{folder} holds a run or a seed that is too large: {score.key}") from None
+            codes["folder"].append(index)
+    columns: dict[str, Any] = {name: np.asarray(column) for name, column in numbers.items()}
+    for name, known in categories.items():
+        texts = pd.Index([text for text in known if text is not None], dtype=object)
+        columns[name] = pd.Categorical.from_codes(codes[name], texts).reorder_categories(sorted(texts))
+    columns["folder"] = pd.Categorical.from_codes(codes["folder"], list(map(str, folders)))
+    scores = pd.DataFrame(columns)
+    return scores.sort_values(KEY, kind="stable", ignore_index=True)
+
+
+def check_same(scores: pd.DataFrame, what: str, consequence: str) -> None:
+    """Raises an `EvaluationError` unless this column is the same for all scores; None matches anything.
 
     Args:
-        found: scores and their sources.
-        what: the attribute's name.
+        scores: a row for each episode, with its `folder`.
+        what: the column's name.
         consequence: the end of the message: what a difference means.
     """
-    where: dict[str, object] = {}
-    for score, folder in found:
-        if getattr(score, what) is not None:
-            where.setdefault(getattr(score, what), folder)
-    if len(where) > 1:
-        kinds = ", ".join(f"{name or 'none'} in {folder}" for name, folder in where.items())
-        raise EvaluationError(f"different {what}: {kinds}; {consequence}")
+    kinds = scores.dropna(subset=[what]).drop_duplicates(what)
+    if len(kinds) > 1:
+        listed = ", ".join(f"{row[what]} in {row['folder']}" for row in kinds.sort_values("folder").to_dict("records"))
+        raise EvaluationError(f"different {what}: {listed}; {consequence}")
 
 
-def check_scenes(found: Iterable[tuple[Score, object]]) -> None:
+def check_scenes(scores: pd.DataFrame) -> None:
     """Raises an `EvaluationError` if a seed's scene has two digests: of other worlds, scores do not compare.
 
-    Args:
-        found: scores and their sources. Scenes whose digest was not recorded match any.
+    Scenes whose digest was not recorded match any.
     """
-    known: dict[tuple[str, str, int], tuple[str, object]] = {}
-    for score, folder in found:
-        if score.scene is not None:
-            scene, where = known.setdefault((score.task, score.variant, score.seed), (score.scene, folder))
-            if scene != score.scene:
-                raise EvaluationError(
-                    f"different scenes in {score.task} {score.variant}, seed {score.seed}: {scene} in {where}, "
-                    f"{score.scene} in {folder}; they follow different protocols, and their scores do not compare: "
-                    "evaluate both with one version"
-                )
+    scene = ["task", "variant", "seed"]
+    digests = scores.dropna(subset=["scene"]).drop_duplicates([*scene, "scene"])
+    differing = digests[digests.duplicated(scene, keep=False)].sort_values([*scene, "folder"], kind="stable")
+    if len(differing):
+        first, second = differing.iloc[:2].itertuples()
+        raise EvaluationError(
+            f"different scenes in {first.task} {first.variant}, seed {first.seed}: {first.scene} in {first.folder}, "
+            f"{second.scene} in {second.folder}; they follow different protocols, and their scores do not compare: "
+            "evaluate both with one version"
+        )
 
 
 def results(folders: Sequence[Path], with_published: bool = False, mixed_presets: bool = False) -> Results:
@@ -130,36 +170,31 @@ def results(folders: Sequence[Path], with_published: bool = False, mixed_presets
     """
     import pandas as pd
 
-    scores = frame(gather(folders, mixed_presets))
-    asked, with_published = with_published, with_published and bool(set(scores["task"]) & set(TASKS))
-    theirs = list(dict.fromkeys(published_results()["policy"])) if with_published else []
-    taken = [name for name in dict.fromkeys(scores["policy"]) if name in theirs]
-    if taken:
+    scores = gather(folders, mixed_presets)
+    shows_published = with_published and bool(set(scores["task"].cat.categories) & set(TASKS))
+    ours = list(scores["policy"].cat.categories)
+    theirs = list(dict.fromkeys(published_results()["policy"])) if shows_published else []
+    if taken := [name for name in ours if name in theirs]:
         raise EvaluationError(
             f"the paper has methods named {', '.join(map(repr, taken))} as well: evaluate yours under another name "
             "(--policy NAME=...), or leave out the published results"
         )
-    rules = str(scores["rules"].iloc[0])
-    environments = by_environment(scores).assign(published=False, rules=rules)
-    counted = scores[scores["task"].isin(counted_tasks(scores))]
-    variants = by_variant(counted).assign(published=False, rules=rules)
-    if with_published:
+    marks = {"published": False, "rules": str(scores["rules"].iloc[0])}
+    environments = by_environment(scores).assign(**marks)
+    counted = scores[scores["task"].isin(counted_tasks(environments["task"]))]
+    variants = by_variant(counted).assign(**marks)
+    if shows_published:
         marks = {"published": True, "rules": PUBLISHED_RULES}
         environments = pd.concat([environments, published_by_environment().assign(**marks)])
         variants = pd.concat([variants, published_by_variant().assign(**marks)])
-    order = [*dict.fromkeys(scores["policy"]), *theirs]
-    environments = _sorted(environments, order)
-    variants = _sorted(variants, order)
-    variants["missing"] = [_missing(counted, row) for row in variants.itertuples()]
-    notes = [*_notes(scores, variants, with_published)]
-    if asked and not with_published:
-        notes.append("The paper's results are not shown: it has none in these tasks.")
-    return Results(scores, environments, variants, tuple(notes))
+    environments, variants = (_sorted(table, [*ours, *theirs]) for table in (environments, variants))
+    variants["missing"] = _missing(environments, variants)
+    return Results(scores, environments, variants, with_published and not shows_published)
 
 
-def counted_tasks(scores: pd.DataFrame) -> list[str]:
-    """The tasks over which means are taken: the benchmark's, or if there are none, users' own."""
-    played = in_order(scores["task"])
+def counted_tasks(tasks: Sequence[str] | pd.Series[str]) -> list[str]:
+    """The tasks over which means are taken, of those played: the benchmark's, or if there are none, users' own."""
+    played = in_order(tasks)
     return list(TASKS) if set(played) & set(TASKS) else played
 
 
@@ -170,62 +205,139 @@ def _sorted(table: pd.DataFrame, policies: list[str]) -> pd.DataFrame:
     return table.sort_values(keys, key=lambda column: column.map(list(ranks[column.name]).index), ignore_index=True)
 
 
-def _missing(scores: pd.DataFrame, row: Any) -> str:
-    if row.published:
-        return ""
-    there = set(scores[(scores["policy"] == row.policy) & (scores["variant"] == row.variant)]["task"])
-    own = scores[["task", "variant"]].drop_duplicates().itertuples(index=False)  # pairs that were played
-    needed = ENVIRONMENTS if set(scores["task"]) & set(TASKS) else [(task, variant) for task, variant in own]
-    return ", ".join(task for task, variant in needed if variant == row.variant and task not in there)
-
-
-def _notes(scores: pd.DataFrame, variants: pd.DataFrame, with_published: bool) -> Iterator[str]:
-    if "batched" in set(scores["worlds"]):
-        yield f"{APPROXIMATE}: {UNOFFICIAL}."
-    if (variants["missing"] != "").any():
-        yield "(m/n) after a number: the mean is over only m of the n tasks with the variant."
-    own = [task for task in in_order(scores["task"]) if task not in counted_tasks(scores)]
-    if own:
-        yield f"Tasks that are not of the benchmark, and so not part of the means over tasks: {', '.join(own)}."
-    for policy, group in variants[~variants["published"]].groupby("policy", sort=False):
-        lacking: dict[str, list[str]] = {}
-        for row in group.itertuples():
-            if row.missing:
-                lacking.setdefault(str(row.missing), []).append(str(row.variant))
-        for tasks, names in lacking.items():
-            yield f"{policy}: incomplete in {', '.join(names)}: without {tasks}."
-        absent = [variant for variant in VARIANTS if variant not in set(group["variant"])]
-        if absent:
-            yield f"{policy}: not evaluated in {', '.join(absent)}."
-    most = int(scores["seed"].max()) + 1
-    counts = scores.groupby(["policy", "run", "task", "variant"], sort=False)["seed"].nunique()
-    short = counts[counts < most]
-    if len(short):
-        (policy, run, task, variant), count = short.index[0], short.iloc[0]
-        others = f", and {len(short) - 1} more are short" if len(short) > 1 else ""
-        yield f"Unfinished: {policy}, run {run}, {task} {variant} has {count} of {most} episodes{others}."
-    runs = scores.groupby(["policy", "task", "variant"], sort=False)["run"].nunique().groupby("policy", sort=False)
-    for policy, numbers in runs:
-        if numbers.nunique() > 1:
-            lone = "; where there is one only, its episodes are resampled for intervals" if numbers.min() == 1 else ""
-            yield f"{policy}: between {numbers.min()} and {numbers.max()} runs, depending on the environment{lone}."
-    if (runs.max() == 1).any():
-        names = ", ".join(runs.max()[runs.max() == 1].index)
-        yield f"One run only of {names}: its intervals are over episodes and say nothing about training."
-    failed = scores[scores["failure"].notna()]
-    for policy, group in failed.groupby("policy", sort=False):
-        yield f"{policy}: failed episodes, which count as 0: {len(group)}; the first reason: {group['failure'].iloc[0]}"
-    for what, name in (
-        ("version", "versions of magical_mj"),
-        ("mujoco", "versions of MuJoCo"),
-        ("gl", "OpenGL backends"),
-    ):
-        if scores[what].nunique() > 1:
-            yield f"Played with different {name}: {', '.join(sorted(scores[what].unique()))}."
-    if with_published:
-        rules = str(scores["rules"].iloc[0])
-        others = "" if rules == PUBLISHED_RULES else f", and all others by the rules {rules!r}"
-        yield (
-            f"† Published results: in the original simulator, {PUBLISHED_RUNS} runs of {PUBLISHED_EPISODES} episodes, "
-            f"scored by the rules {PUBLISHED_RULES!r}{others}."
+def _missing(environments: pd.DataFrame, variants: pd.DataFrame) -> list[str]:
+    """For each row of `variants`, the names of the tasks that it lacks, separated by commas."""
+    played = environments[~environments["published"]]
+    counted = counted_tasks(played["task"])
+    pairs = list(zip(played["task"], played["variant"], strict=True))
+    needed = ENVIRONMENTS if set(counted) & set(TASKS) else list(dict.fromkeys(pairs))
+    of_policies = set(zip(played["policy"], *zip(*pairs, strict=True), strict=True))
+    return [
+        ""
+        if row.published
+        else ", ".join(
+            task
+            for task, variant in needed
+            if variant == row.variant and (row.policy, task, variant) not in of_policies
         )
+        for row in variants.itertuples()
+    ]
+
+
+def published_results() -> pd.DataFrame:
+    """The results in the paper (Toyer et al. 2020, appendix): 11 methods in all environments.
+
+    Returns:
+        A frame with policy, task, variant, and the mean and standard deviation over the mean scores of five runs.
+    """
+    import pandas as pd
+
+    with (files("magical_mj.evaluation") / "paper_results.csv").open(encoding="utf-8") as file:
+        return pd.read_csv(file).rename(columns={"method": "policy"})
+
+
+def published_by_environment() -> pd.DataFrame:
+    """The published results with the columns of `statistics.by_environment`."""
+    counts = {"runs": PUBLISHED_RUNS, "episodes": PUBLISHED_RUNS * PUBLISHED_EPISODES, "failures": 0}
+    return _completed(published_results().assign(**counts))
+
+
+def published_by_variant() -> pd.DataFrame:
+    """The published results over tasks, as in the paper's Table 1, with the columns of `statistics.by_variant`."""
+    import pandas as pd
+
+    rows = []
+    for (policy, variant), group in published_results().groupby(["policy", "variant"], sort=False):
+        means, stds = group["mean"].to_numpy(float), group["std"].to_numpy(float)
+        spread = float(np.sqrt((stds**2).mean() + means.var()))  # of all run means: within tasks and between them
+        episodes = PUBLISHED_RUNS * PUBLISHED_EPISODES * len(group)
+        counts = {"tasks": len(group), "runs": PUBLISHED_RUNS, "episodes": episodes}
+        rows.append({"policy": policy, "variant": variant, "mean": means.mean(), "std": spread, **counts})
+    return _completed(pd.DataFrame(rows))
+
+
+def _completed(table: pd.DataFrame) -> pd.DataFrame:
+    return table.assign(**{name: np.nan for name in COLUMNS if name not in table})
+
+
+def choose(which: Path | str) -> tuple[str, pd.DataFrame]:
+    """The name and the scores of a policy given as ``DIR``, or as ``DIR:POLICY`` if the folder holds several.
+
+    Raises:
+        SettingsError: if the folder holds several policies and none is named, or the named one is not there.
+        EvaluationError: if the folder is not an evaluation.
+    """
+    parts = str(which).split(":")  # names of folders and of policies may hold colons
+    splits = [(":".join(parts[:count]), ":".join(parts[count:])) for count in range(len(parts), 0, -1)]
+    folder, policy = next((split for split in splits if split[0] and Path(split[0]).is_dir()), splits[0])
+    scores = _read([Path(folder)])
+    names = list(scores["policy"].cat.categories)
+    if policy not in names if policy else len(names) > 1:
+        raise SettingsError(f"{folder} holds {', '.join(names)}: name one of them, as in {folder}:{names[0]}")
+    policy = policy or names[0]
+    return policy, scores[scores["policy"] == policy].assign(folder=policy)
+
+
+def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
+    """How much better the first policy is than the second, in each variant and in all, on the scenes that both played.
+
+    Scores of several runs in one scene are averaged first. The interval of the difference comes from a bootstrap that
+    resamples the scenes within each environment; all environments have equal weight.
+
+    Args:
+        first: the folder of an evaluation, or ``DIR:POLICY`` if it holds several policies.
+        second: likewise.
+
+    Returns:
+        A row for each variant, and one for all: the mean scores (`first`, `second`), their `difference` and its 95 %
+        interval (`low`, `high`), in how many scenes the first was `better` or `worse`, of how many `scenes` in how
+        many `environments`, and how many other scenes only one of them has played (`unpaired`). The names of the
+        policies are in its `attrs`, as `policies`.
+
+    Raises:
+        SettingsError: if the choice of policies is ambiguous.
+        EvaluationError: if they were scored by different rules or in different kinds of worlds, their seeds' scenes
+            differ, or they have no scene in common.
+    """
+    check_extra("comparisons", "eval")
+    import pandas as pd
+
+    (name, ours), (other, theirs) = choose(first), choose(second)
+    played = pd.concat([side.astype(dict.fromkeys(NAMES, object)) for side in (ours, theirs)], ignore_index=True)
+    check_same(played, "rules", "they cannot be compared")
+    check_same(played, "worlds", "scores of batched worlds are approximate, and compared among themselves")
+    check_scenes(played)
+    sides = [
+        side.astype({"variant": str, "task": str}).groupby(["variant", "task", "seed"])["score"].mean()
+        for side in (ours, theirs)
+    ]
+    both = pd.concat(sides, axis=1, keys=["first", "second"])
+    paired = both.dropna()
+    if paired.empty:
+        raise EvaluationError(f"{first} and {second} have no scene in common")
+    variants = [variant for variant in VARIANTS if variant in paired.index.get_level_values("variant")]
+    rows = [_comparison(variant, both.loc[[variant]], paired.loc[[variant]]) for variant in variants]
+    table = pd.DataFrame([*rows, _comparison(ALL, both, paired)])
+    table.attrs["policies"] = (name, other)
+    return table
+
+
+def _comparison(variant: str, both: pd.DataFrame, paired: pd.DataFrame) -> dict[str, Any]:
+    """A row of a comparison, from the mean scores in all scenes and in those that both have played."""
+    difference = paired["first"] - paired["second"]
+    strata = [group.to_numpy() for _, group in difference.groupby(["variant", "task"])]
+    means = paired.groupby(["variant", "task"]).mean().mean()
+    low, high = mean_interval(strata)
+    return {
+        "variant": variant,
+        "first": float(means["first"]),
+        "second": float(means["second"]),
+        "difference": float(means["first"] - means["second"]),
+        "low": low,
+        "high": high,
+        "better": int((difference > SCORE_TOLERANCE).sum()),
+        "worse": int((difference < -SCORE_TOLERANCE).sum()),
+        "scenes": len(paired),
+        "environments": len(strata),
+        "unpaired": len(both) - len(paired),
+    }

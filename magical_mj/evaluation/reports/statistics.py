@@ -151,10 +151,11 @@ def by_environment(scores: pd.DataFrame) -> pd.DataFrame:
     import pandas as pd
 
     rows = []
-    for (policy, task, variant), group in scores.groupby(["policy", "task", "variant"], sort=False):
-        runs = [run["score"].to_numpy(float) for _, run in group.groupby("run")]
+    for (policy, task, variant), group in scores.groupby(["policy", "task", "variant"], sort=False, observed=True):
+        runs = _by(group, "run")
         counts = {"runs": len(runs), "episodes": len(group), "failures": int(group["failure"].notna().sum())}
-        rows.append({"policy": policy, "task": task, "variant": variant, **summarise([runs])._asdict(), **counts})
+        statistics = summarise([[run["score"].to_numpy(float) for run in runs]])._asdict()
+        rows.append({"policy": policy, "task": task, "variant": variant, **statistics, **counts})
     return pd.DataFrame(rows)
 
 
@@ -163,8 +164,13 @@ def by_variant(scores: pd.DataFrame) -> pd.DataFrame:
     import pandas as pd
 
     rows = []
-    for (policy, variant), group in scores.groupby(["policy", "variant"], sort=False):
-        tasks = [[run["score"].to_numpy(float) for _, run in task.groupby("run")] for _, task in group.groupby("task")]
+    for (policy, variant), group in scores.groupby(["policy", "variant"], sort=False, observed=True):
+        tasks = [[run["score"].to_numpy(float) for run in _by(task, "run")] for task in _by(group, "task")]
         counts = {"tasks": len(tasks), "runs": max(map(len, tasks)), "episodes": len(group)}
         rows.append({"policy": policy, "variant": variant, **summarise(tasks)._asdict(), **counts})
     return pd.DataFrame(rows)
+
+
+def _by(scores: pd.DataFrame, column: str) -> list[pd.DataFrame]:
+    """The rows of each of a column's values, in the order of these."""
+    return [group for _, group in scores.groupby(column, observed=True)]

@@ -1,23 +1,34 @@
-"""Tables as text: Markdown, CSV, and LaTeX with booktabs."""
+"""The tables of a report, the notes below them, and tables as text: Markdown, CSV, and LaTeX with booktabs."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from magical_mj.evaluation.reports.results import Results
-from magical_mj.tasks.registry import ENVIRONMENTS, VARIANTS, in_order
+from magical_mj.evaluation.reports.results import (
+    PUBLISHED_EPISODES,
+    PUBLISHED_RULES,
+    PUBLISHED_RUNS,
+    Results,
+    counted_tasks,
+)
+from magical_mj.evaluation.settings import UNOFFICIAL
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS
 from magical_mj.utils import escape
+from magical_mj.utils.errors import counted
 
 if TYPE_CHECKING:
     import pandas as pd
 
-NONE = "–"  # noqa: RUF001 a dash is meant
-PLUS_MINUS = "±"
-DAGGER = "†"
-PAGE_ROWS = 40
+NONE: Final = "–"  # noqa: RUF001 a dash is meant
+PLUS_MINUS: Final = "±"
+DAGGER: Final = "†"
+PAGE_ROWS: Final = 40
+APPROXIMATE: Final = "Approximate, no official results"
+VERSIONS: Final = {"version": "versions of magical_mj", "mujoco": "versions of MuJoCo", "gl": "OpenGL backends"}
 
 Rows = tuple[tuple[str, ...], ...]
 Group = tuple[str, Rows]
@@ -103,41 +114,42 @@ def _latex_row(cells: Sequence[str]) -> str:
 
 def result_tables(results: Results) -> list[Table]:
     """The paper's Table 1, the interquartile means, and the table of all environments."""
+    tasks = counted_tasks(results.scores["task"].cat.categories)
+    over = "all tasks" if set(tasks) & set(TASKS) else " and ".join(tasks)
+    header = ("Method", *VARIANTS)
     spread = Table(
         "variants",
-        f"Mean score over {results.counted}, ± standard deviation of the run means over tasks and runs",
-        ("Method", *VARIANTS),
+        f"Mean score over {over}, ± standard deviation of the run means over tasks and runs",
+        header,
         (("", _rows(results, results.variants, _mean_and_std)),),
-        results.notes,
+        tuple(notes(results)),
     )
     robust = Table(
         "interquartile",
-        f"Interquartile mean of the run means over {results.counted}, with its 95 % interval (stratified bootstrap)",
-        ("Method", *VARIANTS),
+        f"Interquartile mean of the run means over {over}, with its 95 % interval (stratified bootstrap)",
+        header,
         (("", _iqm_rows(results)),),
     )
-    groups = []
-    for task in in_order(results.environments["task"]):
-        found = results.environments[results.environments["task"] == task]
-        groups.append((task, _rows(results, found, _mean_and_std, task)))
+    by_task = results.environments.groupby("task")
     every = Table(
         "environments",
         "Mean score in each environment, ± standard deviation of the run means",
-        ("Method", *VARIANTS),
-        tuple(groups),
+        header,
+        tuple((task, _rows(results, by_task.get_group(task), _mean_and_std, task)) for task in results.tasks),
     )
     return [spread, robust, every]
 
 
 def _rows(results: Results, frame: pd.DataFrame, text: Callable[[Any], str], task: str | None = None) -> Rows:
+    """A row for each method in the frame, with the text of its row for each variant."""
+    cells: dict[str, dict[str, Any]] = defaultdict(dict)
+    for row in frame.itertuples():
+        cells[str(row.policy)][str(row.variant)] = row
     rows = []
-    for policy in results.policies:
-        mine = {row.variant: row for row in frame[frame["policy"] == policy].itertuples()}
-        if mine:
-            name = marked(policy, next(iter(mine.values())).published)
-            rows.append(
-                (name, *(text(mine[variant]) if variant in mine else _gap(task, variant) for variant in VARIANTS))
-            )
+    for policy in (policy for policy in results.policies if policy in cells):
+        mine = cells[policy]
+        name = marked(policy, next(iter(mine.values())).published)
+        rows.append((name, *(text(mine[variant]) if variant in mine else _gap(task, variant) for variant in VARIANTS)))
     return tuple(rows)
 
 
@@ -168,3 +180,72 @@ def share(row: Any) -> str:
     if not getattr(row, "missing", ""):
         return ""
     return f"({row.tasks}/{row.tasks + row.missing.count(',') + 1})"
+
+
+def notes(results: Results) -> Iterator[str]:
+    """What readers must know of the results, a sentence or a few each."""
+    ours = results.variants[~results.variants["published"]]
+    if "batched" in results.scores["worlds"].cat.categories:
+        yield f"{APPROXIMATE}: {UNOFFICIAL}."
+    if (ours["missing"] != "").any():
+        yield "(m/n) after a number: the mean is over only m of the n tasks with the variant."
+    played = results.environments.loc[~results.environments["published"], "task"]
+    if own := [task for task in results.tasks if task not in counted_tasks(played)]:
+        yield f"Tasks that are not of the benchmark, and so not part of the means over tasks: {', '.join(own)}."
+    for policy, variants in ours.groupby("policy", sort=False):
+        yield from (f"{policy}: {gap}." for gap in _gaps(variants))
+    yield from _unfinished(results.scores)
+    yield from _numbers_of_runs(results.environments)
+    yield from _failures(results.scores)
+    for column, name in VERSIONS.items():
+        if len(different := results.scores[column].cat.categories) > 1:
+            yield f"Played with different {name}: {', '.join(different)}."
+    if results.variants["published"].any():
+        rules = ours["rules"].iloc[0]
+        others = "" if rules == PUBLISHED_RULES else f", and all others by the rules {rules!r}"
+        yield (
+            f"{DAGGER} Published results: in the original simulator, {PUBLISHED_RUNS} runs of {PUBLISHED_EPISODES} "
+            f"episodes, scored by the rules {PUBLISHED_RULES!r}{others}."
+        )
+    if results.lacks_published:
+        yield "The paper's results are not shown: it has none in these tasks."
+
+
+def _gaps(variants: pd.DataFrame) -> Iterator[str]:
+    """Which tasks and variants a policy lacks, by its rows of the table of variants."""
+    incomplete: dict[str, list[str]] = defaultdict(list)
+    for row in variants.itertuples():
+        incomplete[str(row.missing)].append(str(row.variant))
+    for tasks, names in incomplete.items():
+        if tasks:
+            yield f"incomplete in {', '.join(names)}: without {tasks}"
+    if absent := [variant for variant in VARIANTS if variant not in set(variants["variant"])]:
+        yield f"not evaluated in {', '.join(absent)}"
+
+
+def _unfinished(scores: pd.DataFrame) -> Iterator[str]:
+    most = int(scores["seed"].max()) + 1
+    counts = scores.groupby(["policy", "run", "task", "variant"], sort=False, observed=True).size()
+    short = counts[counts < most]
+    for (policy, run, task, variant), count in short.head(1).items():
+        others = f", and {len(short) - 1} more are short" if len(short) > 1 else ""
+        yield f"Unfinished: {policy}, run {run}, {task} {variant} has {count} of {counted(most, 'episode')}{others}."
+
+
+def _numbers_of_runs(environments: pd.DataFrame) -> Iterator[str]:
+    """Which policies have fewer runs in some environments than in others, and which have one only."""
+    ours = environments[~environments["published"]].groupby("policy", sort=False)["runs"].agg(["min", "max"])
+    for row in ours[ours["min"] < ours["max"]].itertuples():
+        lone = "; where there is one only, its episodes are resampled for intervals" if row.min == 1 else ""
+        yield f"{row.Index}: between {row.min} and {row.max} runs, depending on the environment{lone}."
+    if single := [str(policy) for policy in ours.index[ours["max"] == 1]]:
+        whose = "its" if len(single) == 1 else "their"
+        yield (
+            f"One run only of {', '.join(single)}: {whose} intervals are over episodes and say nothing about training."
+        )
+
+
+def _failures(scores: pd.DataFrame) -> Iterator[str]:
+    failed = scores[scores["failure"].notna()]
+    for policy, group in failed.groupby("policy", sort=False, observed=True):
+        yield f"{policy}: failed episodes, which count as 0: {len(group)}; the first reason: {group['failure'].iloc[0]}"
