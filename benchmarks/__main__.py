@@ -23,7 +23,6 @@ from magical_mj._version import __version__
 from magical_mj.cli.console import Output, Tasks, Variants, check_fits, complain, console, some_of
 from magical_mj.cli.progress import with_bar
 from magical_mj.envs.presets import PRESETS, preset_named
-from magical_mj.rendering.backend import check_opengl
 from magical_mj.tasks.registry import environments, listed
 from magical_mj.utils.errors import MagicalError
 from magical_mj.utils.extras import check_extra
@@ -78,7 +77,6 @@ def bench(
         raise typer.BadParameter("give one of --json, --markdown and --profile.")
     check_fits(context, batched, "with --batched", "num_envs", "device")
     check_fits(context, not batched, "without --batched", "steps", "as_json", "markdown")
-    check_opengl()  # before the simulator is imported, whose error would not help
     names = listed(presets, PRESETS)
     for name in names:
         preset_named(name)  # raises if it is unknown

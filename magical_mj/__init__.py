@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from magical_mj._version import __version__
 from magical_mj.envs.registration import env_id, register_all
-from magical_mj.rendering.backend import check_opengl, choose_backend
 from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene, actions
 from magical_mj.scene import state_vector as observations
 from magical_mj.tasks import protocol
@@ -78,7 +77,6 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    check_opengl()
     if name in _LAZY_MODULES:
         return import_module(f"{__name__}.{_LAZY_MODULES[name]}")
     return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)
@@ -89,5 +87,4 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-choose_backend()  # before anything imports mujoco or dm_control, which look at MUJOCO_GL only then
 register_all()

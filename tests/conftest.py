@@ -1,4 +1,4 @@
-"""Imported before any test module: magical_mj chooses the OpenGL backend, which mujoco looks at when it is imported.
+"""Imported before any test module: mujoco looks at MUJOCO_GL when it is imported, for its own renderer.
 
 The tests' temporary files lie in a folder of their own, which goes when all is well: a test, or the code that it runs,
 that leaves something behind makes the tests fail, and the system's folder stays as it was.
@@ -16,8 +16,11 @@ import pytest
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # PyTorch's: several tests run at once, and its threads wait busily
 
 import magical_mj
+from magical_mj.rendering.backend import chosen_backend
 from tests.helpers.commands import Shell
 from tests.helpers.entries import EPISODES
+
+os.environ.setdefault("MUJOCO_GL", chosen_backend())
 
 MAY_STAY = ("pytest-of-*", "torchinductor_*", ".ses")
 """What pytest keeps of failing tests, PyTorch makes at the first use of an optimiser, and ONNX Runtime at import."""

@@ -14,7 +14,6 @@ from magical_mj.envs.registration import env_id
 from magical_mj.policies.failures import PolicyError, acting, instability
 from magical_mj.policies.interface import Episode, begin, is_blind, letters_of
 from magical_mj.policies.interface import play as play_actions
-from magical_mj.rendering.backend import check_opengl
 from magical_mj.scene.actions import action_number
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import EvaluationError, InvalidSceneError, PlacementError, TaskError
@@ -53,7 +52,6 @@ def environment_for(policy: Act, task: str, variant: str, preset: str, rules: Ru
     The Gymnasium environment has no wrappers of `gymnasium.make`, whose checks at each step would only take time.
     """
     if is_blind(policy):
-        check_opengl()
         from magical_mj.envs.composer import load  # imported late: it loads the simulator
 
         return load(task, variant, seed=0, observations=(), rules=rules)

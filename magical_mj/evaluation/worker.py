@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
 import secrets
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -23,6 +22,7 @@ from magical_mj.policies.failures import reason
 from magical_mj.policies.interface import Episode, is_blind
 from magical_mj.policies.loading import Source
 from magical_mj.policies.requirements import BatchPolicy
+from magical_mj.rendering.backend import chosen_backend
 from magical_mj.tasks.registry import sample_scene, task_spec
 
 T = TypeVar("T")
@@ -229,7 +229,7 @@ def _score(unit: Unit, preset: str | None, episode: Episode, outcome: Outcome) -
         preset=preset,
         version=__version__,
         mujoco=MUJOCO_VERSION,
-        gl=os.environ.get("MUJOCO_GL", ""),
+        gl=chosen_backend(),
         actions=outcome.actions,
         failure=outcome.failure,
         scene=sample_scene(unit.task, unit.variant, episode.seed).digest(),

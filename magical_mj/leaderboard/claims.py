@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from magical_mj.evaluation.reports.statistics import SCORE_TOLERANCE
 from magical_mj.policies.interface import LETTERS, actions_of, play
-from magical_mj.rendering.backend import check_opengl
 from magical_mj.tasks.registry import ENVIRONMENTS, Pair, sample_scene
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.parallel import map_unordered
@@ -94,7 +93,6 @@ def check_claims(episodes: Iterable[Claim], rules: Rules, jobs: int | None = Non
 def check_chunk(episodes: Sequence[Claim], rules: Rules) -> Checked:
     """The work of one process: checks some episodes of one environment."""
     first = episodes[0]
-    check_opengl()
     from magical_mj.envs.composer import load  # which loads the simulator
 
     with closing(load(first.task, first.variant, seed=0, observations=(), rules=rules)) as env:

@@ -7,7 +7,6 @@ from typing import Any, Protocol, runtime_checkable
 
 from magical_mj.envs.presets import PRESETS
 from magical_mj.policies.interface import Episode, is_blind
-from magical_mj.rendering.backend import check_opengl
 from magical_mj.tasks.registry import Pair
 from magical_mj.utils.errors import SettingsError
 
@@ -60,7 +59,6 @@ def _check_shape(wanted: Sequence[Shape], task: str, preset: str) -> None:
 
 def _shape(task: str, preset: str) -> tuple[int, ...] | None:
     """The shape of the preset's observations; None if they are dicts."""
-    check_opengl()
     from magical_mj.envs.gymnasium_env import MagicalEnv  # imported late: it loads the simulator
 
     env = MagicalEnv(task, preset=preset)

@@ -1,4 +1,8 @@
-"""The choice of an OpenGL backend, made before mujoco and dm_control are imported: they read MUJOCO_GL only then."""
+"""The OpenGL backend of our pictures, which is chosen when the first one is drawn. An import chooses nothing.
+
+mujoco and dm_control look at MUJOCO_GL when they are imported, and PyOpenGL at PYOPENGL_PLATFORM. We make our contexts
+from mujoco's modules for single backends, so that neither matters.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +12,10 @@ import importlib
 import importlib.util
 import os
 import sys
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from magical_mj.utils.errors import RenderingError
 
@@ -24,23 +29,15 @@ EGL_PLATFORM_DEVICE_EXT = 0x313F
 MOST_DEVICES = 16
 
 
-def choose_backend() -> None:
-    """Sets MUJOCO_GL to a backend that works on this machine, EGL or else OSMesa, unless the user has set it.
+def chosen_backend() -> str:
+    """The OpenGL backend of our pictures: MUJOCO_GL, or else, on Linux, EGL or OSMesa, whichever works first.
 
-    If neither works it stays unset: everything except pictures works, and the first picture raises RenderingError.
+    Empty if that is left to mujoco, which takes GLFW on Linux. Nothing is written to the environment: which backend
+    mujoco's and dm_control's own renderers use is not ours to choose.
     """
-    load_triton()
-    os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's software OpenGL is faster without worker threads
-    os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")  # else pygame's windows have an OpenGL context;
-    # alternating between it and ours makes X11 end the process
-    if wanted_backend():
-        os.environ["MUJOCO_GL"] = wanted_backend()  # dm_control knows small letters only
-        return
-    if sys.platform != "linux":
-        return
-    found = next((name for name, works in PROBES.items() if works()), None)
-    if found:
-        os.environ["MUJOCO_GL"] = found
+    if sys.platform != "linux" or wanted_backend():
+        return wanted_backend()
+    return next((name for name in PROBES if not problem_of(name)), "")
 
 
 def wanted_backend() -> str:
@@ -48,26 +45,66 @@ def wanted_backend() -> str:
     return os.environ.get("MUJOCO_GL", "").strip().lower()
 
 
-def check_opengl() -> None:
-    """Raises a helpful error where importing mujoco or dm_control would fail without an explanation.
+def problem_of(backend: str) -> str:
+    """Why a backend cannot work in this process, as far as that can be told without drawing; empty if it may work."""
+    if backend and backend not in KNOWN:
+        return f"MUJOCO_GL is {backend}, which mujoco does not know"
+    if backend in OFF:
+        return f"MUJOCO_GL is {backend}"
+    if sys.platform != "linux":
+        return ""
+    if backend not in PROBES:  # mujoco takes GLFW
+        missing = "" if backend else "neither EGL nor OSMesa starts on this machine, and "
+        return "" if has_display() else egl_device_problem() or f"{missing}GLFW needs a display"
+    if backend == "egl" and (problem := egl_device_problem()):
+        return problem
+    return "" if PROBES[backend]() else f"MUJOCO_GL is {backend}, which does not start on this machine"
+
+
+def prepare_dm_control() -> None:
+    """To be called before dm_control is imported: it initialises its OpenGL at once, and only then looks at MUJOCO_GL.
+
+    Without a display and without a choice by the user it would take GLFW, which fails: it gets what works.
 
     Raises:
-        RenderingError: if MUJOCO_GL is unknown to mujoco, or is EGL or OSMesa and that does not start.
+        RenderingError: if MUJOCO_GL, or a variable beside it, makes that import fail.
     """
-    wanted = wanted_backend()
-    if wanted and wanted not in KNOWN:
-        raise RenderingError(f"MUJOCO_GL is {wanted}, which mujoco does not know. {REMEDY}")
-    if sys.platform == "linux" and wanted in PROBES and not PROBES[wanted]():
-        raise RenderingError(f"MUJOCO_GL is {wanted}, which does not start on this machine. {REMEDY}")
+    if "dm_control._render" in sys.modules or sys.platform != "linux":
+        return
+    load_triton()
+    wanted, platform = wanted_backend(), os.environ.get("PYOPENGL_PLATFORM", "").lower()
+    if not wanted:
+        fitting = (name for name in PROBES if platform in ("", name) and not problem_of(name))
+        if not has_display() and (backend := next(fitting, "")):
+            os.environ["MUJOCO_GL"] = backend
+        return
+    os.environ["MUJOCO_GL"] = wanted  # dm_control knows small letters only
+    problem = problem_of(wanted) if wanted in PROBES or wanted not in KNOWN else ""
+    if wanted in PROBES and platform not in ("", wanted):
+        problem = f"PYOPENGL_PLATFORM is {platform}, which does not go with MUJOCO_GL={wanted}"
+    if problem:
+        raise RenderingError(f"dm_control cannot be imported: {problem}. {REMEDY}")
 
 
-def new_gl_context() -> Any:
-    """A new OpenGL context for the chosen backend, even if mujoco was imported before it was chosen."""
-    import mujoco
+def has_display() -> bool:
+    """Whether a window could be opened, as far as the environment says."""
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
-    wanted = wanted_backend()
-    module = importlib.import_module(f"mujoco.{wanted}") if wanted in PROBES else mujoco
-    return module.GLContext(64, 64)
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Mesa's software OpenGL, if it starts within the block, works without threads, which is faster for small pictures.
+
+    It looks at the variable when a display is initialised; afterwards the environment is as before.
+    """
+    if "LP_NUM_THREADS" in os.environ:
+        yield
+        return
+    os.environ["LP_NUM_THREADS"] = "0"
+    try:
+        yield
+    finally:
+        os.environ.pop("LP_NUM_THREADS", None)
 
 
 @cache
@@ -86,24 +123,62 @@ def load_triton() -> None:
 
 
 @cache
-def egl_works() -> bool:
-    """Whether an EGL device can be initialised in the way mujoco and dm_control do."""
+def egl_library() -> ctypes.CDLL | None:
+    """EGL; None without it. mujoco looks for its functions among those of all libraries that are loaded."""
+    load_triton()
     try:
-        egl = ctypes.CDLL("libEGL.so.1")
+        egl = ctypes.CDLL("libEGL.so.1", mode=ctypes.RTLD_GLOBAL)
     except OSError:
-        return False
-    egl.eglGetProcAddress.restype = ctypes.c_void_p
+        return None
+    pointers = ("GetProcAddress", "GetCurrentDisplay", "GetCurrentSurface", "GetCurrentContext", "CreateContext")
+    for name in pointers:
+        getattr(egl, f"egl{name}").restype = ctypes.c_void_p
+    for name, count in (("Initialize", 3), ("MakeCurrent", 4), ("CreateContext", 4), ("DestroyContext", 2)):
+        getattr(egl, f"egl{name}").argtypes = [ctypes.c_void_p] * count
+    egl.eglChooseConfig.argtypes = [*[ctypes.c_void_p] * 3, ctypes.c_int, ctypes.c_void_p]
+    return egl
+
+
+@cache
+def egl_devices() -> tuple[int, ...]:
+    """The displays of EGL's devices, in the order in which mujoco and dm_control count them; 0 for a failing one."""
+    egl = egl_library()
+    if egl is None:
+        return ()
     query = egl.eglGetProcAddress(b"eglQueryDevicesEXT")
     platform = egl.eglGetProcAddress(b"eglGetPlatformDisplayEXT")
     if not (query and platform):
-        return False
+        return ()
     query_devices = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)(query)
     get_display = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p)(platform)
-    egl.eglInitialize.argtypes = [ctypes.c_void_p] * 3
     devices, count = (ctypes.c_void_p * MOST_DEVICES)(), ctypes.c_int(0)
     query_devices(MOST_DEVICES, devices, ctypes.byref(count))
-    displays = (get_display(EGL_PLATFORM_DEVICE_EXT, device, None) for device in devices[: count.value])
-    return any(display and egl.eglInitialize(display, None, None) for display in displays)
+    return tuple(get_display(EGL_PLATFORM_DEVICE_EXT, device, None) or 0 for device in devices[: count.value])
+
+
+@cache
+def egl_display() -> int:
+    """The first display that can be initialised, or that of MUJOCO_EGL_DEVICE_ID; 0 if there is none."""
+    egl, displays = egl_library(), egl_devices()
+    if egl is None or egl_device_problem():
+        return 0
+    if wanted := os.environ.get("MUJOCO_EGL_DEVICE_ID"):
+        displays = displays[int(wanted) :][:1]
+    with one_thread():
+        return next((display for display in displays if display and egl.eglInitialize(display, None, None)), 0)
+
+
+def egl_device_problem() -> str:
+    """What is wrong with MUJOCO_EGL_DEVICE_ID; empty if all is well."""
+    wanted, count = os.environ.get("MUJOCO_EGL_DEVICE_ID", "0"), len(egl_devices())
+    if not count or (wanted.strip().isdecimal() and int(wanted) < count):
+        return ""
+    return f"MUJOCO_EGL_DEVICE_ID is {wanted!r}; EGL's devices here are numbered from 0 to {count - 1}"
+
+
+def egl_works() -> bool:
+    """Whether an EGL display can be initialised."""
+    return bool(egl_display())
 
 
 @cache
@@ -118,5 +193,6 @@ def osmesa_works() -> bool:
 
 PROBES: Final = {"egl": egl_works, "osmesa": osmesa_works}
 """The backends that need no display, in the order in which they are tried."""
-KNOWN: Final = ("glfw", "on", "enable", "enabled", "true", "1", "off", "disable", "disabled", "false", "0", *PROBES)
+OFF: Final = ("off", "disable", "disabled", "false", "0")
+KNOWN: Final = ("glfw", "on", "enable", "enabled", "true", "1", *OFF, *PROBES)
 """The values of MUJOCO_GL that mujoco and dm_control accept."""

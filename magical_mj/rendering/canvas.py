@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from magical_mj.assets.style import DRAWN_GROUP, TASK_GROUP
 from magical_mj.assets.world import world_mjcf
 from magical_mj.rendering import gl
-from magical_mj.rendering.backend import REMEDY, new_gl_context
+from magical_mj.rendering.backend import REMEDY
 from magical_mj.scene import GoalRegion, Robot, Scene
 from magical_mj.utils.errors import RenderingError
 
@@ -39,7 +39,7 @@ GEOMS: Final = 32  # the capacity of scenes is a multiple of this, so that few s
 KEPT_CONTEXTS: Final = 4  # the shared one, and those of models that users changed
 _LIBRARY: Final = Scene(Robot(0, 0, 0), regions=(GoalRegion("red", -0.4, -0.4, 0.4, 0.4),) * 3)
 """A scene whose model has all assets that models of the benchmark can have."""
-NO_OPENGL: Final = f"No picture can be drawn: OpenGL did not start (MUJOCO_GL={{backend}}: {{error}}). {REMEDY}"
+NO_OPENGL: Final = f"No picture can be drawn, since OpenGL did not start: {{error}}. {REMEDY}"
 FORKED: Final = (
     "This process was forked after its parent had drawn a picture, and OpenGL does not survive a fork. "
     "Start workers with the 'spawn' or 'forkserver' method."
@@ -122,23 +122,28 @@ class Canvas(threading.local):
     process: int = 0
     contexts: list[Context] = field(default_factory=list)
     active: Context | None = None
+    first: bool = False  # within the block of the first frame
     ours: gl.Handles | None = None  # with EGL
     others: gl.Handles | None = None  # the context of other code that was current before
     pixels: dict[tuple[int, int], tuple[Picture, c_void_p]] = field(default_factory=dict)
     """A pixel buffer and its address for each of the last few sizes."""
 
     def __enter__(self) -> None:
-        """Makes the OpenGL context current within a `with` block; the first time, it is created."""
-        if self.opengl is not None and self.process != os.getpid():
+        """Makes the OpenGL context current within a `with` block; the first time, it is created.
+
+        First blocks come one after another: drivers have crashed when two threads drew their first frames at once.
+        """
+        if self.opengl is None:
+            self._first_enter()
+            return
+        if self.process != os.getpid():
             raise RenderingError(FORKED)
         if gl.is_current(self.ours):
             self.others = None
             return
         self.others = gl.current()
-        if self.opengl is None:
-            self._start()
-            self.ours = gl.current()
-        elif self.ours is None:
+        gl.release(self.others)
+        if self.ours is None:
             self.opengl.make_current()
         else:
             gl.make_current(self.ours)
@@ -147,16 +152,33 @@ class Canvas(threading.local):
         """Makes the context of other code current again that was before; with backends other than EGL, ours stays."""
         if self.others is not None:
             gl.make_current(self.others)
+        if self.first:
+            self.first = False
+            _FIRST_FRAME.release()
+
+    def _first_enter(self) -> None:
+        _FIRST_FRAME.acquire()
+        try:
+            self.others = gl.current()
+            gl.release(self.others)
+            self._start()
+        except BaseException:
+            _FIRST_FRAME.release()
+            raise
+        self.first = True
 
     def _start(self) -> None:
+        os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")  # else a window that pygame opens later has OpenGL,
+        # which it cannot start while a context of ours is current: X11 would end the process
         library = mujoco.MjModel.from_xml_string(world_mjcf(_LIBRARY))
         try:
-            made = new_gl_context()
+            made = gl.new_context()
             made.make_current()
             context = _drawing_context(library)
         except Exception as error:  # each backend has its own exceptions
-            raise RenderingError(NO_OPENGL.format(backend=os.environ.get("MUJOCO_GL", "unset"), error=error)) from error
+            raise RenderingError(NO_OPENGL.format(error=" ".join(str(error).split()).rstrip("."))) from error
         self.opengl, self.process, self.contexts = made, os.getpid(), [Context(context, library)]
+        self.ours = gl.current()
         _OPEN.add(made)
         atexit.unregister(_free_all)
         atexit.register(_free_all)  # now, so that it runs before the display is closed
@@ -199,7 +221,7 @@ class Canvas(threading.local):
         others = self.others
         self.close()
         self._start()
-        self.ours, self.others = gl.current(), others
+        self.others = others
 
     def close(self) -> None:
         """Free everything; may be called twice."""
@@ -213,6 +235,7 @@ class Canvas(threading.local):
 
 
 CANVAS = Canvas()
+_FIRST_FRAME = threading.RLock()
 _OPEN: weakref.WeakSet[mujoco.GLContext] = weakref.WeakSet()  # of all threads
 
 
@@ -229,6 +252,8 @@ def _free_all() -> None:
 
 def _forget() -> None:
     """In the child of a fork: OpenGL objects belong to the parent, and freeing them here would hang."""
+    global _FIRST_FRAME  # noqa: PLW0603 - another thread may have held it, which does not exist here
+    _FIRST_FRAME = threading.RLock()
     for context in list(_OPEN):
         context._context = None
     for context in CANVAS.contexts:
@@ -257,6 +282,4 @@ def _drawing_context(model: mujoco.MjModel, *, lit: bool = False) -> mujoco.MjrC
 def opengl_name() -> str:
     """OpenGL's renderer and version."""
     with CANVAS:
-        from OpenGL import GL
-
-        return " / ".join(GL.glGetString(name).decode() for name in (GL.GL_RENDERER, GL.GL_VERSION))
+        return " / ".join(gl.functions().get_string(name).decode() for name in (gl.RENDERER, gl.VERSION))

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
-import struct
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -21,6 +19,7 @@ from magical_mj.cli.play import AFTER, KEYS
 from magical_mj.demos import load, verify
 from magical_mj.envs.presets import PRESETS
 from magical_mj.scene.actions import NOOP
+from tests.helpers.display import Display, hidden_display
 
 pytestmark = pytest.mark.skipif(not shutil.which("Xvfb"), reason="needs Xvfb (Debian and Ubuntu: apt-get install xvfb)")
 
@@ -43,36 +42,10 @@ for preset in presets:
 """
 
 
-class Display(NamedTuple):
-    """A display that nobody sees."""
-
-    name: str
-    file: Path
-
-    def picture(self) -> NDArray[np.uint8]:
-        """What is on the screen now. Shape (height, width, 3), from the dump that Xvfb keeps (X11/XWDFile.h)."""
-        data = self.file.read_bytes()
-        header = struct.unpack(">25I", data[:100])
-        height, row, start = header[5], header[12], header[0] + 12 * header[19]
-        pixels = np.frombuffer(data, np.uint8, height * row, start).reshape(height, row // 4, 4)
-        return pixels[:, :, 2::-1]  # stored as blue, green, red
-
-    def xdotool(self, *words: str) -> None:
-        """Keys as from a keyboard."""
-        subprocess.run(["xdotool", *words], env=os.environ | {"DISPLAY": self.name}, check=True, timeout=60)
-
-
 @pytest.fixture(scope="module")
 def display(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Display]:
-    reading, writing = os.pipe()
-    folder = tmp_path_factory.mktemp("display")
-    command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1024x768x24", "-nolisten", "tcp"]
-    with subprocess.Popen([*command, "-fbdir", folder], pass_fds=[writing], stderr=subprocess.DEVNULL) as server:
-        os.close(writing)
-        with os.fdopen(reading) as answer:
-            number = answer.readline().strip()
-        yield Display(f":{number}", folder / "Xvfb_screen0")
-        server.terminate()
+    with hidden_display(tmp_path_factory.mktemp("display")) as display:
+        yield display
 
 
 @pytest.mark.parametrize("draws_first", [True, False])

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from magical_mj.rendering.backend import osmesa_works
+from tests.helpers.display import hidden_display
 
 FIRST_FRAME = """
 import magical_mj
@@ -29,6 +30,9 @@ assert started.wait(60)
 BARE = {name: value for name, value in os.environ.items() if name not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
 NO_DRIVER = {"__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent"}
 ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere MuJoCo has one backend")
+
+
+FIRST_FRAMES = Path(__file__).parents[2] / "tools" / "first_frames.py"
 
 
 def python(program: str, **variables: str) -> subprocess.CompletedProcess[str]:
@@ -99,6 +103,7 @@ def test_mujocos_renderer_beside_ours_is_silent_at_exit_if_closed(ours_first: bo
     )
     ours = "env.render('ego', 64)\n"
     result = python(
+        "import os; os.environ['MUJOCO_GL'] = 'egl'  # which mujoco's renderer looks at\n"
         "import magical_mj, mujoco\nenv = magical_mj.load('MoveToRegion', observations=())\nenv.reset()\n"
         + (ours + theirs if ours_first else theirs + ours)
         + "renderer.render()\nrenderer.close()\n"
@@ -139,11 +144,93 @@ class TestWithoutOpenGL:
             assert word in last
 
 
+UNTOUCHED = """
+import os
+before = dict(os.environ)
+import gymnasium, magical_mj, sys
+assert dict(os.environ) == before
+env = gymnasium.make("magical_mj/FindDupe-Demo-State-v0")
+env.reset(seed=0); env.step(1)
+magical_mj.export_mjcf(magical_mj.sample_scene("FindDupe", "Demo", 0), sys.argv[1] + "/scene.xml")
+print(magical_mj.evaluate("noop", tasks="MoveToCorner", variants="Demo", episodes=1, jobs=1).score[0])
+"""
+
+
 @ON_LINUX
-@pytest.mark.parametrize("wanted", ["egl", "glfw", "disable", "off"])
-def test_a_users_choice_of_backend_is_kept(wanted: str) -> None:
-    result = python("import magical_mj, os; print(os.environ['MUJOCO_GL'])", MUJOCO_GL=wanted)
-    assert result.stdout == f"{wanted}\n"
+@pytest.mark.parametrize(
+    "variables",
+    [
+        {},
+        {"PYOPENGL_PLATFORM": "glx"},
+        {"PYOPENGL_PLATFORM": "osmesa"},
+        {"MUJOCO_EGL_DEVICE_ID": ""},
+        {"MUJOCO_EGL_DEVICE_ID": "99"},
+        NO_DRIVER,
+    ],
+    ids=str,
+)
+def test_what_needs_no_pictures_needs_no_opengl(variables: dict[str, str], tmp_path: Path) -> None:
+    """Nor does an import change anything that other code of the process looks at."""
+    result = subprocess.run(
+        [sys.executable, "-c", UNTOUCHED, str(tmp_path)],
+        env=BARE | variables,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+
+
+@ON_LINUX
+@pytest.mark.parametrize("device", ["", "99", "first"])
+def test_a_wrong_device_is_named(device: str) -> None:
+    result = python(f"{FIRST_FRAME}", MUJOCO_EGL_DEVICE_ID=device)
+    assert result.returncode == 1
+    last = result.stderr.strip().splitlines()[-1]
+    assert "RenderingError" in last
+    assert f"MUJOCO_EGL_DEVICE_ID is {device!r}" in last
+
+
+@ON_LINUX
+@pytest.mark.parametrize("platform", ["glx", "osmesa"])
+def test_pyopengls_platform_does_not_matter(platform: str) -> None:
+    result = python(FIRST_FRAME, PYOPENGL_PLATFORM=platform)
+    assert result.returncode == 0, result.stderr
+
+
+VIEWER = """
+import os, subprocess, threading, time
+import magical_mj
+from dm_control import viewer
+env = magical_mj.load("MoveToRegion", seed=0, observations=("ego",), image_size=48)
+seen = []
+def policy(step):
+    seen.append(step.observation["ego"].mean())
+    if len(seen) == 3:
+        os._exit(0 if min(seen) < 250 else 3)
+    return 1
+def press_space():  # it starts with a pause
+    while True:
+        time.sleep(0.5)
+        subprocess.run("xdotool search --name Explorer key space", shell=True, capture_output=True)
+threading.Thread(target=press_space, daemon=True).start()
+viewer.launch(env, policy, width=160, height=120)
+"""
+
+
+@pytest.mark.skipif(
+    not (shutil.which("Xvfb") and shutil.which("xdotool")), reason="needs Xvfb and xdotool (Debian: apt-get install)"
+)
+def test_dm_controls_viewer_shows_an_environment_that_draws(tmp_path: Path) -> None:
+    """Its window has a context of GLX, ours is one of EGL: both draw in one thread, in turns."""
+    with hidden_display(tmp_path) as display:
+        result = python(VIEWER, DISPLAY=display.name)
+    assert result.returncode == 0, result.stderr
+
+
+@ON_LINUX
+def test_first_frames_of_threads_come_one_after_another() -> None:
+    assert python(FIRST_FRAMES.read_text(), ROUND="8").returncode == 0
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="asks the loader of Linux in which order it loads")

@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 import magical_mj
+import magical_mj.envs.composer
 from magical_mj.assets import style
 from magical_mj.assets.world import World
 from magical_mj.engine.simulation import Simulation

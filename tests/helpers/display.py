@@ -1,0 +1,46 @@
+"""A display under X11 that nobody sees. It needs Xvfb; its keyboard needs xdotool."""
+
+from __future__ import annotations
+
+import os
+import struct
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Display(NamedTuple):
+    """A display that nobody sees."""
+
+    name: str
+    file: Path
+
+    def picture(self) -> NDArray[np.uint8]:
+        """What is on the screen now. Shape (height, width, 3), from the dump that Xvfb keeps (X11/XWDFile.h)."""
+        data = self.file.read_bytes()
+        header = struct.unpack(">25I", data[:100])
+        height, row, start = header[5], header[12], header[0] + 12 * header[19]
+        pixels = np.frombuffer(data, np.uint8, height * row, start).reshape(height, row // 4, 4)
+        return pixels[:, :, 2::-1]  # stored as blue, green, red
+
+    def xdotool(self, *words: str) -> None:
+        """Keys as from a keyboard."""
+        subprocess.run(["xdotool", *words], env=os.environ | {"DISPLAY": self.name}, check=True, timeout=60)
+
+
+@contextmanager
+def hidden_display(folder: Path) -> Iterator[Display]:
+    """A display whose screen is dumped into a folder, while the block runs."""
+    reading, writing = os.pipe()
+    command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1024x768x24", "-nolisten", "tcp"]
+    with subprocess.Popen([*command, "-fbdir", folder], pass_fds=[writing], stderr=subprocess.DEVNULL) as server:
+        os.close(writing)
+        with os.fdopen(reading) as answer:
+            number = answer.readline().strip()
+        yield Display(f":{number}", folder / "Xvfb_screen0")
+        server.terminate()
