@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -17,9 +18,10 @@ from numpy.typing import NDArray
 
 import magical_mj
 from magical_mj.batched.physics import Physics
-from magical_mj.batched.scenes import Capacity, SceneArrays
-from magical_mj.batched.scores import Start, score
+from magical_mj.batched.scenes import Capacity, WorldScenes
 from magical_mj.scene import Scene
+from magical_mj.scene.arrays import SceneArrays
+from magical_mj.tasks.registry import task_spec
 
 BATCH = 60
 """Worlds at a time: Warp's CPU device takes 60 to 190 ms for an action of one."""
@@ -63,7 +65,7 @@ def compare(states: int, steps: int, device: str) -> None:
             for action in held(rng, int(rng.integers((env.horizon or 1) - steps))):
                 env.step(action)
         scenes = [env.initial_scene for env in envs]
-        physics = Physics(SceneArrays.of(scenes, Capacity.of(scenes)), device)
+        physics = Physics(WorldScenes.of(scenes, *Capacity.of(scenes)), device)
         for world, env in enumerate(envs):
             take_over(physics, world, env.physics.data.ptr)
         plans = np.array([held(rng, steps) for _ in envs])
@@ -114,13 +116,14 @@ def replay(tasks: Sequence[str], human: Path | None, count: int, device: str) ->
                 env.step(int(action))
             ours.append(env.score())
         scenes, length = [scene for scene, _ in cases], max(len(actions) for _, actions in cases)
-        arrays = SceneArrays.of(scenes, Capacity.of(scenes))
-        physics, start = Physics(arrays, device), Start.of(arrays, device)
+        arrays = WorldScenes.of(scenes, *Capacity.of(scenes))
+        physics, initial = Physics(arrays, device), SceneArrays.of(scenes, *Capacity.of(scenes))
         ends = torch.zeros(len(cases), dtype=torch.float64)
         for step in range(length):
             plan = [int(actions[step]) if step < len(actions) else 0 for _, actions in cases]
             physics.step(torch.tensor(plan, device=device))
-            now = score(task, start, physics.poses.double()).cpu()
+            final = replace(initial, poses=physics.poses.double().cpu().numpy())
+            now = torch.from_numpy(task_spec(task).score_formula()(initial, final, "paper"))
             last = torch.tensor([step == len(actions) - 1 for _, actions in cases])
             ends = torch.where(last, now, ends)
         print(f"{who} {task}: {len(cases)} sequences, here {np.mean(ours):.3f}, batched {ends.mean():.3f}", flush=True)

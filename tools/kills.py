@@ -48,8 +48,7 @@ sys.exit(main(sys.argv[1:]))
 SAMPLER: Final = """
 import pathlib, sys
 from magical_mj.utils import files
-from magical_mj.batched.sampling import SceneSampler
-from magical_mj.batched.scenes import Capacity
+from magical_mj.batched.scenes import Capacity, SceneSampler
 out, number = pathlib.Path(sys.argv[-1]), 0
 out.mkdir(exist_ok=True)
 sampler = SceneSampler([("FindDupe", "All")] * 256, Capacity(10, 3), workers=2)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields, replace
 from typing import Any, Final
 
 import gymnasium
@@ -14,21 +14,18 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
-from magical_mj.batched.arguments import check_actions, masked
 from magical_mj.batched.observations import Frames, Observation, States
 from magical_mj.batched.physics import Physics, check_device
-from magical_mj.batched.sampling import SceneSampler, sample
-from magical_mj.batched.saved import check_state
-from magical_mj.batched.scenes import Capacity, SceneArrays
-from magical_mj.batched.scores import SCORES, Start, score
+from magical_mj.batched.scenes import Capacity, SceneSampler, WorldScenes, sample
 from magical_mj.envs.presets import preset_named
 from magical_mj.envs.reset_options import ResetOptions
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS
+from magical_mj.scene.arrays import SceneArrays
 from magical_mj.tasks.registry import Pair, check_rules, task_spec
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
-from magical_mj.utils.errors import ClosedError, SettingsError, check_name, shown
+from magical_mj.utils.errors import ClosedError, InvalidActionError, SettingsError, StateError, check_name, shown
 from magical_mj.variants import check_seed
 
 MODES: Final = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
@@ -73,45 +70,46 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             names = " or ".join(f"gymnasium.vector.{mode}" for mode in MODES)
             raise SettingsError(f"autoreset_mode must be {names}, not {shown(autoreset_mode)}")
         check_name("reward", reward, REWARDS)
-        for task, _ in pairs:
-            check_name("batched task", task, SCORES)
+        seed = check_seed(seed)
+        self._rules: Rules = check_rules(rules)
+        observed = preset_named(preset)
+        size = observed.image_size if image_size is None else check_size(image_size)
+        self.device = check_device(device)
+        specs = {task: task_spec(task) for task, _ in pairs}
+        self._formulas = {task: spec.score_formula() for task, spec in specs.items()}
+
         self.num_envs = len(pairs)
         self.metadata = {"autoreset_mode": autoreset_mode, "render_fps": c.CONTROL_RATE}
-        self._same_step = autoreset_mode == AutoresetMode.SAME_STEP
-        self._rules: Rules = check_rules(rules)
-        device = check_device(device)
-        self._reward, self.device = reward, device
-        self._tasks = {task: self._numbers(pairs, task) for task in dict.fromkeys(task for task, _ in pairs)}
-        horizons = [task_spec(task).horizon(rules) for task, _ in pairs]
-        self._horizons = torch.tensor(horizons, device=device)
-        seed, capacity = check_seed(seed), Capacity.of_environments(pairs)
-        self._scenes = sample(pairs, [0] * self.num_envs, capacity)
-        self._start = Start.of(self._scenes, device)
-        self.physics = Physics(self._scenes, device)
-        made = preset_named(preset)
-        size = made.image_size if image_size is None else check_size(image_size)
+        self._reward, self._same_step = reward, autoreset_mode == AutoresetMode.SAME_STEP
         self._kind = {
             "environments": [f"{task}-{variant}" for task, variant in pairs],
             "rules": rules,
             "preset": preset,
-            "image_size": None if made.layout == "state" else size,
+            "image_size": None if observed.layout == "state" else size,
         }
-        if made.layout == "state":
-            self.observer: States | Frames = States(self.num_envs, device)
+        numbers = {task: [world for world, (name, _) in enumerate(pairs) if name == task] for task in specs}
+        self._worlds = {task: torch.tensor(worlds, device=self.device) for task, worlds in numbers.items()}
+        self._horizons = torch.tensor([specs[task].horizon(rules) for task, _ in pairs], device=self.device)
+        self._steps = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
+        self._running = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+        self._options = ResetOptions("reset_mask")
+
+        capacity = Capacity.of_environments(pairs)
+        self._scenes = sample(pairs, [0] * self.num_envs, capacity)
+        columns = {entry.name: getattr(self._scenes, entry.name) for entry in fields(SceneArrays)}
+        self._initial = SceneArrays(**{name: torch.from_numpy(a).to(self.device) for name, a in columns.items()})
+        self._sampler = SceneSampler(pairs, capacity, workers)
+        self._sampler.seed(seed)
+        self.physics = Physics(self._scenes, self.device)
+        self.observer: States | Frames
+        if observed.layout == "state":
+            self.observer = States(self.num_envs, self.device)
         else:
-            self.observer = Frames(made, size, self._scenes, device)
+            self.observer = Frames(observed, size, self._scenes, self.device)
         self.single_observation_space = self.observer.space
         self.observation_space = gymnasium.vector.utils.batch_space(self.observer.space, self.num_envs)
         self.single_action_space = spaces.Discrete(len(ACTIONS))
         self.action_space = spaces.MultiDiscrete([len(ACTIONS)] * self.num_envs)
-        self._options = ResetOptions("reset_mask")
-        self._steps = torch.zeros(self.num_envs, dtype=torch.int64, device=device)
-        self._running = torch.zeros(self.num_envs, dtype=torch.bool, device=device)
-        self._sampler = SceneSampler(pairs, capacity, workers)  # last: its workers would outlive an error
-        self._sampler.seed(seed)
-
-    def _numbers(self, pairs: Sequence[Pair], task: str) -> Tensor:
-        return torch.tensor([world for world, (name, _) in enumerate(pairs) if name == task], device=self.device)
 
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
@@ -130,20 +128,18 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """
         self._check_open()
         mask = self._options.checked(options).get("reset_mask")
-        chosen = masked(mask, self.num_envs)
+        worlds = masked(mask, self.num_envs)
         seeds = None
-        if seed is not None:
-            each: list[Any]
-            if isinstance(seed, list | tuple | range) or (isinstance(seed, np.ndarray | Tensor) and seed.ndim > 0):
-                each = list(seed)
-            else:
-                each = [check_seed(seed) + world for world in range(self.num_envs)]
-                if mask is None:
-                    self._sampler.seed(each[0])
-            if len(each) != self.num_envs:
-                raise SettingsError(f"there are {self.num_envs} worlds, and {len(each)} seeds were given")
-            seeds = [check_seed(each[world]) for world in chosen]
-        observation = self._begin(chosen, seeds)
+        if isinstance(seed, list | tuple | range) or (isinstance(seed, np.ndarray | Tensor) and seed.ndim > 0):
+            if len(seed) != self.num_envs:
+                raise SettingsError(f"there are {self.num_envs} worlds, and {len(seed)} seeds were given")
+            seeds = [check_seed(seed[world]) for world in worlds]
+        elif seed is not None:
+            first = check_seed(seed)
+            seeds = [first + world for world in worlds]
+            if mask is None:
+                self._sampler.seed(first)
+        observation = self._begin(worlds, seeds)
         return observation, self._info(torch.zeros(self.num_envs, dtype=torch.float64, device=self.device))
 
     def _begin(self, worlds: list[int], seeds: list[int] | None = None) -> Observation:
@@ -154,11 +150,12 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._running[where] = True
         return self.observer.begin(self.physics, where)
 
-    def _put(self, scenes: SceneArrays, worlds: Tensor) -> None:
+    def _put(self, scenes: WorldScenes, worlds: Tensor) -> None:
         """Puts scenes, at rest, into these worlds."""
         self._scenes.write(scenes, worlds.cpu().numpy())
-        for name, column in zip(Start._fields, self._start, strict=True):
-            column[worlds] = torch.from_numpy(getattr(scenes, name)).to(column)
+        for entry in fields(SceneArrays):
+            column = getattr(self._initial, entry.name)
+            column[worlds] = torch.from_numpy(getattr(scenes, entry.name)).to(column)
         self.physics.reset(scenes, worlds)
         self.observer.start(scenes, worlds)
 
@@ -187,7 +184,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """
         self._check_open()
         check_state(state, self.get_state())
-        self._put(SceneArrays(**state["scenes"]), torch.arange(self.num_envs, device=self.device))
+        self._put(WorldScenes(**state["scenes"]), torch.arange(self.num_envs, device=self.device))
         self._sampler.set_state(state["sampler"])
         self.physics.set_state(state["physics"])
         self._steps[:], self._running[:] = state["steps"], state["running"]
@@ -216,7 +213,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             scores = torch.where(ended & ~broken, self._scores(), 0.0)
         info = self._info(scores, broken)
         if bool(broken.any()):  # put at rest what cannot be drawn
-            self.physics.reset(self._scenes.rows(broken.nonzero()[:, 0].cpu().numpy()), broken.nonzero()[:, 0])
+            where = broken.nonzero()[:, 0]
+            self.physics.reset(self._scenes[where.cpu().numpy()], where)
         if bool((ended & info["overflowed"]).any()):
             gymnasium.logger.warn(OVERFLOW)
         observation = self.observer.look(self.physics)
@@ -229,11 +227,12 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return observation, reward, torch.zeros_like(ended), ended, info
 
     def _scores(self) -> Tensor:
+        """The score of each world if its episode ended now. Shape (num_envs,), float64."""
         poses = self.physics.poses.double()
         scores = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
-        for task, worlds in self._tasks.items():
-            start = Start(*(column[worlds] for column in self._start))
-            scores[worlds] = score(task, start, poses[worlds], self._rules)
+        for task, worlds in self._worlds.items():
+            initial = self._initial[worlds]
+            scores[worlds] = self._formulas[task](initial, replace(initial, poses=poses[worlds]), self._rules).double()
         return scores
 
     def _info(self, scores: Tensor, broken: Tensor | None = None) -> dict[str, Any]:
@@ -253,3 +252,122 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def _check_open(self) -> None:
         if self.closed:
             raise ClosedError("the environment is closed; make another one")
+
+
+class Arrays(gymnasium.vector.VectorWrapper[Any, Any, Any, Any]):
+    """A `BatchedEnv` whose observations, rewards, ends and infos are numpy arrays, copied from the device.
+
+    States stay as they are.
+
+    Args:
+        env: the environment.
+    """
+
+    env: BatchedEnv  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def __init__(self, env: BatchedEnv) -> None:
+        super().__init__(env)
+
+    @property
+    def device(self) -> str:
+        """Warp's name of the device that the worlds are on."""
+        return self.env.device
+
+    def reset(self, **settings: Any) -> tuple[Any, dict[str, Any]]:
+        """As the environment's own."""
+        return arrays(self.env.reset(**settings))
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """As the environment's own."""
+        return arrays(self.env.step(actions))
+
+    def get_state(self) -> dict[str, Any]:
+        """The environment's own."""
+        return self.env.get_state()
+
+    def set_state(self, state: Mapping[str, Any]) -> Any:
+        """As the environment's own."""
+        return arrays(self.env.set_state(state))
+
+
+def arrays(value: Any) -> Any:
+    """The same with arrays instead of tensors, in dicts and tuples too."""
+    if isinstance(value, Tensor):
+        return value.cpu().numpy()
+    if isinstance(value, dict):
+        return {name: arrays(entry) for name, entry in value.items()}
+    if isinstance(value, tuple):
+        return tuple(arrays(entry) for entry in value)
+    return value
+
+
+def masked(mask: Any, worlds: int) -> list[int]:
+    """The worlds for which the mask is true; without a mask all of them.
+
+    Raises:
+        SettingsError: if it does not hold a bool for each world.
+    """
+    if mask is None:
+        return list(range(worlds))
+    entries = _tensor(mask)
+    if entries is None or entries.dtype != torch.bool or entries.shape != (worlds,):
+        raise SettingsError(f"reset_mask must hold {worlds} bools, one for each world, not {shown(mask)}")
+    return entries.nonzero()[:, 0].tolist()
+
+
+def check_actions(actions: Any, worlds: int, device: str) -> Tensor:
+    """The numbers of the actions on a device.
+
+    Raises:
+        InvalidActionError: if there is not one in 0..17 for each world.
+    """
+    numbers = _tensor(actions, device)
+    if (
+        numbers is None
+        or numbers.shape != (worlds,)
+        or numbers.dtype == torch.bool
+        or numbers.is_floating_point()
+        or numbers.is_complex()
+        or bool(((numbers.long() < 0) | (numbers.long() >= len(ACTIONS))).any())
+    ):
+        raise InvalidActionError(
+            f"actions must be {worlds} integers in 0..{len(ACTIONS) - 1}, one for each world, not {shown(actions)}"
+        )
+    return numbers.long()
+
+
+def _tensor(values: Any, device: str = "cpu") -> Tensor | None:
+    """The values on a device; None if they make no tensor."""
+    try:
+        return torch.as_tensor(values, device=device)
+    except (TypeError, ValueError, RuntimeError):
+        return None
+
+
+def check_state(state: Any, own: Mapping[str, Any]) -> None:
+    """Raises a `StateError` unless a state is of the same kind of worlds, and laid out in the same way.
+
+    Args:
+        state: what a user gives.
+        own: the present state of the worlds.
+    """
+    kind = state.get("kind") if isinstance(state, Mapping) else None
+    if not isinstance(kind, Mapping) or state.keys() != own.keys() or kind.keys() != own["kind"].keys():
+        raise StateError(f"set_state() takes what get_state() gave, not {shown(state)}")
+    for name, value in own["kind"].items():
+        if kind[name] != value:
+            raise StateError(f"the state has {name} {shown(kind[name])}, and these worlds {shown(value)}")
+    for name in own.keys() - {"kind"}:
+        if _layout(state[name]) != _layout(own[name]):
+            raise StateError(
+                f"the state is damaged: its {name} is not what these worlds have; take what get_state() gave"
+            )
+
+
+def _layout(part: Any) -> Any:
+    """Types and sizes of all that a part of a state holds."""
+    if isinstance(part, Mapping):
+        return {name: _layout(value) for name, value in part.items()}
+    if isinstance(part, Tensor | np.ndarray):
+        return type(part), part.dtype, tuple(part.shape)
+    return type(part), len(part) if isinstance(part, list) else None

@@ -12,8 +12,9 @@ from torch import Tensor
 
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter
-from magical_mj.batched.scenes import ABSENT, SceneArrays
+from magical_mj.batched.scenes import WorldScenes
 from magical_mj.envs.presets import Preset, observation_space, preset_named
+from magical_mj.scene.arrays import ABSENT
 from magical_mj.scene.state_vector import MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
 
 Observation = Tensor | dict[str, Tensor]
@@ -31,7 +32,7 @@ class States:
         self._fixed = torch.zeros((worlds, len(STATE_NAMES)), device=device)
         self.space: spaces.Space[Any] = observation_space(preset_named("State"), {})
 
-    def start(self, scenes: SceneArrays, worlds: Tensor) -> None:
+    def start(self, scenes: WorldScenes, worlds: Tensor) -> None:
         """Episodes begin in these worlds: writes what stays as it is."""
         count, blocks = scenes.shapes.shape
         fixed = np.zeros((count, len(STATE_NAMES)), np.float32)
@@ -76,7 +77,7 @@ class Frames:
     Where the preset says so, the dict also holds the angles of the fingers, float32.
     """
 
-    def __init__(self, preset: Preset, size: int, scenes: SceneArrays, device: str) -> None:
+    def __init__(self, preset: Preset, size: int, scenes: WorldScenes, device: str) -> None:
         self._painter = Painter(scenes, device)
         self._preset, worlds = preset, len(scenes.shapes)
         groups = {view: ((view, count),) for view, count in preset.frames}
@@ -89,7 +90,7 @@ class Frames:
         shapes = {name: tuple(self._shaped(one[:1])[0].shape) for name, one in self._stacks.items()}
         self.space = observation_space(preset, shapes)
 
-    def start(self, scenes: SceneArrays, worlds: Tensor) -> None:
+    def start(self, scenes: WorldScenes, worlds: Tensor) -> None:
         """Episodes begin in these worlds."""
         self._painter.change(scenes, worlds)
 

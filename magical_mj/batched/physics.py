@@ -21,7 +21,7 @@ from torch import Tensor
 from magical_mj.assets.contacts import SETTINGS, SUBSTEPS
 from magical_mj.assets.robot import controls
 from magical_mj.assets.world import planar
-from magical_mj.batched.scenes import SceneArrays
+from magical_mj.batched.scenes import WorldScenes
 from magical_mj.batched.slots import FIELDS, Slots, slotted_model
 from magical_mj.utils.errors import SettingsError
 
@@ -72,7 +72,7 @@ class Physics:
         data: Warp's arrays of the simulation.
     """
 
-    def __init__(self, scenes: SceneArrays, device: str = "cpu") -> None:
+    def __init__(self, scenes: WorldScenes, device: str = "cpu") -> None:
         self.worlds, self.blocks = scenes.shapes.shape
         self._device = device
         self.model = slotted_model(self.blocks)
@@ -94,7 +94,7 @@ class Physics:
         self._graph: Any = None
         self.reset(scenes, torch.arange(self.worlds, device=device))
 
-    def reset(self, scenes: SceneArrays, worlds: Tensor) -> None:
+    def reset(self, scenes: WorldScenes, worlds: Tensor) -> None:
         """Puts scenes, at rest, into these worlds.
 
         Args:

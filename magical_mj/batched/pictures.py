@@ -12,7 +12,7 @@ from torch import Tensor
 from magical_mj.assets import style
 from magical_mj.assets.meshes import loops, meshes
 from magical_mj.batched.kernels import ROBOT_LAYERS, Outlines, Worlds, packed, paint
-from magical_mj.batched.scenes import SceneArrays
+from magical_mj.batched.scenes import WorldScenes
 from magical_mj.scene import constants as c
 from magical_mj.scene.constants import COLOURS, SHAPES
 
@@ -52,7 +52,7 @@ class Painter:
         device: Warp's name of the device, such as "cpu" or "cuda:0".
     """
 
-    def __init__(self, scenes: SceneArrays, device: str = "cpu") -> None:
+    def __init__(self, scenes: WorldScenes, device: str = "cpu") -> None:
         self._outlines = _outlines(device)
         self._fixed = {
             name: torch.from_numpy(getattr(scenes, name)).to(device).to(kind)
@@ -74,7 +74,7 @@ class Painter:
         self._device = device
         self.place(torch.from_numpy(scenes.poses), torch.from_numpy(scenes.fingers))
 
-    def change(self, scenes: SceneArrays, worlds: Tensor) -> None:
+    def change(self, scenes: WorldScenes, worlds: Tensor) -> None:
         """Other scenes in some of the worlds."""
         for name, tensor in self._fixed.items():
             tensor[worlds] = torch.from_numpy(getattr(scenes, name)).to(tensor)

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from magical_mj.assets.contacts import PRESS
 from magical_mj.assets.robot import MOTORS, ROTORS, WHEELS
 from magical_mj.assets.world import planar, world_mjcf
-from magical_mj.batched.scenes import ABSENT, SceneArrays
+from magical_mj.batched.scenes import WorldScenes
 from magical_mj.scene import Block, Dynamics, Robot, Scene
+from magical_mj.scene.arrays import ABSENT
 from magical_mj.scene.constants import SHAPES, Shape
 
 GEOM_FIELDS: Final = ("geom_size", "geom_pos", "geom_quat", "geom_rbound", "geom_aabb")
@@ -128,7 +129,7 @@ class Slots:
         self._bodies = [(model.body(f"block{slot}").id, _solid_body(model, slot)) for slot in range(blocks)]
         self._joints = 3 * np.arange(blocks)
 
-    def fields(self, scenes: SceneArrays) -> dict[str, NDArray[np.float64]]:
+    def fields(self, scenes: WorldScenes) -> dict[str, NDArray[np.float64]]:
         """The values of all `FIELDS`, a row for each world."""
         worlds = len(scenes.shapes)
         made = {name: np.repeat(getattr(self._model, name)[None], worlds, axis=0) for name in FIELDS}
@@ -176,7 +177,7 @@ class Slots:
             made["pair_friction"][:, model.pair(f"block{slot}_foot").id, :2] = (force / PRESS)[:, None]
             made["dof_frictionloss"][:, self._joints[slot] + 2] = torque
 
-    def positions(self, scenes: SceneArrays) -> NDArray[np.float64]:
+    def positions(self, scenes: WorldScenes) -> NDArray[np.float64]:
         """MuJoCo's `qpos` of the scenes, a row for each world."""
         model, slots = self._model, np.arange(self._blocks)
         qpos = np.repeat(model.qpos0[None], len(scenes.shapes), axis=0)

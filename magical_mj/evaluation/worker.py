@@ -202,7 +202,7 @@ def _vector_env(unit: Unit) -> Envs:
 
 def _batch(unit: Unit) -> Envs:
     from magical_mj import batched  # these need PyTorch
-    from magical_mj.batched.arrays import Arrays
+    from magical_mj.batched.environment import Arrays
 
     settings = unit.settings
     made = batched.make(

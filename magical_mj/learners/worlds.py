@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from magical_mj.batched.arrays import Arrays, arrays
 from magical_mj.learners.copies import SEEN, TASK, Seen, random_start, space, task_number
 from magical_mj.learners.learner import device
 from magical_mj.learners.settings import TrainingSettings
@@ -32,7 +31,7 @@ class BatchedWorlds(VecEnv):
 
     def __init__(self, settings: TrainingSettings) -> None:
         check_extra("batched worlds", "gpu")
-        from magical_mj.batched.environment import BatchedEnv
+        from magical_mj.batched.environment import Arrays, BatchedEnv
 
         tasks = [task_number(settings, number) for number in range(settings.ppo.environments)]
         self._batch = BatchedEnv(
@@ -89,7 +88,7 @@ class BatchedWorlds(VecEnv):
 
     def restore(self, state: dict[str, Any]) -> Seen:
         """Restores a `state`; returns what is seen then, as `reset` does."""
-        observations = arrays(self._batch.set_state(state["worlds"]))
+        observations = self._arrays.set_state(state["worlds"])
         if state["history"] is not None:
             self._history = History(observations)
             self._history.states = state["history"]

@@ -23,7 +23,8 @@ from typing import Final, Literal, TypeVar
 
 import numpy as np
 
-from magical_mj.scene import Block, Scene
+from magical_mj.scene import Scene
+from magical_mj.scene.arrays import Array, SceneArrays, namespace, number_of
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.tasks.planning import Noise, Subgoal, each_to
 from magical_mj.tasks.planning.arrangements import cluster_targets
@@ -64,42 +65,36 @@ def count(rng: np.random.Generator, scene: Scene) -> Scene:
 
 def check(scene: Scene, attribute: Attribute, task: str) -> None:
     """Raise `InvalidSceneError` unless there are blocks of two or more values and no goal region."""
-    found = len(_centroids(scene, attribute))
-    require(found >= 2, task, f"blocks of at least two different {attribute}s, and this has {found}")
+    values = len({getattr(block, attribute) for block in scene.blocks})
+    require(values >= 2, task, f"blocks of at least two different {attribute}s, and this has {values}")
     require_regions(scene, task, 0)
 
 
-def _centroids(scene: Scene, attribute: Attribute) -> dict[str, tuple[float, float]]:
-    """Mean x and y of the blocks of each value of the attribute that occurs."""
-    members: dict[str, list[Block]] = {}
-    for block in scene.blocks:
-        members.setdefault(getattr(block, attribute), []).append(block)
-    return {
-        value: (sum(block.x for block in blocks) / len(blocks), sum(block.y for block in blocks) / len(blocks))
-        for value, blocks in members.items()
-    }
+def blocks_right(scenes: SceneArrays, attribute: Attribute, rules: Rules = "paper") -> Array:
+    """Which blocks are near blocks with the same value of the attribute: see the module's docstring.
+
+    Returns:
+        Shape (..., blocks), bool. Arrays between have the axes (..., value, block), and x and y where there are such.
+    """
+    xp = namespace(scenes.poses)
+    kinds, values = (scenes.colours, COLOURS) if attribute == "colour" else (scenes.shapes, SHAPES)
+    members = xp.stack([(kinds == value) & scenes.present for value in range(len(values))], -2)
+    numbers = number_of(members)[..., None]
+    points = scenes.blocks[..., None, :, :]
+    centroids = (members[..., None] * points).sum(-2) / numbers.clip(1)
+    squares = ((points - centroids[..., None, :]) ** 2).sum(-1)
+    own = (members * squares).sum(-2)
+    others = (numbers > 0) & ~members
+    nearest = xp.amin(xp.where(others, squares, math.inf), -2)
+    right = xp.sqrt(own) < xp.sqrt(nearest) - 2 * own if rules == "released" else own < nearest / NEARER
+    return right & scenes.present
 
 
-def blocks_right(scene: Scene, attribute: Attribute, rules: Rules = "paper") -> int:
-    """The number of blocks that are near blocks with the same value of the attribute: see the module's docstring."""
-    centroids = _centroids(scene, attribute)
-    right = 0
-    for block in scene.blocks:
-        squares = {value: (block.x - x) ** 2 + (block.y - y) ** 2 for value, (x, y) in centroids.items()}
-        own = squares.pop(getattr(block, attribute))
-        nearest = min(squares.values())
-        if rules == "released":
-            right += math.sqrt(own) < math.sqrt(nearest) - 2 * own
-        else:
-            right += own < nearest / NEARER
-    return right
-
-
-def score(final: Scene, attribute: Attribute, rules: Rules = "paper") -> float:
+def score(final: SceneArrays, attribute: Attribute, rules: Rules = "paper") -> Array:
     """The share of blocks that are right, above the share that scores 0, scaled to [0, 1]."""
-    share = blocks_right(final, attribute, rules) / len(final.blocks)
+    share = number_of(blocks_right(final, attribute, rules)) / number_of(final.present)
     nothing = ZERO_SCORE_SHARE[rules]
-    return max(0.0, (share - nothing) / (1 - nothing))
+    return ((share - nothing) / (1 - nothing)).clip(0.0)
 
 
 def plan(now: Scene, attribute: Attribute, noise: Noise) -> list[Subgoal]:

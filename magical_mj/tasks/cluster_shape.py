@@ -21,9 +21,10 @@ from __future__ import annotations
 from typing import Final
 
 from magical_mj.scene import Block, Robot, Scene
+from magical_mj.scene.arrays import Array, SceneArrays
 from magical_mj.tasks import cluster
 from magical_mj.tasks.planning import Noise, Subgoal
-from magical_mj.tasks.spec import Rules, TaskSpec
+from magical_mj.tasks.spec import Rules, TaskSpec, array_score
 
 DEMO: Final = Scene(
     robot=Robot(0.286, -0.202, -1.878),
@@ -45,7 +46,8 @@ def check(scene: Scene) -> None:
     cluster.check(scene, "shape", "ClusterShape")
 
 
-def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+@array_score
+def score(initial: SceneArrays, final: SceneArrays, rules: Rules = "paper") -> Array:
     """How well the blocks are clustered by shape, in [0, 1]."""
     return cluster.score(final, "shape", rules)
 

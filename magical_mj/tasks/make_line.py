@@ -19,18 +19,17 @@ Differences from the original
 from __future__ import annotations
 
 import itertools
-import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from magical_mj.scene import Block, Robot, Scene
+from magical_mj.scene.arrays import Array, SceneArrays, length, namespace
 from magical_mj.tasks.planning import Noise, Subgoal, each_to
 from magical_mj.tasks.planning.arrangements import line_targets
 from magical_mj.tasks.rules import any_colours, any_shapes, require, require_regions, uniform_integer
-from magical_mj.tasks.spec import Rules, TaskSpec
+from magical_mj.tasks.spec import Rules, TaskSpec, array_score
 
 DEMO: Final = Scene(
     robot=Robot(0.702, -0.255, 0.347),
@@ -60,41 +59,55 @@ def check(scene: Scene) -> None:
     require_regions(scene, "MakeLine", 0)
 
 
-def longest_line(blocks: tuple[Block, ...]) -> int:
-    """The number of blocks in the longest line: m in the module's docstring."""
-    longest = 1
-    for one, other in itertools.combinations(blocks, 2):
-        length = math.hypot(other.x - one.x, other.y - one.y)
-        if length == 0.0:  # two centres in one place (never in a legal scene) define no line
-            continue
-        ux, uy = (other.x - one.x) / length, (other.y - one.y) / length
-        offsets = [(block.x - one.x, block.y - one.y) for block in blocks]
-        along = sorted(ux * x + uy * y for x, y in offsets if abs(ux * y - uy * x) <= INLIER_DISTANCE)
-        run = 1
-        for here, there in itertools.pairwise(along):
-            run = run + 1 if there - here <= MAX_GAP else 1
-            longest = max(longest, run)
-    return longest
+def longest_line(points: Array, present: Array) -> Array:
+    """The number of blocks in the longest line: m in the module's docstring. At least 1.
+
+    Args:
+        points: x, y of the blocks. Shape (..., blocks, 2).
+        present: which of them there are. Shape (..., blocks), bool.
+
+    Returns:
+        Shape (...). All arrays between have the axes (..., pair, block) or (..., pair, block, other block).
+    """
+    pairs = [*itertools.combinations(range(points.shape[-2]), 2)]
+    first, second = [one for one, _ in pairs], [other for _, other in pairs]
+    way = points[..., second, :] - points[..., first, :]
+    distance = length(way[..., 0], way[..., 1])
+    defined = present[..., first] & present[..., second] & (distance > 0)  # centres in one place define no line
+    along_x, along_y = (way[..., None, axis] / distance.clip(1e-300)[..., None] for axis in (0, 1))
+    offset = points[..., None, :, :] - points[..., first, None, :]
+    x, y = offset[..., 0], offset[..., 1]
+    inlier = (abs(along_x * y - along_y * x) <= INLIER_DISTANCE) & present[..., None, :] & defined[..., None]
+    along = along_x * x + along_y * y
+
+    ahead = along[..., :, None] - along[..., None, :]  # how far a block is ahead of the other one
+    near_behind = inlier[..., None, :] & (ahead > 0) & (ahead <= MAX_GAP)
+    starts = inlier & ~near_behind.any(-1)  # the first blocks of the runs
+    run = (starts[..., None, :] & (ahead >= 0)).sum(-1)  # a number that the blocks of a run share
+    same_run = inlier[..., :, None] & inlier[..., None, :] & (run[..., :, None] == run[..., None, :])
+    xp = namespace(points)
+    return xp.amax(same_run.sum(-1), (-2, -1)).clip(1)
 
 
-def is_line(points: Sequence[tuple[float, float]]) -> bool:
-    """Whether blocks with these centres are all in one line."""
-    return longest_line(tuple(Block("circle", "red", x, y, 0.0) for x, y in points)) == len(points)
+def are_lines(points: Array) -> Array:
+    """Whether blocks with these centres are all in one line. Shape (...) for points of shape (..., blocks, 2)."""
+    present = namespace(points).ones_like(points[..., 0], dtype=bool)
+    return longest_line(points, present) == points.shape[-2]
 
 
-def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+@array_score
+def score(initial: SceneArrays, final: SceneArrays, rules: Rules = "paper") -> Array:
     """1.0 if all blocks are in one line, 0.5 if all but one are, else 0.0."""
-    in_line, total = longest_line(final.blocks), len(final.blocks)
-    if in_line == total:
-        return 1.0
-    if rules == "released" and in_line < RELEASED_LEAST:
-        return 0.0
-    return 0.5 if in_line == total - 1 else 0.0
+    in_line, total = longest_line(final.blocks, final.present), final.present.sum(-1)
+    nearly = in_line == total - 1
+    if rules == "released":
+        nearly = nearly & (in_line >= RELEASED_LEAST)
+    return 1.0 * (in_line == total) + 0.5 * nearly
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
     """One of the blocks stays, and the others go to places in a line through it."""
-    return each_to(line_targets([(block.x, block.y) for block in now.blocks], is_line, noise), tolerance=0.07)
+    return each_to(line_targets([(block.x, block.y) for block in now.blocks], are_lines, noise), tolerance=0.07)
 
 
 SPEC: Final = TaskSpec(

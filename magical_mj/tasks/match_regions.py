@@ -24,10 +24,11 @@ from typing import Final
 import numpy as np
 
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
+from magical_mj.scene.arrays import Array, SceneArrays, number_of
 from magical_mj.scene.constants import COLOURS, REGION_SIZE, Colour
-from magical_mj.tasks.planning import Noise, Subgoal, bring, done, places_inside, places_outside
-from magical_mj.tasks.rules import any_shapes, coloured, inside, pick, require, require_regions, uniform_integer
-from magical_mj.tasks.spec import Rules, TaskSpec
+from magical_mj.tasks.planning import Noise, Subgoal, bring, places_inside, places_outside, scene_after
+from magical_mj.tasks.rules import any_shapes, coloured, pick, require, require_regions, uniform_integer
+from magical_mj.tasks.spec import Rules, TaskSpec, array_score
 
 DEMO: Final = Scene(
     robot=Robot(-0.5, 0.1, -3.7699111843077517),
@@ -79,15 +80,13 @@ def check(scene: Scene) -> None:
     require(has_target, "MatchRegions", f"at least one block of the goal region's colour, which is {wanted}")
 
 
-def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+@array_score
+def score(initial: SceneArrays, final: SceneArrays, rules: Rules = "paper") -> Array:
     """The share of targets in the region, less the share of distractors in it; the same under both rules."""
-    (region,) = final.regions
-    found = inside(region, final.blocks)
-    if not found:
-        return 0.0
-    targets = {index for index, block in enumerate(final.blocks) if block.colour == region.colour}
-    found_targets = len(targets.intersection(found))
-    return (found_targets / len(targets)) * (found_targets / len(found))
+    inside = final.inside[..., 0, :]
+    targets = final.present & (final.colours == final.region_colours[..., :1])
+    inside_targets = number_of(inside & targets)
+    return (inside_targets / number_of(targets)) * (inside_targets / number_of(inside).clip(1))
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
@@ -100,7 +99,7 @@ def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
             todo.append(bring(scene, number, places_inside(region), noise))
         elif block.colour != region.colour and region.contains(block):
             todo.append(bring(scene, number, places_outside(now.regions), noise))
-        scene = done(scene, todo)
+        scene = scene_after(scene, todo)
     return todo
 
 

@@ -22,10 +22,11 @@ from typing import Final
 import numpy as np
 
 from magical_mj.scene import GoalRegion, Robot, Scene
+from magical_mj.scene.arrays import Array, SceneArrays
 from magical_mj.scene.constants import COLOURS, REGION_SIZE
 from magical_mj.tasks.planning import Noise, Subgoal, drive, places_inside
 from magical_mj.tasks.rules import pick, require, require_regions
-from magical_mj.tasks.spec import Rules, TaskSpec
+from magical_mj.tasks.spec import Rules, TaskSpec, array_score
 
 DEMO: Final = Scene(
     robot=Robot(0.058, 0.53, -2.13),
@@ -44,9 +45,10 @@ def check(scene: Scene) -> None:
     require(not scene.blocks, "MoveToRegion", f"no blocks, and this has {len(scene.blocks)}")
 
 
-def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+@array_score
+def score(initial: SceneArrays, final: SceneArrays, rules: Rules = "paper") -> Array:
     """1.0 if the robot's centre is in the region, else 0.0; the same under both rules."""
-    return float(final.regions[0].contains(final.robot))
+    return 1.0 * final.robot_inside[..., 0]
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:

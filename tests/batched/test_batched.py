@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 import magical_mj
 from magical_mj import batched
 from magical_mj.batched import physics as physics_module
-from magical_mj.batched.arrays import Arrays
+from magical_mj.batched.environment import Arrays
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter
-from magical_mj.batched.scenes import Capacity, SceneArrays
+from magical_mj.batched.scenes import Capacity, WorldScenes
 from magical_mj.envs.presets import PRESETS
 from magical_mj.scene import Scene
 from magical_mj.utils.errors import InvalidSeedError, SettingsError
@@ -32,8 +32,8 @@ pytestmark = [pytest.mark.xdist_group("warp"), pytest.mark.filterwarnings("defau
 MIXED = [("MoveToRegion", "Demo"), ("FixColour", "All"), ("ClusterShape", "CountPlus"), ("FindDupe", "Dynamics")]
 
 
-def arrays(scenes: list[Scene]) -> SceneArrays:
-    return SceneArrays.of(scenes, Capacity.of(scenes))
+def arrays(scenes: list[Scene]) -> WorldScenes:
+    return WorldScenes.of(scenes, *Capacity.of(scenes))
 
 
 def table(scene: Scene) -> NDArray[np.float64]:
@@ -82,7 +82,7 @@ def test_one_action_in_every_environment() -> None:
 def test_ten_actions_and_what_is_alone_moves_alike() -> None:
     scenes = [magical_mj.sample_scene(*pair, 2) for pair in MIXED]
     physics, envs = Physics(arrays(scenes)), running(scenes)
-    alone = Physics(SceneArrays.of(scenes[1:2], Capacity.of(scenes)))
+    alone = Physics(WorldScenes.of(scenes[1:2], *Capacity.of(scenes)))
     for step in range(10):
         actions = torch.tensor([1, 10, 13, 4] if step < 6 else [3, 10, 1, 16])
         physics.step(actions)

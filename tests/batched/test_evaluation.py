@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import magical_mj
 from magical_mj import batched
-from magical_mj.batched.arrays import Arrays
+from magical_mj.batched.environment import Arrays
 from magical_mj.evaluation import Episode, rollouts
 from magical_mj.evaluation.folder import SETTINGS
 from magical_mj.evaluation.reports.report import report

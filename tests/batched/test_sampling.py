@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from magical_mj.batched.sampling import SceneSampler
-from magical_mj.batched.scenes import Capacity
+from magical_mj.batched.scenes import Capacity, SceneSampler
 
 pytestmark = [pytest.mark.xdist_group("warp"), pytest.mark.filterwarnings("default")]
 

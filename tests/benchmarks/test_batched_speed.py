@@ -19,7 +19,7 @@ from benchmarks.batched import (
     step_seconds,
 )
 from magical_mj.batched.pictures import Painter
-from magical_mj.batched.scenes import Capacity, SceneArrays
+from magical_mj.batched.scenes import Capacity, WorldScenes
 
 pytestmark = [pytest.mark.xdist_group("warp"), pytest.mark.filterwarnings("default")]
 
@@ -47,7 +47,7 @@ def test_launches_are_counted_with_their_memory() -> None:
 
 def test_memory_in_structs_counts() -> None:
     scenes = [magical_mj.sample_scene("MoveToCorner", "Demo", 0)]
-    painter = Painter(SceneArrays.of(scenes, Capacity.of(scenes)))
+    painter = Painter(WorldScenes.of(scenes, *Capacity.of(scenes)))
     out = torch.zeros((1, 96, 96, 3), dtype=torch.uint8)
     with recorded_launches("cpu") as kernels:
         painter.draw("allo", out)

@@ -27,7 +27,7 @@ from magical_mj import TASKS, Block, GoalRegion, Robot, Scene, demos
 from magical_mj.learners import load_settings, train
 from magical_mj.learners.data import drawn
 from magical_mj.policies.interface import Episode, forever, play
-from magical_mj.tasks.planning import Noise, done
+from magical_mj.tasks.planning import Noise, scene_after
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import SettingsError, TrainingError
 
@@ -71,7 +71,7 @@ def test_subgoals_lead_to_the_goal_and_so_to_the_full_score(task: str, goals: di
         scene = magical_mj.sample_scene(task, "All", seed)
         after, noise = scene, Noise(np.random.default_rng(seed), 1.0)
         for _ in range(3):
-            after = done(after, goals[task].subgoals(scene, after, noise))
+            after = scene_after(after, goals[task].subgoals(scene, after, noise))
         assert goals[task].score(scene, after) == 1.0
         assert goals[task].subgoals(scene, after, noise) == ()
         assert magical_mj.score(task, scene, after) == 1.0

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 import magical_mj
-from magical_mj import ENVIRONMENTS, TASKS, Block
+from magical_mj import ENVIRONMENTS, TASKS
+from magical_mj.scene.arrays import SceneArrays
 from magical_mj.tasks.cluster import NEARER, blocks_right
-from magical_mj.tasks.make_line import is_line, longest_line
-from magical_mj.tasks.planning import Noise, Subgoal, done
+from magical_mj.tasks.make_line import are_lines
+from magical_mj.tasks.planning import Noise, Subgoal, scene_after
 from magical_mj.tasks.planning.arrangements import cluster_targets, line_targets
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import PlacementError
@@ -30,7 +31,7 @@ def test_the_subgoals_solve_the_task(task: str, variant: str) -> None:
     for seed in range(3):
         scene = magical_mj.sample_scene(task, variant, seed)
         todo = task_spec(task).subgoals(scene, scene, noise(seed))
-        assert magical_mj.score(task, scene, done(scene, todo)) == 1.0
+        assert magical_mj.score(task, scene, scene_after(scene, todo)) == 1.0
         assert len({subgoal.block for subgoal in todo}) == len(todo)
         assert all(max(map(abs, subgoal.target)) < 0.9 for subgoal in todo)
 
@@ -51,7 +52,7 @@ def test_a_plan_without_room_says_so() -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_a_solved_scene_leaves_nothing_to_do(task: str) -> None:
     scene = magical_mj.sample_scene(task, "Demo", 0)
-    solved = done(scene, task_spec(task).subgoals(scene, scene, noise()))
+    solved = scene_after(scene, task_spec(task).subgoals(scene, scene, noise()))
     assert task_spec(task).subgoals(scene, solved, noise()) == ()
 
 
@@ -76,9 +77,9 @@ def test_the_mistake_of_a_clumsy_expert_is_mended() -> None:
 def test_lines_are_lines_and_move_few_blocks(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points = [(float(x), float(y)) for x, y in rng.uniform(-0.8, 0.8, (4, 2))]
-    targets = line_targets(points, is_line, noise(seed))
+    targets = line_targets(points, are_lines, noise(seed))
     ends = [target or point for target, point in zip(targets, points, strict=True)]
-    assert longest_line(tuple(Block("circle", "red", x, y, 0.0) for x, y in ends)) == 4
+    assert are_lines(np.array(ends))
     assert targets.count(None) >= 1
 
 
@@ -88,7 +89,7 @@ def test_clusters_are_clusters_with_room_between_blocks(seed: int) -> None:
     points = [(block.x, block.y) for block in scene.blocks]
     targets = cluster_targets(points, [block.shape for block in scene.blocks], NEARER, noise(seed))
     after = scene.moved(blocks=[(*(t or p), 0.0) for t, p in zip(targets, points, strict=True)])
-    assert blocks_right(after, "shape") == len(points)
+    assert blocks_right(SceneArrays.of_one(after), "shape").all()
     moved = [target for target in targets if target]
     assert all(math.dist(one, other) > 0.26 for one, other in itertools.combinations(moved, 2))
 
@@ -104,12 +105,12 @@ def test_fixed_blocks_stay(seed: int) -> None:
     assert targets[moved] is None
     assert any(targets)
     assert not any(cluster_targets(points, kinds, NEARER, noise(seed), fixed=range(len(points))))
-    assert line_targets(points[:4], is_line, noise(seed), fixed={seed})[seed] is None
+    assert line_targets(points[:4], are_lines, noise(seed), fixed={seed})[seed] is None
 
 
 def test_blocks_too_many_for_a_line_stay() -> None:
     points = [(0.15 * number - 0.8, 0.1 * (number % 3)) for number in range(12)]
-    assert line_targets(points, is_line, noise(0)) == [None] * 12
+    assert line_targets(points, are_lines, noise(0)) == [None] * 12
 
 
 @pytest.mark.parametrize("count", [5, 8])

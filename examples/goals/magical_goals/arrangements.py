@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from magical_goals.relation import LIMIT_BITS, Floats, Layouts, Relation, Situation, choice_bits, layouts_of
 from magical_mj.scene import Block, Scene
-from magical_mj.tasks.planning import Subgoal, bring, done, each_to, places_anywhere
+from magical_mj.tasks.planning import Subgoal, bring, each_to, places_anywhere, scene_after
 from magical_mj.tasks.planning.arrangements import Point, cluster_targets, line_targets
 from magical_mj.utils.errors import check_name
 
@@ -51,10 +51,11 @@ class InLine(Relation):
     def subgoals(self, at: Situation) -> list[Subgoal]:
         """Moves the blocks to a line through one of them, which stays."""
 
-        def in_line(points: Sequence[Point]) -> bool:
-            return bool((self.deviations(Layouts(at.initial, np.zeros((1, 2)), np.array([points]))) <= at.limits).all())
+        def are_lines(blocks: Floats) -> Any:
+            layouts = Layouts(at.initial, np.zeros((len(blocks), 2)), blocks)
+            return (self.deviations(layouts) <= at.limits).all(axis=(1, 2))
 
-        return each_to(line_targets(_points(at.now), in_line, at.noise, at.stuck), LINE_TOLERANCE)
+        return each_to(line_targets(_points(at.now), are_lines, at.noise, at.stuck), LINE_TOLERANCE)
 
     @property
     def text(self) -> str:
@@ -130,7 +131,9 @@ class Together(Relation):
         todo: list[Subgoal] = []
         for number, off in enumerate(self.deviations(layouts_of(at.initial, [at.now]))[0, :, 0]):
             if off > at.limits[0]:
-                todo.append(bring(done(at.now, todo), number, near or [(float(middle[0]), float(middle[1]))], at.noise))
+                todo.append(
+                    bring(scene_after(at.now, todo), number, near or [(float(middle[0]), float(middle[1]))], at.noise)
+                )
         return todo
 
     @property

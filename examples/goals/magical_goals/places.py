@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from magical_goals.relation import LIMIT_BITS, Floats, Layouts, Relation, Situation, choice_bits
-from magical_mj.tasks.planning import Subgoal, bring, done, drive, places_anywhere
+from magical_mj.tasks.planning import Subgoal, bring, drive, places_anywhere, scene_after
 from magical_mj.tasks.planning.subgoals import TOLERANCE
 from magical_mj.utils.errors import check_name
 
@@ -65,7 +65,7 @@ class Near(Relation):
         todo: list[Subgoal] = []
         for number, block in enumerate(at.now.blocks):
             if math.dist((block.x, block.y), landmark) > at.limits[0]:
-                todo.append(bring(done(at.now, todo), number, places, at.noise))
+                todo.append(bring(scene_after(at.now, todo), number, places, at.noise))
         return todo
 
     @property

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from magical_goals.relation import LIMIT_BITS, Floats, Layouts, Relation, Situation, choice_bits
 from magical_mj.scene import Block, GoalRegion, Scene
 from magical_mj.scene.constants import COLOURS, SHAPES, Colour, Shape
-from magical_mj.tasks.planning import Subgoal, bring, done, drive, places_inside, places_outside
+from magical_mj.tasks.planning import Subgoal, bring, drive, places_inside, places_outside, scene_after
 from magical_mj.utils.errors import check_name
 
 Predicate = Callable[[Block, GoalRegion, Iterable[Block]], bool]
@@ -110,7 +110,7 @@ class Belonging(Relation):
             own = [region for region, wants in zip(regions, wanted, strict=True) if wants]
             places = places_inside(own[0]) if own else places_outside(regions)
             todo.append(bring(scene, number, places, at.noise))
-            scene = done(scene, todo[-1:])
+            scene = scene_after(scene, todo[-1:])
         return todo
 
     @property

@@ -15,7 +15,7 @@ from magical_mj.policies.expert.manoeuvres import Manoeuvre, manoeuvres, obstacl
 from magical_mj.policies.expert.navigation import cell_costs, explore
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import Gripper
-from magical_mj.tasks.planning import Noise, done
+from magical_mj.tasks.planning import Noise, scene_after
 from magical_mj.tasks.planning.subgoals import Subgoals
 
 TRIES: Final = 8  # manoeuvres tried in one situation
@@ -105,7 +105,7 @@ class Planner:
         while len(actions) < steps:
             scene, left, here = lookahead.scene(), steps - len(actions), lookahead.state
             todo = tuple(subgoal for subgoal in todo if subgoal.left(scene))
-            if not todo or self._score(done(scene, todo)) < 1.0:
+            if not todo or self._score(scene_after(scene, todo)) < 1.0:
                 todo = self._subgoals(scene, noise, stuck)
             option = self._best(here, scene, todo, left, noise)
             lookahead.restore(here)
@@ -152,4 +152,4 @@ class Planner:
     def _rest(self, todo: Subgoals) -> float:
         """The approximate number of actions that the subgoals still need from the present state."""
         scene = self._lookahead.scene()
-        return sum(subgoal.cost(scene) for subgoal in todo) + LOSS * (1 - self._score(done(scene, todo)))
+        return sum(subgoal.cost(scene) for subgoal in todo) + LOSS * (1 - self._score(scene_after(scene, todo)))

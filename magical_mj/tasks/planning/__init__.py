@@ -5,26 +5,26 @@ A plan says which block should go where; experts find the actions for it. It is 
 
 from __future__ import annotations
 
-from magical_mj.tasks.planning.noise import Noise
 from magical_mj.tasks.planning.subgoals import (
+    Noise,
     Subgoal,
     bring,
-    done,
     drive,
     each_to,
     places_anywhere,
     places_inside,
     places_outside,
+    scene_after,
 )
 
 __all__ = [
     "Noise",
     "Subgoal",
     "bring",
-    "done",
     "drive",
     "each_to",
     "places_anywhere",
     "places_inside",
     "places_outside",
+    "scene_after",
 ]

@@ -10,14 +10,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Collection, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.tasks.planning.noise import Noise
+from magical_mj.tasks.planning.subgoals import Noise, Point
 
-Point = tuple[float, float]
 Floats = NDArray[np.float64]
 
 # Lines. Costs are in actions.
@@ -47,7 +46,7 @@ ROUNDS: Final = 24
 
 
 def line_targets(
-    points: Sequence[Point], is_line: Callable[[Sequence[Point]], bool], noise: Noise, fixed: Collection[int] = ()
+    points: Sequence[Point], are_lines: Callable[[Floats], Any], noise: Noise, fixed: Collection[int] = ()
 ) -> list[Point | None]:
     """A target for each block, or None for blocks that stay.
 
@@ -56,36 +55,48 @@ def line_targets(
 
     Args:
         points: the blocks' positions.
-        is_line: whether blocks at these points form a line.
+        are_lines: which arrangements of the blocks, shape (n, blocks, 2), form a line; shape (n,), bool.
         noise: selects one of several good lines.
         fixed: the blocks that should stay, if possible.
     """
     here = np.array(points)
     count = len(here)
+    lines = _lines(here, noise)
+    if not len(lines):  # of so many blocks
+        return [None] * count
+    ways = np.linalg.norm(lines[:, :, None] - here, axis=-1)  # (line, slot, block)
+    costs = np.where(ways <= STAYS, 0.0, LINE_COSTS[0] + LINE_COSTS[1] * ways)
+    costs[:, :, list(fixed)] += FIXED_COST * (ways[:, :, list(fixed)] > STAYS)
+    orders = np.array(list(itertools.permutations(range(count))))  # (order, slot): the block in each slot
+    totals = costs[:, np.arange(count), orders[:, None]].reshape(len(lines), len(orders), count).sum(axis=-1)
+    totals += noise(LINE_SPREAD, totals.shape)
+
+    line, order = np.divmod(totals.ravel().argsort()[:CHECKED], len(orders))
+    blocks = orders[order]  # (plan, slot)
+    moved = ways[line[:, None], np.arange(count), blocks] > STAYS
+    plan, slot = moved.nonzero()
+    ends = np.repeat(here[None], len(line), axis=0)
+    ends[plan, blocks[plan, slot]] = lines[line[plan], slot]
+    right = are_lines(SPARE * ends)
+    return _targets(ends[right.argmax() if right.any() else -1], here)
+
+
+def _lines(here: Floats, noise: Noise) -> Floats:
+    """The places in lines through each of the blocks at these points. Shape (lines, slots, 2)."""
+    count = len(here)
     angles = (np.arange(ANGLES) + noise.rng.random()) * math.pi / ANGLES
     pairs = here[None] - here[:, None]
     angles = np.concatenate([angles, np.arctan2(pairs[..., 1], pairs[..., 0])[~np.eye(count, dtype=bool)]])
-    along = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    places = (np.arange(count) - np.arange(count)[:, None])[None, :, None, :, None]  # (1, anchor's place, 1, slot, 1)
-    lines = places * np.array(SPACINGS)[:, None, None, None, None] * along[None, None, :, None, :]
-    slots = (here[:, None, None, None, None, :] + lines[None]).reshape(-1, count, 2)
-    slots = slots[(np.abs(slots) <= LINE_LIMIT).all(axis=(1, 2))]
-    if not len(slots):  # of so many blocks
-        return [None] * count
-    ways = np.linalg.norm(slots[:, :, None] - here[None, None], axis=-1)  # (line, slot, block)
-    costs = np.where(ways <= STAYS, 0.0, LINE_COSTS[0] + LINE_COSTS[1] * ways)
-    costs[:, :, list(fixed)] += FIXED_COST * (ways[:, :, list(fixed)] > STAYS)
-    orders = np.array(list(itertools.permutations(range(count))))
-    totals = costs[:, np.arange(count), orders[:, None]].reshape(len(slots), len(orders), count).sum(axis=-1)
-    ends = here
-    totals += noise(LINE_SPREAD, totals.shape)
-    for best in totals.ravel().argsort()[:CHECKED].tolist():
-        line, order = divmod(best, len(orders))
-        ends = here.copy()
-        moved = ways[line, np.arange(count), orders[order]] > STAYS
-        ends[orders[order][moved]] = slots[line][moved]
-        if is_line([(SPARE * x, SPARE * y) for x, y in ends.tolist()]):
-            break
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    offsets = np.arange(count) - np.arange(count)[:, None]  # of the slots, by the slot that the block has
+    steps = offsets * np.array(SPACINGS)[:, None, None]  # (spacing, slot of the block, slot)
+    lines = steps[:, :, None, :, None] * directions[:, None]  # (spacing, slot of the block, direction, slot, 2)
+    places = (here[:, None, None, None, None] + lines).reshape(-1, count, 2)
+    return places[(np.abs(places) <= LINE_LIMIT).all(axis=(1, 2))]
+
+
+def _targets(ends: Floats, here: Floats) -> list[Point | None]:
+    """The blocks' ends; None for those that stay."""
     return [
         None if (end == start).all() else (float(end[0]), float(end[1])) for end, start in zip(ends, here, strict=True)
     ]
@@ -116,7 +127,7 @@ def cluster_targets(
         cost += noise(CLUSTER_SPREAD)
         if cost < best_cost:
             best, best_cost = layout, cost
-    return [None if (new == old).all() else (float(new[0]), float(new[1])) for new, old in zip(best, here, strict=True)]
+    return _targets(best, here)
 
 
 def _gathered(here: Floats, members: Floats, noise: Noise) -> Floats:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from magical_mj.scene import GoalRegion, Scene
-from magical_mj.tasks.planning.noise import Noise
 from magical_mj.utils.errors import PlacementError
 
 FETCHING: Final = 14  # actions to drive to a block, grip it and release it
@@ -26,6 +25,23 @@ REACHABLE: Final = 0.84  # blocks are left within this square
 GRID: Final = 0.06
 
 Point = tuple[float, float]
+
+
+class Noise:
+    """Random amounts that are added to costs before the least is chosen: so different experts solve a task differently.
+
+    Args:
+        rng: the random generator.
+        strength: 0 for the plan that seems best, 1 for the variety of an expert.
+    """
+
+    def __init__(self, rng: np.random.Generator, strength: float) -> None:
+        self.rng, self.strength = rng, strength
+
+    def __call__(self, spread: float, shape: tuple[int, ...] = ()) -> Any:
+        """Independent uniform draws between 0 and `spread` times the strength; a float, or an array of this shape."""
+        draws = spread * self.strength * self.rng.random(shape)
+        return draws if shape else float(draws)
 
 
 @dataclass(frozen=True)
@@ -51,11 +67,11 @@ class Subgoal:
 Subgoals = tuple[Subgoal, ...]
 
 
-def done(scene: Scene, todo: Iterable[Subgoal]) -> Scene:
+def scene_after(scene: Scene, subgoals: Iterable[Subgoal]) -> Scene:
     """The scene after all subgoals are reached, if nothing else changes."""
     poses = [block.pose for block in scene.blocks]
     robot = scene.robot.pose
-    for subgoal in todo:
+    for subgoal in subgoals:
         if subgoal.left(scene) == 0.0:
             continue
         if subgoal.block is None:
