@@ -20,11 +20,10 @@ import typer
 from rich.table import Table
 
 from magical_mj._version import __version__
-from magical_mj.cli.console import Output, Tasks, Variants, check_fits, complain, console, some_of
-from magical_mj.cli.progress import with_bar
+from magical_mj.cli.app import run
+from magical_mj.cli.console import Output, Tasks, Variants, check_fits, complain, console, some_of, with_bar
 from magical_mj.envs.presets import PRESETS, preset_named
 from magical_mj.tasks.registry import environments, listed
-from magical_mj.utils.errors import MagicalError
 from magical_mj.utils.extras import check_extra
 from magical_mj.utils.parallel import cores
 
@@ -249,19 +248,10 @@ def memory() -> float | None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark and return the exit code; an expected error becomes one line."""
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    """Run the benchmark and return the exit code."""
+    app = typer.Typer(add_completion=False)
     app.command(context_settings={"help_option_names": ["-h", "--help"]})(bench)
-    try:
-        return app(args=arguments, prog_name="python -m benchmarks", standalone_mode=False) or 0
-    except typer.TyperException as error:
-        complain(error.format_message())
-        return error.exit_code
-    except typer.Abort:
-        return 130
-    except MagicalError as error:
-        complain(str(error))
-        return 2 if isinstance(error, ValueError) else 1
+    return run(arguments, app, "python -m benchmarks")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,15 @@ A table of tasks and test variants (`magical_mj.ENVIRONMENTS`): through dm_env w
 
 from __future__ import annotations
 
+import signal
+import sys
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
+
+if (PurePath(sys.argv[0]).stem == "magical-mj" or ("-m" in sys.argv[:1] and "magical_mj" in sys.orig_argv)) and (
+    signal.getsignal(signal.SIGINT) is signal.default_int_handler
+):  # Ctrl-C ends the command without a traceback, even while its modules are imported; `magical_mj.cli` takes it over
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 from magical_mj._version import __version__
 from magical_mj.envs.registration import env_id, register_all

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return the exit code: 0, or 2 for wrong use, 1 for a failure, 130 after Ctrl-C."""
-    try:
-        from magical_mj.cli.app import run
-    except KeyboardInterrupt:  # while the command's modules are loaded; importing the package came before
-        return 130
+    """Run the command line and return the exit code: 0, or 2 for wrong use, 1 for a failure, 130 after Ctrl-C.
+
+    While modules are imported, Ctrl-C ends the process by the signal, which shells show as 130, too.
+    """
+    from magical_mj.cli.app import run
+
     return run(arguments)

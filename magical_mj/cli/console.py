@@ -1,4 +1,4 @@
-"""Output of the command line, and the arguments that subcommands share."""
+"""Output of the command line, progress bars among it, and the arguments that subcommands share."""
 
 from __future__ import annotations
 
@@ -8,19 +8,43 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import IO, Annotated, Any
+from types import TracebackType
+from typing import IO, Annotated, Any, Final, TypeVar
 
 import typer
 from rich.console import Console, ConsoleOptions, RenderableType
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.progress import Task as Work
 from rich.segment import Segment
+from rich.table import Column
+from rich.text import Text
 
 from magical_mj import TASKS, VARIANTS
 from magical_mj.envs.presets import PRESETS
 from magical_mj.tasks.registry import task_spec, variant_name
+from magical_mj.utils.errors import MagicalError
 from magical_mj.utils.escape import terminal
 from magical_mj.utils.settings import Names, described
 
-PLAIN_WIDTH = 120  # columns where the output is a file or a pipe
+Result = TypeVar("Result")
+
+PLAIN_WIDTH: Final = 120  # columns where the output is a file or a pipe
+
+
+LABEL: Final = TextColumn("{task.description}", markup=False)
+"""The first column of progress bars."""
+FIRST: Final = 10.0
+"""Seconds until the first line where no bar can be shown."""
+MINUTE: Final = 60.0
+"""Seconds between two such lines."""
 
 
 def one_of(names: Iterable[str]) -> Callable[[str], list[str]]:
@@ -137,6 +161,11 @@ def complain(message: str) -> None:
         silence(sys.stderr)
 
 
+def counted(number: int, noun: str) -> str:
+    """A number of things in words, such as "1 episode" or "2 episodes"."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 def file_name(task: str, variant: str, seed: int, suffix: str) -> str:
     """The default name of a file about one scene."""
     return f"{task_spec(task).name}-{variant_name(variant)}-{seed}{suffix}"
@@ -170,3 +199,55 @@ def make_writable_folder(folder: Path) -> Path:
             return folder
     except OSError as error:
         raise OSError(f"cannot write into {folder}: {error.strerror}") from error
+
+
+class Left(TimeRemainingColumn):
+    """The time that is left, in words that are understood beside other times."""
+
+    def render(self, task: Work) -> Text:
+        """As text; empty if the amount of work is unknown, or as good as endless."""
+        try:
+            left = super().render(task)
+        except OverflowError:
+            return Text()
+        return left.append(" left") if left else left
+
+
+class Bars(Progress):
+    """Progress bars, which `update` moves; where none can be shown, a line after some seconds, then one a minute.
+
+    Args:
+        screen: where they are shown.
+        columns: what is shown between the bar and the time that is left.
+        settings: of rich's `Progress`.
+    """
+
+    def __init__(self, screen: Console, *columns: ProgressColumn, **settings: Any) -> None:
+        left = Left(table_column=Column(no_wrap=True))
+        super().__init__(LABEL, BarColumn(), *columns, left, console=screen, **settings)
+        self._in_lines = LABEL, *columns, left
+        self._next_line = self.get_time() + FIRST
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Take the bars away where an error follows: they would stand above its one line."""
+        self.live.transient |= isinstance(error, MagicalError)
+        super().__exit__(kind, error, trace)
+
+    def update(self, task_id: TaskID, **changes: Any) -> None:
+        """As rich's, which moves the bar; prints a line if it is time for one."""
+        super().update(task_id, **changes)
+        if not self.console.is_interactive and self.get_time() >= self._next_line:
+            self._next_line = self.get_time() + MINUTE
+            (task,) = [task for task in self.tasks if task.id == task_id]
+            self.console.print(*filter(None, (column(task) for column in self._in_lines)), soft_wrap=True)
+
+
+def with_bar(screen: Console, label: str, results: Iterable[Result], total: int) -> Iterator[Result]:
+    """The results as they arrive, with a progress bar that counts them, and vanishes at the end."""
+    with Bars(screen, MofNCompleteColumn(), transient=True) as progress:
+        bar = progress.add_task(label, total=total)
+        for result in results:
+            yield result
+            progress.update(bar, advance=1)

@@ -1,12 +1,13 @@
-"""`magical-mj evaluate` and `rollout`: play policies, and store all scores, or make videos of some episodes."""
+"""`magical-mj evaluate`, `rollout` and `demo`: play policies; store all scores, or make videos; a tour of both."""
 
 from __future__ import annotations
 
+import time
 from collections import defaultdict
 from contextlib import nullcontext
 from pathlib import Path
 from statistics import fmean
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 from rich import progress as bars
@@ -15,28 +16,45 @@ from rich.text import Text
 
 from magical_mj.cli.console import (
     COMPLETIONS,
+    Bars,
     Cameras,
     Force,
+    Jobs,
     Seed,
     Size,
     Task,
+    Tasks,
     Variant,
     add_options,
     check_fits,
     check_suffix,
     check_writable,
     console,
+    counted,
+    make_writable_folder,
+    with_bar,
 )
+from magical_mj.cli.environments import contact_sheet
 from magical_mj.cli.film import film, replay, views_of
-from magical_mj.cli.progress import Bars, with_bar
+from magical_mj.cli.results import film_episodes
+from magical_mj.evaluation.folder import read_settings
+from magical_mj.evaluation.reports.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
-from magical_mj.evaluation.scores import SCORES, Score
+from magical_mj.evaluation.scores import SCORES, Score, ScoreFile
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.evaluation.worker import Unit, player
 from magical_mj.policies.loading import sources
 from magical_mj.policies.requirements import check_fit
 from magical_mj.tasks.registry import Pair, task_name, task_spec, variant_name
+from magical_mj.utils import files
+from magical_mj.utils.errors import EvaluationError
+from magical_mj.utils.extras import check_extra
 from magical_mj.utils.settings import LARGEST_SETTING
+
+TOURED: Final = ("expert", "random", "noop")
+SHEET: Final = "environments.png"
+SAME: Final = ("environments", "episodes", "preset", "rules", "time_limit", "worlds")
+"""The settings by which an earlier run of the same tour is recognised; those that a new version changes are not."""
 
 _POLICIES = (
     "expert, random, noop, module:object, the folder of a training, or a file (.zip of stable-baselines3, .onnx); "
@@ -65,6 +83,8 @@ Number = Annotated[
 ]
 Video = Annotated[Path | None, typer.Option(help="Write an MP4 video of the episodes.", show_default=False)]
 Trust = Annotated[bool, typer.Option("--trust", help="Load model files that contain code, and run it.")]
+Tour = Annotated[Path, typer.Option("--out", help="The folder for all results; those of the same tour are replaced.")]
+Each = Annotated[int, typer.Option("--episodes", min=1, help="Of each agent in each environment.")]
 
 
 def evaluate(policy: Policies, out: Out, **options: Any) -> None:
@@ -72,7 +92,8 @@ def evaluate(policy: Policies, out: Out, **options: Any) -> None:
     evaluation = Evaluation(policy, EvaluationSettings(out=out, **options))
     screen = console()
     if evaluation.scores:
-        screen.print(f"{len(evaluation.scores)} episodes are done already")
+        number = len(evaluation.scores)
+        screen.print(f"{counted(number, 'episode')} {'is' if number == 1 else 'are'} done already")
     try:
         show_progress(screen, evaluation)
     except KeyboardInterrupt:
@@ -105,7 +126,7 @@ def rollout(
     check_suffix(video, ".mp4")
     views = views_of(camera)
     pair = task_name(task), variant_name(variant)  # not lists of names, nor "all"
-    settings = EvaluationSettings(tasks=[pair[0]], variants=[pair[1]], preset=preset, trust=trust)
+    settings = EvaluationSettings(tasks=(pair[0],), variants=(pair[1],), preset=preset, trust=trust)
     listed = sources(policy, trust=trust)
     for source in listed:
         check_fit(source.load(), [pair], preset)
@@ -162,9 +183,56 @@ def summary(scores: list[Score]) -> list[str]:
     for score in scores:
         by_policy[score.policy][score.task, score.variant].append(score)
     lines = []
-    for policy, found_in in sorted(by_policy.items()):
-        means = [sum(score.score for score in found) / len(found) for found in found_in.values()]
-        failed = [score for found in found_in.values() for score in found if score.failure is not None]
-        line = f"{policy}: mean score {sum(means) / len(means):.3f} over {len(means)} environments"
-        lines.append(f"{line}; {len(failed)} episodes failed, such as: {failed[0].failure}" if failed else line)
+    for policy, by_environment in sorted(by_policy.items()):
+        means = [fmean(score.score for score in episodes) for episodes in by_environment.values()]
+        failed = [score for episodes in by_environment.values() for score in episodes if score.failure is not None]
+        line = f"{policy}: mean score {fmean(means):.3f} over {counted(len(means), 'environment')}"
+        lines.append(f"{line}; {counted(len(failed), 'episode')} failed: {failed[0].failure}" if failed else line)
     return lines
+
+
+def demo(out: Tour = Path("out/demo"), tasks: Tasks = "all", episodes: Each = 3, jobs: Jobs = None) -> None:
+    """Evaluate the expert, the random and the no-op agent in all environments, and write the report."""
+    settings = EvaluationSettings(tasks=tasks, episodes=episodes, jobs=jobs, out=out)
+    check_extra("the tour's figures and videos", "eval", "video")
+    busy = EvaluationError(f"another demo is running in {out}; wait for it, or give another folder by --out")
+    with files.locked(make_writable_folder(out), busy=busy):
+        _tour(console(), out, settings)
+
+
+def _tour(screen: Console, out: Path, settings: EvaluationSettings) -> None:
+    start = time.perf_counter()
+    if any(path.lstat().st_size and not files.is_unfinished(path) for path in out.iterdir()):
+        if not _is_ours(out, settings):
+            raise EvaluationError(
+                f"{out} holds files that this command has not made, or not with these options; "
+                "give another folder by --out"
+            )
+        screen.print(f"replacing an earlier run in {out}", soft_wrap=True)
+        with ScoreFile(out) as scores:
+            scores.clear()
+    evaluation = Evaluation(TOURED, settings)  # writes the settings, by which the folder is recognised
+    with files.new_file(out / SHEET, overwrite=True) as unfinished:
+        contact_sheet(0, size=128).save(unfinished)
+    show_progress(screen, evaluation)
+    for line in summary(evaluation.scores):
+        screen.print(line, soft_wrap=True)
+    best = [
+        (which, score) for which, score in extremes(evaluation.scores) if (which, score.policy) == ("best", TOURED[0])
+    ]
+    links = {"The initial scenes of all environments": SHEET, **film_episodes(best, out)}
+    page = report([out], out, links=links)
+    episodes = counted(len(evaluation.scores), "episode")
+    screen.print(f"{episodes}, {time.perf_counter() - start:.0f} s; scores, tables, figures, videos:")
+    screen.print(page, soft_wrap=True)
+
+
+def _is_ours(folder: Path, settings: EvaluationSettings) -> bool:
+    """Whether the folder holds this evaluation: another one may have taken days."""
+    try:
+        known = read_settings(folder)
+    except EvaluationError:
+        return False
+    now = settings.recorded()
+    policies = [source.describe() for source in sources(TOURED)]
+    return known.get("policies") == policies and all(known.get(name) == now[name] for name in SAME)

@@ -12,8 +12,7 @@ import typer
 from rich.console import Console
 from rich.progress import MofNCompleteColumn
 
-from magical_mj.cli.console import Jobs, check_fits, complain, console, make_writable_folder
-from magical_mj.cli.progress import Bars
+from magical_mj.cli.console import Bars, Jobs, check_fits, complain, console, make_writable_folder
 from magical_mj.evaluation.scores import read
 from magical_mj.leaderboard import Findings, check_entry, submit, verify
 from magical_mj.leaderboard.check import MOST_REPLAYED, SHARE

@@ -17,8 +17,7 @@ from rich.table import Column
 from rich.text import Text
 
 from magical_mj import learners
-from magical_mj.cli.console import Trust, check_fits, console
-from magical_mj.cli.progress import Bars
+from magical_mj.cli.console import Bars, Trust, check_fits, console
 from magical_mj.learners.method_settings import check_changes, check_used, users, uses
 from magical_mj.policies.agents import AGENTS
 from magical_mj.utils.errors import MagicalError, SettingsError, check_name

@@ -23,11 +23,13 @@ def check_extra(what: str, *extras: str) -> None:
 
     Args:
         what: the feature that needs them, in the plural, for the message.
-        extras: the names of the extras; the last one includes the others.
+        extras: the names of the extras.
     """
-    missing = [name for extra in extras for name in MODULES[extra] if find_spec(name) is None]
-    if missing:
-        raise MissingExtraError(f"{what} need {', '.join(missing)}: {_remedy(extras[-1])}")
+    missing = {extra: [name for name in MODULES[extra] if find_spec(name) is None] for extra in extras}
+    names = list(dict.fromkeys(name for modules in missing.values() for name in modules))
+    if names:
+        remedy = _remedy(",".join(extra for extra in extras if missing[extra]))
+        raise MissingExtraError(f"{what} need {', '.join(names)}: {remedy}")
 
 
 def missing_extra(what: str, extra: str) -> MissingExtraError:

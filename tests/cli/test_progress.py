@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 from rich.progress import MofNCompleteColumn
 
-from magical_mj.cli.progress import Bars
+from magical_mj.cli.console import Bars
 
 
 def shown(total: int | None, terminal: bool) -> list[str]:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from magical_mj.cli import progress
+from magical_mj.cli import console
 from magical_mj.cli.app import run
 from magical_mj.cli.train import TrainingView, bars
 from magical_mj.learners import Progress
@@ -95,7 +95,7 @@ def test_the_line_of_each_minute_counts_any_number_of_updates(
     updates: int, left: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("FIRST", "MINUTE"):
-        monkeypatch.setattr(progress, name, 0)
+        monkeypatch.setattr(console, name, 0)
     written = StringIO()
     watch = TrainingView(bars(Console(file=written)), "bc")
     for update in (1, 2):
@@ -107,7 +107,7 @@ def test_the_line_of_each_minute_counts_any_number_of_updates(
 
 def test_a_training_that_goes_on_tells_its_present_speed(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("FIRST", "MINUTE"):
-        monkeypatch.setattr(progress, name, 0)
+        monkeypatch.setattr(console, name, 0)
     written = StringIO()
     watch = TrainingView(bars(Console(file=written)), "gail")
     for update in (2001, 2002, 2003):

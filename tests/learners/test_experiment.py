@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 import magical_mj
-from magical_mj.cli import progress
+from magical_mj.cli import console
 from magical_mj.cli.app import run
 from magical_mj.evaluation.reports.results import published_results
 from magical_mj.evaluation.scores import SCORES
@@ -139,7 +139,7 @@ def test_an_experiment_tells_how_far_its_runs_are(
 ) -> None:
     """Where there is no terminal, also of runs in other processes, and of evaluations."""
     for name in ("FIRST", "MINUTE"):
-        monkeypatch.setattr(progress, name, 0.01)
+        monkeypatch.setattr(console, name, 0.01)
     monkeypatch.setattr("magical_mj.cli.train.PAUSE", 0.02)
     file = tmp_path / "e.toml"
     file.write_text(EXPERIMENT.replace("seeds = [0, 1]", "seeds = [0]").replace(', "FixColour"', ""))

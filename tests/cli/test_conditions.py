@@ -1,0 +1,75 @@
+"""Commands under conditions that a machine may have: each set of conditions is one process, which runs all commands."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.commands import Shell
+
+ROOT = Path(__file__).parents[2]
+SHORT = ("--tasks", "MoveToRegion", "--variants", "Demo")
+COMMANDS = [
+    ["list"],
+    ["demos", "info", *SHORT],
+    ["view", "MoveToRegion", "--size", "32", "--out", "{}/a.png"],
+    ["export", "MoveToRegion", "--out", "{}/models"],
+    ["rollout", "MoveToRegion", "--preset", "State", "--video", "{}/a.mp4", "--size", "32"],
+    ["demos", "export", *SHORT, "--preset", "State", "--out", "{}/a.npz"],
+    ["evaluate", "--policy", "noop", *SHORT, "--episodes", "1", "--jobs", "2", "--preset", "State", "--out", "{}/s"],
+    ["verify", "{}/s", "--jobs", "1"],  # which says that not all episodes are there
+    ["report", "{}/s"],
+    ["submit", "{}/s", "--out", "{}/e.json.xz"],
+    ["leaderboard", "{}/e.json.xz", "--all", "--jobs", "1"],
+]
+"""Each writes below a folder {}."""
+CODES = [int(command[0] == "verify") for command in COMMANDS]
+RUN = """
+import json, sys
+sys.path.insert(0, {root!r})
+from magical_mj.cli import main
+print([main(command) for command in json.loads({commands!r})], file=sys.stderr)
+"""
+WITHOUT = ("HOME", "XDG_CONFIG_HOME", "XDG_CACHE_HOME", "TMPDIR", "LANG", "LC_ALL", "PYTHONUTF8")
+
+
+def commands_in(folder: str) -> list[list[str]]:
+    return [[word.replace("{}", folder) for word in command] for command in COMMANDS]
+
+
+@pytest.mark.parametrize(
+    ("options", "variables", "working_folder"),
+    [
+        ((), {"HOME": "/nonexistent", "TMPDIR": "/nonexistent", "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}, "/proc"),
+        (("-I",), {}, "/"),
+    ],
+    ids=["a folder that cannot be written, no HOME, no TMPDIR, the C locale", "isolated, nothing set"],
+)
+def test_every_command_works(
+    options: tuple[str, ...], variables: dict[str, str], working_folder: str, tmp_path: Path
+) -> None:
+    left = {name: value for name, value in os.environ.items() if name not in WITHOUT}
+    program = RUN.format(root=str(ROOT), commands=json.dumps(commands_in(str(tmp_path))))
+    result = subprocess.run(
+        [sys.executable, *options, "-c", program],
+        cwd=working_folder,
+        env=left | variables,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.stderr.splitlines()[-1:] == [str(CODES)], result.stderr
+
+
+@pytest.mark.parametrize("name", ["two\nlines", "x" * 250], ids=["a newline", "250 characters"])
+def test_folders_may_have_any_name(name: str, shell: Shell, tmp_path: Path) -> None:
+    commands = commands_in(str(tmp_path / name))
+    assert [shell(*command)[0] for command in commands] == CODES
+    picture = tmp_path / f"{name[-246:]}.png"
+    assert shell("view", "MoveToRegion", "--size", 32, "--out", picture)[0] == 0
+    assert picture.exists()
