@@ -105,6 +105,7 @@ def plain(command: Any) -> Any:
     command.context_class, command.rich_markup_mode = Context, None
     command.context_settings.setdefault("help_option_names", ["-h", "--help"])
     for inner in getattr(command, "commands", {}).values():
+        inner.short_help = " ".join((inner.help or "").split("\n\n")[0].split())  # else it is cut off
         plain(inner)
     return command
 

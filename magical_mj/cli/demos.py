@@ -64,7 +64,7 @@ DropNoop = Annotated[bool, typer.Option(help="For npz: leave out the steps with 
 AsVideo = Annotated[bool, typer.Option("--video", help="For LeRobot: videos, which are lossy, instead of pictures.")]
 Fingers = Annotated[bool, typer.Option("--fingers", help="For LeRobot: the fingers' angles, too.")]
 
-app = typer.Typer(help="Make, import, check, show and export demonstrations.")
+app = typer.Typer(help="Make, import, check, show and export demonstrations.", add_completion=False)
 
 
 @app.callback(invoke_without_command=True)
