@@ -12,7 +12,7 @@ from typing import Any, Final
 from task_pages import write_task_pages
 
 from magical_mj.scene.actions import ACTIONS
-from magical_mj.web.look import look
+from magical_mj.web.page_data import drawing_style
 
 ROOT: Final = Path(__file__).parent.parent
 PAGES: Final = ROOT / "site" / "pages"
@@ -100,7 +100,7 @@ def _links(text: str) -> str:
 
 def _logo() -> str:
     """The robot."""
-    known: dict[str, Any] = look()
+    known: dict[str, Any] = drawing_style()
     paths = []
     for layer in known["robot"]:
         x, y = known["fingerRoots"].get(layer["part"], (0, 0))

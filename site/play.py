@@ -12,8 +12,7 @@ from fetch import MUJOCO, fetched
 import magical_mj
 from magical_mj.engine.export import mjcf_text
 from magical_mj.web import PAGE
-from magical_mj.web.catalogue import catalogue
-from magical_mj.web.scenes import environment_scenes, with_models
+from magical_mj.web.page_data import catalogue, environment_scenes, with_models
 
 FOLDER: Final = Path(__file__).parent.parent / "out" / "site" / "play"
 

@@ -10,7 +10,7 @@ from magical_mj.leaderboard.sections import label
 from magical_mj.leaderboard.standings import Standing, own_standings, published
 from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, task_spec
-from magical_mj.web.catalogue import sections
+from magical_mj.web.page_data import sections
 
 METHODS = ("BC (ST)", "BC (MT)", "GAIL (ST)", "WGAIL-GP (ST)", "AL (ST)")
 RESULTS = Path(__file__).parent.parent / "results"

@@ -17,7 +17,7 @@ from typing import Final
 
 from magical_mj import ENVIRONMENTS, TASKS, VARIANTS
 from magical_mj.evaluation.scores import Score, read
-from magical_mj.web.scenes import EXPERT, SCENES
+from magical_mj.web.page_data import EXPERT, SCENES
 
 INTRODUCTION: Final = """\
 The expert is scripted. It knows the true state, and plans with the task's own subgoals and score: it tries manoeuvres

@@ -128,7 +128,7 @@ def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] 
         raise DemonstrationError(f"{path} {error}") from None
     except Exception as error:  # zipfile, zlib and numpy raise some fifteen types for damaged archives
         raise DemonstrationError(f"{path} is damaged or cut short, or not a demonstration at all") from error
-    arrays = {name: parts[name] for name in ARRAYS}
+    arrays: dict[str, Any] = {name: parts[name] for name in ARRAYS}
     header = _header(path, parts["header"], arrays)
     if task is not None and header["task"] != announced_name(task):
         raise DemonstrationError(f"{path} is a demonstration of {header['task']}, not of {task}")

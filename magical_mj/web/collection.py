@@ -8,6 +8,7 @@ import secrets
 import threading
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -57,9 +58,8 @@ class Collection:
             SettingsError: if the file in which it is saved holds something else.
         """
         path = self._folder / "token"
-        if not path.exists():
-            files.write(path, secrets.token_urlsafe(16))
-            path.chmod(0o600)
+        with suppress(FileExistsError):  # from an earlier time, or another process
+            files.write(path, secrets.token_urlsafe(16), mode=0o600)
         token = path.read_text(encoding="ascii", errors="replace").strip()
         if not _TOKEN.fullmatch(token):
             raise SettingsError(f"{path} must hold the secret part of the address; delete it, and a new one is made")
@@ -75,12 +75,12 @@ class Collection:
         None if there are enough demonstrations of all.
         """
         with self._lock:
-            open_ones = [
+            unfinished = [
                 pair for pair in self._environments if self._wanted is None or len(self._kept[pair]) < self._wanted
             ]
-            if not open_ones:
+            if not unfinished:
                 return None
-            task, variant = chosen = min(open_ones, key=lambda pair: self._offered[pair])
+            task, variant = chosen = min(unfinished, key=lambda pair: self._offered[pair])
             self._offered[chosen] += 1
             seed = next(seed for seed in self._seeds[chosen] if seed not in self._kept[chosen])
             return {"task": task, "variant": variant, "seed": seed}

@@ -1,7 +1,8 @@
 """The server of the page: `magical-mj play --web`. Python simulates; the browser draws from poses.
 
 All addresses start with a secret token, `http://127.0.0.1:8008/TOKEN/`; others are refused. The page communicates with
-a `magical_mj.web.seat.Seat` through a WebSocket, which browsers may open only from a page of the server's own origin.
+a `magical_mj.web.session.PlayerSession` through a WebSocket, which browsers may open only from a page of the server's
+own origin.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import asyncio
 import ipaddress
 import json
 import mimetypes
+import re
 import secrets
 from collections.abc import Sequence
 from contextlib import suppress
@@ -24,12 +26,14 @@ from websockets.http11 import Request, Response
 
 from magical_mj.tasks.registry import Pair
 from magical_mj.web import PAGE
-from magical_mj.web.catalogue import catalogue
 from magical_mj.web.collection import Collection
-from magical_mj.web.scenes import environment_scenes
-from magical_mj.web.seat import Seat
+from magical_mj.web.page_data import catalogue, environment_scenes
+from magical_mj.web.session import PlayerSession
 
 LARGEST_MESSAGE: Final = 100_000  # bytes
+LONGEST_LINE: Final = 8_000  # bytes of a request's first line
+REQUEST: Final = re.compile(rb"([!-~]+) [!-~]+ HTTP/1\.[01]\r?")
+METHODS: Final = ("GET", "HEAD", "OPTIONS")
 HEADERS: Final = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'",
@@ -71,10 +75,11 @@ class PlayServer:
             OSError: if the port is taken.
         """
         server = await serve(
-            self._sit,
+            self._play,
             self.host,
             self.port,
             process_request=self._respond,
+            create_connection=_Connection,
             max_size=LARGEST_MESSAGE,
             server_header=None,
         )
@@ -99,15 +104,30 @@ class PlayServer:
         """The response with a file or a refusal; None if a WebSocket may be opened."""
         path = request.path.partition("?")[0]
         start, _, name = path.removeprefix("/").partition("/")
+        if not self._is_addressed(request):
+            advice = f"open {self._origins()[0]}, or start the server with --origin and the address that you use"
+            return _response(HTTPStatus.MISDIRECTED_REQUEST, advice.encode())
         if not secrets.compare_digest(start.encode(), self.token.encode()) or path == f"/{self.token}":
             return _response(HTTPStatus.FORBIDDEN)
+        if request.method == "OPTIONS":
+            return _response(HTTPStatus.NO_CONTENT)
         if name == "socket":
-            ours = request.headers.get("Origin") in self._origins()
-            return None if ours else _response(HTTPStatus.FORBIDDEN)
+            is_ours = request.method == "GET" and request.headers.get("Origin") in self._origins()
+            return None if is_ours else _response(HTTPStatus.FORBIDDEN)
         content = self._content(name)
-        if content is None:
-            return _response(HTTPStatus.NOT_FOUND)
-        return _response(HTTPStatus.OK, content, mimetypes.guess_type(name or "index.html")[0])
+        status = HTTPStatus.NOT_FOUND if content is None else HTTPStatus.OK
+        response = _response(status, content, mimetypes.guess_type(name or "index.html")[0])
+        if request.method == "HEAD":
+            response.body = b""
+        return response
+
+    def _is_addressed(self, request: Request) -> bool:
+        """Whether the request is for this server; a site whose name leads here could read what its visitors play.
+
+        Behind a proxy, which has another name for it, every request is.
+        """
+        hosts = request.headers.get_all("Host")
+        return self.origin is not None or (len(hosts) == 1 and f"http://{hosts[0].lower()}" in self._origins())
 
     def _content(self, name: str) -> bytes | None:
         if name.startswith("scenes/"):
@@ -117,22 +137,49 @@ class PlayServer:
             return json.dumps(environment_scenes(task, variant), separators=(",", ":")).encode()
         return self._files.get(name)
 
-    async def _sit(self, connection: ServerConnection) -> None:
+    async def _play(self, connection: ServerConnection) -> None:
         """Serves one connection until it closes. Other connections are served while this one simulates."""
-        seat = Seat(self.environments, self.collection)
+        session = PlayerSession(self.environments, self.collection)
         try:
             async for message in connection:
-                await connection.send(await asyncio.to_thread(seat.answer, message))
+                await connection.send(await asyncio.to_thread(session.handle, message))
         except ConnectionClosed:  # closed abnormally, or after a message that was too large
             pass
         finally:
-            seat.close()
+            session.close()
+
+
+class _Connection(ServerConnection):
+    """A connection that answers requests which websockets closes without a word: other methods, and what is no HTTP."""
+
+    _beginning: bytes | None = b""
+    """What has come of the request's first line; None once it is complete."""
+
+    def data_received(self, data: bytes) -> None:
+        """Called by asyncio with each part of what comes."""
+        if self._beginning is not None:
+            data = self._beginning + data
+            line, end, _ = data.partition(b"\n")
+            if not end and len(line) < LONGEST_LINE:
+                self._beginning = data
+                return
+            self._beginning = None
+            request = REQUEST.fullmatch(line)
+            if request is None or request[1].decode() not in METHODS:
+                refused = HTTPStatus.BAD_REQUEST if request is None else HTTPStatus.METHOD_NOT_ALLOWED
+                self.transport.write(_response(refused).serialize())
+                self.transport.close()
+                return
+        super().data_received(data)
 
 
 def _response(status: HTTPStatus, body: bytes | None = None, kind: str | None = None) -> Response:
-    content = status.phrase.encode() if body is None else body
+    content = b"" if status is HTTPStatus.NO_CONTENT else status.phrase.encode() if body is None else body
     headers = Headers(HEADERS)
-    headers["Content-Type"] = f"{kind or 'text/plain'}; charset=utf-8"
-    headers["Content-Length"] = str(len(content))
+    if status in (HTTPStatus.NO_CONTENT, HTTPStatus.METHOD_NOT_ALLOWED):
+        headers["Allow"] = ", ".join(METHODS)
+    if status is not HTTPStatus.NO_CONTENT:
+        headers["Content-Type"] = f"{kind or 'text/plain'}; charset=utf-8"
+        headers["Content-Length"] = str(len(content))
     headers["Connection"] = "close"
     return Response(status.value, status.phrase, headers, content)

@@ -14,8 +14,7 @@ import magical_mj
 from magical_mj.engine.export import mjcf_text
 from magical_mj.envs.composer import Environment
 from magical_mj.scene import Scene
-from magical_mj.web.catalogue import scene_data
-from magical_mj.web.look import look
+from magical_mj.web.page_data import drawing_style, scene_data
 
 ROUGH: Final = 200
 GLANCES: Final = (1, 20, 100)  # steps after which states are compared; and the last one
@@ -119,5 +118,5 @@ if __name__ == "__main__":
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
     cases = {"episodes": list(episodes()), "scores": list(scores()), "pictures": list(pictures())}
-    for name, content in {**cases, "look": look()}.items():
+    for name, content in {**cases, "look": drawing_style()}.items():
         (folder / f"{name}.json").write_text(json.dumps(content))

@@ -200,16 +200,6 @@ def test_exports_at_the_same_time_take_turns(demo: Demonstration, minari: Any, t
     assert sorted(path.name for path in sets.iterdir()) == ["both-v0", "namespace_metadata.json"]
 
 
-def test_minari_collects_stacks_of_frames_as_arrays(minari: Any) -> None:
-    pytest.importorskip("jax")  # which Minari's collector needs
-    env = minari.DataCollector(gymnasium.make(magical_mj.env_id("FixColour", "Demo", "LoRes4E")), jpeg_encoding=False)
-    env.reset(seed=0)
-    for _ in range(60):
-        env.step(1)
-    made = env.create_dataset("mine/collected-v0", algorithm_name="none", author="me", description="an episode")
-    assert made[0].observations.shape == (61, 96, 96, 12)
-
-
 @pytest.fixture(scope="module")
 def two() -> list[demos.Demonstration]:
     return demos.load("FixColour")[:2]

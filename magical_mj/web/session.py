@@ -1,4 +1,4 @@
-"""One player at the server: answers the messages of one connection, with an environment of its own.
+"""The session of one player at the server: answers the messages of one connection, with a simulation of its own.
 
 Messages are JSON objects, each answered by one:
 
@@ -17,18 +17,21 @@ Arriving, returning and keeping need a collection; `magical_mj.demos` describes 
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Collection as Container
-from typing import Any
+from typing import Any, Final
 
 from magical_mj.envs.composer import Environment, load
 from magical_mj.scene import Scene
 from magical_mj.tasks.registry import Pair
 from magical_mj.utils.errors import MagicalError
-from magical_mj.web.catalogue import scene_data
 from magical_mj.web.collection import Collection
+from magical_mj.web.page_data import scene_data
+
+LOGGER: Final = logging.getLogger(__name__)
 
 
-class Seat:
+class PlayerSession:
     """Answers the messages of one connection.
 
     Args:
@@ -43,7 +46,7 @@ class Seat:
         self._env: Environment | None = None
         self._name: Pair | None = None
 
-    def answer(self, text: str | bytes) -> str:
+    def handle(self, text: str | bytes) -> str:
         """The answer to a message; errors are answered, never raised."""
         try:
             message = json.loads(text)
@@ -60,7 +63,10 @@ class Seat:
             if kind not in answers:
                 raise MagicalError(f"a message must be one of {', '.join(answers)}")
             reply = answers[kind](content)
-        except (MagicalError, ValueError, RecursionError, OSError) as error:
+        except OSError:  # which names files of the server
+            LOGGER.exception("what a player sent cannot be saved")
+            reply = {"error": "the server cannot save anything: please tell whoever runs it"}
+        except (MagicalError, ValueError, RecursionError) as error:
             reply = {"error": str(error)}
         return json.dumps(reply, separators=(",", ":"))
 

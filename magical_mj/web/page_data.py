@@ -1,0 +1,172 @@
+"""What the page is told, as JSON data: the tasks, how everything is drawn, and the scenes of each environment."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Sequence
+from inspect import cleandoc
+from pathlib import Path
+from textwrap import dedent
+from typing import Any, Final, Literal
+
+import mujoco
+import numpy as np
+
+from magical_mj import demos
+from magical_mj.assets import style
+from magical_mj.assets.meshes import loops
+from magical_mj.assets.robot import SIGN
+from magical_mj.assets.world import world_mjcf
+from magical_mj.policies.interface import letters_of
+from magical_mj.rendering.canvas import drawn
+from magical_mj.scene import Block, Robot, Scene
+from magical_mj.scene import constants as c
+from magical_mj.scene.constants import COLOURS, SHAPES
+from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.tasks.registry import Pair, sample_scene, task_spec
+
+Simulation = Literal["browser", "server"]
+
+EXPERT: Final = Path(__file__).parent / "expert.json"
+"""Task-Variant -> an expert's actions in seeds 0, 1, ..., as letters. ``tools/experts.py`` writes it."""
+SCENES: Final = 20
+"""The number of scenes that the page offers of each environment; of Demo there is only one."""
+DEMONSTRATIONS: Final = 5
+"""The number of a task's shipped demonstrations that the page can show."""
+_BETWEEN_ELEMENTS: Final = re.compile(r"(?<=>)(?=\s*<)")
+DECIMALS: Final = 6
+
+
+def sections(task: str) -> dict[str, str]:
+    """The docstring of a task's module by its headings, such as "Goal" and "Score"; its first line is "Summary"."""
+    text = sys.modules[task_spec(task).score.__module__].__doc__ or ""
+    first, *lines = cleandoc(text).splitlines()
+    parts: dict[str, list[str]] = {"Summary": [first.partition(": ")[2]]}
+    heading = "Summary"
+    for line in lines:
+        if line and not line[0].isspace():
+            heading = line
+            parts[heading] = []
+        else:
+            parts[heading].append(line)
+    return {name: dedent("\n".join(content)).strip() for name, content in parts.items()}
+
+
+def catalogue(environments: Sequence[Pair], simulation: Simulation) -> dict[str, Any]:
+    """The data that the page needs before the first scene, as JSON data.
+
+    Args:
+        environments: the pairs (task, variant) that can be chosen.
+        simulation: where the simulation runs; the browser has the scenes of a few seeds only.
+    """
+    tasks = list(dict.fromkeys(task for task, _ in environments))
+    return {
+        "protocol": PROTOCOL,
+        "simulation": simulation,
+        "look": drawing_style(),
+        "tasks": {task: _task(task) for task in tasks},
+        "environments": [{"task": task, "variant": variant} for task, variant in environments],
+    }
+
+
+def _task(task: str) -> dict[str, Any]:
+    spec = task_spec(task)
+    return {
+        "summary": spec.summary,
+        "goal": " ".join(sections(task)["Goal"].split()),
+        "horizon": spec.horizon("paper"),
+        "solved": scene_data(demos.load(task)[0].scenes()[-1]),
+    }
+
+
+def scene_data(scene: Scene) -> dict[str, Any]:
+    """A scene as JSON data."""
+    return json.loads(scene.to_json())
+
+
+def environment_scenes(task: str, variant: str) -> dict[str, Any]:
+    """The page's data of an environment: its first scenes (of Demo, the only one), as JSON data."""
+    shipped = demos.load(task)[:DEMONSTRATIONS] if variant == "Demo" else []
+    demonstrations = [letters_of(demo.actions) for demo in shipped]
+    expert: list[str] = demonstrations[:1] or json.loads(EXPERT.read_text(encoding="utf-8"))[f"{task}-{variant}"]
+    seeds = range(1 if variant == "Demo" else SCENES)
+    return {
+        "demonstrations": demonstrations,
+        "scenes": [
+            {"seed": seed, "expert": actions, "scene": scene_data(sample_scene(task, variant, seed))}
+            for seed, actions in zip(seeds, expert, strict=True)
+        ],
+    }
+
+
+def with_models(data: dict[str, Any], models: Sequence[str]) -> dict[str, Any]:
+    """The same data with a model of each scene, compressed to a quarter of the size or less.
+
+    Models have most of their XML elements in common. So each model is stored as a list of indices into a list of
+    elements, whose texts make up the model.
+    """
+    numbers: dict[str, int] = {}
+    scenes = [
+        {**scene, "mjcf": [numbers.setdefault(element, len(numbers)) for element in _BETWEEN_ELEMENTS.split(model)]}
+        for scene, model in zip(data["scenes"], models, strict=True)
+    ]
+    return {**data, "scenes": scenes, "elements": list(numbers)}
+
+
+def drawing_style() -> dict[str, Any]:
+    """How to draw any scene, as JSON data.
+
+    Outlines are lists of closed loops, each a flat list x, y, x, y, ... in world units, in the frame of their part:
+    the world, a block, the robot or one of its fingers. Parts and their layers are listed in drawing order.
+    """
+    blocks = tuple(Block(shape, "red", 0.5 * index, 0.5, 0.0) for index, shape in enumerate(SHAPES))
+    model = mujoco.MjModel.from_xml_string(world_mjcf(Scene(Robot(0.0, -0.5, 0.0), blocks)))
+    is_drawn = drawn(model.geom_group) & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
+    layers = [_layer(model, geom) for geom in is_drawn.nonzero()[0].tolist()]
+    return {
+        "visible": c.VISIBLE_SIZE,
+        "anchor": c.EGO_ANCHOR,
+        "paper": css(style.WHITE),
+        "arena": [layer for layer in layers if layer["part"] == "world"],
+        "regions": {
+            "fill": _palette(style.REGION_FILL),
+            "border": _palette(style.REGION_BORDER),
+            "line": style.REGION_BORDER_WIDTH,
+            "dash": style.DASH_LENGTH,
+        },
+        "blocks": {
+            shape: [layer["loops"] for layer in layers if layer["part"] == f"block{index}"]
+            for index, shape in enumerate(SHAPES)
+        },
+        "blockColours": [_palette(style.BLOCK_OUTLINE), _palette(style.BLOCK_FILL)],
+        "robot": [layer for layer in layers if layer["part"] in ("left_finger", "right_finger", "face")],
+        "fingerRoots": {f"{side}_finger": [sign * c.FINGER_ROOT[0], c.FINGER_ROOT[1]] for side, sign in SIGN.items()},
+    }
+
+
+def css(rgb: style.Rgb) -> str:
+    """A colour as style sheets write it."""
+    return "#{:02x}{:02x}{:02x}".format(*rgb)
+
+
+def _palette(palette: style.Palette) -> dict[str, str]:
+    return {colour: css(palette[colour]) for colour in COLOURS}
+
+
+def _layer(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
+    """A geom's body, colour and outline."""
+    mesh = model.mesh(model.geom_dataid[geom])
+    first, count = mesh.vertadr[0], mesh.vertnum[0]
+    turned = np.empty(9)
+    # the compiler moves meshes to their centre of mass and turns them
+    mujoco.mju_quat2Mat(turned, model.geom_quat[geom])
+    vertices = model.mesh_vert[first : first + count] @ turned.reshape(3, 3).T + model.geom_pos[geom]
+    faces = model.mesh_face[mesh.faceadr[0] : mesh.faceadr[0] + mesh.facenum[0]]
+    red, green, blue = (round(255 * float(level)) for level in model.geom_rgba[geom, :3])
+    return {
+        "part": model.body(model.geom_bodyid[geom]).name,
+        "colour": css((red, green, blue)),
+        "loops": [np.round(vertices[loop, :2], DECIMALS).ravel().tolist() for loop in loops(faces)],
+    }
