@@ -93,7 +93,9 @@ def test_version_is_written_once() -> None:
     assert f"## [{magical_mj.__version__}] - " in (ROOT / "CHANGELOG.md").read_text()
 
 
-@pytest.mark.parametrize("name", ["actions.ACTIONS", "evaluation.Score", "observations.VIEWS", "protocol.PROTOCOL"])
+@pytest.mark.parametrize(
+    "name", ["actions.ACTIONS", "evaluation.EpisodeResult", "observations.VIEWS", "protocol.PROTOCOL"]
+)
 def test_modules_that_users_name_are_there_without_another_import(name: str) -> None:
     code = f"import magical_mj; magical_mj.{name}"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).stderr == b""

@@ -16,7 +16,7 @@ from statistics import fmean
 from typing import Final
 
 from magical_mj import ENVIRONMENTS, TASKS, VARIANTS
-from magical_mj.evaluation.scores import Score, read
+from magical_mj.evaluation.scores import EpisodeResult, read
 from magical_mj.web.page_data import EXPERT, SCENES
 
 INTRODUCTION: Final = """\
@@ -31,7 +31,7 @@ $ magical-mj evaluate --policy expert --episodes 20 --out out/experts
 PAGE: Final = Path(__file__).parent.parent / "docs" / "experts.md"
 
 
-def page(scores: Sequence[Score]) -> str:
+def page(scores: Sequence[EpisodeResult]) -> str:
     """Tables of mean scores and times, tasks down and variants across, and a list of what was missed."""
     missed = sorted(f"{s.task} {s.variant} {s.seed}: {s.score:.2f}" for s in scores if s.score < 1.0)
     return "\n".join(
@@ -48,7 +48,7 @@ def page(scores: Sequence[Score]) -> str:
     )
 
 
-def _table(scores: Sequence[Score], cell: Callable[[list[Score]], str]) -> Iterator[str]:
+def _table(scores: Sequence[EpisodeResult], cell: Callable[[list[EpisodeResult]], str]) -> Iterator[str]:
     yield f"| Task | {' | '.join(VARIANTS)} |"
     yield f"| --- |{' ---: |' * len(VARIANTS)}"
     for task in TASKS:
@@ -56,7 +56,7 @@ def _table(scores: Sequence[Score], cell: Callable[[list[Score]], str]) -> Itera
         yield f"| {task} | {' | '.join(cell(some) if some else '' for some in row)} |"
 
 
-def episodes(scores: Sequence[Score]) -> str:
+def episodes(scores: Sequence[EpisodeResult]) -> str:
     """The actions of the first seeds of all environments but Demo, which has demonstrations, as JSON."""
     actions = {(score.task, score.variant, score.seed): score.actions for score in scores}
     table = {
@@ -67,7 +67,7 @@ def episodes(scores: Sequence[Score]) -> str:
     return json.dumps(table, indent=0) + "\n"
 
 
-def check(scores: Sequence[Score]) -> None:
+def check(scores: Sequence[EpisodeResult]) -> None:
     """Ends with a message unless these are the expert's scores alone, and all scenes that the site shows are there."""
     others = {score.policy for score in scores} - {"expert"}
     there = {(score.task, score.variant, score.seed) for score in scores}

@@ -37,10 +37,9 @@ from magical_mj.cli.console import (
 from magical_mj.cli.environments import contact_sheet
 from magical_mj.cli.film import film, replay, views_of
 from magical_mj.cli.results import film_episodes
-from magical_mj.evaluation.folder import read_settings
 from magical_mj.evaluation.reports.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
-from magical_mj.evaluation.scores import SCORES, Score, ScoreFile
+from magical_mj.evaluation.scores import SCORES, EpisodeResult, ScoreFile, read_settings
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.evaluation.worker import Unit, player
 from magical_mj.policies.loading import sources
@@ -150,7 +149,7 @@ def rollout(
         raise typer.Exit(1)
 
 
-def _line(score: Score) -> str:
+def _line(score: EpisodeResult) -> str:
     line = f"seed {score.seed}: score {score.score:.2f} after {score.steps} steps"
     return line if score.failure is None else f"{line}; the policy failed: {score.failure}"
 
@@ -177,9 +176,9 @@ def show_progress(screen: Console, evaluation: Evaluation) -> None:
             progress.update(bar, advance=length, done=known + count, fresh=count)
 
 
-def summary(scores: list[Score]) -> list[str]:
+def summary(scores: list[EpisodeResult]) -> list[str]:
     """A line for each policy: its mean score over environments, and its failed episodes."""
-    by_policy: dict[str, dict[Pair, list[Score]]] = defaultdict(lambda: defaultdict(list))
+    by_policy: dict[str, dict[Pair, list[EpisodeResult]]] = defaultdict(lambda: defaultdict(list))
     for score in scores:
         by_policy[score.policy][score.task, score.variant].append(score)
     lines = []

@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 import magical_mj
 from magical_mj.evaluation.reports.statistics import SCORE_TOLERANCE
-from magical_mj.evaluation.scores import Score
+from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.policies.interface import actions_of, play
 from magical_mj.scene.actions import ACTIONS, Drive, Gripper, Turn
 from magical_mj.scene.constants import CONTROL_RATE
@@ -168,7 +168,7 @@ def _is_whole(path: Path) -> bool:
     return b"moov" in kinds and place == len(data)
 
 
-def replay(made: Film, score: Score) -> None:
+def replay(made: Film, score: EpisodeResult) -> None:
     """Replays the actions of an evaluated episode, and adds it to a video.
 
     Raises:

@@ -13,7 +13,7 @@ from magical_mj.cli.console import Trust, console, make_writable_folder
 from magical_mj.cli.film import film, replay
 from magical_mj.evaluation.reports.report import begin, extremes, write_report
 from magical_mj.evaluation.reports.results import compare, results
-from magical_mj.evaluation.scores import Score, episodes_in
+from magical_mj.evaluation.scores import EpisodeResult, episodes_in
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.utils.errors import SettingsError
 from magical_mj.utils.extras import check_extra
@@ -84,7 +84,7 @@ def make_comparison(a: Side, b: Side) -> None:
         screen.print(f"{unpaired} scenes that only one of them has played are left out")
 
 
-def film_names(chosen: Sequence[tuple[str, Score]]) -> list[str]:
+def film_names(chosen: Sequence[tuple[str, EpisodeResult]]) -> list[str]:
     """The names of the videos that `film_episodes` makes."""
     names: list[str] = []
     for which, score in chosen:
@@ -93,7 +93,7 @@ def film_names(chosen: Sequence[tuple[str, Score]]) -> list[str]:
     return names
 
 
-def film_episodes(chosen: Sequence[tuple[str, Score]], out: Path) -> dict[str, str]:
+def film_episodes(chosen: Sequence[tuple[str, EpisodeResult]], out: Path) -> dict[str, str]:
     """Makes videos of episodes, each given with a word such as "best"; returns description -> file name."""
     links: dict[str, str] = {}
     for name, (which, score) in zip(film_names(chosen), chosen, strict=True):

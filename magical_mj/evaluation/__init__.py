@@ -5,22 +5,20 @@
 
 from __future__ import annotations
 
-from magical_mj.evaluation.playing import Outcome
+from magical_mj.evaluation.rollouts import rollouts
 from magical_mj.evaluation.run import Evaluation, evaluate
-from magical_mj.evaluation.scores import Score
+from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.evaluation.settings import EvaluationSettings
-from magical_mj.evaluation.side_by_side import rollouts
 from magical_mj.policies.interface import Episode, Policy
 from magical_mj.policies.requirements import BatchPolicy
 
 __all__ = [
     "BatchPolicy",
     "Episode",
+    "EpisodeResult",
     "Evaluation",
     "EvaluationSettings",
-    "Outcome",
     "Policy",
-    "Score",
     "evaluate",
     "rollouts",
 ]

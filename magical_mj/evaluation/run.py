@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Any, Final
 import cloudpickle
 
 from magical_mj._version import __version__
-from magical_mj.evaluation.folder import load_or_start, prepare
-from magical_mj.evaluation.scores import Key, Score, ScoreFile, frame
+from magical_mj.evaluation.scores import EpisodeResult, Key, ScoreFile, frame, load_or_start, prepare
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
 from magical_mj.evaluation.worker import Unit, plan, play_unit, player
 from magical_mj.policies.failures import reason
-from magical_mj.policies.interface import is_blind
+from magical_mj.policies.interface import uses_simulation
 from magical_mj.policies.loading import Source, sources
 from magical_mj.policies.requirements import check_fit
 from magical_mj.utils.errors import EvaluationError, SettingsError, WorkerError
@@ -34,7 +33,7 @@ FIRST_EPISODES: Final = 10
 """If this many planned episodes of a policy, its first ones, fail with the same type of error, the evaluation stops."""
 
 
-def evaluate(policy: Any, *, watch: Callable[[Score], None] = lambda _: None, **settings: Any) -> pd.DataFrame:
+def evaluate(policy: Any, *, watch: Callable[[EpisodeResult], None] = lambda _: None, **settings: Any) -> pd.DataFrame:
     """Plays a policy's episodes in the evaluation scenes of some environments, and returns all scores.
 
     Args:
@@ -45,7 +44,7 @@ def evaluate(policy: Any, *, watch: Callable[[Score], None] = lambda _: None, **
         settings: the fields of `magical_mj.evaluation.EvaluationSettings`, such as ``tasks="FindDupe", episodes=10``.
 
     Returns:
-        A pandas frame with a row for each episode: see `magical_mj.evaluation.Score`.
+        A pandas frame with a row for each episode: see `magical_mj.evaluation.EpisodeResult`.
 
     Raises:
         SettingsError, UnknownNameError: if a setting is invalid, or differs from those of a resumed evaluation.
@@ -95,7 +94,7 @@ class Evaluation:
         for source in listed:  # so that errors are raised now
             policy = source.load()
             check_fit(policy, settings.environments, settings.preset)
-            if settings.batched and is_blind(policy):
+            if settings.batched and uses_simulation(policy):
                 raise SettingsError(f"{source.name} uses no observations: it plays in single worlds only")
         self._out = None if settings.out is None else Path(settings.out)
         self._recorded = {"policies": [source.describe() for source in listed], **settings.recorded()}
@@ -103,7 +102,7 @@ class Evaluation:
         self._sources = [source.fixed() for source in listed]
         self.units = self._remaining()
 
-    def play(self) -> Iterator[Score]:
+    def play(self) -> Iterator[EpisodeResult]:
         """Plays the remaining episodes and yields each score once it is in the file."""
         with ScoreFile(self._out) if self._out else nullcontext() as file:
             if self._out:
@@ -128,7 +127,7 @@ class Evaluation:
             first[name, run] += [(name, run, unit.task, unit.variant, seed) for seed in unit.seeds]
         return {policy: keys[:FIRST_EPISODES] for policy, keys in first.items()}
 
-    def _play_units(self) -> Iterator[list[Score]]:
+    def _play_units(self) -> Iterator[list[EpisodeResult]]:
         """The scores of all units in order of completion."""
         jobs, backend = self.settings.jobs, self.settings.backend
         if backend == "local":
@@ -159,8 +158,8 @@ def _check_pickles(source: Source) -> None:
 
 
 def _without_hopeless(
-    played: Iterable[list[Score]], fine: set[tuple[str, int]], first: Mapping[tuple[str, int], list[Key]]
-) -> Iterator[list[Score]]:
+    played: Iterable[list[EpisodeResult]], fine: set[tuple[str, int]], first: Mapping[tuple[str, int], list[Key]]
+) -> Iterator[list[EpisodeResult]]:
     """The scores; those of a policy are held back until one of its first episodes succeeds or fails differently.
 
     Args:
@@ -171,7 +170,7 @@ def _without_hopeless(
     Raises:
         EvaluationError: if all first episodes of a policy fail with the same type of error. None are yielded.
     """
-    held: dict[tuple[str, int], list[Score]] = defaultdict(list)
+    held: dict[tuple[str, int], list[EpisodeResult]] = defaultdict(list)
     for found in played:
         for score in found:
             policy = score.policy, score.run
@@ -185,12 +184,12 @@ def _without_hopeless(
                 raise _hopeless(deciding)
 
 
-def _kind(score: Score) -> str | None:
+def _kind(score: EpisodeResult) -> str | None:
     """Of a failure."""
     return None if score.failure is None else score.failure.partition(":")[0]
 
 
-def _hopeless(scores: list[Score]) -> EvaluationError:
+def _hopeless(scores: list[EpisodeResult]) -> EvaluationError:
     score, count = scores[0], len(scores)
     run = f", run {score.run}," if score.run else ""
     which = "the first episode" if count == 1 else f"the first {count} episodes"
@@ -200,7 +199,7 @@ def _hopeless(scores: list[Score]) -> EvaluationError:
     )
 
 
-def _check_versions(scores: Iterable[Score]) -> None:
+def _check_versions(scores: Iterable[EpisodeResult]) -> None:
     """Raises an `EvaluationError` if a worker has other versions than this process."""
     for score in scores:
         if (score.version, score.mujoco) != (__version__, MUJOCO_VERSION):

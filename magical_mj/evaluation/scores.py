@@ -1,7 +1,7 @@
-"""The scores of an evaluation: the file ``scores.jsonl`` in its folder, with a line per finished episode.
+"""The folder of an evaluation: ``run.json`` with its settings, and ``scores.jsonl`` with a line per finished episode.
 
-Lines are appended, and none is altered. What a killed process left half written is cut off before more is appended, and
-`ScoreFile.clear` removes all lines.
+Lines are appended, and none is altered. A line counts once it has its end: what a killed process left half written is
+not read, and cut off before more is appended. An evaluation is resumed only with the settings it was started with.
 """
 
 from __future__ import annotations
@@ -12,50 +12,59 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
-from typing import IO, Any, Final, Self, get_type_hints
+from typing import IO, Annotated, Any, Final, Self
 
+import msgspec
+
+from magical_mj._version import __version__
+from magical_mj.evaluation.settings import MUJOCO_VERSION
 from magical_mj.policies.folders import loader_in
+from magical_mj.policies.interface import Episode, letters_of
+from magical_mj.rendering.backend import chosen_backend
 from magical_mj.utils import files
-from magical_mj.utils.errors import EvaluationError, shown
+from magical_mj.utils.errors import EvaluationError, SettingsError, shown
+from magical_mj.utils.settings import check_unchanged
 
 SCORES: Final = "scores.jsonl"
+SETTINGS: Final = "run.json"
 
 Key = tuple[str, int, str, str, int]
 """Identifies an episode: policy, run, task, variant, seed."""
 
 
-@dataclass(frozen=True, slots=True)
-class Score:
-    """One finished episode.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeResult:
+    """One played episode, with all that is needed to replay it: a line of ``scores.jsonl``.
 
     Attributes:
-        policy: the method's name.
+        policy: the method's name; of a policy that was not given a name, that of its class or function.
         run: the number of the run of the method.
-        task: the task's name.
+        task: the task's name. In files it is text: see `magical_mj.utils.imports` before it is looked up.
         variant: the variant's name.
         seed: the scene's seed.
         score: in [0, 1]; 0 if the policy failed.
         steps: the number of actions.
         seconds: the duration of the episode, wall clock.
         rules: the rules by which it was scored.
-        preset: the preset of the observations; None if the policy uses none.
+        preset: the preset of the observations; None if the policy uses none, or they have no name.
         version: the version of this package.
         mujoco: MuJoCo's version.
         gl: the OpenGL backend.
         actions: a letter for each action, from which the episode can be replayed.
         failure: why the policy failed; None if it did not.
         scene: the digest of the scene in which the episode started; None in files of older versions.
-        worlds: "single" if it was played in MuJoCo itself; "batched" scores are approximate.
+        worlds: "single" if MuJoCo itself simulated it; the scores of "batched" worlds are approximate.
     """
 
     policy: str
-    run: int
+    run: Annotated[int, msgspec.Meta(ge=0)]
     task: str
     variant: str
-    seed: int
-    score: float
-    steps: int
+    seed: Annotated[int, msgspec.Meta(ge=0)]
+    score: Annotated[float, msgspec.Meta(ge=0, le=1)]
+    steps: Annotated[int, msgspec.Meta(ge=0)]
     seconds: float
     rules: str
     preset: str | None
@@ -73,49 +82,65 @@ class Score:
         return self.policy, self.run, self.task, self.variant, self.seed
 
     def line(self) -> str:
-        """The episode as a line of the file."""
+        """As a line of the file."""
         return json.dumps(dataclasses.asdict(self), ensure_ascii=False) + "\n"
 
 
-_TYPES: Final[dict[str, Any]] = {
-    name: int | float if kind is float else kind for name, kind in get_type_hints(Score).items()
-}
-_ADDED_LATER: Final = {"scene", "worlds"}
-"""What lines of older versions do not have."""
+def result_of(
+    episode: Episode, actions: Iterable[int], score: float, failure: str | None, seconds: float, **facts: Any
+) -> EpisodeResult:
+    """The result of an episode that was played here and now.
 
-_BEGINNING: Final = b'{"policy": "'
+    Args:
+        episode: the episode.
+        actions: the actions.
+        score: the score; it is 0 if the policy failed.
+        failure: why the policy failed; None if it did not.
+        seconds: how long it took.
+        facts: the other fields: `policy`, `rules`, `preset`, `scene`, `worlds`.
+    """
+    letters = letters_of(actions)
+    return EpisodeResult(
+        run=episode.run,
+        task=episode.task,
+        variant=episode.variant,
+        seed=episode.seed,
+        score=0.0 if failure else float(score),
+        steps=len(letters),
+        seconds=round(seconds, 4),
+        version=__version__,
+        mujoco=MUJOCO_VERSION,
+        gl=chosen_backend(),
+        actions=letters,
+        failure=failure,
+        **facts,
+    )
+
+
+_FIELDS: Final = tuple(field.name for field in dataclasses.fields(EpisodeResult))
+_BEGINNING: Final = b'{"policy": '
 """Of each line."""
 
 
-def parse(line: str) -> Score:
+def parse(line: str | bytes) -> EpisodeResult:
     """The episode in a line; raises a ValueError that says what is wrong with it."""
     try:
-        entry = json.loads(line)
+        values = msgspec.json.decode(line)
+        if not isinstance(values, dict) or not values.keys() <= set(_FIELDS):
+            raise ValueError(f"it must be an object with the keys {', '.join(_FIELDS)}")
+        result = msgspec.convert(values, EpisodeResult)
     except RecursionError:
         raise ValueError("lists in lists without end") from None
-    except json.JSONDecodeError as error:
-        if error.msg != "Extra data":
-            raise
-        raise ValueError("more than one episode; each must have a line of its own") from None
-    if not isinstance(entry, dict) or entry.keys() | _ADDED_LATER != _TYPES.keys():
-        raise ValueError(f"it must be an object with the keys {', '.join(_TYPES)}")
-    for name, value in entry.items():
-        if not isinstance(value, _TYPES[name]) or isinstance(value, bool):
-            raise ValueError(f"{name} must not be {shown(value)}")
-        if isinstance(value, str) and not (_is_unicode(value) if name == "failure" else value.isprintable()):
+    except msgspec.MsgspecError as error:
+        raise ValueError(str(error)) from None
+    for name, value in values.items():
+        if isinstance(value, str) and name != "failure" and not value.isprintable():
             raise ValueError(f"{name} must be a text of printable characters, not {shown(value)}")
-    if not 0 <= entry["score"] <= 1:
-        raise ValueError(f"the score {entry['score']} is not in [0, 1]")
-    return Score(**entry)
+    return result
 
 
-def _is_unicode(text: str) -> bool:
-    """Whether a text can be encoded; halves of characters, which JSON can name, cannot."""
-    return not any("\ud800" <= letter <= "\udfff" for letter in text)
-
-
-def read(folder: Path) -> list[Score]:
-    """The finished episodes in a folder. A last line that is still being written is left out.
+def read(folder: Path) -> list[EpisodeResult]:
+    """The finished episodes in a folder.
 
     Raises:
         EvaluationError: if there is no such file, a line is invalid, or an episode occurs twice.
@@ -123,7 +148,7 @@ def read(folder: Path) -> list[Score]:
     return list(episodes_in(folder))
 
 
-def episodes_in(folder: Path) -> Iterator[Score]:
+def episodes_in(folder: Path) -> Iterator[EpisodeResult]:
     """As `read`, one after another: the file may be larger than memory."""
     path = folder / SCORES
     if not path.is_file():
@@ -132,23 +157,28 @@ def episodes_in(folder: Path) -> Iterator[Score]:
     names: dict[str, str] = {}
     with path.open("rb") as file:
         for number, line in enumerate(file, start=1):
-            if not line.endswith(b"\n") and _is_half(line):
+            if _is_half(line):
                 break
             try:
-                score = parse(line.decode(errors="replace"))
+                result = parse(line)
             except ValueError as error:
                 raise EvaluationError(
                     f"{path}, line {number}: {error}. Mend the line, or delete it: evaluate --resume plays what is "
                     "missing"
                 ) from error
-            policy, run, task, variant, seed = score.key
+            policy, run, task, variant, seed = result.key
             # each name once: the keys of a million episodes then take 200 MB instead of 400
             policy, task, variant = (names.setdefault(name, name) for name in (policy, task, variant))
             if (other := lines.setdefault((policy, run, task, variant, seed), number)) != number:
                 raise EvaluationError(f"{path}, line {number}: the same episode as line {other}; delete one")
-            yield score
+            yield result
     if not lines:
         raise EvaluationError(f"{path} holds no finished episode yet")
+
+
+def _is_half(line: bytes) -> bool:
+    """Whether a line is what a killed process leaves; what holds several episodes has lost the ends of its lines."""
+    return not line.endswith(b"\n") and line.count(_BEGINNING) < 2
 
 
 def _no_scores(folder: Path) -> EvaluationError:
@@ -165,15 +195,12 @@ def _no_scores(folder: Path) -> EvaluationError:
     return EvaluationError(f"{folder} holds no {SCORES}; magical-mj evaluate --out {folder} makes one")
 
 
-def _is_half(last: bytes) -> bool:
-    """Whether these bytes after the last line's end are what a killed process leaves: the beginning of one episode."""
-    if not last.startswith(_BEGINNING[: len(last)]) or _BEGINNING in last[1:]:
-        return False
-    try:
-        json.JSONDecoder().raw_decode(last.decode(errors="ignore"))
-    except (ValueError, RecursionError):
-        return True
-    return False
+def frame(results: Sequence[EpisodeResult]) -> Any:
+    """The episodes as a pandas frame, one row each, in a fixed order."""
+    import pandas as pd
+
+    rows = [dataclasses.asdict(result) for result in sorted(results, key=lambda result: result.key)]
+    return pd.DataFrame(rows, columns=list(_FIELDS))
 
 
 class ScoreFile:
@@ -181,15 +208,18 @@ class ScoreFile:
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / SCORES
-        self._file: IO[str] | None = None
+        self._file: IO[bytes] | None = None
         self._open = ExitStack()
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            self._file = stack.enter_context(self._path.open("a", encoding="utf-8"))
+            self._file = stack.enter_context(self._path.open("ab"))
             busy = EvaluationError(f"another evaluation is writing to {self._path}")
             stack.enter_context(files.locked(self._path, busy=busy))
-            _repair(self._path)
+            written = self._path.read_bytes()
+            end = written.rfind(b"\n") + 1
+            if _is_half(written[end:]):
+                os.truncate(self._path, end)
             self._open = stack.pop_all()
         return self
 
@@ -201,32 +231,74 @@ class ScoreFile:
         """Removes all episodes."""
         os.truncate(self._path, 0)
 
-    def add(self, scores: Iterable[Score]) -> None:
+    def add(self, results: Iterable[EpisodeResult]) -> None:
         """Appends finished episodes in a single write."""
         if self._file is None:
             raise RuntimeError("enter the file first")
         try:
-            self._file.write("".join(score.line() for score in scores))
+            self._file.write("".join(result.line() for result in results).encode())
             self._file.flush()
         except OSError as error:  # a full disk names no file
             raise OSError(error.errno, error.strerror, str(self._path)) from error
 
 
-def _repair(path: Path) -> None:
-    """Completes the last line if only its end is missing, and removes it if a killed run left it half written."""
-    raw = path.read_bytes()
-    last = raw[raw.rfind(b"\n") + 1 :]
-    if _is_half(last):
-        os.truncate(path, len(raw) - len(last))
-    elif last:
-        with suppress(ValueError), path.open("ab") as file:
-            parse(last.decode())  # what is wrong otherwise, reading tells
-            file.write(b"\n")
+def prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[EpisodeResult]:
+    """Makes the folder, or reads what is in it. An evaluation without finished episodes is started anew.
+
+    Raises:
+        EvaluationError: if it cannot be written to, holds something else, or holds an evaluation and `resume` is false.
+        SettingsError: if it was started with other settings.
+    """
+    path = folder / SCORES
+    if path.exists() and path.stat().st_size and not resume:
+        raise EvaluationError(f"{folder} holds an evaluation already; --resume continues it (resume=True)")
+    if (folder / SETTINGS).exists() and "policies" not in read_settings(folder):
+        raise EvaluationError(f"{folder / SETTINGS} is not of an evaluation; choose another folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with ScoreFile(folder):
+            return load_or_start(folder, settings)
+    except OSError as error:
+        raise EvaluationError(f"cannot write into {folder}: {error.strerror}") from error
 
 
-def frame(scores: Sequence[Score]) -> Any:
-    """The episodes as a pandas frame, one row each, in a fixed order."""
-    import pandas as pd
+def load_or_start(folder: Path, settings: dict[str, Any]) -> list[EpisodeResult]:
+    """The finished episodes in a folder whose `ScoreFile` is open; if there are none, its settings become these.
 
-    rows = [dataclasses.asdict(score) for score in sorted(scores, key=lambda score: score.key)]
-    return pd.DataFrame(rows, columns=[field.name for field in dataclasses.fields(Score)])
+    Raises:
+        EvaluationError, SettingsError: as `prepare`.
+    """
+    if (folder / SCORES).stat().st_size:
+        check_unchanged(folder, _without_paths(read_settings(folder)), _without_paths(settings))
+        return read(folder)
+    files.write(folder / SETTINGS, json.dumps(settings, indent=2) + "\n", overwrite=True)
+    return []
+
+
+def _without_paths(settings: dict[str, Any]) -> dict[str, Any]:
+    """The settings without the paths of policies that a hash identifies: folders may be moved, or written otherwise."""
+    policies = settings.get("policies")
+    if not isinstance(policies, list):
+        return settings
+    known = [dict(policy) for policy in policies if isinstance(policy, dict)]
+    return {**settings, "policies": [{**policy, "origin": None} if "sha256" in policy else policy for policy in known]}
+
+
+def read_settings(folder: Path) -> dict[str, Any]:
+    """The settings with which the evaluation in a folder was started.
+
+    Raises:
+        EvaluationError: if they cannot be read.
+    """
+    try:
+        known = dict(json.loads((folder / SETTINGS).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError, RecursionError) as error:
+        raise EvaluationError(f"{folder / SETTINGS} cannot be read ({error}); start again in another folder") from error
+    return {"worlds": "single", **known}  # older versions knew no others
+
+
+def folders_of(folders: Iterable[Path | str]) -> list[Path]:
+    """The folders as a list; raises a `SettingsError` for a single one, since a text is a sequence of letters."""
+    if isinstance(folders, str | bytes | PathLike):
+        raise SettingsError(f"give a list of folders, such as [{str(folders)!r}], not {shown(folders)}")
+    return [Path(folder) for folder in folders]

@@ -6,23 +6,20 @@ import functools
 import secrets
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, TypeVar
 
 import gymnasium
 
-from magical_mj._version import __version__
 from magical_mj.envs.registration import env_id
-from magical_mj.evaluation.playing import Act, Envs, Outcome, environment_for, play
-from magical_mj.evaluation.scores import Key, Score
-from magical_mj.evaluation.settings import MUJOCO_VERSION, WORLDS, EvaluationSettings
-from magical_mj.evaluation.side_by_side import PolicyCopies, play_side_by_side
+from magical_mj.evaluation.rollouts import Envs, PolicyCopies, environment_for, play, play_side_by_side
+from magical_mj.evaluation.scores import EpisodeResult, Key, result_of
+from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
 from magical_mj.evaluation.time_limit import TimeLimitedCaller, TimeLimitError
 from magical_mj.policies.failures import reason
-from magical_mj.policies.interface import Episode, is_blind
+from magical_mj.policies.interface import Act, Episode, uses_simulation
 from magical_mj.policies.loading import Source
 from magical_mj.policies.requirements import BatchPolicy
-from magical_mj.rendering.backend import chosen_backend
 from magical_mj.tasks.registry import sample_scene, task_spec
 
 T = TypeVar("T")
@@ -75,7 +72,7 @@ def plan(listed: Sequence[Source], settings: EvaluationSettings, done: Collectio
     return sorted(units, key=lambda unit: -unit.steps)
 
 
-def play_unit(unit: Unit) -> list[Score]:
+def play_unit(unit: Unit) -> list[EpisodeResult]:
     """What a worker does."""
     return list(player().play(unit))
 
@@ -97,7 +94,7 @@ class Player:
         self._evaluation = ""
         self._forget()
 
-    def play(self, unit: Unit) -> Iterator[Score]:
+    def play(self, unit: Unit) -> Iterator[EpisodeResult]:
         """Plays the unit's episodes, one after another or side by side.
 
         Raises:
@@ -112,8 +109,11 @@ class Player:
             seeds = unit.seeds[start : start + envs]
             episodes = [Episode(unit.task, unit.variant, seed, unit.source.run) for seed in seeds]
             policy = self._policy_of(unit)
-            preset = getattr(policy, "preset", None) if is_blind(policy) else unit.settings.preset
-            yield from map(functools.partial(_score, unit, preset), episodes, self._outcomes(unit, episodes))
+            preset = getattr(policy, "preset", None) if uses_simulation(policy) else unit.settings.preset
+            for result in self._results(unit, episodes):
+                scene = sample_scene(unit.task, unit.variant, result.seed).digest()
+                facts = {"preset": preset, "scene": scene, "worlds": WORLDS[unit.settings.simulator]}
+                yield replace(result, policy=unit.source.name, rules=unit.settings.rules, **facts)
 
     def release(self) -> None:
         """Closes the environments and drops the policy; later units get new ones."""
@@ -123,25 +123,25 @@ class Player:
         for what in list(self._kept):
             self._drop(what)
 
-    def _outcomes(self, unit: Unit, episodes: list[Episode]) -> list[Outcome]:
+    def _results(self, unit: Unit, episodes: list[Episode]) -> list[EpisodeResult]:
         policy = self._policy_of(unit)
-        if unit.settings.envs > 1 and not is_blind(policy):
+        if unit.settings.envs > 1 and not uses_simulation(policy):
             try:
                 limit = unit.settings.time_limit * len(episodes)
                 wave = self._caller.call(lambda: play_side_by_side(*self._vector(unit, policy), episodes), limit)
             except TimeLimitError:
                 self._forget()
             else:
-                if not any(outcome.failure for outcome in wave):
+                if not any(result.failure for result in wave):
                     return wave
         return [self._single(unit, episode) for episode in episodes]  # to find out which episodes fail
 
-    def _single(self, unit: Unit, episode: Episode) -> Outcome:
+    def _single(self, unit: Unit, episode: Episode) -> EpisodeResult:
         policy, settings = self._policy_of(unit), unit.settings
         make = functools.partial(environment_for, policy, unit.task, unit.variant, settings.preset, settings.rules)
         env = None if settings.batched else self._keep("environment", _env_key(unit, policy), make)
 
-        def playing() -> Outcome:
+        def playing() -> EpisodeResult:
             if env is None:
                 return play_side_by_side(*self._vector(unit, policy), [episode])[0]
             return play(env, policy, episode)
@@ -150,7 +150,8 @@ class Player:
             return self._caller.call(playing, settings.time_limit)
         except TimeLimitError as error:
             self._forget()
-            return Outcome(0.0, "", settings.time_limit, reason(error))
+            facts = {"policy": unit.source.name, "preset": settings.preset, "rules": settings.rules}
+            return result_of(episode, (), 0.0, reason(error), settings.time_limit, **facts)
 
     def _policy_of(self, unit: Unit) -> Act:
         return self._keep("policy", _policy_key(unit), lambda: self._caller.call(unit.source.load, None))
@@ -189,7 +190,7 @@ def _policy_key(unit: Unit) -> tuple[str, str, int]:
 
 
 def _env_key(unit: Unit, policy: Act) -> tuple[Any, ...]:
-    return unit.task, unit.variant, unit.settings.rules, None if is_blind(policy) else unit.settings.preset
+    return unit.task, unit.variant, unit.settings.rules, None if uses_simulation(policy) else unit.settings.preset
 
 
 def _vector_env(unit: Unit) -> Envs:
@@ -213,25 +214,3 @@ def _batch(unit: Unit) -> Envs:
         autoreset_mode=gymnasium.vector.AutoresetMode.DISABLED,
     )
     return Arrays(made)
-
-
-def _score(unit: Unit, preset: str | None, episode: Episode, outcome: Outcome) -> Score:
-    return Score(
-        policy=unit.source.name,
-        run=unit.source.run,
-        task=unit.task,
-        variant=unit.variant,
-        seed=episode.seed,
-        score=outcome.score,
-        steps=len(outcome.actions),
-        seconds=round(outcome.seconds, 4),
-        rules=unit.settings.rules,
-        preset=preset,
-        version=__version__,
-        mujoco=MUJOCO_VERSION,
-        gl=chosen_backend(),
-        actions=outcome.actions,
-        failure=outcome.failure,
-        scene=sample_scene(unit.task, unit.variant, episode.seed).digest(),
-        worlds=WORLDS[unit.settings.simulator],
-    )

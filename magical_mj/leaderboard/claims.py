@@ -17,7 +17,7 @@ from magical_mj.utils.parallel import map_unordered
 
 if TYPE_CHECKING:
     from magical_mj.envs.composer import Environment
-    from magical_mj.evaluation.scores import Score
+    from magical_mj.evaluation.scores import EpisodeResult
 
 SEEDS: Final = 100
 """The number of episodes in each environment that the protocol requires."""
@@ -52,7 +52,7 @@ class Claim(NamedTuple):
         return f"run {self.run}, {self.task} {self.variant}, seed {self.seed}"
 
 
-def claim_of(score: Score) -> Claim:
+def claim_of(score: EpisodeResult) -> Claim:
     """The claim of an evaluated episode."""
     return Claim(
         *(score.run, score.task, score.variant, score.seed, score.scene, score.score, score.actions, score.failure)

@@ -9,8 +9,7 @@ from operator import index
 from pathlib import Path
 from typing import Any, Final, Self
 
-from magical_mj.evaluation.folder import SETTINGS, read_settings
-from magical_mj.evaluation.scores import Score
+from magical_mj.evaluation.scores import SETTINGS, EpisodeResult, read_settings
 from magical_mj.leaderboard.claims import claim_of
 from magical_mj.tasks.registry import ENVIRONMENTS, Pair
 from magical_mj.utils.errors import EvaluationError, shown
@@ -75,7 +74,7 @@ class Plan:
         return cls(frozenset(named), {name: frozenset(numbers) for name, numbers in runs.items()})
 
 
-def disagreements(settings: Mapping[str, Any], plan: Plan, scores: Sequence[Score]) -> list[str]:
+def disagreements(settings: Mapping[str, Any], plan: Plan, scores: Sequence[EpisodeResult]) -> list[str]:
     """A sentence for each thing that episodes say otherwise than the settings, the plan, or their own actions."""
     found: dict[str, list[str]] = defaultdict(list)
     for score in scores:
@@ -84,7 +83,7 @@ def disagreements(settings: Mapping[str, Any], plan: Plan, scores: Sequence[Scor
     return [first + (f"; and {len(others)} more" if others else "") for first, *others in found.values()]
 
 
-def _disagreements(settings: Mapping[str, Any], plan: Plan, score: Score) -> Iterator[tuple[str, str]]:
+def _disagreements(settings: Mapping[str, Any], plan: Plan, score: EpisodeResult) -> Iterator[tuple[str, str]]:
     for what in FIELDS:
         said, here = getattr(score, what), settings.get(what)
         if said not in (here, None):  # policies that look at nothing have no preset

@@ -9,8 +9,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.evaluation.folder import folders_of
-from magical_mj.evaluation.scores import Score, read
+from magical_mj.evaluation.scores import EpisodeResult, folders_of, read
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.leaderboard.claims import claim_of
 from magical_mj.leaderboard.entry import (
@@ -101,7 +100,7 @@ def submit(
     return entry
 
 
-def _entry(card: dict[str, Any], found: Sequence[tuple[Score, Path]], protocol: int | None) -> Entry:
+def _entry(card: dict[str, Any], found: Sequence[tuple[EpisodeResult, Path]], protocol: int | None) -> Entry:
     """The entry of one method's scores, which must be of one kind and in the benchmark's environments."""
     batched = next((folder for score, folder in found if score.worlds != "single"), None)
     if batched is not None:
@@ -129,7 +128,7 @@ def _entry(card: dict[str, Any], found: Sequence[tuple[Score, Path]], protocol: 
     )
 
 
-def _check_same(found: Sequence[tuple[Score, Path]], what: str) -> None:
+def _check_same(found: Sequence[tuple[EpisodeResult, Path]], what: str) -> None:
     """Raises an `EvaluationError` unless this attribute is the same in all scores; None matches anything."""
     where: dict[str, Path] = {}
     for score, folder in found:

@@ -8,10 +8,10 @@ from operator import methodcaller
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.evaluation.folder import SETTINGS, read_settings
 from magical_mj.evaluation.reports.report import check_free, report
 from magical_mj.evaluation.reports.results import gather, published_results
 from magical_mj.evaluation.reports.statistics import by_environment, rank_correlation
+from magical_mj.evaluation.scores import SETTINGS, read_settings
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.learners.folder import check
 from magical_mj.learners.learner import device

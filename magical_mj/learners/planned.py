@@ -14,7 +14,7 @@ from magical_mj.learners.method_settings import uses
 from magical_mj.learners.metrics import METRICS, read_metrics
 from magical_mj.learners.run import Progress, train
 from magical_mj.learners.settings import TrainingSettings
-from magical_mj.policies.interface import is_blind
+from magical_mj.policies.interface import uses_simulation
 from magical_mj.tasks.registry import environments, task_spec
 
 SIDE_BY_SIDE: Final = {"pictures": 10, "states": 100}
@@ -98,7 +98,7 @@ class Run:
             {self.method: self.trained},
             out=self.scores,
             resume=True,
-            envs=1 if is_blind(policy) else SIDE_BY_SIDE["states" if self.settings.states else "pictures"],
+            envs=1 if uses_simulation(policy) else SIDE_BY_SIDE["states" if self.settings.states else "pictures"],
             jobs=1,
             **self.played,
         )

@@ -14,7 +14,7 @@ from magical_mj.utils.errors import SettingsError
 class NoopAgent:
     """Does nothing."""
 
-    blind = True
+    uses_simulation = True
 
     def reset(self, episode: Episode) -> None:
         """Nothing to do here either."""
@@ -28,7 +28,7 @@ class NoopAgent:
 class RandomAgent:
     """Draws each action independently and uniformly."""
 
-    blind = True
+    uses_simulation = True
 
     def reset(self, episode: Episode) -> None:
         """Starts the episode's own sequence."""
@@ -43,7 +43,7 @@ class RandomAgent:
 class ExpertAgent:
     """The scripted expert, which uses the state of the simulation; its seed is the number of the run."""
 
-    blind = True
+    uses_simulation = True
 
     def reset(self, episode: Episode) -> None:
         """Makes an expert for this episode."""

@@ -16,7 +16,7 @@ class PolicyError(Exception):
 
 
 @contextmanager
-def acting() -> Iterator[None]:
+def policy_errors() -> Iterator[None]:
     """Where errors are failures of the policy, unless they say that they are not."""
     try:
         yield
@@ -26,7 +26,7 @@ def acting() -> Iterator[None]:
         raise PolicyError(reason(error)) from error
 
 
-def instability(error: Exception) -> str:
+def simulation_failure(error: Exception) -> str:
     """One line about a simulation that a policy's actions made unstable; raises any other error again."""
     from dm_control.rl.control import PhysicsError  # imported late: it loads the simulator
 

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from magical_mj.envs.composer import Environment
 
 Action = TypeVar("Action")
+Act = Callable[[Any], Any]
+"""A policy, or a plain function from observation to action."""
 
 LETTERS: Final = "abcdefghijklmnopqr"
 """One letter for each of the 18 actions: the actions of an episode are stored as a string."""
@@ -30,7 +32,7 @@ class Episode:
         variant: the variant's name.
         seed: the scene's seed: the episode starts in `sample_scene(task, variant, seed)`.
         run: the number of the policy among several runs of a method.
-        env: the environment itself, for policies with `blind = True`; None for all others.
+        env: the environment itself, for policies with `uses_simulation = True`; None for all others.
     """
 
     task: str
@@ -47,9 +49,9 @@ class Episode:
 class Policy(Protocol):
     """An agent. A plain function from observation to action is accepted too.
 
-    A class attribute `blind = True` means that the policy does not use observations: none are made, which is much
-    faster, and `reset` gets the environment instead. Attributes `preset`, `tasks` and `observation_shapes` (a list of
-    those that it accepts, with None for any size) say what it was trained on; evaluations of anything else raise an
+    A class attribute `uses_simulation = True` means that the policy does not use observations: none are made, which is
+    much faster, and `reset` gets the environment instead. Attributes `preset`, `tasks` and `observation_shapes` (a list
+    of those that it accepts, with None for any size) say what it was trained on; evaluations of anything else raise an
     error.
     """
 
@@ -101,9 +103,14 @@ def begin(policy: Callable[[Any], Any], episode: Episode) -> None:
         reset_batch([episode])
 
 
-def is_blind(policy: object) -> bool:
-    """Whether the policy uses no observations."""
-    return bool(getattr(policy, "blind", False))
+def uses_simulation(policy: object) -> bool:
+    """Whether the policy gets the simulation itself, and no observations."""
+    return bool(getattr(policy, "uses_simulation", False))
+
+
+def policy_name(policy: object) -> str:
+    """The name of a policy that was given none: that of its function or class."""
+    return getattr(policy, "__name__", type(policy).__name__)
 
 
 def letters_of(actions: Iterable[int]) -> str:

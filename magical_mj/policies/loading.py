@@ -12,10 +12,10 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.evaluation.playing import Act
 from magical_mj.policies.agents import AGENTS
 from magical_mj.policies.failures import reason
 from magical_mj.policies.folders import FOLDERS, loader_in
+from magical_mj.policies.interface import Act, policy_name
 from magical_mj.policies.models import LOADERS
 from magical_mj.utils.errors import SettingsError, UntrustedNameError, shown, unknown_name
 from magical_mj.utils.imports import resolve, source_of
@@ -142,7 +142,7 @@ def _each(policies: Any) -> Iterator[Source]:
     elif isinstance(policies, type):
         yield Source(policies.__name__, 0, _made(policies, policies.__name__))
     elif callable(policies):
-        yield Source(getattr(policies, "__name__", type(policies).__name__), 0, policies)
+        yield Source(policy_name(policies), 0, policies)
     else:
         raise SettingsError(f"{shown(policies)} is not a policy: it must be callable, or one of {ACCEPTED_POLICIES}")
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 from magical_mj.envs.presets import PRESETS
-from magical_mj.policies.interface import Episode, is_blind
+from magical_mj.policies.interface import Episode, uses_simulation
 from magical_mj.tasks.registry import Pair
 from magical_mj.utils.errors import SettingsError
 
@@ -43,7 +43,7 @@ def check_fit(policy: object, pairs: Sequence[Pair], preset: str) -> None:
     if others:
         raise SettingsError(f"the policy cannot act in {', '.join(others)}: give --tasks {','.join(tasks or ())}")
     shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
-    if shapes is not None and not is_blind(policy):
+    if shapes is not None and not uses_simulation(policy):
         _check_shape(list(shapes), pairs[0][0], preset)
 
 

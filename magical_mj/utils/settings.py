@@ -33,8 +33,8 @@ Count = Annotated[int, Meta(ge=1, le=LARGEST_SETTING)]
 """An integer of at least 1."""
 Natural = Annotated[int, Meta(ge=0, le=LARGEST_SETTING)]
 """An integer of at least 0."""
-Names = str | tuple[str, ...]
-"""Names, as one text separated by commas or as a tuple; any other iterable becomes a tuple."""
+Names = str | Iterable[str]
+"""Names, as one text separated by commas or as an iterable, which becomes a tuple."""
 
 _WORDS: Final[Mapping[type, str]] = {
     inspect.BoolType: "true or false",
@@ -69,7 +69,7 @@ class Settings:
     """Of settings that are a part of others: the name of the field there, for messages."""
 
     def __post_init__(self) -> None:
-        for name, kind in annotations(type(self)).items():
+        for name, kind in annotated(type(self)).items():
             path = f"{self.part}.{name}" if self.part else name
             object.__setattr__(self, name, fitting(path, getattr(self, name), kind))
 
@@ -97,24 +97,25 @@ def fitting(name: str, value: Any, kind: Any, *, text: bool = False) -> Any:
     try:
         if isinstance(value, np.generic):
             value = value.item()
-        elif plain == Names and isinstance(value, Iterable) and not isinstance(value, str | Mapping):
-            value = tuple(value)
+        if plain == Names:
+            kind = str | tuple[str, ...]
+            value = value if isinstance(value, str) else tuple(value)
         return msgspec.convert(value, kind, strict=not text, dec_hook=lambda cls, given: cls(given))
-    except (msgspec.ValidationError, TypeError):  # the latter of arrays without a dimension, which look iterable
-        raise SettingsError(f"{name} must be {_wanted(kind, value)}, not {shown(value)}") from None
+    except (msgspec.ValidationError, TypeError):  # the latter of what is not iterable
+        raise SettingsError(f"{name} must be {_wanted(plain, kind, value)}, not {shown(value)}") from None
 
 
 def described(settings: type, prefix: str = "") -> dict[str, Setting]:
     """All settings by name, in order; those of parts are called ``part.name``."""
     known: dict[str, Setting] = {}
     for item in fields(settings):
-        kind, path = annotations(settings)[item.name], f"{prefix}{item.name}"
+        kind, path = annotated(settings)[item.name], f"{prefix}{item.name}"
         if is_dataclass(part := _plain(kind)):
             known |= described(part, f"{path}.")  # pyright: ignore[reportArgumentType]
         else:
             notes = [note.description for note in get_args(kind) if isinstance(note, Meta) and note.description]
             plain = get_type_hints(settings)[item.name]
-            known[path] = Setting(plain, item.default, "".join(notes), getattr(_information(kind), "ge", None))
+            known[path] = Setting(plain, item.default, "".join(notes), _least(kind))
     return known
 
 
@@ -126,7 +127,7 @@ def made(settings: Callable[..., T], values: Mapping[str, Any]) -> T:
         SettingsError: if a value does not fit.
     """
     for name in values:
-        check_name("setting", name, annotations(settings))
+        check_name("setting", name, annotated(settings))
     return settings(**values)
 
 
@@ -145,7 +146,7 @@ def changed(settings: T, changes: Mapping[str, Any]) -> T:
 
 def _changed(settings: T, changes: Mapping[str, Any], prefix: str) -> T:
     values = {}
-    for name, kind in annotations(type(settings)).items():
+    for name, kind in annotated(type(settings)).items():
         path = f"{prefix}{name}"
         if is_dataclass(_plain(kind)):
             values[name] = _changed(getattr(settings, name), changes, f"{path}.")
@@ -155,7 +156,7 @@ def _changed(settings: T, changes: Mapping[str, Any], prefix: str) -> T:
 
 
 @lru_cache
-def annotations(settings: Any) -> dict[str, Any]:
+def annotated(settings: Any) -> dict[str, Any]:
     """The annotations of a class's settings by name, in order; parts are not taken apart."""
     hints = get_type_hints(settings, include_extras=True)
     return {item.name: hints[item.name] for item in fields(settings)}
@@ -182,6 +183,11 @@ def _plain(kind: Any) -> Any:
     return get_args(kind)[0] if get_origin(kind) is Annotated else kind
 
 
+def _least(kind: Any) -> float | None:
+    """The smallest allowed number."""
+    return None if _plain(kind) == Names else getattr(_information(kind), "ge", None)
+
+
 def _information(kind: Any) -> inspect.Type:
     """What msgspec knows about a type; of several, such as ``Count | None``, about the first."""
     known = inspect.type_info(kind)
@@ -189,9 +195,9 @@ def _information(kind: Any) -> inspect.Type:
     return known.types[0] if isinstance(known, inspect.UnionType) else known
 
 
-def _wanted(kind: Any, value: Any) -> str:
+def _wanted(plain: Any, kind: Any, value: Any) -> str:
     """What a setting must be, in words, such as "an integer of at least 1"."""
-    if _plain(kind) == Names:
+    if plain == Names:
         return "names, as a list or separated by commas"
     known = _information(kind)
     words = _WORDS.get(type(known), "valid")

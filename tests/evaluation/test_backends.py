@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 import magical_mj
-from magical_mj.evaluation import Score
+from magical_mj.evaluation import EpisodeResult
 from magical_mj.evaluation.scores import read
 from magical_mj.utils.errors import EvaluationError, MissingExtraError, SettingsError
 from magical_mj.utils.parallel import map_unordered
@@ -23,7 +23,7 @@ from magical_mj.utils.parallel import map_unordered
 SETTINGS: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo,Layout,Colour", "episodes": 40}
 
 
-def rows(scores: list[Score]) -> list[Any]:
+def rows(scores: list[EpisodeResult]) -> list[Any]:
     return sorted((score.key, score.score, score.actions, score.failure) for score in scores)
 
 
@@ -45,7 +45,7 @@ def test_dask_cluster_that_loses_a_worker(tmp_path: Path) -> None:
         ) as cluster,
     ):
 
-        def kill_one(_: Score) -> None:
+        def kill_one(_: EpisodeResult) -> None:
             if not killed:
                 killed.append(next(iter(cluster.workers.values())).process.pid)
                 os.kill(killed[0], signal.SIGKILL)

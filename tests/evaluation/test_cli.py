@@ -65,7 +65,7 @@ def test_resume_says_what_is_done(shell: Shell, tmp_path: Path) -> None:
 def test_failures_are_counted(shell: Shell, tmp_path: Path) -> None:
     """The agent is right in the first scene only."""
     (tmp_path / "mine.py").write_text(
-        "class Agent:\n    blind = True\n    def reset(self, episode):\n        self.seed = episode.seed\n"
+        "class Agent:\n    uses_simulation = True\n    def reset(self, episode):\n        self.seed = episode.seed\n"
         "    def __call__(self, _):\n        return 99 if self.seed else 0\n"
     )
     code, out, _ = shell("evaluate", "--policy", "mine:Agent", "--out", "o", *SMALL)

@@ -11,13 +11,13 @@ import pytest
 
 from magical_mj.evaluation.reports.report import report
 from magical_mj.evaluation.reports.results import choose, compare
-from magical_mj.evaluation.scores import Score
+from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.tasks.registry import Pair
 from magical_mj.utils.errors import EvaluationError, SettingsError
 from tests.helpers.evaluations import TEMPLATE, example, write
 
 
-def side(folder: Path, values: dict[Pair, list[float]], run: int = 0) -> list[Score]:
+def side(folder: Path, values: dict[Pair, list[float]], run: int = 0) -> list[EpisodeResult]:
     return [
         replace(TEMPLATE, policy=folder.name, run=run, task=task, variant=variant, seed=seed, score=value)
         for (task, variant), given in values.items()

@@ -229,7 +229,7 @@ def test_infos_that_a_wrapper_has_made_a_list_are_explained() -> None:
 class Exploding:
     """Makes the simulation unstable in its first episode."""
 
-    blind = True
+    uses_simulation = True
 
     def reset(self, episode: Episode) -> None:
         assert episode.env is not None

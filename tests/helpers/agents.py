@@ -62,7 +62,7 @@ class Stubborn:
 class Trouble:
     """Behaves in the scenes of even seeds, and badly in the others; each badly in its own way."""
 
-    blind = True
+    uses_simulation = True
 
     def reset(self, episode: Episode) -> None:
         self.seed = episode.seed
@@ -83,7 +83,7 @@ class Trouble:
 class Slow:
     """Does nothing, and takes its time."""
 
-    blind = True
+    uses_simulation = True
 
     def __call__(self, observation: Any) -> int:
         time.sleep(0.001)
@@ -125,7 +125,7 @@ class Seeing:
 class Fatal:
     """Ends its process in the scene of seed 1, unless a file says that this was done before."""
 
-    blind = True
+    uses_simulation = True
 
     def reset(self, episode: Episode) -> None:
         mark = Path(os.environ["FATAL_MARK"])

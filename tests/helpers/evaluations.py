@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 
 import magical_mj
-from magical_mj.evaluation.scores import SCORES, Score, read
+from magical_mj.evaluation.scores import SCORES, EpisodeResult, read
 
 SMALL: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo,Layout", "episodes": 3}
-TEMPLATE: Final = Score(
+TEMPLATE: Final = EpisodeResult(
     policy="BC_4 & more",
     run=0,
     task="FindDupe",
@@ -41,7 +41,7 @@ def rows(folder: Path) -> set[tuple[Any, ...]]:
     return {(score.key, score.score, score.actions, score.failure) for score in read(folder)}
 
 
-def example() -> list[Score]:
+def example() -> list[EpisodeResult]:
     """Two runs of a method, which lacks an environment and fails once, and one of noop, all with four episodes."""
     rng = np.random.default_rng(0)
     scores = []
@@ -58,7 +58,7 @@ def example() -> list[Score]:
     return scores
 
 
-def write(folder: Path, scores: list[Score]) -> Path:
+def write(folder: Path, scores: list[EpisodeResult]) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / SCORES).write_text("".join(score.line() for score in scores))
     return folder

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from magical_mj.evaluation.folder import SETTINGS
+from magical_mj.evaluation.scores import SETTINGS
 from magical_mj.leaderboard import verify
 from magical_mj.tasks.registry import ENVIRONMENTS, task_spec
 from tests.helpers.entries import EPISODES, TAMPERED, Row, rewrite, swapped_scene

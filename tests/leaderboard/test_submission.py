@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical_mj.evaluation.folder import SETTINGS
 from magical_mj.evaluation.reports.report import report
+from magical_mj.evaluation.scores import SETTINGS
 from magical_mj.leaderboard import check_entry, submit
 from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError
 from tests.helpers.entries import EPISODES, rewrite

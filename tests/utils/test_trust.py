@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from magical_mj.evaluation.folder import SETTINGS
+from magical_mj.evaluation.scores import SETTINGS
 from magical_mj.utils import imports
 from magical_mj.utils.errors import UntrustedNameError
 from tests.helpers.commands import Shell

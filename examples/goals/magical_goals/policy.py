@@ -31,7 +31,7 @@ class GoalPolicy:
         preset: the name of the state track.
     """
 
-    blind = True
+    uses_simulation = True
     preset = STATE
 
     def __init__(self, goals: Mapping[str, InferredGoal], tasks: Sequence[str] = ()) -> None:

@@ -9,11 +9,10 @@ from types import MappingProxyType
 from typing import Final
 from urllib.parse import quote
 
-from magical_mj.evaluation.folder import folders_of
 from magical_mj.evaluation.reports.figures import bars, heat_map
 from magical_mj.evaluation.reports.results import Results, results
 from magical_mj.evaluation.reports.tables import APPROXIMATE, csv, latex, markdown, result_tables
-from magical_mj.evaluation.scores import Score
+from magical_mj.evaluation.scores import EpisodeResult, folders_of
 from magical_mj.utils import escape, files
 from magical_mj.utils.errors import EvaluationError, counted
 from magical_mj.utils.extras import check_extra
@@ -143,10 +142,10 @@ def _settings(data: Results) -> str:
     )
 
 
-def extremes(scores: Iterable[Score]) -> list[tuple[str, Score]]:
+def extremes(scores: Iterable[EpisodeResult]) -> list[tuple[str, EpisodeResult]]:
     """The episodes for videos: the best and the worst of each policy and task (the first of equals), if they differ."""
-    best: dict[tuple[str, str], Score] = {}
-    worst: dict[tuple[str, str], Score] = {}
+    best: dict[tuple[str, str], EpisodeResult] = {}
+    worst: dict[tuple[str, str], EpisodeResult] = {}
     for score in scores:
         key = score.policy, score.task
         if score.actions:
@@ -154,7 +153,7 @@ def extremes(scores: Iterable[Score]) -> list[tuple[str, Score]]:
                 best[key] = score
             if score.score < worst.setdefault(key, score).score:
                 worst[key] = score
-    chosen: list[tuple[str, Score]] = []
+    chosen: list[tuple[str, EpisodeResult]] = []
     for key, score in best.items():
         chosen.append(("best", score))
         if worst[key].score < score.score:
