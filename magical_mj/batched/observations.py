@@ -87,7 +87,7 @@ class Frames:
             name: torch.zeros((worlds, size, size, count), dtype=torch.uint8, device=device)
             for name, count in channels.items()
         }
-        shapes = {name: tuple(self._shaped(one[:1])[0].shape) for name, one in self._stacks.items()}
+        shapes = {name: tuple(self._shaped(stack[:1])[0].shape) for name, stack in self._stacks.items()}
         self.space = observation_space(preset, shapes)
 
     def start(self, scenes: WorldScenes, worlds: Tensor) -> None:
@@ -103,7 +103,7 @@ class Frames:
                 stack[..., first : end - 3] = stack[..., first + 3 : end].clone()
                 first = end
         self._draw(physics)
-        return self._seen(physics)
+        return self._observation(physics)
 
     def begin(self, physics: Physics, worlds: Tensor) -> Observation:
         """Fills the stacks of these worlds with their present pictures; fresh tensors, of all worlds."""
@@ -114,7 +114,7 @@ class Frames:
                 newest = stack[worlds, :, :, first + 3 * (count - 1) : first + 3 * count]
                 stack[worlds, :, :, first : first + 3 * count] = newest.repeat(1, 1, 1, count)
                 first += 3 * count
-        return self._seen(physics)
+        return self._observation(physics)
 
     def get_state(self) -> dict[str, Tensor]:
         """The stacks; copies."""
@@ -123,7 +123,7 @@ class Frames:
     def set_state(self, state: Mapping[str, Tensor], physics: Physics) -> Observation:
         """Goes back to a state; returns what is seen then."""
         self._stacks = {name: state[name].to(stack, copy=True) for name, stack in self._stacks.items()}
-        return self._seen(physics)
+        return self._observation(physics)
 
     def _draw(self, physics: Physics) -> None:
         """The present pictures, each where the newest of its view belongs."""
@@ -134,12 +134,12 @@ class Frames:
                 end += 3 * count
                 self._painter.draw(view, self._stacks[name][..., end - 3 : end])
 
-    def _seen(self, physics: Physics) -> Observation:
+    def _observation(self, physics: Physics) -> Observation:
         """Copies: whoever changes an observation in place does not change the next ones."""
-        seen = {name: self._shaped(stack.clone()) for name, stack in self._stacks.items()}
+        observation = {name: self._shaped(stack.clone()) for name, stack in self._stacks.items()}
         if self._preset.fingers:
-            seen["fingers"] = physics.fingers
-        return seen if self._preset.layout == "dict" else seen["all"]
+            observation["fingers"] = physics.fingers
+        return observation if self._preset.layout == "dict" else observation["all"]
 
     def _shaped(self, stack: Tensor) -> Tensor:
         return stack.permute(0, 3, 1, 2) if self._preset.layout == "chw" else stack

@@ -113,14 +113,14 @@ class Physics:
 
     def get_state(self) -> dict[str, Tensor]:
         """All that the steps to come depend on, scenes aside; copies."""
-        return {name: values.clone() for name, values in self._kept().items()}
+        return {name: values.clone() for name, values in self._columns().items()}
 
     def set_state(self, state: Mapping[str, Tensor]) -> None:
         """Goes back to a state of worlds that hold the same scenes."""
-        for name, values in self._kept().items():
+        for name, values in self._columns().items():
             values[:] = state[name].to(values)
 
-    def _kept(self) -> dict[str, Tensor]:
+    def _columns(self) -> dict[str, Tensor]:
         return {**self._state, "overflow": self._overflow}
 
     def _precise(self, friction: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -147,13 +147,13 @@ class Physics:
     def _launch_graph(self) -> None:
         """All launches of a control step as one: there are about a hundred in a substep."""
         if self._graph is None:
-            kept = {name: values.clone() for name, values in self._state.items()}
+            before = {name: values.clone() for name, values in self._state.items()}
             with wp.ScopedDevice(self._device):
                 self._substeps()  # compiles what a capture may not
                 with wp.ScopedCapture() as capture:
                     self._substeps()
             self._graph = capture.graph
-            for name, values in kept.items():
+            for name, values in before.items():
                 self._state[name][:] = values
         wp.capture_launch(self._graph)
 

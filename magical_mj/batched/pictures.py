@@ -32,16 +32,16 @@ def _outlines(device: str) -> Any:
         parts.append((first, len(ends)))
         reach.append(max(float((loop**2).sum(axis=1).max()) for loop in points[first:]) + 1e-6)
     palettes = (style.BLOCK_OUTLINE, style.BLOCK_FILL, style.REGION_FILL, style.REGION_BORDER)
-    made: Any = Outlines()
-    made.points = wp.array(np.concatenate(points).astype(np.float32), dtype=wp.vec2, device=device)
-    made.loops = wp.array(np.array(ends, np.int32), dtype=wp.vec2i, device=device)
-    made.parts = wp.array(np.array(parts, np.int32), dtype=wp.vec2i, device=device)
-    made.reach = wp.array(np.array(reach, np.float32), dtype=float, device=device)
-    made.frames = wp.array([frame for _, frame, _ in ROBOT_LAYERS], dtype=int, device=device)
-    made.colours = wp.array([packed(rgb) for _, _, rgb in ROBOT_LAYERS], dtype=int, device=device)
+    outlines: Any = Outlines()
+    outlines.points = wp.array(np.concatenate(points).astype(np.float32), dtype=wp.vec2, device=device)
+    outlines.loops = wp.array(np.array(ends, np.int32), dtype=wp.vec2i, device=device)
+    outlines.parts = wp.array(np.array(parts, np.int32), dtype=wp.vec2i, device=device)
+    outlines.reach = wp.array(np.array(reach, np.float32), dtype=float, device=device)
+    outlines.frames = wp.array([frame for _, frame, _ in ROBOT_LAYERS], dtype=int, device=device)
+    outlines.colours = wp.array([packed(rgb) for _, _, rgb in ROBOT_LAYERS], dtype=int, device=device)
     table = np.array([[packed(palette[colour]) for colour in COLOURS] for palette in palettes], np.int32)
-    made.palette = wp.array(table, dtype=int, device=device)
-    return made
+    outlines.palette = wp.array(table, dtype=int, device=device)
+    return outlines
 
 
 class Painter:

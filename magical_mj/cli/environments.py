@@ -27,7 +27,7 @@ from magical_mj.cli.console import (
     file_name,
 )
 from magical_mj.cli.film import INK, PAPER, side_by_side, views_of
-from magical_mj.tasks.plugins import announced
+from magical_mj.tasks.plugins import task_plugins
 from magical_mj.tasks.registry import environment_axes, environments, task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import MagicalError
@@ -51,7 +51,7 @@ def list_environments(ids: Ids = False) -> None:
     """List the environments, with their horizons and the axes that vary; those of other packages come last."""
     out = console()
     pairs = environments(TASKS)
-    for name in announced():
+    for name in task_plugins():
         try:
             pairs += environments([name])
         except MagicalError as error:  # the others are there nevertheless

@@ -17,7 +17,7 @@ from magical_mj.envs.composer.internals import UnindexedPhysics
 from magical_mj.rendering.canvas import Picture
 from magical_mj.rendering.renderer import Renderer, SolidRenderer, check_out
 from magical_mj.scene.actions import action_number
-from magical_mj.scene.fields import MAX_NUMBER
+from magical_mj.scene.scene import MAX_NUMBER
 from magical_mj.scene.state_vector import SOLID_VIEW
 from magical_mj.utils.errors import StateError
 

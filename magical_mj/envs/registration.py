@@ -13,7 +13,7 @@ import gymnasium
 from gymnasium.envs.registration import WrapperSpec
 
 from magical_mj.envs.presets import PRESETS, preset_named
-from magical_mj.tasks.plugins import announced
+from magical_mj.tasks.plugins import task_plugins
 from magical_mj.tasks.registry import ENVIRONMENTS, VARIANTS, environment_axes, task_name, task_spec, variant_name
 from magical_mj.utils.errors import TaskError
 
@@ -40,7 +40,7 @@ def register_all() -> None:
     """Registers every environment that is not registered yet. Importing `magical_mj` does this."""
     for (task, variant), preset in itertools.product(ENVIRONMENTS, PRESETS):
         _register(task, task, variant, preset, task_spec(task).horizon())
-    for task, variant, preset in itertools.product(announced(), VARIANTS, PRESETS):
+    for task, variant, preset in itertools.product(task_plugins(), VARIANTS, PRESETS):
         _register(task, task, variant, preset, None)
 
 

@@ -68,10 +68,10 @@ class SceneArrays:
                 raise InvalidSceneError(
                     f"a scene with {number} blocks and {areas} regions does not fit in {blocks} and {regions} slots"
                 )
-            one = cls.of_one(scene)
-            arrays.poses[row, : 1 + number] = one.poses
-            arrays.shapes[row, :number], arrays.colours[row, :number] = one.shapes, one.colours
-            arrays.regions[row, :areas], arrays.region_colours[row, :areas] = one.regions, one.region_colours
+            single = cls.of_one(scene)
+            arrays.poses[row, : 1 + number] = single.poses
+            arrays.shapes[row, :number], arrays.colours[row, :number] = single.shapes, single.colours
+            arrays.regions[row, :areas], arrays.region_colours[row, :areas] = single.regions, single.region_colours
         return arrays
 
     @classmethod

@@ -176,9 +176,9 @@ def inside_walls(solid: Solid, tolerance: float = 0.0) -> bool:
 
 def solids(scene: Scene) -> dict[str, Solid]:
     """Everything solid in the scene by name: "robot", then "block 0", "block 1", ..."""
-    found = {"robot": robot_solid(scene.robot.pose, scene.robot.fingers)}
-    found |= {f"block {index}": block_solid(block.shape, block.pose) for index, block in enumerate(scene.blocks)}
-    return found
+    bodies = {"robot": robot_solid(scene.robot.pose, scene.robot.fingers)}
+    bodies |= {f"block {index}": block_solid(block.shape, block.pose) for index, block in enumerate(scene.blocks)}
+    return bodies
 
 
 def check_scene(scene: Scene) -> None:

@@ -9,17 +9,20 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
 from magical_mj.scene import constants as c
 from magical_mj.scene.constants import COLOURS, SHAPES, Colour, Shape
-from magical_mj.scene.fields import as_number, as_tuple, check_type, set_choice, set_numbers
 from magical_mj.utils.errors import InvalidSceneError, shown
 
 SCENE_FORMAT: Final = 1
 """Version of the JSON form, stored in it as ``"format"``."""
+
+MAX_NUMBER: Final = 1e10
+"""The largest absolute value of a number in a scene; MuJoCo treats larger ones as a failed simulation."""
 
 Pose = tuple[float, float, float]
 """x, y in world units and the angle in radians."""
@@ -40,9 +43,9 @@ class Robot:
     fingers: tuple[float, float] = (c.FINGER_OPEN, -c.FINGER_OPEN)
 
     def __post_init__(self) -> None:
-        set_numbers(self, ("x", "y", "angle"))
-        fingers = as_tuple(self.fingers, "Robot.fingers must be two angles (left, right)", 2)
-        left, right = (as_number(self, "fingers", angle) for angle in fingers)
+        _set_numbers(self, "x", "y", "angle")
+        fingers = _as_tuple(self.fingers, "Robot.fingers must be two angles (left, right)", 2)
+        left, right = (_as_number("Robot.fingers", angle) for angle in fingers)
         object.__setattr__(self, "fingers", (left, right))
 
     @property
@@ -62,9 +65,9 @@ class Block:
     angle: float
 
     def __post_init__(self) -> None:
-        set_choice(self, "shape", SHAPES)
-        set_choice(self, "colour", COLOURS)
-        set_numbers(self, ("x", "y", "angle"))
+        _set_choice(self, "shape", SHAPES)
+        _set_choice(self, "colour", COLOURS)
+        _set_numbers(self, "x", "y", "angle")
 
     @property
     def pose(self) -> Pose:
@@ -83,8 +86,8 @@ class GoalRegion:
     y_max: float
 
     def __post_init__(self) -> None:
-        set_choice(self, "colour", COLOURS)
-        set_numbers(self, ("x_min", "y_min", "x_max", "y_max"))
+        _set_choice(self, "colour", COLOURS)
+        _set_numbers(self, "x_min", "y_min", "x_max", "y_max")
         if not (self.x_min < self.x_max and self.y_min < self.y_max):
             raise InvalidSceneError(f"{self} is empty: x_min < x_max and y_min < y_max are needed")
 
@@ -124,7 +127,7 @@ class Dynamics:
 
     def __post_init__(self) -> None:
         for entry in dataclasses.fields(self):
-            set_numbers(self, (entry.name,))
+            _set_numbers(self, entry.name)
             if getattr(self, entry.name) <= 0:
                 raise InvalidSceneError(f"Dynamics.{entry.name} must be positive, not {getattr(self, entry.name)}")
 
@@ -140,12 +143,17 @@ class Scene:
 
     def __post_init__(self) -> None:
         for name, kind in (("blocks", Block), ("regions", GoalRegion)):
-            value = as_tuple(getattr(self, name), f"Scene.{name} must be a sequence of {kind.__name__}")
-            object.__setattr__(self, name, value)
-        for part, kind in ((self.robot, Robot), (self.dynamics, Dynamics)):
-            check_type(part, kind)
-        for part, kind in [*((b, Block) for b in self.blocks), *((r, GoalRegion) for r in self.regions)]:
-            check_type(part, kind)
+            parts = _as_tuple(getattr(self, name), f"Scene.{name} must be a sequence of {kind.__name__}")
+            object.__setattr__(self, name, parts)
+        for parts, kind in (
+            ((self.robot,), Robot),
+            (self.blocks, Block),
+            (self.regions, GoalRegion),
+            ((self.dynamics,), Dynamics),
+        ):
+            for part in parts:
+                if not isinstance(part, kind):
+                    raise InvalidSceneError(f"a scene needs a {kind.__name__} here, not {shown(part)}")
 
     def moved(self, robot: Sequence[float] | None = None, blocks: Sequence[Sequence[float]] | None = None) -> Scene:
         """The same scene with other poses (x, y, angle). None leaves poses as they are; the fingers never change.
@@ -156,7 +164,7 @@ class Scene:
         moved = self.robot if robot is None else _at(self.robot, robot)
         if blocks is None:
             return dataclasses.replace(self, robot=moved)
-        poses = as_tuple(blocks, f"{len(self.blocks)} blocks need {len(self.blocks)} poses", len(self.blocks))
+        poses = _as_tuple(blocks, f"{len(self.blocks)} blocks need {len(self.blocks)} poses", len(self.blocks))
         return dataclasses.replace(self, robot=moved, blocks=tuple(map(_at, self.blocks, poses)))
 
     def to_json(self) -> str:
@@ -225,17 +233,17 @@ _Thing = TypeVar("_Thing", Robot, Block)
 
 def _at(thing: _Thing, pose: Sequence[float]) -> _Thing:
     """The same robot or block at another pose."""
-    x, y, angle = as_tuple(pose, "a pose is (x, y, angle)", 3)
+    x, y, angle = _as_tuple(pose, "a pose is (x, y, angle)", 3)
     return dataclasses.replace(thing, x=x, y=y, angle=angle)
 
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """A JSON object's fields; a ValueError if a name occurs twice."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    fields = dict(pairs)
+    if len(fields) < len(pairs):
         names = [name for name, _ in pairs]
         raise ValueError(f"{next(name for name in names if names.count(name) > 1)!r} occurs twice in one object")
-    return found
+    return fields
 
 
 def _check_fields(kind: type, data: dict[str, Any]) -> None:
@@ -257,3 +265,56 @@ def _part(kind: type[_Part], data: Any) -> _Part:
         raise InvalidSceneError(f"{kind.__name__} must be a JSON object, not {shown(data)}")
     _check_fields(kind, data)
     return kind(**data)
+
+
+def _set_numbers(owner: object, *names: str) -> None:
+    """Turn these fields of a frozen dataclass into floats, or raise `InvalidSceneError`."""
+    for name in names:
+        value = getattr(owner, name)
+        if type(value) is not float or value == 0.0 or not abs(value) <= MAX_NUMBER:  # most need no change
+            object.__setattr__(owner, name, _as_number(f"{type(owner).__name__}.{name}", value))
+
+
+def _as_number(name: str, value: Any) -> float:
+    """`value` as a float. Numbers of numpy and other libraries are accepted, booleans and strings are not.
+
+    Raises:
+        InvalidSceneError: if it is not a finite number, or greater than `MAX_NUMBER`.
+    """
+    kind = getattr(getattr(value, "dtype", None), "kind", "f")  # the kind of numpy's scalars and arrays
+    try:
+        if isinstance(value, bool) or kind not in "fiu" or getattr(value, "ndim", 0) or not hasattr(value, "__float__"):
+            raise TypeError
+        number = float(value)
+    except (TypeError, ValueError):
+        raise InvalidSceneError(f"{name} must be a number, not {shown(value)}") from None
+    except OverflowError:
+        number = math.inf
+    if not abs(number) <= MAX_NUMBER:
+        raise InvalidSceneError(f"{name} must be finite and at most {MAX_NUMBER:g}, not {shown(value)}")
+    return number + 0.0  # -0.0 becomes 0.0: equal scenes have equal digests
+
+
+def _set_choice(owner: object, name: str, allowed: Sequence[str]) -> None:
+    """Turn this field of a frozen dataclass into one of the allowed strings, or raise `InvalidSceneError`."""
+    value = getattr(owner, name)
+    if not isinstance(value, str) or value not in allowed:
+        raise InvalidSceneError(
+            f"{type(owner).__name__}.{name} is {shown(value)}; it must be one of {', '.join(allowed)}"
+        )
+    if type(value) is not str:  # a numpy string or an enum member
+        object.__setattr__(owner, name, allowed[allowed.index(value)])
+
+
+def _as_tuple(value: Any, need: str, count: int | None = None) -> tuple[Any, ...]:
+    """`value` as a tuple of `count` items (None: any number), or an `InvalidSceneError` that begins with the `need`.
+
+    It may be any sequence except a string; mappings and sets, which have no order, may not.
+    """
+    try:
+        items = None if isinstance(value, str | bytes | Mapping | set | frozenset) else tuple(value)
+    except TypeError:  # also raised by 0-d arrays, which look like sequences
+        items = None
+    if items is None or count not in (None, len(items)):
+        raise InvalidSceneError(f"{need}, not {shown(value)}")
+    return items

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import Final, Literal, TypeVar
 
@@ -29,7 +30,7 @@ from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.tasks.planning import Noise, Subgoal, each_to
 from magical_mj.tasks.planning.arrangements import cluster_targets
 from magical_mj.tasks.rules import coloured, pick_each, require, require_regions, shaped, shuffled, uniform_integer
-from magical_mj.tasks.spec import Rules
+from magical_mj.tasks.spec import Rules, ScoreFunction, TaskSpec
 
 Attribute = Literal["colour", "shape"]
 _T = TypeVar("_T")
@@ -97,8 +98,25 @@ def score(final: SceneArrays, attribute: Attribute, rules: Rules = "paper") -> A
     return ((share - nothing) / (1 - nothing)).clip(0.0)
 
 
-def plan(now: Scene, attribute: Attribute, noise: Noise) -> list[Subgoal]:
+def plan(initial: Scene, now: Scene, noise: Noise, attribute: Attribute) -> list[Subgoal]:
     """Blocks move to others with the same value of the attribute; the plan moves few blocks over short distances."""
     kinds = [getattr(block, attribute) for block in now.blocks]
     points = [(block.x, block.y) for block in now.blocks]
     return each_to(cluster_targets(points, kinds, NEARER, noise), tolerance=0.09)
+
+
+def spec(name: str, attribute: Attribute, demo: Scene, score: ScoreFunction) -> TaskSpec:
+    """The task of clustering by an attribute."""
+    return TaskSpec(
+        name=name,
+        summary=f"push the blocks into clusters by {attribute}",
+        demo=demo,
+        steps=STEPS,
+        released_steps=RELEASED_STEPS,
+        score=score,
+        check=partial(check, attribute=attribute, task=name),
+        plan=partial(plan, attribute=attribute),
+        colour=colour,
+        shape=shape,
+        count=count,
+    )

@@ -23,8 +23,7 @@ from typing import Final
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene.arrays import Array, SceneArrays
 from magical_mj.tasks import cluster
-from magical_mj.tasks.planning import Noise, Subgoal
-from magical_mj.tasks.spec import Rules, TaskSpec, array_score
+from magical_mj.tasks.spec import Rules, array_score
 
 DEMO: Final = Scene(
     robot=Robot(0.286, -0.202, -1.878),
@@ -41,32 +40,10 @@ DEMO: Final = Scene(
 )
 
 
-def check(scene: Scene) -> None:
-    """Raise `InvalidSceneError` unless there are blocks of two or more shapes and no goal region."""
-    cluster.check(scene, "shape", "ClusterShape")
-
-
 @array_score
 def score(initial: SceneArrays, final: SceneArrays, rules: Rules = "paper") -> Array:
     """How well the blocks are clustered by shape, in [0, 1]."""
     return cluster.score(final, "shape", rules)
 
 
-def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
-    """Every block goes to the others of its shape."""
-    return cluster.plan(now, "shape", noise)
-
-
-SPEC: Final = TaskSpec(
-    name="ClusterShape",
-    summary="push the blocks into clusters by shape",
-    demo=DEMO,
-    steps=cluster.STEPS,
-    released_steps=cluster.RELEASED_STEPS,
-    score=score,
-    check=check,
-    plan=plan,
-    colour=cluster.colour,
-    shape=cluster.shape,
-    count=cluster.count,
-)
+SPEC: Final = cluster.spec("ClusterShape", "shape", DEMO, score)

@@ -78,10 +78,10 @@ def _alike(scene: Scene, query: int) -> set[int]:
 def check(scene: Scene) -> None:
     """Raise `InvalidSceneError` unless there is one region with one block in it and a duplicate of that outside."""
     require_regions(scene, "FindDupe", 1)
-    found = inside(scene.regions[0], scene.blocks)
-    require(len(found) == 1, "FindDupe", f"exactly one block (the query) in the goal region, and this has {len(found)}")
-    query = scene.blocks[found[0]]
-    has_duplicate = len(_alike(scene, found[0])) > 1
+    inner = inside(scene.regions[0], scene.blocks)
+    require(len(inner) == 1, "FindDupe", f"exactly one block (the query) in the goal region, and this has {len(inner)}")
+    query = scene.blocks[inner[0]]
+    has_duplicate = len(_alike(scene, inner[0])) > 1
     require(has_duplicate, "FindDupe", f"another {query.colour} {query.shape}, like the query, outside the goal region")
 
 

@@ -54,8 +54,8 @@ def count(rng: np.random.Generator, scene: Scene) -> Scene:
 
 def check(scene: Scene) -> None:
     """Raise `InvalidSceneError` unless there are at least three blocks and no goal region."""
-    found = len(scene.blocks)
-    require(found >= MIN_BLOCKS, "MakeLine", f"at least {MIN_BLOCKS} blocks, and this has {found}")
+    number = len(scene.blocks)
+    require(number >= MIN_BLOCKS, "MakeLine", f"at least {MIN_BLOCKS} blocks, and this has {number}")
     require_regions(scene, "MakeLine", 0)
 
 

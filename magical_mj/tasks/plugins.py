@@ -35,24 +35,24 @@ _CHECKED: Final[dict[str, TaskSpec]] = {}
 
 
 @cache
-def announced() -> Mapping[str, EntryPoint]:
+def task_plugins() -> Mapping[str, EntryPoint]:
     """The entry points of announced tasks by the tasks' names; their modules are imported on first use.
 
     An invalid one is ignored with a warning, since it must not keep anybody from importing this package.
     """
-    found: dict[str, EntryPoint] = {}
+    plugins: dict[str, EntryPoint] = {}
     for point in sorted(entry_points(group=GROUP)):
-        if point.name in SPECS or found.get(point.name, point) != point:
+        if point.name in SPECS or plugins.get(point.name, point) != point:
             problem = "another task has that name"
         elif not is_task_name(point.name):
             problem = "the name of a task must be made of letters and digits"
         elif not is_reference(_reference(point)):
             problem = 'announce an object in a module, as in PushOut = "push_out:SPEC"'
         else:
-            found[point.name] = point
+            plugins[point.name] = point
             continue
         warnings.warn(f"the task {point.name!r} ({point.value}) is ignored: {problem}", stacklevel=2)
-    return MappingProxyType(found)
+    return MappingProxyType(plugins)
 
 
 def _reference(point: EntryPoint) -> str:
@@ -62,7 +62,7 @@ def _reference(point: EntryPoint) -> str:
 
 def announced_name(task: str) -> str:
     """The name under which a package announces the task with this reference; any other `task` is returned as it is."""
-    return next((name for name, point in announced().items() if _reference(point) == task), task)
+    return next((name for name, point in task_plugins().items() if _reference(point) == task), task)
 
 
 def load_spec(task: str) -> TaskSpec:
@@ -73,7 +73,7 @@ def load_spec(task: str) -> TaskSpec:
         UntrustedNameError: if a file names it, and the command does not.
         TaskError: if its module fails when it is imported, or the object is not a valid task.
     """
-    point = announced().get(task)
+    point = task_plugins().get(task)
     try:
         spec = resolve(task) if point is None else resolve_installed(_reference(point))
     except UntrustedNameError:
@@ -95,7 +95,7 @@ def load_spec(task: str) -> TaskSpec:
 
 def code_digest(task: str) -> str:
     """A hash of the modules that define this task: the one that is named, and those of the task's functions."""
-    point, spec = announced().get(task), load_spec(task)
+    point, spec = task_plugins().get(task), load_spec(task)
     functions = (getattr(spec, field.name) for field in fields(spec))
     names = {getattr(function, "__module__", None) for function in functions if callable(function)}
     sources = {source_of(str(name)) for name in (task if point is None else _reference(point), *names)}

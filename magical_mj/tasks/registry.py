@@ -9,7 +9,7 @@ import numpy as np
 
 from magical_mj.scene import Scene, check_scene_type
 from magical_mj.tasks import RULES, SPECS, Rules, TaskSpec
-from magical_mj.tasks.plugins import announced, check_drawn, load_spec
+from magical_mj.tasks.plugins import check_drawn, load_spec, task_plugins
 from magical_mj.utils.errors import InvalidSceneError, SettingsError, check_name, shown, unknown_name
 from magical_mj.utils.imports import errors_of_task, is_reference
 from magical_mj.variants import VARIANTS as _VARIANTS
@@ -49,9 +49,9 @@ def task_spec(task: str) -> TaskSpec:
     """
     if isinstance(task, str) and task in SPECS:
         return SPECS[task]
-    if isinstance(task, str) and (task in announced() or is_reference(task)):
+    if isinstance(task, str) and (task in task_plugins() or is_reference(task)):
         return load_spec(task)
-    raise unknown_name("task", task, (*TASKS, *announced(), "package.module:SPEC"))
+    raise unknown_name("task", task, (*TASKS, *task_plugins(), "package.module:SPEC"))
 
 
 def task_name(task: str) -> str:
@@ -62,7 +62,7 @@ def task_name(task: str) -> str:
         TaskError: if it is the task of another package, and cannot be played.
     """
     spec = task_spec(task)
-    known = spec.name in SPECS or spec.name in announced()
+    known = spec.name in SPECS or spec.name in task_plugins()
     return spec.name if known and task_spec(spec.name) is spec else task
 
 
@@ -122,13 +122,13 @@ def listed(names: Names, every: Iterable[str]) -> list[str]:
     if isinstance(names, str):
         names = names.split(",")
     try:
-        found = [name.strip() if isinstance(name, str) else name for name in names]
+        entries = [name.strip() if isinstance(name, str) else name for name in names]
     except TypeError:  # also of arrays without a dimension, which look like sequences
-        found = []
-    found = [name for name in found if not isinstance(name, str) or name]  # "" is from a comma at the end
-    if not found:
+        entries = []
+    entries = [name for name in entries if not isinstance(name, str) or name]  # "" is from a comma at the end
+    if not entries:
         raise SettingsError(f"give at least one of {', '.join(every)}, or all; not {shown(names)}")
-    return list(every) if isinstance(found[0], str) and found == ["all"] else found
+    return list(every) if isinstance(entries[0], str) and entries == ["all"] else entries
 
 
 def check_rules(rules: str) -> Rules:

@@ -142,7 +142,7 @@ class TaskSpec(VariationRules):
 
 def _is_point(target: Any) -> bool:
     try:
-        found = np.asarray(target, float)
+        point = np.asarray(target, float)
     except (TypeError, ValueError):
         return False
-    return found.shape == (2,) and bool(np.isfinite(found).all())
+    return point.shape == (2,) and bool(np.isfinite(point).all())

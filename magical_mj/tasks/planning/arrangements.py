@@ -185,7 +185,7 @@ def _costs(layouts: Floats, here: Floats, members: Floats, nearer: float) -> Flo
     return cost + CROWDED_COST * (crowded * first).sum(axis=(1, 2))
 
 
-def _squared(one: Floats, other: Floats) -> Floats:
+def _squared(points: Floats, others: Floats) -> Floats:
     """Squared distances between points: the last axis holds x and y."""
-    dx, dy = one[..., 0] - other[..., 0], one[..., 1] - other[..., 1]
+    dx, dy = points[..., 0] - others[..., 0], points[..., 1] - others[..., 1]
     return dx * dx + dy * dy
