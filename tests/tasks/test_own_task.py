@@ -5,16 +5,20 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 from textwrap import dedent
+from typing import Any
 
 import pytest
 
-from magical_mj.tasks.registry import VARIANTS
+from magical_mj.tasks.registry import VARIANTS, sample_scene
 
-PAGE = (Path(__file__).parents[2] / "docs" / "adding-a-task.md").read_text()
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "adding-a-task.md").read_text()
+EXAMPLE = ROOT / "examples" / "push_out"
 TINY = "network.first_stride=4 network.first_channels=4 network.channels=4 network.hidden=8 "
 TINY += "bc.batches=4 bc.batch_size=4 evaluations=0 checkpoints=1 demonstrations=1"
 
@@ -53,14 +57,25 @@ class User:
 
 @pytest.fixture(scope="module")
 def user(tmp_path_factory: pytest.TempPathFactory) -> User:
-    project, site = tmp_path_factory.mktemp("project"), tmp_path_factory.mktemp("site")
-    (project / "push_out.py").write_text(block("python", '"""PushOut'))
-    (project / "pyproject.toml").write_text(block("toml", "[build-system]"))
+    project, site = tmp_path_factory.mktemp("projects") / "push_out", tmp_path_factory.mktemp("site")
+    shutil.copytree(EXAMPLE, project)
     (project / "push_out_demonstrations").mkdir()
     (project / "push_out_demonstrations" / "about.txt").touch()
     options = ["--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--target", str(site)]
     subprocess.run([sys.executable, "-m", "pip", "install", *options, str(project)], check=True, capture_output=True)
     return User(tmp_path_factory.mktemp("user") / "home", site)
+
+
+def test_the_example_is_what_the_page_says() -> None:
+    assert (EXAMPLE / "push_out.py").read_text() == block("python", '"""PushOut')
+    assert (EXAMPLE / "pyproject.toml").read_text() == block("toml", "[build-system]")
+
+
+def test_the_score_on_arrays_is_the_same() -> None:
+    names: dict[str, Any] = {}
+    exec(compile(block("python", "from magical_mj.scene.arrays"), "adding-a-task.md", "exec"), names)
+    scene = sample_scene("FindDupe", "Demo", 0)
+    assert names["score"](scene, scene) == pytest.approx(6 / 7)
 
 
 def test_it_has_rows_and_ids_like_ours(user: User) -> None:
