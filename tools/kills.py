@@ -38,10 +38,10 @@ MAIN: Final = (sys.executable, "-m", "magical_mj")
 PLAYER: Final = """
 import random, sys
 from magical_mj.cli import main
-from magical_mj.cli.window import Window
+from magical_mj.cli.play import Window
 Window.action = lambda self: random.randrange(1, 18)
-wishes = Window.wishes  # to which SDL brings SIGTERM
-Window.wishes = lambda self: wishes(self) + ["next"] * (random.random() < 0.02)
+wish = Window.wish  # to which SDL brings SIGTERM
+Window.wish = lambda self: wish(self) or ("next" if random.random() < 0.02 else None)
 Window.show = lambda self, *_: None
 sys.exit(main(sys.argv[1:]))
 """  # somebody who plays without end, at any speed

@@ -22,15 +22,11 @@ import magical_mj
 from magical_mj.cli.console import console
 from magical_mj.rendering.backend import PACKAGES, REMEDY, wanted_backend
 
-CORE: Final = ("magical-mj", "mujoco", "dm_control", "dm-env", "gymnasium", "numpy", "shapely", "pillow")
+CORE: Final = ("magical-mj", "mujoco", "gymnasium", "numpy", "shapely", "pillow")
 OWN: Final = ("all", "dev", "site")
 """Extras that consist of others, or are for work on the package itself."""
 REQUIREMENT: Final = re.compile(r"([\w.-]+).*;.*\bextra == ['\"]([\w-]+)['\"]")
 """A requirement of an extra in the package's metadata."""
-NO_DM_CONTROL: Final = (
-    "dm_control is missing: pip install dm_control; with Python 3.13, for which a package that it lists but does not "
-    "need here has no wheels: pip install --no-deps dm_control"
-)
 BACKENDS: Final = ("egl", "osmesa", "glfw")  # only the last needs a display
 TIMEOUT: Final = 60  # seconds for one backend
 SIZE: Final = 96  # pixels, as in the LoRes presets
@@ -41,14 +37,14 @@ def doctor() -> None:
     """Show installed versions, try all OpenGL backends, and say what to do if none works."""
     out = console()
     _print_versions(out)
-    found = {backend: _probe(backend) for backend in BACKENDS}
-    _print_backends(out, found)
-    working = [backend for backend, facts in found.items() if "renderer" in facts]
+    results = {backend: _probe(backend) for backend in BACKENDS}
+    _print_backends(out, results)
+    working = [backend for backend, facts in results.items() if "renderer" in facts]
     if not working:
         out.print(f"\nNothing can be drawn here; physics and states work without. {REMEDY}", style="bold red")
         raise typer.Exit(1)
     wanted = wanted_backend()
-    if wanted and "renderer" not in (found.get(wanted) or _probe(wanted)):
+    if wanted and "renderer" not in (results.get(wanted) or _probe(wanted)):
         out.print(
             f"\nMUJOCO_GL={wanted} is set, and nothing can be drawn with it; unset it, or set MUJOCO_GL={working[0]}",
             style="bold red",
@@ -61,13 +57,11 @@ def _print_versions(out: Console) -> None:
     table.add_row("python", f"{platform.python_version()}, {platform.platform()}")
     for name in CORE:
         table.add_row(name, _version(name) or Text("missing", style="red"))
+    table.add_row("dm_control", _version("dm_control") or "not installed: only magical_mj.load needs it")
     for name, extra in optional().items():
         table.add_row(name, _version(name) or f'not installed: pip install "magical-mj[{extra}]"')
     table.add_row("MUJOCO_GL", os.environ.get("MUJOCO_GL") or "not set")
     out.print(table)
-    if _version("dm_control") is None:
-        out.print(f"\n{NO_DM_CONTROL}", style="bold red")
-        raise typer.Exit(1)
 
 
 def optional() -> dict[str, str]:
@@ -76,11 +70,11 @@ def optional() -> dict[str, str]:
     for requirement in (requires("magical-mj") or []) if _version("magical-mj") else []:
         if match := REQUIREMENT.match(requirement):
             extras.setdefault(match[2], []).append(match[1])
-    found: dict[str, str] = {}
+    packages: dict[str, str] = {}
     for extra in sorted(extras.keys() - OWN, key=lambda extra: (len(extras[extra]), extra)):
         for name in extras[extra]:
-            found.setdefault(name, extra)
-    return found
+            packages.setdefault(name, extra)
+    return packages
 
 
 def _version(name: str) -> str | None:
@@ -107,16 +101,19 @@ def _probe(backend: str) -> dict[str, str | float]:
     return {"error": f"{problem.rstrip('.')}{needed}"}
 
 
-def _print_backends(out: Console, found: dict[str, dict[str, str | float]]) -> None:
+def _print_backends(out: Console, results: dict[str, dict[str, str | float]]) -> None:
     table = Table("OpenGL", "", "renderer", "first frame", "96 px frame", box=None, header_style="bold")
-    for backend, facts in found.items():
+    for backend, facts in results.items():
         if "error" in facts:
-            table.add_row(backend, Text("fails", style="red"), str(facts["error"]))
+            table.add_row(backend, Text("fails", style="red"))
         else:
             times = [f"{facts[name]:.1f} ms" for name in ("first", "typical")]
             table.add_row(backend, Text("works", style="green"), str(facts["renderer"]), *times)
     out.print()
     out.print(table)
+    for backend, facts in results.items():
+        if "error" in facts:  # which may be long
+            out.print(f"{backend}: {facts['error']}", soft_wrap=True)
 
 
 def probe() -> None:

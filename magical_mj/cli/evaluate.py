@@ -131,18 +131,24 @@ def rollout(
         check_fit(source.load(), [pair], preset)
     if video is not None:
         check_writable(video, force)
-    screen, failed = console(), False
-    with nullcontext() if video is None else film(video, size, views=views, overwrite=force) as made:
-        for source in listed:
-            units = [Unit(source, *pair, (seed + k,), settings) for k in range(episodes)]
-            scores = []
-            for unit in with_bar(screen, f"playing {source.name}", units, episodes):
-                scores += player().play(unit)
-                screen.print(_line(scores[-1]), soft_wrap=True)
-                if made is not None:
-                    replay(made, scores[-1])
-            screen.print(f"{source.name}: mean of {episodes} {fmean(score.score for score in scores):.3f}")
-            failed |= all(score.failure is not None for score in scores)
+    screen, failed, played = console(), False, 0
+    try:
+        with nullcontext() if video is None else film(video, size, views=views, overwrite=force) as movie:
+            for source in listed:
+                units = [Unit(source, *pair, (seed + k,), settings) for k in range(episodes)]
+                scores = []
+                for unit in with_bar(screen, f"playing {source.name}", units, episodes):
+                    scores += player().play(unit)
+                    screen.print(_line(scores[-1]), soft_wrap=True)
+                    if movie is not None:
+                        replay(movie, scores[-1])
+                    played += 1
+                screen.print(f"{source.name}: mean of {episodes} {fmean(score.score for score in scores):.3f}")
+                failed |= all(score.failure is not None for score in scores)
+    except KeyboardInterrupt:
+        left = "" if video is None else f"; {video} was not written"
+        screen.print(f"stopped after {played} of {counted(episodes * len(listed), 'episode')}{left}", soft_wrap=True)
+        raise
     if video is not None:
         screen.print(video, soft_wrap=True)
     if failed:  # a policy has not finished a single episode

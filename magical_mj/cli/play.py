@@ -1,25 +1,33 @@
-"""`magical-mj play`: drive the robot with the keyboard, and record what you do."""
+"""`magical-mj play`: drive the robot with the keyboard, in a window or in a browser, and record what you do."""
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+import os
+import sys
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, Literal
+from urllib.parse import urlsplit
 
+import numpy as np
 import typer
 
 import magical_mj
 from magical_mj.cli.console import OptionalTask, Seed, Size, Variant, check_fits, console, make_writable_folder
-from magical_mj.cli.film import side_by_side
-from magical_mj.cli.web import Collect, Host, Origin, Port, Tasks, Variants, Wanted, serve_page
-from magical_mj.cli.window import Window
-from magical_mj.scene.actions import NOOP
+from magical_mj.cli.film import INK, PAPER, side_by_side
+from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.scene.constants import CONTROL_RATE
-from magical_mj.tasks.registry import TASKS, environments, task_name, task_spec, variant_name
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair, environments, task_name, task_spec, variant_name
+from magical_mj.utils.errors import MagicalError, SettingsError, shown
+from magical_mj.utils.extras import missing_extra
 
 if TYPE_CHECKING:
     from magical_mj.demos import Demonstration
     from magical_mj.envs.composer import Environment
+    from magical_mj.web.server import PlayServer
 
 KEYS: Final = "arrows drive, space grips, R again, N next scene, Esc quits"
 AFTER: Final = "R again, N next scene, Esc quits"
@@ -27,6 +35,35 @@ AFTER: Final = "R again, N next scene, Esc quits"
 Record = Annotated[Path | None, typer.Option(help="Save each finished episode in this folder.", show_default=False)]
 Speed = Annotated[float, typer.Option(min=0.1, max=4.0, help="Times real time.")]
 Web = Annotated[bool, typer.Option("--web", help="Play in a browser instead of a window.")]
+Tasks = Annotated[str, typer.Option(help="Names with commas between.")]
+Variants = Annotated[str, typer.Option(help="Names with commas between.")]
+Collect = Annotated[
+    Path | None,
+    typer.Option(help="Keep what people send in this folder.", show_default=False),
+]
+Wanted = Annotated[
+    int | None,
+    typer.Option(min=1, help="How many to collect of each environment.", show_default="as many as come"),
+]
+Host = Annotated[str, typer.Option(help="Address to listen at.")]
+Port = Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")]
+Origin = Annotated[
+    str | None,
+    typer.Option(
+        help="Where people see the page, such as https://study.example.org, behind a proxy.",
+        show_default=False,
+    ),
+]
+
+Wish = Literal["reset", "next", "discard", "quit"]
+
+LINES: Final = 2  # of text below the pictures
+LINE: Final = 26  # pixels
+BAR: Final = LINES * LINE + 16  # pixels below the pictures, for the text
+FALLBACKS: Final = ("offscreen", "dummy")  # the video drivers that SDL chooses if there is no display
+TEXT_SIZE: Final = 22  # pixels
+LARGEST_SEED: Final = 2**53 - 1
+"""The largest integer that JavaScript counts exactly."""
 
 
 def play(
@@ -68,7 +105,7 @@ def play(
         closing(Window(title, size, speed, browser)) as window,
     ):
         episodes = Episodes(None if record is None else make_writable_folder(record))
-        play_in(window, env, task, variant, seed, size, episodes)
+        play_in(window, env, (task, variant), seed, size, episodes)
 
 
 class Episodes:
@@ -102,30 +139,220 @@ class Episodes:
         return "discarded"
 
 
-def play_in(
-    window: Window, env: Environment, task: str, variant: str, seed: int, size: int, episodes: Episodes
-) -> None:
-    """Plays episodes until the player quits. Each episode starts with the first key."""
-    goal = task_spec(task).summary
-    horizon = env.horizon or 0
-    while True:
+class Episode:
+    """One scene in a window, from its start to what became of it. The clock starts with the first key."""
+
+    def __init__(self, env: Environment, pair: Pair, seed: int, episodes: Episodes) -> None:
         env.reset(seed=seed)
-        recorder, steps, result = magical_mj.demos.Recorder(env), 0, ""
-        while True:
-            left = f"{(horizon - steps) / CONTROL_RATE:.0f} s" if steps else "press a key to start"
-            now = f"{result}; {AFTER}" if result else f"{left}, score so far {env.score():.2f} ({KEYS})"
-            window.show(side_by_side(env, size), [f"{goal[0].upper()}{goal[1:]}.", now])
-            wishes = window.wishes()
-            if "quit" in wishes:
-                return
-            if "discard" in wishes and result:
-                result = episodes.discard() or result
-            elif wishes and "discard" not in wishes:
-                seed += "next" in wishes
-                break
-            action = window.action()
-            if not result and (steps or action != NOOP):
-                over = recorder.step(action).last()
-                steps += 1
-                if over:
-                    result = episodes.finish(recorder.demonstration(task, variant, seed, "human", seed))
+        self._env, self._pair, self._seed, self._episodes = env, pair, seed, episodes
+        self._recorder = magical_mj.demos.Recorder(env)
+        self._steps = 0
+        self._result: str | None = None
+
+    def act(self, action: int) -> None:
+        """Takes an action; does nothing before the first key, nor after the end."""
+        if self._result is not None or (self._steps == 0 and action == NOOP):
+            return
+        self._steps += 1
+        if self._recorder.step(action).last():
+            demo = self._recorder.demonstration(*self._pair, self._seed, "human", self._seed)
+            self._result = self._episodes.finish(demo)
+
+    def discard(self) -> None:
+        """Deletes the episode, if it has ended and was saved."""
+        if self._result is not None:
+            self._result = self._episodes.discard() or self._result
+
+    def caption(self) -> str:
+        """How far it is, and which keys do what."""
+        if self._result is not None:
+            return f"{self._result}; {AFTER}"
+        seconds = ((self._env.horizon or 0) - self._steps) / CONTROL_RATE
+        left = f"{seconds:.0f} s" if self._steps else "press a key to start"
+        return f"{left}, score so far {self._env.score():.2f} ({KEYS})"
+
+
+def play_in(window: Window, env: Environment, pair: Pair, seed: int, size: int, episodes: Episodes) -> None:
+    """Plays episodes until the player quits, in scene after scene or in the same one again."""
+    summary = task_spec(pair[0]).summary
+    goal = f"{summary[0].upper()}{summary[1:]}."
+    episode, wish = Episode(env, pair, seed, episodes), None
+    while wish != "quit":
+        window.show(side_by_side(env, size), [goal, episode.caption()])
+        wish = window.wish()
+        if wish in ("reset", "next"):
+            seed += wish == "next"
+            episode = Episode(env, pair, seed, episodes)
+        elif wish == "discard":
+            episode.discard()
+        else:
+            episode.act(window.action())
+
+
+class Window:
+    """A window as wide as two pictures, with two lines of text below them.
+
+    Args:
+        title: the window's title.
+        size: side of a picture in pixels.
+        speed: 1 is real time; 0 is as fast as possible.
+        advice: what to do without a display, for the error.
+
+    Raises:
+        MagicalError: if pygame-ce is not installed, or there is no display.
+    """
+
+    def __init__(self, title: str, size: int, speed: float = 1.0, advice: str = "") -> None:
+        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+        try:
+            import pygame
+        except ModuleNotFoundError:
+            raise missing_extra("a window", "window") from None
+        self._pygame = pygame
+        self._size, self._rate = size, speed * CONTROL_RATE
+        try:
+            if _without_display():  # SDL would look for one, and complain in words of its own
+                raise pygame.error("there is no display")
+            pygame.display.init()
+            if pygame.display.get_driver() in FALLBACKS and "SDL_VIDEODRIVER" not in os.environ:
+                raise pygame.error("the display does not answer")
+            self._surface = pygame.display.set_mode((2 * size, size + BAR))
+        except pygame.error as error:
+            pygame.display.quit()
+            raise MagicalError(
+                f"no window can be opened here: {error}. A window needs a display (on Linux, DISPLAY or "
+                f"WAYLAND_DISPLAY){advice}"
+            ) from None
+        pygame.display.set_caption(title)
+        pygame.font.init()
+        self._font = pygame.font.Font(None, TEXT_SIZE)
+        self._clock = pygame.time.Clock()
+        self._held: set[int] = set()
+        self._tapped: set[int] = set()
+
+    def show(self, pictures: np.ndarray, lines: Sequence[str]) -> None:
+        """Shows two pictures side by side, shape (size, 2 * size, 3), and two lines; waits for the next step."""
+        pygame, surface = self._pygame, self._surface
+        surface.fill(PAPER)
+        surface.blit(pygame.surfarray.make_surface(pictures.swapaxes(0, 1)), (0, 0))
+        for number, line in enumerate(lines):
+            surface.blit(self._font.render(line, True, INK), (10, self._size + 10 + number * LINE))
+        pygame.display.flip()
+        self._clock.tick(self._rate)
+
+    def wish(self) -> Wish | None:
+        """The command since the last call, the gravest of several; also updates the state of the keys."""
+        pygame = self._pygame
+        keys: dict[int, Wish] = {
+            pygame.K_ESCAPE: "quit",
+            pygame.K_d: "discard",
+            pygame.K_n: "next",
+            pygame.K_r: "reset",
+        }
+        wishes: set[Wish | None] = set()
+        self._tapped = set()
+        for event in pygame.event.get():
+            if event.type == pygame.QUIT:
+                wishes.add("quit")
+            elif event.type == pygame.KEYDOWN:
+                self._held.add(event.key)
+                self._tapped.add(event.key)
+                wishes.add(keys.get(event.key))
+            elif event.type == pygame.KEYUP:
+                self._held.discard(event.key)
+            elif event.type == pygame.WINDOWFOCUSLOST:
+                self._held.clear()
+        return next((wish for wish in keys.values() if wish in wishes), None)
+
+    def action(self) -> int:
+        """The action of the keys that are held, or were pressed since the last step: arrows, and space to grip."""
+        pygame = self._pygame
+        down = self._held | self._tapped
+        turn = (pygame.K_LEFT in down) - (pygame.K_RIGHT in down)
+        drive = (pygame.K_UP in down) - (pygame.K_DOWN in down)
+        return Action(
+            Gripper.CLOSE if pygame.K_SPACE in down else Gripper.OPEN,
+            {0: Turn.NONE, 1: Turn.LEFT, -1: Turn.RIGHT}[turn],
+            {0: Drive.NONE, 1: Drive.FORWARD, -1: Drive.BACK}[drive],
+        ).number
+
+    def close(self) -> None:
+        """Close the window."""
+        self._pygame.display.quit()
+        self._pygame.font.quit()
+
+
+def _without_display() -> bool:
+    displays = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
+    return sys.platform == "linux" and not any(os.environ.get(name) for name in displays)
+
+
+def serve_page(
+    first: tuple[str, str, int] | None,
+    environments: Sequence[Pair],
+    collect: Path | None,
+    wanted: int | None,
+    host: str,
+    port: int,
+    origin: str | None,
+) -> None:
+    """Serve until somebody presses Ctrl-C; `first` is the task, the variant and the seed that the link leads to."""
+    _check_page(first, environments)
+    if first is not None and collect is not None:
+        raise SettingsError("with --collect the server chooses what is played: give --tasks and --variants, not TASK")
+    if wanted is not None and collect is None:
+        raise SettingsError("--wanted needs --collect")
+    origin = None if origin is None else _checked_origin(origin)
+    try:
+        from magical_mj.web.collection import Collection
+        from magical_mj.web.server import PlayServer
+    except ModuleNotFoundError:
+        raise missing_extra("Playing in a browser", "web") from None
+    collection = None if collect is None else Collection(make_writable_folder(collect), environments, wanted)
+    server = PlayServer(environments, host, port, origin=origin, collection=collection)
+    if collection is not None:
+        server.token = collection.token()
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(_serve(server, "" if first is None else "#" + "-".join(map(str, first))))
+
+
+def _check_page(first: tuple[str, str, int] | None, environments: Sequence[Pair]) -> None:
+    """Raises a `SettingsError` unless the page can show these environments, and the scene that is named."""
+    if not set(environments) <= set(ENVIRONMENTS):
+        raise SettingsError("the page knows the scores of the benchmark's own tasks only: play others in a window")
+    if first is None:
+        return
+    task, variant, seed = first
+    if task not in TASKS:
+        raise SettingsError(
+            f"{task} is not a task of the benchmark, whose scores alone the page knows: play it in a window"
+        )
+    if (task, variant) not in environments:
+        raise SettingsError(f"{task}-{variant} is not among --tasks and --variants")
+    if seed > LARGEST_SEED:
+        raise SettingsError(f"seeds in a browser are at most {LARGEST_SEED}, not {shown(seed)}")
+
+
+def _checked_origin(origin: str) -> str:
+    """An origin as browsers send it, without a slash at its end; they compare it letter by letter."""
+    try:
+        parts = urlsplit(origin)
+    except ValueError:  # half of a bracket
+        parts = urlsplit("")
+    if parts.scheme not in ("http", "https") or not parts.netloc or parts.path.strip("/") or parts.query:
+        raise SettingsError(
+            f"--origin takes an address such as https://study.example.org, without a path; not {origin!r}"
+        )
+    return f"{parts.scheme}://{parts.netloc.lower()}"
+
+
+async def _serve(server: PlayServer, place: str) -> None:
+    try:
+        started = await server.start()
+    except (OSError, UnicodeError) as error:  # the latter for names that no host can have
+        raise OSError(
+            f"cannot listen there ({error}); give another --host or --port; --port 0 is a free one"
+        ) from error
+    async with started as listening:
+        console().print(f"{server.address}{place}\nCtrl-C ends it.", soft_wrap=True)
+        await listening.serve_forever()

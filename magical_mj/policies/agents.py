@@ -44,6 +44,7 @@ class ExpertAgent:
     """The scripted expert, which uses the state of the simulation; its seed is the number of the run."""
 
     uses_simulation = True
+    needs_plan = True
 
     def reset(self, episode: Episode) -> None:
         """Makes an expert for this episode."""

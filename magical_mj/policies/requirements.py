@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from magical_mj.envs.presets import PRESETS
 from magical_mj.policies.interface import Episode, uses_simulation
-from magical_mj.tasks.registry import Pair
+from magical_mj.tasks.registry import Pair, task_spec
 from magical_mj.utils.errors import SettingsError
 
 Shape = tuple[int | None, ...]
@@ -29,11 +29,17 @@ class BatchPolicy(Protocol):
 def check_fit(policy: object, pairs: Sequence[Pair], preset: str) -> None:
     """Raises a `SettingsError` if the policy's attributes say that it was trained for something else.
 
+    A `TaskError` is raised if it needs a plan, and a task has none.
+
     Args:
-        policy: the policy; its attributes `preset`, `tasks` and `observation_shapes` are checked if they exist.
+        policy: the policy; its attributes `preset`, `tasks`, `observation_shapes` and `needs_plan` are checked if they
+            exist.
         pairs: pairs of task and variant.
         preset: the preset of the observations.
     """
+    if getattr(policy, "needs_plan", False):
+        for task, _ in pairs:
+            task_spec(task).check_plan()
     made_for = getattr(policy, "preset", preset)
     if made_for != preset:
         raise SettingsError(f"the policy was trained on the preset {made_for}, not {preset}: give --preset {made_for}")

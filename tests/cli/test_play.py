@@ -14,13 +14,11 @@ import pytest
 
 import magical_mj
 from magical_mj.cli import main
-from magical_mj.cli.play import Episodes, play_in
+from magical_mj.cli.play import Episodes, Window, play_in
 from magical_mj.demos import load, verify
 from magical_mj.scene.actions import ACTIONS, Action, Drive, Gripper, Turn
 
 pygame = pytest.importorskip("pygame")
-
-from magical_mj.cli.window import Window  # noqa: E402
 
 SIZE = 48
 
@@ -50,28 +48,28 @@ def test_every_action_has_its_keys(window: Window) -> None:
     for action in ACTIONS:
         keys = turns[action.turn] + drives[action.drive] + [pygame.K_SPACE] * (action.gripper == Gripper.CLOSE)
         press(*keys)
-        window.wishes()
+        window.wish()
         assert window.action() == action.number
         release(*keys)
-        window.wishes()
+        window.wish()
         assert window.action() == 0
 
 
 def test_a_tap_between_two_steps_counts_for_one(window: Window) -> None:
     press(pygame.K_UP)
     release(pygame.K_UP)
-    window.wishes()
+    window.wish()
     assert window.action() == Action(drive=Drive.FORWARD).number
-    window.wishes()
+    window.wish()
     assert window.action() == 0
 
 
 def test_opposite_keys_cancel_and_a_lost_focus_lets_go(window: Window) -> None:
     press(pygame.K_LEFT, pygame.K_RIGHT, pygame.K_UP)
-    window.wishes()
+    window.wish()
     assert window.action() == Action(drive=Drive.FORWARD).number
     pygame.event.post(pygame.event.Event(pygame.WINDOWFOCUSLOST))
-    window.wishes()
+    window.wish()
     assert window.action() == 0
 
 
@@ -99,7 +97,7 @@ def test_an_episode_is_played_recorded_and_read_again(
     env = magical_mj.load("MoveToRegion", seed=0, observations=())
     keys = {5: [pygame.K_UP], 14: [pygame.K_r], 16: [pygame.K_LEFT], 80: [pygame.K_ESCAPE]}
     player = Player(window, monkeypatch, keys)
-    play_in(window, env, "MoveToRegion", "Demo", 0, SIZE, Episodes(tmp_path))
+    play_in(window, env, ("MoveToRegion", "Demo"), 0, SIZE, Episodes(tmp_path))
     env.close()
     assert all(lines[0] == "Drive into the goal region." for lines in player.lines)
     assert ["press a key to start" in lines[1] for lines in player.lines[:7]] == [True] * 5 + [False] * 2
@@ -120,7 +118,7 @@ def test_what_was_played_is_kept_at_once_and_discarded_on_request(
     env = magical_mj.load("MoveToRegion", seed=0, observations=())
     last = [pygame.K_d, pygame.K_d] if discard else [pygame.K_n]
     player = Player(window, monkeypatch, {1: [pygame.K_UP], 50: last, 55: [pygame.K_ESCAPE]})
-    play_in(window, env, "MoveToRegion", "Demo", 0, SIZE, Episodes(tmp_path))
+    play_in(window, env, ("MoveToRegion", "Demo"), 0, SIZE, Episodes(tmp_path))
     env.close()
     assert "solved" in player.lines[45][1]
     assert len(list(tmp_path.iterdir())) == (not discard)
@@ -146,8 +144,8 @@ def test_without_a_folder_nothing_is_kept(capsys: pytest.CaptureFixture[str]) ->
 
 def test_the_command_records_under_a_free_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    wishes = iter([[] for _ in range(41)] + [["reset"]] + [[] for _ in range(41)] + [["quit"]])
-    monkeypatch.setattr(Window, "wishes", lambda _: next(wishes))
+    wishes = iter([None] * 41 + ["reset"] + [None] * 41 + ["quit"])
+    monkeypatch.setattr(Window, "wish", lambda _: next(wishes))
     actions = itertools.chain([1] * 41, [2] * 41)
     monkeypatch.setattr(Window, "action", lambda _: next(actions))
     assert main(["play", "MoveToRegion", "--record", str(tmp_path), "--size", str(SIZE), "--speed", "4"]) == 0

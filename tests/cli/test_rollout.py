@@ -61,6 +61,26 @@ def test_a_policy_that_fails_is_told_and_filmed(shell: Shell, tmp_path: Path) ->
     assert "my [red] one: mean of 1 0.000" in out
 
 
+def test_the_expert_begins_no_task_without_a_plan(shell: Shell, tmp_path: Path) -> None:
+    (tmp_path / "planless.py").write_text(
+        "from dataclasses import replace\nfrom magical_mj.tasks.find_dupe import SPEC as OURS\n"
+        'SPEC = replace(OURS, name="Planless", plan=None)\n'
+    )
+    assert "no plan" in shell.fails(2, "rollout", "planless:SPEC")
+    assert "no plan" in shell.fails(
+        2, "evaluate", "--policy", "noop,expert", "--tasks", "planless:SPEC", "--jobs", 1, "--out", "scores"
+    )
+
+
+def test_an_interrupted_rollout_says_what_it_leaves(shell: Shell, tmp_path: Path) -> None:
+    (tmp_path / "stopping.py").write_text("def act(observation):\n    raise KeyboardInterrupt\n")
+    command = ("rollout", "MoveToRegion", "--policy", "noop,stopping:act", "--episodes", 2, "--size", 32)
+    code, out, _ = shell(*command, "--video", "a.mp4")
+    assert code == 130
+    assert out.splitlines()[-1] == "stopped after 2 of 4 episodes; a.mp4 was not written"
+    assert not (tmp_path / "a.mp4").exists()
+
+
 def test_films_say_what_is_shown() -> None:
     frames: list[np.ndarray] = []
     made = Film(frames.append, size=96, views=("allo", "ego"), pause=3)

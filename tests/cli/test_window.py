@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from magical_mj.cli import window
+from magical_mj.cli import play
 from magical_mj.cli.play import AFTER, KEYS
 from magical_mj.demos import load, verify
 from magical_mj.envs.presets import PRESETS
@@ -75,9 +75,9 @@ def words(text: str) -> NDArray[np.uint8]:
     import pygame
 
     pygame.font.init()
-    letters = pygame.font.Font(None, window.TEXT_SIZE).render(text, True, window.INK)
+    letters = pygame.font.Font(None, play.TEXT_SIZE).render(text, True, play.INK)
     drawn = pygame.Surface(letters.get_size())
-    drawn.fill(window.PAPER)
+    drawn.fill(play.PAPER)
     drawn.blit(letters, (0, 0))
     return pygame.surfarray.array3d(drawn).swapaxes(0, 1)
 
