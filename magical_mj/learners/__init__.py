@@ -19,22 +19,20 @@ if TYPE_CHECKING:
     from magical_mj.learners.bc import clone
     from magical_mj.learners.experiment import conduct, runs
     from magical_mj.learners.learner import Learner
-    from magical_mj.learners.method_settings import load_settings
     from magical_mj.learners.policy import TrainedPolicy, load_policy
-    from magical_mj.learners.run import METHODS, Progress, train
-from magical_mj.learners.settings import TrainingSettings
+    from magical_mj.learners.training import METHODS, Progress, train
+from magical_mj.learners.settings import TrainingSettings, load_settings
 
 _LAZY = {  # loaded at first use: the command line knows these commands before anybody needs PyTorch
-    "METHODS": "run",
+    "METHODS": "training",
     "Learner": "learner",
-    "Progress": "run",
+    "Progress": "training",
     "TrainedPolicy": "policy",
     "clone": "bc",
     "conduct": "experiment",
     "load_policy": "policy",
-    "load_settings": "method_settings",
     "runs": "experiment",
-    "train": "run",
+    "train": "training",
 }
 
 __all__ = [

@@ -11,10 +11,10 @@ from torch import Tensor, nn
 
 from magical_mj.learners.data import Rollout
 from magical_mj.learners.learner import restore_optimizer, seeded
-from magical_mj.learners.network import SHAPE, Torso, convolutions
-from magical_mj.learners.reinforced import RewardLearner
-from magical_mj.learners.settings import Network, TrainingSettings
-from magical_mj.learners.states import HISTORY, StateTorso
+from magical_mj.learners.networks import SHAPE, StateTorso, Torso, convolutions
+from magical_mj.learners.ppo import RewardLearner
+from magical_mj.learners.settings import NetworkSettings, TrainingSettings
+from magical_mj.learners.state_features import HISTORY
 from magical_mj.scene.state_vector import STATE_NAMES
 
 METRICS: Final[tuple[str, ...]] = ("reconstruction", "distance", "reward", "score", "entropy", "kl", "value loss")
@@ -81,23 +81,23 @@ class Apprenticeship(RewardLearner):
         """The rewards w . Phi(s, a), shape (n,)."""
         return (self._autoencoder.features(observations, actions) * self._weights[tasks]).sum(1)
 
-    def state(self) -> dict[str, Any]:
+    def get_state(self) -> dict[str, Any]:
         """Of all that plays, of the autoencoder, and the policy's latest features."""
-        return {  # under the names of earlier versions, whose checkpoints can be continued
-            **super().state(),
-            "coder": self._autoencoder.state_dict(),
-            "coder optimizer": self._optimizer.state_dict(),
+        return {
+            **super().get_state(),
+            "autoencoder": self._autoencoder.state_dict(),
+            "autoencoder optimizer": self._optimizer.state_dict(),
             "batches": self._batches,
-            "figures": self._metrics,
+            "metrics": self._metrics,
             "latest": self._latest,
         }
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Restores a `state`."""
-        super().restore(state)
-        self._autoencoder.load_state_dict(state["coder"])
-        restore_optimizer(self._optimizer, state["coder optimizer"])
-        self._batches, self._metrics = state["batches"], dict(state["figures"])
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Goes back to a state that `get_state` returned."""
+        super().set_state(state)
+        self._autoencoder.load_state_dict(state["autoencoder"])
+        restore_optimizer(self._optimizer, state["autoencoder optimizer"])
+        self._batches, self._metrics = state["batches"], dict(state["metrics"])
         self._latest = state["latest"].to(self.device)
 
     def _demonstrated_means(self) -> Tensor:
@@ -141,18 +141,17 @@ class Autoencoder(nn.Module):
         states: reconstruct histories of states, not pictures.
     """
 
-    def __init__(self, network: Network, size: int, *, states: bool = False) -> None:
+    def __init__(self, network: NetworkSettings, size: int, *, states: bool = False) -> None:
         super().__init__()
-        made = (
-            StateTorso(network, actions=True, features=size)
-            if states
-            else Torso(network, batch_norm=True, actions=True, features=size)
-        )
-        self.encoder = made
+        if states:
+            encoder = StateTorso(network, actions=True, features=size)
+        else:
+            encoder = Torso(network, batch_norm=True, actions=True, features=size)
+        self.encoder = encoder
         self.columns = RECONSTRUCTED if states else slice(None)
         inner: list[nn.Module] = [nn.Linear(size, network.hidden), nn.ReLU()]
-        if isinstance(made, Torso):
-            inner += mirror(network, made.flat)
+        if isinstance(encoder, Torso):
+            inner += mirror(network, encoder.flat)
         else:
             inner += [nn.Linear(network.hidden, HISTORY * len(RECONSTRUCTED)), nn.Unflatten(1, (HISTORY, -1))]
         self.decoder = nn.Sequential(*inner)
@@ -185,7 +184,7 @@ class Autoencoder(nn.Module):
         return int(dead.sum())
 
 
-def mirror(network: Network, flat: int) -> list[nn.Module]:
+def mirror(network: NetworkSettings, flat: int) -> list[nn.Module]:
     """The layers from the first linear one of a `Torso`, which has `flat` inputs, back to the pictures."""
     side, _, channels = SHAPE
     layers: list[nn.Module] = []  # in the encoder's order

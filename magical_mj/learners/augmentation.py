@@ -1,7 +1,7 @@
-"""The paper's picture augmentations (its appendix, "Default augmentation set"), for batches of stacked frames.
+"""The paper's augmentations (its appendix, "Default augmentation set"): of pictures, and their counterparts for states.
 
-The pictures are first moved, then recoloured, and noise is added last, so that the interpolation does not smooth the
-noise. The paper does not give an order.
+Pictures are first moved, then recoloured, and noise is added last, so that the interpolation does not smooth the noise.
+The paper does not give an order.
 
 Kornia moves the pictures, but the change of colour is implemented here, since it is faster on CPUs: with a batch of 32
 stacks of four 96 x 96 frames, kornia's conversions to CIELab and back take 60 ms on two cores, longer than a step of
@@ -10,34 +10,29 @@ the network, and ours takes 20 ms (on one core, 119 and 40).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
-from typing import Final, Literal
+import math
+from typing import Final
 
 import torch
 from kornia.geometry.transform import get_affine_matrix2d, warp_affine
 from torch import Tensor
 
-from magical_mj.learners.settings import TrainingSettings
-from magical_mj.learners.states import StateAugmentation
+from magical_mj.learners.settings import AUGMENTATIONS, TrainingSettings
+from magical_mj.learners.state_features import HISTORY, pose_mask
 from magical_mj.utils.errors import check_name
-
-Part = Literal["translation", "rotation", "colour", "noise"]
-
-AUGMENTATIONS: Final[Mapping[str, tuple[Part, ...]]] = MappingProxyType(
-    {
-        "all": ("translation", "rotation", "colour", "noise"),
-        "no-trans-rot": ("colour", "noise"),
-        "none": (),
-    }
-)
-"""The sets of augmentations in the paper's ablations, by name."""
 
 TRANSLATION: Final = 0.05  # the bounds of the uniform draws: of the picture's width and height
 ROTATION: Final = 5.0  # degrees
 LUMINANCE: Final = 0.01  # how far its factor is from one
 HUE: Final = 0.15  # radians in the plane of a and b
 NOISE: Final = 0.01  # standard deviation, of values in [0, 1]; the paper's N(0, 0.01) leaves open if it is the variance
+
+STATE_TRANSLATION: Final = 0.02  # of states, in units: the bound of the uniform draws along each axis
+STATE_ROTATION: Final = 2.0  # degrees, likewise
+STATE_NOISE: Final = 0.01  # standard deviation, in units and radians, of poses and finger angles of the present state
+PAST_NOISE: Final = 0.2  # likewise of the earlier states
+"""So much, that a policy cannot just repeat the action that it reads off the latest movements (de Haan et al., 2019:
+"Causal Confusion in Imitation Learning"), as it could in demonstrations, where four of five actions are repeated."""
 
 CHUNK: Final = 4
 """Stacks that are recoloured at a time on a CPU."""
@@ -56,17 +51,21 @@ _SCALE: Final = 1.055**2.4
 _SRGB_SLOPE: Final = _SCALE / 12.92
 
 
-class Augmentation:
-    """Augments batches of stacks of frames at random.
+class _Augmentation:
+    """Changes observations at random.
 
     Attributes:
         parts: the augmentations that are applied.
     """
 
     def __init__(self, preset: str = "all") -> None:
-        """Takes the name of one of the `AUGMENTATIONS`; any other raises UnknownNameError."""
+        """Takes a name in `magical_mj.learners.settings.AUGMENTATIONS`; any other raises UnknownNameError."""
         check_name("augmentation", preset, AUGMENTATIONS)
-        self.parts: tuple[Part, ...] = AUGMENTATIONS[preset]
+        self.parts = AUGMENTATIONS[preset]
+
+
+class Augmentation(_Augmentation):
+    """Augments batches of stacks of frames."""
 
     @torch.no_grad()
     def __call__(self, stacks: Tensor, generator: torch.Generator) -> Tensor:
@@ -99,6 +98,31 @@ class Augmentation:
             noise = torch.randn(stacks.shape, generator=generator, device=generator.device, dtype=torch.float32)
             pictures = torch.add(pictures, noise.to(stacks), alpha=NOISE)
         return torch.empty_like(stacks).copy_(pictures.clamp_(0, 1))
+
+
+class StateAugmentation(_Augmentation):
+    """Changes histories at random.
+
+    The counterparts of a moved and turned picture are a robot that stands and looks a little elsewhere than it does,
+    similarity in the four states of a history; noise of pixels corresponds to noise of poses, drawn for each state, and
+    larger in the earlier ones.
+    Colours and shapes are names there, which cannot be changed a little.
+    """
+
+    @torch.no_grad()
+    def __call__(self, histories: Tensor, generator: torch.Generator) -> Tensor:
+        """Augments histories (n, HISTORY, names); they stay as they are, and are returned if there is nothing to do."""
+        if not self.parts:
+            return histories
+        shifts = torch.rand((len(histories), 1, 3), generator=generator, device=generator.device).mul_(2).sub_(1).to(histories)
+        shifts *= shifts.new_tensor([STATE_TRANSLATION, STATE_TRANSLATION, math.radians(STATE_ROTATION)])
+        shifts *= shifts.new_tensor(["translation" in self.parts] * 2 + ["rotation" in self.parts])
+        noise = torch.randn(histories.shape, generator=generator, device=generator.device).to(histories)
+        sizes = noise.new_full((HISTORY, 1), PAST_NOISE)
+        sizes[-1] = STATE_NOISE
+        changed = histories + sizes * noise * pose_mask(histories)
+        changed[..., :3] += shifts
+        return changed
 
 
 def augmentation(settings: TrainingSettings) -> Augmentation | StateAugmentation:

@@ -11,9 +11,9 @@ from torch import nn
 from magical_mj.learners.augmentation import augmentation
 from magical_mj.learners.data import Dataset, Demonstrations
 from magical_mj.learners.learner import Learner, restore_optimizer, seeded, threads_for
-from magical_mj.learners.network import Actor, as_input
+from magical_mj.learners.networks import Actor, as_input
 from magical_mj.learners.policy import TrainedPolicy
-from magical_mj.learners.settings import Cloning, TrainingSettings
+from magical_mj.learners.settings import CloningSettings, TrainingSettings
 from magical_mj.policies.models import torch_threads
 from magical_mj.utils.errors import SettingsError
 
@@ -57,10 +57,10 @@ class BehaviouralCloning(Learner):
         """Trains on one batch; returns its log loss, and the share of actions that the policy ranked first."""
         observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._draw)
         actions, tasks = actions.to(self.device), tasks.to(self.device)
-        seen = self._augment(as_input(observations, self.device), self._noise)
+        inputs = self._augment(as_input(observations, self.device), self._noise)
         self._actor.train()
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.settings.precision == "bfloat16"):
-            logits = self._actor(seen, tasks)
+            logits = self._actor(inputs, tasks)
         loss = nn.functional.cross_entropy(logits.float(), actions)
         self._optimizer.zero_grad()
         loss.backward()
@@ -84,7 +84,7 @@ class BehaviouralCloning(Learner):
         for norm in norms:
             norm.momentum = 0.1  # PyTorch's
 
-    def state(self) -> dict[str, Any]:
+    def get_state(self) -> dict[str, Any]:
         """Weights, and the states of the optimizer, the learning rate's schedule and the generators."""
         return {
             "actor": self._actor.state_dict(),
@@ -94,8 +94,8 @@ class BehaviouralCloning(Learner):
             "noise": self._noise.get_state(),
         }
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Restores a `state`."""
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Goes back to a state that `get_state` returned."""
         self._actor.load_state_dict(state["actor"])
         restore_optimizer(self._optimizer, state["optimizer"])
         self._rate.load_state_dict(state["rate"])
@@ -124,7 +124,7 @@ def clone(settings: TrainingSettings, demonstrations: Demonstrations | None = No
     return TrainedPolicy(learner.actor, settings.tasks, settings.preset)
 
 
-def _optimizer(bc: Cloning, actor: Actor) -> torch.optim.Optimizer:
+def _optimizer(bc: CloningSettings, actor: Actor) -> torch.optim.Optimizer:
     if bc.optimizer == "sgd":
         return torch.optim.SGD(actor.parameters(), bc.learning_rate, bc.momentum)
     return torch.optim.Adam(actor.parameters(), bc.learning_rate, fused=True)

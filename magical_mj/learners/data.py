@@ -13,9 +13,9 @@ from torch import Tensor
 
 from magical_mj import demos
 from magical_mj.demos import Demonstration, Transitions
-from magical_mj.learners.network import SHAPE
+from magical_mj.learners.networks import SHAPE
 from magical_mj.learners.settings import TrainingSettings
-from magical_mj.learners.states import histories
+from magical_mj.learners.state_features import histories
 from magical_mj.scene.actions import ACTIONS, NOOP
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import DemonstrationError, shown

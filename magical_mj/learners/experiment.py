@@ -2,52 +2,169 @@
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import product
 from operator import methodcaller
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
+
+from msgspec import Meta
 
 from magical_mj.evaluation.reports.report import check_free, report
 from magical_mj.evaluation.reports.results import gather, published_results
 from magical_mj.evaluation.reports.statistics import by_environment, rank_correlation
-from magical_mj.evaluation.scores import SETTINGS, read_settings
+from magical_mj.evaluation.run import evaluate
+from magical_mj.evaluation.scores import SCORES, SETTINGS, read_settings
 from magical_mj.evaluation.settings import EvaluationSettings
-from magical_mj.learners.folder import check
-from magical_mj.learners.learner import device
-from magical_mj.learners.method_settings import check_changes, check_used, load_settings
-from magical_mj.learners.planned import Run, Watch
-from magical_mj.learners.run import METHODS
-from magical_mj.learners.settings_file import flattened
-from magical_mj.tasks.registry import TASKS, listed, task_name
-from magical_mj.utils.errors import SettingsError, check_name, shown
+from magical_mj.learners.learner import device, keep_freed_memory
+from magical_mj.learners.run_folder import METRICS, RunFolder, read_metrics
+from magical_mj.learners.settings import TrainingSettings, check_changes, check_used, flattened, load_settings, uses
+from magical_mj.learners.training import METHODS, Progress, train
+from magical_mj.policies.interface import uses_simulation
+from magical_mj.tasks.registry import TASKS, environments, listed, task_name, task_spec
+from magical_mj.utils.errors import SettingsError, check_name
 from magical_mj.utils.files import read_toml
 from magical_mj.utils.imports import check_named
 from magical_mj.utils.parallel import check_backend, map_unordered
-from magical_mj.utils.settings import LARGEST_SETTING, check_unchanged, made
+from magical_mj.utils.settings import Names, Settings, check_unchanged, made
 
-ENTRIES: Final = {
-    "methods": '["bc"]',
-    "tasks": '["MoveToRegion"]',
-    "seeds": "[0, 1, 2]",
-    "multi_task": "false",
-    "quick": "false",
-    "settings": "{}",
-    "evaluation": "{}",
-}
-"""The entries of an experiment's file, with examples; the first three are required."""
+SIDE_BY_SIDE: Final = {"pictures": 10, "states": 100}
+"""Episodes that are played at once, for networks like batches; pictures fill the memory."""
+NAMED: Final = ("preset", "augment", "device", "evaluations", "episodes", "checkpoints")
+"""Settings that are not listed in a method's name: it shows them otherwise, or they do not affect the result."""
+ABLATIONS: Final = {"all": "", "none": ", no aug.", "no-trans-rot": ", no trans./rot. aug."}
 EVALUATION: Final = {name: getattr(EvaluationSettings, name) for name in ("variants", "episodes", "rules")}
+"""The settings that the table `evaluation` of an experiment's file may hold."""
 LEAST_PAIRS: Final = 5
 """The least number of environments for which a rank correlation is printed."""
+
+Watch = Callable[[str, Progress], None]
+
+
+@dataclass(frozen=True)
+class ExperimentSettings(Settings):
+    """The file of an experiment; the first three are required."""
+
+    methods: tuple[str, ...] = ()
+    tasks: Annotated[Names, Meta(description='tasks, or "all"')] = ()
+    seeds: tuple[int, ...] = ()
+    multi_task: Annotated[bool, Meta(description="one policy for all the tasks")] = False
+    quick: bool = False
+    settings: Annotated[dict[str, Any], Meta(description="what is changed in all runs, as in a run's config.toml")] = (
+        field(default_factory=dict)
+    )
+    evaluation: Annotated[dict[str, Any], Meta(description="some of `EVALUATION`")] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Checks each entry."""
+        super().__post_init__()
+        for name, example in (("methods", '["bc"]'), ("tasks", '["MoveToRegion"]'), ("seeds", "[0, 1, 2]")):
+            values = getattr(self, name)
+            if not values:
+                raise SettingsError(f"an experiment must give {name}, such as: {name} = {example}")
+            if not isinstance(values, str) and len(set(values)) < len(values):
+                raise SettingsError(f"one of the {name} is given twice: {', '.join(map(str, values))}")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of an experiment.
+
+    Attributes:
+        settings: the settings of the training.
+        quick: whether they are the quick ones.
+        changes: the changed settings, except the seed.
+        evaluation: the settings of the evaluation, as in `EVALUATION`.
+        folder: the folder of the experiment.
+    """
+
+    settings: TrainingSettings
+    quick: bool
+    changes: dict[str, Any]
+    evaluation: dict[str, Any]
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        """Of its folder: the method, the task and the seed."""
+        tasks = self.settings.tasks
+        return f"{self.settings.method}-{task_spec(tasks[0]).name if len(tasks) == 1 else 'multi'}-{self.settings.seed}"
+
+    @property
+    def method(self) -> str:
+        """The method's name in tables; runs of the same name are averaged."""
+        used = {name: value for name, value in self.changes.items() if uses(self.settings.method, name)}
+        changed = "".join(f", {name} {value}" for name, value in used.items() if name not in NAMED)
+        return f"{self.counterparts[0]}, ours{', quick' if self.quick else ''}{changed}"
+
+    @property
+    def counterparts(self) -> tuple[str, str]:
+        """The paper's row with these observations and augmentations, and with its usual ones; either may not exist."""
+        settings = self.settings
+        method, kind = settings.method.upper(), "ST" if len(settings.tasks) == 1 else "MT"
+        preset = {"LoRes4E": "", "LoRes4A": ", allo."}.get(settings.preset, f", {settings.preset}")
+        ablation = ABLATIONS[settings.augment] if uses(settings.method, "augment") else ""
+        return f"{method} ({kind}{preset}{ablation})", f"{method} ({kind})"
+
+    @property
+    def trained(self) -> Path:
+        """The folder of the training."""
+        return self.folder / "runs" / self.name
+
+    @property
+    def scores(self) -> Path:
+        """The folder of the evaluation."""
+        return self.folder / "evaluations" / self.name
+
+    @property
+    def played(self) -> dict[str, Any]:
+        """The settings of the evaluation that determine scores."""
+        settings = self.settings
+        return {**self.evaluation, "tasks": settings.tasks, "preset": settings.preset, "run": settings.seed}
+
+    def play(self, watch: Watch | None = None) -> str:
+        """Trains and evaluates, as far as that is not done yet; returns a line about it."""
+        keep_freed_memory()
+        updates = 0
+
+        def count(progress: Progress) -> None:
+            nonlocal updates
+            updates += 1
+            if watch is not None:
+                watch(self.name, progress)
+
+        policy = train(self.settings, self.trained, resume=True, watch=count)
+        frame = evaluate(
+            {self.method: self.trained},
+            out=self.scores,
+            resume=True,
+            envs=1 if uses_simulation(policy) else SIDE_BY_SIDE["states" if self.settings.states else "pictures"],
+            jobs=1,
+            **self.played,
+        )
+        means = frame.groupby("variant", sort=False)["score"].mean()
+        shown = ", ".join(f"{variant} {mean:.2f}" for variant, mean in means.items())
+        return f"{self.name}: {'trained' if updates else 'was trained before'}; {shown}"
+
+    def standing(self, since: float) -> str:
+        """How far it has come, as its files tell; empty if none has changed since a time, or it is finished."""
+        known = {path: path.stat().st_mtime for path in (self.trained / METRICS, self.scores / SCORES) if path.exists()}
+        latest = max(known, key=known.__getitem__, default=None)
+        if latest is None or known[latest] < since:
+            return ""
+        if latest.name == METRICS:
+            return f"{self.name}: {([{'update': '0'}, *read_metrics(self.trained)])[-1]['update']} updates"
+        done = latest.read_bytes().count(b"\n")
+        of = len(environments(self.settings.tasks, self.evaluation["variants"])) * self.evaluation["episodes"]
+        return f"{self.name}: {done} of {of} episodes evaluated" if done < of else ""
 
 
 def runs(file: Path | str, out: Path | str) -> list[Run]:
     """The runs of an experiment.
 
     Args:
-        file: TOML with the `ENTRIES`: `tasks` is a list, or "all"; with `multi_task` there is one policy for all of
-            them; `settings` holds what is changed in all runs, as in a run's config.toml; `evaluation` may hold what
-            is in `EVALUATION`.
+        file: TOML with the `ExperimentSettings`.
         out: the folder of the experiment.
 
     Raises:
@@ -55,42 +172,29 @@ def runs(file: Path | str, out: Path | str) -> list[Run]:
         UntrustedNameError: if it names the code of a task that the user has not named.
     """
     file, out = Path(file), Path(out)
-    table = read_toml(file)
-    _check(f"entry of {file}", table, ENTRIES)
-    for name, example in ENTRIES.items():
-        value, kind = table.get(name), type(tomllib.loads(f"it = {example}")["it"])
-        if not value and name in ("methods", "tasks", "seeds"):
-            raise SettingsError(f"{file} must give {name}, such as: {name} = {example}")
-        if value is not None and not isinstance(value, kind) and not (name == "tasks" and isinstance(value, str)):
-            raise SettingsError(f"{file} gives {name} = {value!r}; it must look like: {name} = {example}")
-    evaluation = table.get("evaluation", {})
-    _check(f"entry of [evaluation] in {file}", evaluation, EVALUATION)
-    episodes = evaluation.get("episodes", 1)
-    if not isinstance(episodes, int) or episodes > LARGEST_SETTING:
-        at_most = f"it must look like: episodes = 100, and be at most {LARGEST_SETTING}"
-        raise SettingsError(f"{file} gives episodes = {shown(episodes)}; {at_most}")
-    evaluation = EVALUATION | evaluation
-    names = listed(table["tasks"], TASKS)
+    experiment = made(ExperimentSettings, read_toml(file))
+    for name in experiment.evaluation:
+        check_name(f"entry of [evaluation] in {file}", name, EVALUATION)
+    evaluation = EVALUATION | experiment.evaluation
+    names = listed(experiment.tasks, TASKS)
     for task in names:
         check_named(task, file)
-    tasks = [task_name(task) for task in names]
-    for method in table["methods"]:
+    tasks = tuple(dict.fromkeys(task_name(task) for task in names))
+    if len(tasks) < len(names):
+        raise SettingsError(f"{file} gives one of its tasks twice: {', '.join(names)}")
+    for method in experiment.methods:
         check_name("method", method, METHODS)
-    for name, values in (("methods", table["methods"]), ("tasks", tasks), ("seeds", table["seeds"])):
-        if len({str(value) for value in values}) < len(values):
-            raise SettingsError(f"{file} gives one of its {name} twice: {', '.join(map(str, values))}")
-    groups = [tuple(tasks)] if table.get("multi_task", False) else [(task,) for task in tasks]
-    quick, changes = table.get("quick", False), flattened(table.get("settings", {}))
+    changes = flattened(experiment.settings)
     check_changes(changes, ("method", "tasks", "quick", "seed"))
-    check_used(changes, table["methods"])
-    found = []
-    for seed in table["seeds"]:
-        for method in table["methods"]:
-            for group in groups:
-                settings = load_settings(method, group, quick=quick, **{**changes, "seed": seed})
-                found.append(Run(settings, quick, changes, evaluation, out.absolute()))  # workers are in other folders
-                made(EvaluationSettings, found[-1].played)  # an error now, not after the training
-    return found
+    check_used(changes, experiment.methods)
+    planned = []
+    groups = [tasks] if experiment.multi_task else [(task,) for task in tasks]
+    for seed, method, group in product(experiment.seeds, experiment.methods, groups):
+        settings = load_settings(method, group, quick=experiment.quick, **{**changes, "seed": seed})
+        run = Run(settings, experiment.quick, changes, evaluation, out.absolute())  # workers are in other folders
+        made(EvaluationSettings, run.played)  # an error now, not after the training
+        planned.append(run)
+    return planned
 
 
 def conduct(
@@ -132,7 +236,7 @@ def _check_runs(planned: list[Run], out: Path, here: bool) -> None:
     """Raises the errors that would come after hours: those with which a run or the report would begin."""
     check_free(out / "report")
     for run in planned:
-        check(run.trained, run.settings, resume=True)
+        RunFolder(run.trained, run.settings, resume=True)
         if (run.scores / SETTINGS).exists():
             check_unchanged(run.scores, read_settings(run.scores), made(EvaluationSettings, run.played).recorded())
         if here:
@@ -157,8 +261,3 @@ def agreement(planned: list[Run]) -> Iterator[str]:
             counts = f"{ranks:.2f} over {len(shared)} environments"
             counts += f", {rank_correlation(*by_variant):.2f} over the means of {len(by_variant[0])} variants"
             yield f"{method} and the paper's {counterpart}: rank correlation {counts}"
-
-
-def _check(kind: str, names: Any, allowed: Any) -> None:
-    for name in names:
-        check_name(kind, name, allowed)

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Final
 import torch
 
 from magical_mj.learners.data import drawn, shipped
-from magical_mj.learners.network import Actor
+from magical_mj.learners.networks import Actor
 from magical_mj.learners.policy import TrainedPolicy, save_policy
 from magical_mj.learners.settings import ALL_PARTS, TrainingSettings
 from magical_mj.policies.interface import Policy
@@ -26,7 +26,7 @@ class Method(ABC):
     """A method: how a policy comes from demonstrations.
 
     `magical_mj.learners.train` calls `update` as often as `updates` says, logs what it returns, evaluates the policy
-    now and then, and saves it and the `state`.
+    now and then, and saves it and its state.
 
     Attributes:
         settings: what it was made with.
@@ -56,19 +56,19 @@ class Method(ABC):
 
     @abstractmethod
     def policy(self) -> Policy:
-        """What plays; it stays up to date."""
+        """The current policy; updated in place."""
 
     @abstractmethod
     def save_policy(self, folder: Path) -> None:
         """Writes the policy as it is now into a run's folder, where evaluations find it."""
 
     @abstractmethod
-    def state(self) -> dict[str, Any]:
+    def get_state(self) -> dict[str, Any]:
         """Everything on which later updates depend: nested dicts and lists of tensors, arrays and plain values."""
 
     @abstractmethod
-    def restore(self, state: dict[str, Any]) -> None:
-        """Restores a `state`."""
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Goes back to a state that `get_state` returned."""
 
     def fault(self) -> str | None:
         """Why what was learnt is useless, such as a weight that is not finite; None if it is not."""
@@ -95,7 +95,7 @@ class Learner(Method):
     @property
     @abstractmethod
     def actor(self) -> Actor:
-        """The policy that is evaluated and saved; it stays up to date."""
+        """The policy that is evaluated and saved; updated in place."""
 
     def policy(self) -> TrainedPolicy:
         """Draws from what the network holds probable."""

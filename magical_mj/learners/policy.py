@@ -12,14 +12,14 @@ import torch
 from numpy.typing import NDArray
 
 from magical_mj.learners import checkpoint
-from magical_mj.learners.method_settings import changed
-from magical_mj.learners.network import SHAPE, Actor, as_input
-from magical_mj.learners.settings import LEARNABLE, STATE, Network, TrainingSettings
-from magical_mj.learners.states import History
+from magical_mj.learners.networks import SHAPE, Actor, as_input
+from magical_mj.learners.settings import LEARNABLE, STATE, NetworkSettings, TrainingSettings
+from magical_mj.learners.state_features import History
 from magical_mj.policies.interface import Episode
 from magical_mj.policies.models import torch_threads
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import SettingsError, TrainingError, check_name, shown
+from magical_mj.utils.settings import changed
 
 POLICY: Final = "policy.safetensors"
 """In a run's folder."""
@@ -84,14 +84,14 @@ def save_policy(folder: Path, actor: Actor, settings: TrainingSettings) -> None:
         actor: the network.
         settings: the settings of the run.
     """
-    kept = {
+    contents = {
         "weights": actor.state_dict(),
         "batch_norm": actor.batch_norm,
         "network": asdict(settings.network),
         "tasks": list(settings.tasks),
         "preset": settings.preset,
     }
-    checkpoint.write(folder / POLICY, kept)
+    checkpoint.write(folder / POLICY, contents)
 
 
 def load_policy(folder: Path | str) -> TrainedPolicy:
@@ -101,15 +101,15 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
         TrainingError: if there is none, or the file is damaged.
     """
     path = Path(folder) / POLICY
-    kept = checkpoint.read(path)
+    contents = checkpoint.read(path)
     try:
-        tasks, preset = kept["tasks"], kept["preset"]
+        tasks, preset = contents["tasks"], contents["preset"]
         if not tasks or not all(isinstance(task, str) for task in tasks):
             raise TypeError(f"tasks are names, not {shown(tasks)}")
         check_name("preset", preset, LEARNABLE)
-        network = changed(Network(), kept["network"])
-        actor = Actor(network, len(tasks), states=preset == STATE, batch_norm=kept["batch_norm"])
-        actor.load_state_dict(kept["weights"])
+        network = changed(NetworkSettings(), contents["network"])
+        actor = Actor(network, len(tasks), states=preset == STATE, batch_norm=contents["batch_norm"])
+        actor.load_state_dict(contents["weights"])
     except Exception as error:
         raise TrainingError(f"{path} holds something else than a policy: {error}") from error
     return TrainedPolicy(actor, tasks, preset)

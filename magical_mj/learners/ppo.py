@@ -1,9 +1,10 @@
-"""Stable-baselines3's PPO on our networks, given rewards from outside and advanced one update at a time."""
+"""Stable-baselines3's PPO on our networks, and the part that GAIL, WGAIL-GP and AL share: rewards from a learner."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -14,21 +15,26 @@ from stable_baselines3.common.buffers import DictRolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import DictRolloutBufferSamples, Schedule
 from stable_baselines3.common.utils import obs_as_tensor
 from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from magical_mj.learners.copies import SEEN, TASK
-from magical_mj.learners.data import Rollout
-from magical_mj.learners.environments import Environments
-from magical_mj.learners.learner import restore_optimizer
-from magical_mj.learners.network import Actor, Heads, Torso, as_input
+from magical_mj.learners.data import Batch, Dataset, Rollout
+from magical_mj.learners.learner import Learner, restore_optimizer, seeded
+from magical_mj.learners.networks import Actor, Heads, StateTorso, Torso, as_input, standardise
 from magical_mj.learners.settings import TrainingSettings
-from magical_mj.learners.states import StateTorso
+from magical_mj.learners.vector_envs import OBSERVATION, TASK, TrainingEnvs
+from magical_mj.utils.extras import check_extra
 
 
-class Features(BaseFeaturesExtractor):
+Samples = tuple[Tensor, Tensor, Tensor]
+"""A batch on the device: observations as of `as_input`, actions (n,) and numbers of tasks (n,)."""
+
+
+class TorsoExtractor(BaseFeaturesExtractor):
     """The torso's features with the one-hot task appended, so that the heads get it."""
 
     def __init__(self, observation_space: spaces.Dict, torso: Torso | StateTorso) -> None:
@@ -38,11 +44,11 @@ class Features(BaseFeaturesExtractor):
 
     def forward(self, observations: Mapping[str, Tensor]) -> Tensor:
         """Shape (n, features + tasks). Pictures come as floats from 0 to 255 made for this, the channels last."""
-        seen = observations[SEEN]
-        return torch.cat([self.torso(as_input(seen, seen.device)), observations[TASK]], dim=1)
+        pixels = observations[OBSERVATION]
+        return torch.cat([self.torso(as_input(pixels, pixels.device)), observations[TASK]], dim=1)
 
 
-class ForTasks(nn.Module):
+class TaskHeads(nn.Module):
     """Heads for features with the one-hot task appended."""
 
     def __init__(self, heads: Heads) -> None:
@@ -76,18 +82,18 @@ class ActorCritic(ActorCriticPolicy):
         critic: Heads,
         **others: Any,
     ) -> None:
-        parts = {"features_extractor_class": Features, "features_extractor_kwargs": {"torso": actor.torso}}
+        parts = {"features_extractor_class": TorsoExtractor, "features_extractor_kwargs": {"torso": actor.torso}}
         super().__init__(
             observation_space,
             action_space,
             lr_schedule,
             net_arch=[],
             ortho_init=False,
-            normalize_images=False,  # `Features` does it, in place
+            normalize_images=False,  # `TorsoExtractor` does it, in place
             **parts,
             **others,
         )
-        self.action_net, self.value_net = ForTasks(actor.head), ForTasks(critic)
+        self.action_net, self.value_net = TaskHeads(actor.head), TaskHeads(critic)
         self.optimizer = torch.optim.Adam(self.parameters(), lr_schedule(1), fused=True)  # its eps is 1e-8, as rlpyt's
 
 
@@ -107,17 +113,17 @@ class EvenBuffer(DictRolloutBuffer):
         """All samples once, in minibatches in which the tasks' shares differ by one at most."""
         count = int(self.tasks[-1]) + 1
         each = self.buffer_size * self.n_envs // count
-        drawn = [torch.randperm(each, generator=self.generator) + task * each for task in range(count)]
-        order = torch.stack(drawn, dim=1).flatten()  # one of each task, and again
+        permutations = [torch.randperm(each, generator=self.generator) + task * each for task in range(count)]
+        order = torch.stack(permutations, dim=1).flatten()  # one of each task, and again
         for numbers in order.split(batch_size or len(order)):
-            copies, steps = np.divmod(numbers.numpy(), self.buffer_size)
+            envs, steps = np.divmod(numbers.numpy(), self.buffer_size)
             yield DictRolloutBufferSamples(
-                observations={key: self.to_torch(seen[steps, copies]) for key, seen in self.observations.items()},
-                actions=self.to_torch(self.actions[steps, copies]),
-                old_values=self.to_torch(self.values[steps, copies]),
-                old_log_prob=self.to_torch(self.log_probs[steps, copies]),
-                advantages=self.to_torch(self.advantages[steps, copies]),
-                returns=self.to_torch(self.returns[steps, copies]),
+                observations={key: self.to_torch(values[steps, envs]) for key, values in self.observations.items()},
+                actions=self.to_torch(self.actions[steps, envs]),
+                old_values=self.to_torch(self.values[steps, envs]),
+                old_log_prob=self.to_torch(self.log_probs[steps, envs]),
+                advantages=self.to_torch(self.advantages[steps, envs]),
+                returns=self.to_torch(self.returns[steps, envs]),
             )
 
 
@@ -159,7 +165,7 @@ class ExternalRewardPPO(PPO):
     def __init__(
         self,
         settings: TrainingSettings,
-        environments: Environments,
+        environments: TrainingEnvs,
         actor: Actor,
         critic: Heads,
         generator: torch.Generator,
@@ -196,7 +202,7 @@ class ExternalRewardPPO(PPO):
         """Plays the settings' number of steps in each environment, and returns them."""
         self.collect_rollouts(self._environments, self._scores, self.rollout_buffer, self.n_steps)
         buffer = self.rollout_buffer
-        return Rollout(buffer.observations[SEEN], buffer.actions[..., 0], self._environments.tasks)
+        return Rollout(buffer.observations[OBSERVATION], buffer.actions[..., 0], self._environments.tasks)
 
     def improve(self, rewards: NDArray[np.float32]) -> dict[str, float]:
         """One update of the policy, with rewards of shape (steps, environments) for the collected rollout."""
@@ -215,23 +221,142 @@ class ExternalRewardPPO(PPO):
             "value loss": float(metrics["train/value_loss"]),
         }
 
-    def state(self) -> dict[str, Any]:
+    def get_state(self) -> dict[str, Any]:
         """Weights, and the states of the optimizer, the environments and the training."""
         return {
             "weights": self._parts.state_dict(),
             "optimizer": self.policy.optimizer.state_dict(),
-            "environments": self._environments.state(),
+            "environments": self._environments.get_state(),
             "starts": np.array(self._last_episode_starts),
             "steps": self.num_timesteps,
             "epochs": self._n_updates,
             "score": self._scores.latest,
         }
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Restores a `state`."""
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Goes back to a state that `get_state` returned."""
         self._parts.load_state_dict(state["weights"])
         restore_optimizer(self.policy.optimizer, state["optimizer"])
-        self._last_obs = self._environments.restore(state["environments"])
+        self._last_obs = self._environments.set_state(state["environments"])
         self._last_episode_starts = state["starts"]
         self.num_timesteps, self._n_updates = state["steps"], state["epochs"]
         self._scores.latest = state["score"]
+
+
+class RewardLearner(Learner):
+    """Plays, computes rewards, and improves the policy by PPO.
+
+    Policy and value look at pictures as they are, without augmentation (appendix). Demonstrations keep their no-ops.
+    """
+
+    def __init__(self, settings: TrainingSettings) -> None:
+        super().__init__(settings)
+        settings.check_reinforcement()  # of whatever method
+        self.updates = settings.ppo.total_steps // (settings.ppo.environments * settings.ppo.steps)
+        self._expert = Dataset(settings, drop_noop=False)
+        self._draw = torch.Generator().manual_seed(settings.seed)
+        self._environments = TrainingEnvs(settings)
+        tasks = len(settings.tasks)
+        with seeded(settings.seed):
+            actor = Actor(settings.network, tasks, states=settings.states).to(self.device)
+            if isinstance(actor.torso, Torso):
+                first = self._expert.sample(256 // tasks * tasks, torch.Generator().manual_seed(settings.seed))
+                standardise(actor.torso, self.on_device(first)[0])
+            critic = Heads(tasks, actor.torso.features, 1).to(self.device)
+            self._actor = actor
+            self._average = AveragedModel(actor, multi_avg_fn=get_ema_multi_avg_fn(settings.ppo.averaging))
+            self._ppo = ExternalRewardPPO(settings, self._environments, actor, critic, self._draw, self.device)
+        self._normalise = RewardNormaliser(settings.ppo.reward_deviation, self._environments.tasks)
+
+    @classmethod
+    def check(cls, settings: TrainingSettings) -> None:
+        """Also that batched worlds are installed, if these shall be played in."""
+        super().check(settings)
+        if settings.ppo.worlds == "batched":
+            check_extra("batched worlds", "gpu")
+
+    @property
+    def actor(self) -> Actor:
+        """The average of the policies so far, of which the latest weigh most; with `ppo.averaging` 0, the latest."""
+        return cast("Actor", self._average.module)
+
+    def play(self) -> Mapping[str, float]:
+        """One rollout, its rewards and PPO's step; stable-baselines3's draws from global generators stay in here."""
+        with seeded(int(torch.randint(2**62, (), generator=self._draw))):
+            rollout = self._ppo.collect()
+            metrics = dict(self.learn_reward(rollout))
+            with torch.no_grad():
+                parts = [self.reward(*self.on_device(batch)) for batch in rollout.batches(self.settings.ppo.minibatch)]
+            rewards = torch.cat(parts).double().cpu().numpy().reshape(rollout.actions.shape)
+            metrics |= {"reward": float(rewards.mean()), **self._ppo.improve(self._normalise(rewards))}
+        self._average.update_parameters(self._actor)
+        return metrics
+
+    @abstractmethod
+    def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
+        """Learns from the policy's latest rollout, and returns metrics."""
+
+    @abstractmethod
+    def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        """Rewards (n,) of samples, to be normalised."""
+
+    def on_device(self, batch: Batch) -> Samples:
+        """A batch as networks want it."""
+        return as_input(batch.observations, self.device), batch.actions.to(self.device), batch.tasks.to(self.device)
+
+    def get_state(self) -> dict[str, Any]:
+        """Of the policy and its average, the environments, the rewards and the draws."""
+        return {
+            "ppo": self._ppo.get_state(),
+            "average": self._average.state_dict(),
+            "rewards": self._normalise.get_state(),
+            "draw": self._draw.get_state(),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Goes back to a state that `get_state` returned."""
+        self._ppo.set_state(state["ppo"])
+        self._average.load_state_dict(state["average"])
+        self._normalise.set_state(state["rewards"])
+        self._draw.set_state(state["draw"])
+
+    def close(self) -> None:
+        """Closes the environments."""
+        self._environments.close()
+
+
+class RewardNormaliser:
+    """Normalises each task's rewards to mean 0 and a given standard deviation, using its rewards so far.
+
+    The paper normalises rewards (appendix), but does not say whether jointly for several tasks. If it were joint, a
+    task whose samples are easy to discriminate would determine the scale of the other tasks' rewards.
+
+    Args:
+        deviation: the standard deviation.
+        tasks: number of each environment's task, ascending from 0, shape (environments,).
+    """
+
+    def __init__(self, deviation: float, tasks: NDArray[np.int64]) -> None:
+        self._deviation, self._tasks = deviation, tasks
+        self._statistics = [RunningMeanStd() for _ in range(int(tasks[-1]) + 1)]
+
+    def __call__(self, rewards: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Takes in rewards of shape (steps, environments), and returns them normalised."""
+        normalised = np.empty(rewards.shape, np.float32)
+        for task, statistics in enumerate(self._statistics):
+            own = self._tasks == task
+            statistics.update(rewards[:, own].ravel())
+            spread = np.sqrt(statistics.var + 1e-12)  # rewards that are all the same are all 0
+            normalised[:, own] = (rewards[:, own] - statistics.mean) / spread * self._deviation
+        return normalised
+
+    def get_state(self) -> dict[str, Any]:
+        """Means, variances and numbers of the rewards so far, by task."""
+        names = ("mean", "var", "count")
+        return {name: [float(getattr(task, name)) for task in self._statistics] for name in names}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Goes back to a state that `get_state` returned."""
+        for task, statistics in enumerate(self._statistics):
+            statistics.mean, statistics.var = np.array(state["mean"][task]), np.array(state["var"][task])
+            statistics.count = state["count"][task]

@@ -1,46 +1,70 @@
-"""The settings of a training, with the paper's hyperparameters as defaults."""
+"""The settings of a training, with the paper's hyperparameters as defaults; their presets, and their TOML files."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, is_dataclass
-from math import inf
-from numbers import Real
-from typing import Any, Final, get_type_hints
+import json
+import tomllib
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar, Final, Literal
+
+from msgspec import Meta
 
 from magical_mj.envs.presets import PRESETS, preset_named
-from magical_mj.tasks.registry import TASKS, listed, task_spec
-from magical_mj.utils.errors import SettingsError, check_name, shown
-from magical_mj.utils.settings import LARGEST_SETTING
+from magical_mj.tasks.registry import TASKS, listed, task_name, task_spec
+from magical_mj.utils.errors import SettingsError
+from magical_mj.utils.files import read_toml
+from magical_mj.utils.imports import check_named, resolve_installed, with_place
+from magical_mj.utils.settings import Count, Natural, Settings, changed, made
 
 STATE: Final = "State"
 """The preset of the state track."""
-LEARNABLE: Final = (*(name for name, made in PRESETS.items() if made.layout == "hwc"), STATE)
+LEARNABLE: Final = (*(name for name, preset in PRESETS.items() if preset.layout == "hwc"), STATE)
 """The presets that learners can look at: one stack of frames, the channels last, or states."""
-AUGMENT: Final = ("all", "none", "no-trans-rot")
-"""The sets of augmentations, of pictures and of states."""
+AUGMENTATIONS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "all": ("translation", "rotation", "colour", "noise"),
+        "no-trans-rot": ("colour", "noise"),
+        "none": (),
+    }
+)
+"""The sets of augmentations in the paper's ablations, by name."""
 HEADS: Final = 4
-"""Of the attention between blocks and regions, which share the units of `Network.entity`."""
-ALL_PARTS: Final = ("network", "bc", "ppo", "discriminator", "features")
-"""The tables of settings below."""
-SEEDS: Final = 2**63
-"""Seeds are below this: half of what PyTorch's generators take, since some of them get a little more than the seed."""
+"""Of the attention between blocks and regions, which share the units of `NetworkSettings.entity`."""
+START: Final = "made"
+"""The table of a config.toml that says when and with what a run was started; no setting."""
+GROUP: Final = "magical_mj.methods"
+"""The entry-point group in which installed packages announce methods, such as ``mine = "package.module:Mine"``."""
+
+Amount = Annotated[int, Meta(ge=1)]
+"""An integer of at least 1, however large."""
+Positive = Annotated[float, Meta(gt=0, le=1e9)]
+NotNegative = Annotated[float, Meta(ge=0, le=1e9)]
+Share = Annotated[float, Meta(ge=0, le=1)]
 
 
 @dataclass(frozen=True)
-class Network:
-    """The layers that all networks share (appendix, "Network architecture")."""
+class NetworkSettings(Settings):
+    """The layers that all networks share (appendix, "Network architecture"), of at most `networks.MOST_PARAMETERS`."""
 
-    first_kernel: int = 5
-    first_stride: int = 1
-    first_channels: int = 64
-    channels: int = 128  # of each of the four 3 x 3 convolutions of stride 2 that follow
-    hidden: int = 256  # units of each of the two linear layers
-    entity: int = 64  # of states: units for the robot, each block and each region
-    attention: int = 1  # likewise: layers of attention between them
+    part: ClassVar[str] = "network"
+
+    first_kernel: Count = 5
+    first_stride: Count = 1
+    first_channels: Count = 64
+    channels: Annotated[Count, Meta(description="of each of the four 3 x 3 convolutions of stride 2 that follow")] = 128
+    hidden: Annotated[Count, Meta(description="units of each of the two linear layers")] = 256
+    entity: Annotated[Count, Meta(description="of states: units for the robot, each block and each region")] = 64
+    attention: Annotated[
+        Annotated[int, Meta(ge=1, le=32)], Meta(description="likewise: layers of attention between them")
+    ] = 1
 
     def __post_init__(self) -> None:
         """Raises a `SettingsError` for sizes that cannot be."""
-        _check_values(self, "network.")
+        super().__post_init__()
         if self.first_kernel % 2 == 0:
             raise SettingsError(f"network.first_kernel must be odd, not {self.first_kernel}")
         if self.entity % HEADS:
@@ -48,102 +72,129 @@ class Network:
 
 
 @dataclass(frozen=True)
-class Cloning:
+class CloningSettings(Settings):
     """Behavioural cloning (appendix, table "Hyperparameters for BC experiments")."""
 
-    batches: int = 20_000
-    batch_size: int = 32
-    optimizer: str = "sgd"
-    learning_rate: float = 1e-3  # at first; from batch to batch it moves linearly to
-    final_learning_rate: float = 1e-3  # at the end
-    momentum: float = 0.1  # of SGD
-    heads: str = "normal"  # how their first weights are drawn, normal or uniform: see `Heads`
+    part: ClassVar[str] = "bc"
 
-
-@dataclass(frozen=True)
-class PPO:
-    """The policy's side of GAIL, WGAIL-GP and AL (appendix, table "Hyperparameters for GAIL experiments")."""
-
-    total_steps: int = 1_000_000  # environment steps
-    worlds: str = "single"  # that are played in: each in MuJoCo by itself, or "batched" on an accelerator
-    environments: int = 32
-    steps: int = 8  # in each environment, between two updates
-    epochs: int = 12
-    minibatch: int = 64
-    learning_rate: float = 6e-5  # of Adam at first; it falls linearly to 0
-    discount: float = 0.8
-    gae_lambda: float = 0.8
-    entropy: float = 1e-5
-    clip: float = 0.01
-    anneal_clip: bool = True  # it falls to 0 with the learning rate; not in the paper, but in its library, rlpyt
-    normalise_advantages: bool = False  # in each minibatch; rlpyt does not
-    gradient_norm: float = 1.0
-    averaging: float = 0.0  # the share that each update leaves of the policies' moving average, which is evaluated
-    reward_deviation: float = 0.1  # standard deviation to which rewards are normalised
-
-
-@dataclass(frozen=True)
-class Discriminator:
-    """The discriminator's side of GAIL and WGAIL-GP (the same table)."""
-
-    steps: int = 12  # for each update of the policy
-    rollouts: int = 1  # the latest ones, from which the policy's samples are drawn; 4 in the released code
-    batch_size: int = 24  # half of them the policy's, half the expert's
-    learning_rate: float = 2.5e-5  # of Adam
-    gradient_penalty: float = 100.0  # of WGAIL-GP
-
-
-@dataclass(frozen=True)
-class Features:
-    """The feature function of AL (appendix, "Apprenticeship learning baseline")."""
-
-    batches: int = 8_192  # of the autoencoder's training
-    batch_size: int = 24
-    learning_rate: float = 1e-4  # of Adam; the paper does not say
-    size: int = 32
-    samples: int = 512  # the latest of the policy, for the weight vector
-
-
-@dataclass(frozen=True)
-class TrainingSettings:
-    """One training run, completely.
-
-    Attributes:
-        method: one of `magical_mj.learners.METHODS`, or the name of a method of the user's own.
-        tasks: of the demonstrations; more than one is multi-task learning.
-        seed: decides everything that is drawn: the demonstrations, the weights, the batches.
-        demonstrations: how many of each task's are drawn.
-        preset: what is looked at, one of `LEARNABLE`.
-        augment: one of `AUGMENT`, for BC's policy and the discriminator.
-        device: "auto", "cpu", or another device's name in PyTorch, such as "cuda".
-        evaluations: how often during the training the policy is evaluated on the demo variant.
-        episodes: in each of these evaluations, for each task.
-        checkpoints: how often during the training everything is saved.
-        precision: "float32", or "bfloat16" for most of what BC's network computes in training.
-    """
-
-    method: str
-    tasks: tuple[str, ...]
-    seed: int = 0
-    demonstrations: int = 10
-    preset: str = "LoRes4E"
-    augment: str = "all"
-    device: str = "auto"
-    evaluations: int = 10
-    episodes: int = 10
-    checkpoints: int = 50
-    precision: str = "float32"
-    network: Network = field(default_factory=Network)
-    bc: Cloning = field(default_factory=Cloning)
-    ppo: PPO = field(default_factory=PPO)
-    discriminator: Discriminator = field(default_factory=Discriminator)
-    features: Features = field(default_factory=Features)
+    batches: Amount = 20_000
+    batch_size: Count = 32
+    optimizer: Literal["sgd", "adam"] = "sgd"
+    learning_rate: Annotated[Positive, Meta(description="at first; from batch to batch it moves linearly")] = 1e-3
+    final_learning_rate: Annotated[Positive, Meta(description="at the end")] = 1e-3
+    momentum: Annotated[NotNegative, Meta(description="of SGD")] = 0.1
+    heads: Annotated[Literal["normal", "uniform"], Meta(description="how their first weights are drawn")] = "normal"
 
     def __post_init__(self) -> None:
-        """Raises a `SettingsError` or an `UnknownNameError` for invalid settings."""
-        if not isinstance(self.method, str) or not isinstance(self.tasks, tuple):
-            found = shown((self.method, self.tasks))
-            raise SettingsError(f"the method must be a name and the tasks a tuple of names, not {found}")
+        """Raises a `SettingsError` for combinations that cannot be."""
+        super().__post_init__()
+        if self.optimizer == "adam" and self.momentum != CloningSettings.momentum:
+            raise SettingsError("bc.momentum is of bc.optimizer=sgd: with adam, it would have no effect")
+        if self.final_learning_rate > self.learning_rate:
+            raise SettingsError(
+                f"learning rates fall: bc.final_learning_rate={self.final_learning_rate} must be at most "
+                f"bc.learning_rate={self.learning_rate}; set both"
+            )
+
+
+@dataclass(frozen=True)
+class PPOSettings(Settings):
+    """The policy's side of GAIL, WGAIL-GP and AL (appendix, table "Hyperparameters for GAIL experiments")."""
+
+    part: ClassVar[str] = "ppo"
+
+    total_steps: Annotated[Amount, Meta(description="environment steps of the training")] = 1_000_000
+    worlds: Annotated[
+        Literal["single", "batched"], Meta(description="each in MuJoCo by itself, or all on an accelerator")
+    ] = "single"
+    environments: Count = 32
+    steps: Annotated[Count, Meta(description="in each environment, between two updates")] = 8
+    epochs: Count = 12
+    minibatch: Annotated[Annotated[int, Meta(ge=2)], Meta(description="samples")] = 64
+    learning_rate: Annotated[Positive, Meta(description="of Adam at first; it falls linearly to 0")] = 6e-5
+    discount: Share = 0.8
+    gae_lambda: Share = 0.8
+    entropy: NotNegative = 1e-5
+    clip: Positive = 0.01
+    anneal_clip: Annotated[
+        bool, Meta(description="it falls to 0 with the learning rate; as in rlpyt, the paper's library")
+    ] = True
+    normalise_advantages: Annotated[bool, Meta(description="in each minibatch; rlpyt does not")] = False
+    gradient_norm: Positive = 1.0
+    averaging: Annotated[
+        Annotated[float, Meta(ge=0, lt=1)],
+        Meta(description="the share that each update leaves of the policies' moving average, which is evaluated"),
+    ] = 0.0
+    reward_deviation: Annotated[Positive, Meta(description="to which rewards are normalised")] = 0.1
+
+
+@dataclass(frozen=True)
+class DiscriminatorSettings(Settings):
+    """The discriminator's side of GAIL and WGAIL-GP (the same table)."""
+
+    part: ClassVar[str] = "discriminator"
+
+    steps: Annotated[Count, Meta(description="for each update of the policy")] = 12
+    rollouts: Annotated[
+        Count, Meta(description="the latest, of which the policy's samples are; 4 in the released code")
+    ] = 1
+    batch_size: Annotated[
+        Annotated[int, Meta(ge=2, multiple_of=2)], Meta(description="half the policy's, half the expert's samples")
+    ] = 24
+    learning_rate: Annotated[Positive, Meta(description="of Adam")] = 2.5e-5
+    gradient_penalty: Annotated[NotNegative, Meta(description="of WGAIL-GP")] = 100.0
+
+
+@dataclass(frozen=True)
+class FeatureSettings(Settings):
+    """The feature function of AL (appendix, "Apprenticeship learning baseline")."""
+
+    part: ClassVar[str] = "features"
+
+    batches: Annotated[Amount, Meta(description="of the autoencoder's training")] = 8_192
+    batch_size: Count = 24
+    learning_rate: Annotated[Positive, Meta(description="of Adam; the paper does not say")] = 1e-4
+    size: Count = 32
+    samples: Annotated[Count, Meta(description="the policy's latest, for the weight vector")] = 512
+
+
+@dataclass(frozen=True)
+class TrainingSettings(Settings):
+    """One training run, completely.
+
+    Raises:
+        SettingsError, UnknownNameError: for values that cannot be.
+    """
+
+    method: Annotated[str, Meta(description="one of `magical_mj.learners.METHODS`, or the name of one's own")]
+    tasks: Annotated[tuple[str, ...], Meta(description="more than one is multi-task learning")]
+    seed: Annotated[
+        Annotated[int, Meta(ge=0, le=2**63 - 1)],
+        Meta(description="Decides everything that is drawn: the demonstrations, the weights, the batches."),
+    ] = 0
+    demonstrations: Annotated[Count, Meta(description="how many of each task's are drawn")] = 10
+    preset: Annotated[str, Meta(description="what is looked at, one of `LEARNABLE`")] = "LoRes4E"
+    augment: Annotated[
+        Literal["all", "none", "no-trans-rot"], Meta(description="for BC's policy and the discriminator")
+    ] = "all"
+    device: Annotated[str, Meta(description='"auto", "cpu", or another name of a device in PyTorch')] = "auto"
+    evaluations: Annotated[
+        Natural, Meta(description="how often the policy is evaluated on the demo variant during the training")
+    ] = 10
+    episodes: Annotated[Count, Meta(description="in each of these evaluations, for each task")] = 10
+    checkpoints: Annotated[Count, Meta(description="how often everything is saved during the training")] = 50
+    precision: Annotated[
+        Literal["float32", "bfloat16"], Meta(description="of most of what BC's network computes in training")
+    ] = "float32"
+    network: NetworkSettings = field(default_factory=NetworkSettings)
+    bc: CloningSettings = field(default_factory=CloningSettings)
+    ppo: PPOSettings = field(default_factory=PPOSettings)
+    discriminator: DiscriminatorSettings = field(default_factory=DiscriminatorSettings)
+    features: FeatureSettings = field(default_factory=FeatureSettings)
+
+    def __post_init__(self) -> None:
+        """Checks each setting, and what must fit together."""
+        super().__post_init__()
         for task in self.tasks:
             task_spec(task)  # or its error
         if not self.tasks or len(set(self.tasks)) < len(self.tasks):
@@ -153,28 +204,9 @@ class TrainingSettings:
             raise SettingsError(
                 f"learners look at one stack of frames or at states: preset must be one of {', '.join(LEARNABLE)}"
             )
-        check_name("augmentation", self.augment, AUGMENT)
-        _check_values(self, "")
-        if self.seed >= SEEDS:
-            raise SettingsError(f"a training's seed must be below 2**63, not {shown(self.seed)}")
-        for name, (value, allowed) in {
-            "bc.optimizer": (self.bc.optimizer, ("sgd", "adam")),
-            "bc.heads": (self.bc.heads, ("normal", "uniform")),
-            "ppo.worlds": (self.ppo.worlds, ("single", "batched")),
-            "precision": (self.precision, ("float32", "bfloat16")),
-        }.items():
-            if value not in allowed:
-                raise SettingsError(f"{name} must be {' or '.join(allowed)}, not {value!r}")
-        if self.bc.optimizer == "adam" and self.bc.momentum != Cloning.momentum:
-            raise SettingsError("bc.momentum is of bc.optimizer=sgd: with adam, it would have no effect")
-        if self.bc.final_learning_rate > self.bc.learning_rate:
-            raise SettingsError(
-                f"learning rates fall: bc.final_learning_rate={self.bc.final_learning_rate} must be at most "
-                f"bc.learning_rate={self.bc.learning_rate}; set both"
-            )
         if self.method == "bc" and self.ppo.worlds != "single":
             raise SettingsError("bc learns without playing: worlds are chosen for gail, wgail-gp and al")
-        if self.method in ("gail", "wgail-gp", "al"):
+        if "ppo" in PARTS.get(self.method, ()):
             self.check_reinforcement()
 
     @property
@@ -191,79 +223,237 @@ class TrainingSettings:
                 f"environments are split evenly between tasks: ppo.environments={ppo.environments} "
                 f"must be a multiple of {tasks}"
             )
-        if ppo.minibatch == 1 or rollout % ppo.minibatch:
+        if rollout % ppo.minibatch:
             raise SettingsError(
-                f"minibatches must be of the same size, and of more than one sample: ppo.minibatch={ppo.minibatch} "
-                f"does not divide ppo.environments x ppo.steps = {rollout}"
+                f"minibatches must be of the same size: ppo.minibatch={ppo.minibatch} does not divide "
+                f"ppo.environments x ppo.steps = {rollout}"
             )
         if ppo.total_steps < rollout:
             raise SettingsError(f"ppo.total_steps={ppo.total_steps} are too few for one rollout of {rollout} steps")
-        if max(ppo.discount, ppo.gae_lambda) > 1:
-            raise SettingsError("ppo.discount and ppo.gae_lambda must be at most 1")
-        if ppo.averaging >= 1:
-            raise SettingsError("with ppo.averaging of 1 or more, the policy that plays in evaluations would not learn")
-        if self.discriminator.batch_size % 2:
-            raise SettingsError("half of discriminator.batch_size are the policy's samples: it must be even")
         if self.features.samples < tasks:
             raise SettingsError(
                 f"features.samples={self.features.samples} must be at least one for each of {tasks} tasks"
             )
 
 
-MAY_BE_ZERO: Final = {
-    "seed", "evaluations",
-    "bc.momentum", "ppo.discount", "ppo.gae_lambda", "ppo.entropy", "ppo.averaging",
-    "discriminator.gradient_penalty",
-}  # fmt: skip
+ALL_PARTS: Final = tuple(item.name for item in fields(TrainingSettings) if is_dataclass(item.default_factory))
+"""The settings that are tables of their own."""
+PARTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "bc": ("network", "bc"),
+        "gail": ("network", "ppo", "discriminator"),
+        "wgail-gp": ("network", "ppo", "discriminator"),
+        "al": ("network", "ppo", "features"),
+    }
+)
+"""Method of this package -> the parts of the settings that it uses."""
+_USERS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "augment": ("bc", "gail", "wgail-gp"),
+        "precision": ("bc",),
+        "discriminator.gradient_penalty": ("wgail-gp",),
+    }
+)
+"""Setting -> the methods that use it, where these are not all that use its part."""
+_OF_PICTURES: Final = ("network.first_kernel", "network.first_stride", "network.first_channels", "network.channels")
+_OF_STATES: Final = ("network.entity", "network.attention")
+
+_SHORT: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        "ppo.steps": 16,
+        "ppo.epochs": 4,
+        "ppo.learning_rate": 3e-4,
+        "ppo.discount": 0.9,
+        "ppo.entropy": 0.003,
+        "ppo.clip": 0.2,
+        "ppo.anneal_clip": False,
+        "ppo.normalise_advantages": True,
+        "discriminator.steps": 6,
+        "discriminator.learning_rate": 1e-4,
+        "features.batches": 1_000,
+        "features.learning_rate": 1e-3,
+    }
+)
+"""Of trainings that are short enough for two cores, from pictures or states."""
+
+QUICK: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        **_SHORT,
+        "network.first_stride": 4,
+        "network.first_channels": 32,
+        "network.channels": 64,
+        "evaluations": 5,
+        "checkpoints": 10,
+        "bc.batches": 1_000,
+        "bc.optimizer": "adam",
+        "bc.final_learning_rate": 1e-5,
+        "ppo.total_steps": 80_000,
+        "discriminator.batch_size": 32,
+    }
+)
+"""The changes made by `quick`: a smaller network and shorter training, for two cores without an accelerator."""
+
+STATE_TRACK: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        **_SHORT,
+        "evaluations": 2,
+        "checkpoints": 10,
+        "bc.batches": 6_000,
+        "bc.batch_size": 64,
+        "bc.optimizer": "adam",
+        "bc.learning_rate": 2e-3,
+        "bc.final_learning_rate": 1e-5,
+        "bc.heads": "uniform",
+        "ppo.total_steps": 1_000_000,
+        "ppo.minibatch": 128,
+        "ppo.entropy": 0.02,
+        "ppo.clip": 0.05,
+        "ppo.averaging": 0.995,
+        "discriminator.batch_size": 128,
+        "discriminator.rollouts": 4,
+    }
+)
+"""The changes for the preset State, which the paper does not have."""
+
+SHORT_AL: Final[Mapping[str, Any]] = MappingProxyType(
+    {"ppo.learning_rate": 6e-5, "ppo.entropy": 1e-5, "ppo.clip": 0.01, "features.samples": 4096}
+)
+"""The paper's PPO in short trainings of AL, whose rewards change more than others' from one update to the next."""
 
 
-AT_MOST: Final = {
-    "episodes": LARGEST_SETTING,
-    "network.first_kernel": 95, "network.first_stride": 95,  # the pictures have 96 pixels
-    "network.first_channels": 4096, "network.channels": 4096, "network.hidden": 4096,
-    "network.entity": 1024, "network.attention": 32,
-    "bc.batch_size": 2**16,
-    "ppo.environments": 2**16, "ppo.steps": 2**16, "ppo.minibatch": 2**16,
-    "discriminator.batch_size": 2**16, "discriminator.rollouts": 2**10,
-    "features.batch_size": 2**16, "features.size": 4096, "features.samples": 2**20,
-}  # fmt: skip
-"""Sizes for which no machine has the memory, or nobody the time, are above these."""
+def load_settings(
+    method: str, tasks: str | tuple[str, ...], *, quick: bool = False, **changes: Any
+) -> TrainingSettings:
+    """The settings of a method: the paper's, changed for short trainings (`quick`, preset State), then by `changes`.
+
+    Args:
+        method: one of `magical_mj.learners.METHODS`, or the name of a method of the user's own.
+        tasks: the tasks, as a tuple or separated by commas; "all" is all eight.
+        quick: use a smaller network and a shorter training on pictures.
+        changes: by field; those of parts with dots, as in ``**{"ppo.clip": 0.02}``.
+
+    Raises:
+        UnknownNameError: for an unknown task or setting.
+        SettingsError: if a value is invalid, or `quick` is asked for with the preset State.
+    """
+    tasks = tuple(task_name(task) for task in listed(tasks, TASKS))
+    settings, short = TrainingSettings(method, tasks), QUICK if quick else {}
+    if isinstance(chosen := changes.get("preset"), str) and chosen == STATE:
+        if quick:
+            raise SettingsError("quick is for pictures: learning from states is quick as it is")
+        short = STATE_TRACK
+    if short and method == "al":
+        short = {**short, **SHORT_AL}
+    return changed(settings, {**short, **changes})
 
 
-def _check_values(part: Any, prefix: str) -> None:
-    """Raises a `SettingsError` for values of the wrong kind or size; numpy's numbers become Python's."""
-    for field_name, kind in get_type_hints(type(part)).items():
-        value, name = getattr(part, field_name), f"{prefix}{field_name}"
-        if isinstance(kind, type) and is_dataclass(kind):
-            if not isinstance(value, kind):
-                raise SettingsError(f"{name} must be of the type {kind.__name__}, not {shown(value)}")
-            _check_values(value, f"{name}.")
-            continue
-        value = fitting(name, value, kind)
-        object.__setattr__(part, field_name, value)
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            if not (0 < value < inf or (value == 0 and name in MAY_BE_ZERO)):
-                least = "0 or more" if name in MAY_BE_ZERO else "positive"
-                raise SettingsError(f"{name} must be {least}, not {shown(value)}")
-            if value > AT_MOST.get(name, inf):
-                raise SettingsError(f"{name} must be at most {AT_MOST[name]}, not {shown(value)}")
+def check_changes(changes: Iterable[str], given: Collection[str]) -> None:
+    """Raises a `SettingsError` if one of the changes is among what is given in another place."""
+    for name in changes:
+        if name in given:
+            raise SettingsError(f"{name} is given by itself, and not among the settings that are changed")
 
 
-def fitting(name: str, value: Any, kind: Any) -> Any:
-    """A value of the kind that a setting has: text is converted. Raises a `SettingsError` for what does not fit."""
-    if kind == tuple[str, ...]:
-        return tuple(listed(value, TASKS))
-    if kind is str and isinstance(value, str):
-        return value
-    if kind is bool or kind is str:
-        made = {"true": True, "false": False}.get(str(value).lower()) if kind is bool else None
-        if made is None:
-            raise SettingsError(f"{name} must be {'true or false' if kind is bool else 'text'}, not {value!r}")
-        return made
+def announced_methods() -> Mapping[str, EntryPoint]:
+    """The entry points of methods of installed packages, by name."""
+    return MappingProxyType({point.name: point for point in entry_points(group=GROUP) if point.name not in PARTS})
+
+
+def load_method(name: str) -> Any:
+    """The class of an announced method.
+
+    Raises:
+        SettingsError: if its module fails when it is imported, or has no such class.
+    """
+    point = announced_methods()[name]
     try:
-        made = kind(value) if isinstance(value, str | Real) and not isinstance(value, bool) else None
-    except (ValueError, OverflowError):
-        made = None
-    if made is None or (kind is int and isinstance(value, Real) and made != value):
-        raise SettingsError(f"{name} must be a number ({kind.__name__}), not {shown(value)}")
-    return made
+        return resolve_installed("".join(point.value.split()))
+    except Exception as error:
+        raise SettingsError(f"the method {name!r} ({point.value}) cannot be imported: {with_place(error)}") from error
+
+
+def parts_of(method: str) -> tuple[str, ...]:
+    """The parts of the settings that a method uses; one that no package announces may use all of them."""
+    return PARTS.get(method) or (load_method(method).parts if method in announced_methods() else ALL_PARTS)
+
+
+def users(name: str) -> tuple[str, ...]:
+    """The methods of this package that use a setting."""
+    part, dot, _ = name.partition(".")
+    return _USERS.get(name) or tuple(method for method, parts in PARTS.items() if not dot or part in parts)
+
+
+def uses(method: str, name: str) -> bool:
+    """Whether a method may use a setting."""
+    if method in PARTS:
+        return method in users(name)
+    part, dot, _ = name.partition(".")
+    return not dot or part in parts_of(method)
+
+
+def check_used(changes: Mapping[str, Any], methods: Collection[str]) -> None:
+    """Raises a `SettingsError` if a change is of a setting that none of the methods uses, or not with this preset."""
+    preset = changes.get("preset", TrainingSettings.preset)
+    for name in changes:
+        if name in (_OF_PICTURES if preset == STATE else _OF_STATES):
+            seen = "pictures" if preset == STATE else "states"
+            raise SettingsError(f"{name} is for {seen}, and of no use with the preset {preset}")
+        if users(name) and not any(uses(method, name) for method in methods):
+            raise SettingsError(f"{name} is for {', '.join(users(name))}, and of no use to {' or '.join(methods)}")
+
+
+def to_toml(settings: TrainingSettings) -> str:
+    """The settings that the method uses, as TOML; `from_toml` reads them."""
+    plain, tables, parts = [], [], parts_of(settings.method)
+    for item in fields(settings):
+        value = getattr(settings, item.name)
+        if is_dataclass(value) and item.name in parts:
+            lines = [f"{inner.name} = {toml_value(getattr(value, inner.name))}" for inner in fields(value)]
+            tables.append("\n".join([f"[{item.name}]", *lines]))
+        elif not is_dataclass(value):
+            plain.append(f"{item.name} = {toml_value(value)}")
+    return "\n\n".join(["\n".join(plain), *tables]) + "\n"
+
+
+def recorded(settings: TrainingSettings) -> dict[str, Any]:
+    """Name -> value for everything that `to_toml` writes; names of nested parts contain dots."""
+    return flattened(tomllib.loads(to_toml(settings)))
+
+
+def from_toml(path: Path) -> TrainingSettings:
+    """The settings in a file.
+
+    Raises:
+        SettingsError, UnknownNameError: if it is not TOML, or holds invalid settings.
+        UntrustedNameError: if it names the code of a task that the user has not named.
+    """
+    table = read_toml(path)
+    if not isinstance(table.pop(START, {}), dict):
+        raise SettingsError(f"{START} in {path} must be a table, as a training writes it; remove it")
+    if "method" not in table or "tasks" not in table:
+        raise SettingsError(f"{path} must give a method and tasks")
+    method, tasks = table.pop("method"), tuple(listed(table.pop("tasks"), TASKS))
+    for task in tasks:
+        check_named(task, path)
+    return changed(TrainingSettings(method, tasks), flattened(table))
+
+
+def flattened(table: dict[str, Any]) -> dict[str, Any]:
+    """Name -> value; names in sub-tables contain dots."""
+    flat = {}
+    for name, value in table.items():
+        flat |= {f"{name}.{inner}": kept for inner, kept in value.items()} if isinstance(value, dict) else {name: value}
+    return flat
+
+
+def toml_value(value: Any) -> str:
+    """A value as TOML."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(toml_value(item) for item in value)}]"
+    return _quoted(value) if isinstance(value, str) else json.dumps(value) if isinstance(value, bool) else repr(value)
+
+
+def _quoted(text: str) -> str:
+    """A text as TOML. What cannot be encoded, such as bytes of a file's name that are no UTF-8, is escaped twice."""
+    plain = text.encode(errors="backslashreplace").decode()
+    return json.dumps(plain, ensure_ascii=False).replace("\x7f", "\\u007f")

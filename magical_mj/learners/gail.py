@@ -15,10 +15,9 @@ from torch import Tensor, nn
 from magical_mj.learners.augmentation import augmentation
 from magical_mj.learners.data import Rollout, joined
 from magical_mj.learners.learner import restore_optimizer, seeded
-from magical_mj.learners.network import Heads, Torso
-from magical_mj.learners.reinforced import RewardLearner, Samples
-from magical_mj.learners.settings import Network, TrainingSettings
-from magical_mj.learners.states import StateTorso
+from magical_mj.learners.networks import Heads, StateTorso, Torso
+from magical_mj.learners.ppo import RewardLearner, Samples
+from magical_mj.learners.settings import NetworkSettings, TrainingSettings
 
 Samplewise = Callable[[Tensor, Tensor, Tensor], Tensor]
 """A discriminator: a function of observations, actions (n,) and tasks (n,) with one output for each sample, (n,)."""
@@ -27,7 +26,7 @@ Samplewise = Callable[[Tensor, Tensor, Tensor], Tensor]
 class Discriminator(nn.Module):
     """The paper's network with batch norm, or the one for states; it also gets the actions, and has a head per task."""
 
-    def __init__(self, network: Network, tasks: int, *, states: bool = False) -> None:
+    def __init__(self, network: NetworkSettings, tasks: int, *, states: bool = False) -> None:
         super().__init__()
         self.torso = StateTorso(network, actions=True) if states else Torso(network, batch_norm=True, actions=True)
         self.head = Heads(tasks, self.torso.features, 1)
@@ -46,9 +45,10 @@ class Adversarial(RewardLearner):
         self._latest: list[Rollout] = []
         self._noise = torch.Generator(self.device).manual_seed(settings.seed)
         with seeded(settings.seed + 1):
-            made = Discriminator(settings.network, len(settings.tasks), states=settings.states).to(self.device)
-        self._discriminator = made
-        self._optimizer = torch.optim.Adam(made.parameters(), settings.discriminator.learning_rate, fused=True)
+            discriminator = Discriminator(settings.network, len(settings.tasks), states=settings.states)
+        self._discriminator = discriminator.to(self.device)
+        rate = settings.discriminator.learning_rate
+        self._optimizer = torch.optim.Adam(self._discriminator.parameters(), rate, fused=True)
 
     def update(self) -> Mapping[str, float]:
         """A rollout, the discriminator's steps, and PPO's update on the new discriminator's rewards."""
@@ -60,30 +60,29 @@ class Adversarial(RewardLearner):
         self._latest = [*self._latest, rollout][-self.settings.discriminator.rollouts :]
         played = joined(self._latest)
         metrics = [self._step(played) for _ in range(steps)]
-        return {name: sum(one[name] for one in metrics) / steps for name in metrics[0]}
+        return {name: sum(step[name] for step in metrics) / steps for name in metrics[0]}
 
     @abstractmethod
     def loss(self, samples: Samples) -> tuple[Tensor, Mapping[str, float]]:
         """The discriminator's loss and metrics, for samples of which the first half are the policy's."""
 
-    def state(self) -> dict[str, Any]:
+    def get_state(self) -> dict[str, Any]:
         """Of all that plays, of the discriminator and of the augmentations."""
-        kept: dict[str, Any] = {  # under the names of earlier versions, whose checkpoints can be continued
-            "judge": self._discriminator.state_dict(),
-            "judge optimizer": self._optimizer.state_dict(),
+        earlier = self.settings.discriminator.rollouts - 1
+        return {
+            **super().get_state(),
+            "discriminator": self._discriminator.state_dict(),
+            "discriminator optimizer": self._optimizer.state_dict(),
+            "latest": [rollout._asdict() for rollout in (self._latest[-earlier:] if earlier else [])],
+            "noise": self._noise.get_state(),
         }
-        before = (
-            self._latest[1 - self.settings.discriminator.rollouts :] if self.settings.discriminator.rollouts > 1 else []
-        )
-        kept["latest"] = [rollout._asdict() for rollout in before]
-        return {**super().state(), **kept, "noise": self._noise.get_state()}
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Restores a `state`."""
-        super().restore(state)
-        self._discriminator.load_state_dict(state["judge"])
-        restore_optimizer(self._optimizer, state["judge optimizer"])
-        self._latest = [Rollout(**kept) for kept in state["latest"]]
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Goes back to a state that `get_state` returned."""
+        super().set_state(state)
+        self._discriminator.load_state_dict(state["discriminator"])
+        restore_optimizer(self._optimizer, state["discriminator optimizer"])
+        self._latest = [Rollout(**rollout) for rollout in state["latest"]]
         self._noise.set_state(state["noise"])
 
     def _step(self, rollout: Rollout) -> Mapping[str, float]:

@@ -1,4 +1,4 @@
-"""The paper's network (appendix, "Network architecture"): convolutions, two linear layers, and a head for each task."""
+"""Networks: the paper's for pictures (appendix, "Network architecture"), one for states, and a head for each task."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from magical_mj.learners.settings import Network
-from magical_mj.learners.states import StateTorso
+from magical_mj.learners.settings import HEADS, NetworkSettings
+from magical_mj.learners.state_features import ENTITY_FEATURES, ROBOT_FEATURES, features_of
 from magical_mj.scene.actions import ACTIONS
+from magical_mj.utils.errors import SettingsError
 
 SHAPE: Final = (96, 96, 12)
 """Of what networks look at: four RGB frames, stacked along the channels."""
 ONE_HOT: Final = len(ACTIONS)
+MOST_PARAMETERS: Final = 50_000_000
+"""The largest network that is built, 30 times the paper's: its weights are 200 MB, and training needs some more."""
 
 
 def as_input(observations: NDArray[Any] | Tensor, device: torch.device) -> Tensor:
@@ -38,7 +41,16 @@ def scaled(pixels: Tensor) -> Tensor:
     return pixels.div_(255)
 
 
-def convolutions(network: Network) -> list[tuple[int, int, int]]:
+def check_size(numbers: int, what: str = "parameters") -> None:
+    """Raises a `SettingsError` for so many numbers in a network, which may be what a stranger's file asks for."""
+    if numbers > MOST_PARAMETERS:
+        raise SettingsError(
+            f"a network with {numbers:,} {what} is too large, for {MOST_PARAMETERS:,} is the most: choose smaller "
+            "sizes (network.*, features.size)"
+        )
+
+
+def convolutions(network: NetworkSettings) -> list[tuple[int, int, int]]:
     """Channels, kernel and stride of each convolution, from the pictures inwards."""
     return [(network.first_channels, network.first_kernel, network.first_stride)] + 4 * [(network.channels, 3, 2)]
 
@@ -55,24 +67,32 @@ class Torso(nn.Module):
 
     def __init__(
         self,
-        network: Network,
+        network: NetworkSettings,
         *,
         batch_norm: bool = False,
         actions: bool = False,
         features: int | None = None,
     ) -> None:
         super().__init__()
-        layers: list[nn.Module] = []
+        self.features = features or network.hidden
         side, _, channels = SHAPE
+        parameters, units = 0, 0
+        for outputs, kernel, stride in convolutions(network):
+            parameters += channels * outputs * kernel**2
+            channels, side = outputs, math.ceil(side / stride)
+            units += channels * side**2
+        self.flat = channels * side * side
+        inputs = self.flat + (ONE_HOT if actions else 0)
+        check_size(parameters + (inputs + self.features) * network.hidden)
+        check_size(units, "activations for each picture")
+        layers: list[nn.Module] = []
+        channels = SHAPE[2]
         for outputs, kernel, stride in convolutions(network):
             layers.append(nn.Conv2d(channels, outputs, kernel, stride, padding=kernel // 2, bias=not batch_norm))
             layers += [nn.BatchNorm2d(outputs)] if batch_norm else []
             layers.append(nn.ReLU())
-            channels, side = outputs, math.ceil(side / stride)
+            channels = outputs
         self.convolutions = nn.Sequential(*layers).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-        self.flat = channels * side * side
-        self.features = features or network.hidden
-        inputs = self.flat + (ONE_HOT if actions else 0)
         self.linear = nn.Sequential(
             nn.Linear(inputs, network.hidden), nn.ReLU(), nn.Linear(network.hidden, self.features), nn.ReLU()
         )
@@ -83,6 +103,62 @@ class Torso(nn.Module):
         if actions is not None:
             flat = torch.cat([flat, nn.functional.one_hot(actions, ONE_HOT).to(flat.dtype)], dim=1)
         return self.linear(flat)
+
+
+class StateTorso(nn.Module):
+    """From histories to features: attention between blocks and regions, then the maxima over them.
+
+    The order in which blocks and regions are listed changes nothing, and there may be any number of them.
+
+    Args:
+        network: the layers' sizes.
+        actions: join one-hot actions to what the last two layers get; the discriminator and AL's encoder do.
+        features: units of the last layer, instead of `network.hidden`.
+    """
+
+    def __init__(self, network: NetworkSettings, *, actions: bool = False, features: int | None = None) -> None:
+        super().__init__()
+        size, self.features = network.entity, features or network.hidden
+        inputs = ROBOT_FEATURES + size + (ONE_HOT if actions else 0)
+        layer = (3 + 1 + 2) * size**2
+        check_size(network.attention * layer + size**2 + (inputs + self.features) * network.hidden)
+        self.entity = nn.Sequential(
+            nn.Linear(ROBOT_FEATURES + ENTITY_FEATURES, size), nn.ReLU(), nn.Linear(size, size)
+        )
+        self.attention = nn.ModuleList(Attention(size) for _ in range(network.attention))
+        self.linear = nn.Sequential(
+            nn.Linear(inputs, network.hidden), nn.ReLU(), nn.Linear(network.hidden, self.features), nn.ReLU()
+        )
+
+    def forward(self, observations: Tensor, actions: Tensor | None = None) -> Tensor:
+        """Features, shape (n, features), of histories (n, HISTORY, names) and actions (n,), if it has any."""
+        robot, entities, present = features_of(observations)
+        rows = self.entity(torch.cat([entities, robot[:, None].expand(-1, entities.shape[1], -1)], 2))
+        for layer in self.attention:
+            rows = layer(rows, present)
+        parts = [robot, rows.masked_fill(~present[..., None], -10.0).amax(1)]
+        if actions is not None:
+            parts.append(nn.functional.one_hot(actions, ONE_HOT).to(robot.dtype))
+        return self.linear(torch.cat(parts, dim=1))
+
+
+class Attention(nn.Module):
+    """One layer of a transformer's encoder (Vaswani et al., 2017), without normalisation: two suffice without it."""
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self.qkv = nn.Linear(size, 3 * size)
+        self.out_proj = nn.Linear(size, size)
+        self.mlp = nn.Sequential(nn.ReLU(), nn.Linear(size, size), nn.ReLU(), nn.Linear(size, size))
+
+    def forward(self, rows: Tensor, present: Tensor) -> Tensor:
+        """New rows, (n, rows, size), that know of the other rows that are `present`, (n, rows)."""
+        query, key, value = self.qkv(rows).unflatten(2, (3, HEADS, -1)).permute(2, 0, 3, 1, 4)
+        # PyTorch's own attention has no second derivative, which WGAIL-GP's penalty needs.
+        similarity = query @ key.transpose(2, 3) / math.sqrt(query.shape[3])
+        attended = similarity.masked_fill(~present[:, None, None], -1e4).softmax(3) @ value
+        rows = rows + self.out_proj(attended.transpose(1, 2).flatten(2))
+        return rows + self.mlp(rows)
 
 
 class Heads(nn.Module):
@@ -98,6 +174,7 @@ class Heads(nn.Module):
 
     def __init__(self, tasks: int, inputs: int, outputs: int, *, normal: bool = False) -> None:
         super().__init__()
+        check_size(tasks * outputs * inputs)
         self.weight = nn.Parameter(torch.empty(tasks, outputs, inputs))
         self.bias = nn.Parameter(torch.empty(tasks, outputs))
         bound = 1 / math.sqrt(inputs)
@@ -123,7 +200,7 @@ class Actor(nn.Module):
     """
 
     def __init__(
-        self, network: Network, tasks: int, *, states: bool = False, batch_norm: bool = False, normal: bool = False
+        self, network: NetworkSettings, tasks: int, *, states: bool = False, batch_norm: bool = False, normal: bool = False
     ) -> None:
         super().__init__()
         self.batch_norm = batch_norm

@@ -1,0 +1,269 @@
+"""One training, in a folder of its own: config.toml, metrics.csv, tensorboard/, checkpoint and policy."""
+
+from __future__ import annotations
+
+import math
+import shlex
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType, MappingProxyType
+from typing import Final
+
+import torch
+
+from magical_mj.evaluation.run import evaluate
+from magical_mj.learners.apprenticeship import Apprenticeship
+from magical_mj.learners.bc import BehaviouralCloning
+from magical_mj.learners.gail import GAIL, WGAILGP
+from magical_mj.learners.learner import Method, device, threads_for
+from magical_mj.learners.run_folder import Checkpoint, Metrics, RunFolder
+from magical_mj.learners.settings import TrainingSettings, announced_methods, load_method
+from magical_mj.policies.interface import Policy
+from magical_mj.policies.models import torch_threads
+from magical_mj.utils.errors import TrainingError, check_name
+
+
+class _Methods(Mapping[str, type[Method]]):
+    """The methods of this package, and those that other packages announce, which are imported when asked for."""
+
+    _OWN: Final = MappingProxyType({"bc": BehaviouralCloning, "gail": GAIL, "wgail-gp": WGAILGP, "al": Apprenticeship})
+
+    def __getitem__(self, name: str) -> type[Method]:
+        return self._OWN.get(name) or load_method(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self._OWN, *announced_methods()))
+
+    def __len__(self) -> int:
+        return len(self._OWN) + len(announced_methods())
+
+
+METHODS: Final = _Methods()
+"""Name -> class of every method that `train` knows by name."""
+ROWS: Final = 200
+"""Of metrics.csv for a whole training."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """The progress of a training.
+
+    Attributes:
+        update: the number of updates so far.
+        updates: the number of updates of a whole training.
+        metrics: the learner's, means over the updates since the last report; empty between reports.
+        scores: task -> mean score in the demo variant, if it was just measured.
+    """
+
+    update: int
+    updates: int
+    metrics: Mapping[str, float]
+    scores: Mapping[str, float]
+
+
+def train(
+    settings: TrainingSettings,
+    out: Path | str,
+    *,
+    resume: bool = False,
+    learner: Callable[[TrainingSettings], Method] | None = None,
+    watch: Callable[[Progress], None] = lambda _: None,
+) -> Policy:
+    """Trains a policy and returns it; everything is in the folder, where `evaluate` finds it too.
+
+    A KeyboardInterrupt, as by Ctrl-C, ends the training after the present update, and saves it there; a second one
+    ends it at once.
+
+    Args:
+        settings: the settings; see `load_settings`.
+        out: the run's folder.
+        resume: continue a training in the folder, if there is one, with the same result as without interruption.
+        learner: makes the learner, for a method of your own; None: the method that the settings name.
+        watch: called after each update.
+
+    Raises:
+        SettingsError, UnknownNameError: if the settings are invalid, or differ from those of a resumed training.
+        DemonstrationError: if a task has too few demonstrations.
+        TrainingError: if the folder or its checkpoint cannot be used, a loss becomes NaN or infinite, or memory runs
+            out.
+    """
+    if learner is None:
+        check_name("method", settings.method, METHODS)
+    folder = RunFolder(Path(out), settings, resume=resume)
+    last = folder.last_checkpoint()
+    if last is not None and last.finished and (policy := folder.policy()) is not None:
+        return policy
+    with torch_threads(threads_for(settings, folder.threads)), _enough_memory(folder.path):
+        method = (learner or METHODS[settings.method])(settings)
+        try:
+            with folder.locked():
+                return _Training(folder, settings, method).run(watch)
+        finally:
+            method.close()
+
+
+@contextmanager
+def _enough_memory(folder: Path) -> Iterator[None]:
+    """Turns out-of-memory errors into `TrainingError`."""
+    try:
+        yield
+    except (MemoryError, RuntimeError) as error:  # PyTorch has a type of its own for accelerators only
+        known = isinstance(error, MemoryError | torch.OutOfMemoryError)
+        if not known and not (type(error) is RuntimeError and "allocate memory" in str(error)):
+            raise
+        raise TrainingError(
+            f"there is not enough memory for the training in {folder}: choose smaller sizes, such as batch sizes, in "
+            "another folder"
+        ) from error
+
+
+@contextmanager
+def _interrupted_at_the_end() -> Iterator[None]:
+    """A context at whose end a KeyboardInterrupt comes if Ctrl-C was pressed in it; a second one comes at once.
+
+    In threads, and where the program has a handler of its own, nothing changes.
+    """
+    usual = signal.default_int_handler
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not usual:
+        yield
+        return
+    pressed = False
+
+    def note(_: int, __: FrameType | None) -> None:
+        nonlocal pressed
+        pressed = True
+        signal.signal(signal.SIGINT, usual)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, usual)
+    if pressed:
+        raise KeyboardInterrupt
+
+
+class _Training:
+    """The loop of a training, which goes on where the folder's checkpoint ends."""
+
+    def __init__(self, folder: RunFolder, settings: TrainingSettings, learner: Method) -> None:
+        self._folder, self._settings, self._learner = folder, settings, learner
+        self._update, self._seconds = 0, 0.0
+        self._device = device(settings.device).type
+        last = folder.last_checkpoint()  # again, for another process may have gone on meanwhile
+        if last is not None:
+            self._check_device(last.device or self._device)
+            self._update, self._seconds = last.update, last.seconds
+            try:
+                if last.update > learner.updates:
+                    raise ValueError(f"update {last.update} of {learner.updates}")
+                learner.set_state(last.learner)
+            except Exception as error:
+                raise folder.unusable_checkpoint(error) from error
+        self._saved = self._update
+
+    def _check_device(self, before: str) -> None:
+        """Raises an error unless the training comes from this kind of device: here, it would go on otherwise."""
+        path = self._folder.path
+        if before != self._device:
+            raise TrainingError(
+                f"{path} was trained on {before}, and this is {self._device}: continue where there is {before} "
+                f"or train anew in another folder; magical-mj evaluate --policy {shlex.quote(str(path))} plays "
+                "what it has learnt so far"
+            )
+
+    def run(self, watch: Callable[[Progress], None]) -> Policy:
+        """Trains to the end, and returns the policy."""
+        policy = self._learner.policy()
+        if self._update == self._learner.updates and self._folder.policy() is None:
+            self._learner.save_policy(self._folder.path)
+        self._started = time.monotonic() - self._seconds
+        with Metrics(self._folder.path, self._update) as table:
+            whole = True  # no update is half done
+            try:
+                while self._update < self._learner.updates:
+                    with _interrupted_at_the_end():
+                        whole = False
+                        table.add(self._improve())
+                        whole = True
+                    watch(self._report(table, policy))
+            except KeyboardInterrupt:
+                if whole and self._update > self._saved:
+                    self._recalibrate()
+                    if table.pending:
+                        self._row(table, {})
+                    self._save()
+                raise
+        return policy
+
+    def _improve(self) -> Mapping[str, float]:
+        metrics = self._learner.update()
+        self._update += 1
+        wrong = [name for name, value in metrics.items() if not math.isfinite(value)]
+        if wrong:
+            self._give_up(f"{wrong[0]} is {metrics[wrong[0]]}")
+        return metrics
+
+    def _report(self, table: Metrics, policy: Policy) -> Progress:
+        """Evaluates, writes a row, and saves, if it is time for that."""
+        updates, settings = self._learner.updates, self._settings
+        save = _due(self._update, updates, settings.checkpoints)
+        evaluation = _due(self._update, updates, settings.evaluations)
+        if evaluation or save:
+            self._recalibrate()
+        scores = self._scores(policy) if evaluation else {}
+        row = save or scores or _due(self._update, updates, ROWS)
+        means = self._row(table, scores) if row else {}
+        if save:
+            self._save()
+        return Progress(self._update, updates, means, scores)
+
+    def _recalibrate(self) -> None:
+        self._learner.recalibrate()
+        fault = self._learner.fault()
+        if fault is not None:
+            self._give_up(fault)
+
+    def _scores(self, policy: Policy) -> dict[str, float]:
+        """Mean scores in the demo variant by task."""
+        episodes = self._settings.episodes
+        frame = evaluate(
+            policy,
+            tasks=self._settings.tasks,
+            variants="Demo",
+            episodes=episodes,
+            preset=self._settings.preset,
+            envs=min(episodes, 10),
+            jobs=1,
+        )
+        return {str(task): float(score) for task, score in frame.groupby("task")["score"].mean().items()}
+
+    def _row(self, table: Metrics, scores: Mapping[str, float]) -> Mapping[str, float]:
+        self._seconds = time.monotonic() - self._started
+        return table.write(self._update, self._seconds, scores)
+
+    def _save(self) -> None:
+        learner, path = self._learner, self._folder.path
+        if self._saved:  # before the checkpoint, since a run with the last checkpoint is finished
+            learner.save_policy(path)
+        self._folder.save(
+            Checkpoint(self._update, learner.updates, self._seconds, self._device, learner.get_state())
+        )
+        if not self._saved:  # after the checkpoint: where there is a policy, there is one
+            learner.save_policy(path)
+        self._saved = self._update
+
+    def _give_up(self, reason: str) -> None:
+        last = f"the checkpoint of update {self._saved} is kept" if self._saved else "there is no checkpoint yet"
+        where = f"{last} in {self._folder.path}"
+        raise TrainingError(f"{reason} at update {self._update}; {where}; try a lower learning rate")
+
+
+def _due(update: int, updates: int, times: int) -> bool:
+    """Whether something that is done `times` times in a training, the last time at its end, is due now."""
+    return update * times // updates > (update - 1) * times // updates
