@@ -102,7 +102,7 @@ def learn(chosen: Demonstrations, task: str, seed: int, episodes: int) -> tuple[
     from magical_mj.learners import load_settings
     from magical_mj.learners.bc import BehaviouralCloning
     from magical_mj.learners.data import Dataset, drawn
-    from magical_mj.learners.network import as_input
+    from magical_mj.learners.networks import as_input
     from magical_mj.learners.policy import TrainedPolicy
 
     torch.set_num_threads(1)

@@ -122,9 +122,8 @@ def pages(out: Path) -> Found:
 def training(out: Path) -> Found:
     """A checkpoint and a policy can be read; that of the last update, and the metrics, depend on the settings alone."""
     from magical_mj.learners import checkpoint
-    from magical_mj.learners.folder import CHECKPOINT
-    from magical_mj.learners.metrics import read_metrics
     from magical_mj.learners.policy import POLICY
+    from magical_mj.learners.run_folder import CHECKPOINT, read_metrics
 
     found = {"metrics": repr([row | {"seconds": ""} for row in read_metrics(out)]).encode()}
     for name in (CHECKPOINT, POLICY):
@@ -152,7 +151,7 @@ def scenes(out: Path) -> Found:
 def updates(out: Path) -> Found:
     """The updates of a training that are in its checkpoint; everything can be read."""
     from magical_mj.learners import checkpoint
-    from magical_mj.learners.folder import CHECKPOINT
+    from magical_mj.learners.run_folder import CHECKPOINT
 
     training(out)
     done = checkpoint.read(out / CHECKPOINT)["update"] if (out / CHECKPOINT).exists() else 0

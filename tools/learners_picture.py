@@ -10,7 +10,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from magical_mj.learners.metrics import read_metrics
+from magical_mj.learners.run_folder import read_metrics
 
 PALE = "#a9cbe8"
 COLOURS = ("#1f6fb4", "#d62728", "#2a9d5c", "#e08a1e")

@@ -18,7 +18,7 @@ from rich.text import Text
 
 from magical_mj import learners
 from magical_mj.cli.console import Bars, Trust, check_fits, console
-from magical_mj.learners.method_settings import check_changes, check_used, users, uses
+from magical_mj.learners.settings import check_changes, check_used, users, uses
 from magical_mj.policies.agents import AGENTS
 from magical_mj.utils.errors import MagicalError, SettingsError, check_name
 from magical_mj.utils.extras import check_extra
@@ -113,7 +113,7 @@ def train(
     """Train a policy. OUT then holds the policy, for `magical-mj evaluate --policy OUT`, with settings and metrics."""
     check_extra("learners", "eval", "il")
     from magical_mj.learners.learner import keep_freed_memory
-    from magical_mj.learners.run import METHODS
+    from magical_mj.learners.training import METHODS
 
     check_name("method", method, METHODS)
     given = {"seed": seed, "augment": augment, "preset": preset, "device": device, "ppo.worlds": worlds}

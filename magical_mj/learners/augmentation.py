@@ -114,7 +114,8 @@ class StateAugmentation(_Augmentation):
         """Augments histories (n, HISTORY, names); they stay as they are, and are returned if there is nothing to do."""
         if not self.parts:
             return histories
-        shifts = torch.rand((len(histories), 1, 3), generator=generator, device=generator.device).mul_(2).sub_(1).to(histories)
+        shifts = torch.rand((len(histories), 1, 3), generator=generator, device=generator.device)
+        shifts = shifts.mul_(2).sub_(1).to(histories)
         shifts *= shifts.new_tensor([STATE_TRANSLATION, STATE_TRANSLATION, math.radians(STATE_ROTATION)])
         shifts *= shifts.new_tensor(["translation" in self.parts] * 2 + ["rotation" in self.parts])
         noise = torch.randn(histories.shape, generator=generator, device=generator.device).to(histories)

@@ -122,9 +122,7 @@ class StateTorso(nn.Module):
         inputs = ROBOT_FEATURES + size + (ONE_HOT if actions else 0)
         layer = (3 + 1 + 2) * size**2
         check_size(network.attention * layer + size**2 + (inputs + self.features) * network.hidden)
-        self.entity = nn.Sequential(
-            nn.Linear(ROBOT_FEATURES + ENTITY_FEATURES, size), nn.ReLU(), nn.Linear(size, size)
-        )
+        self.entity = nn.Sequential(nn.Linear(ROBOT_FEATURES + ENTITY_FEATURES, size), nn.ReLU(), nn.Linear(size, size))
         self.attention = nn.ModuleList(Attention(size) for _ in range(network.attention))
         self.linear = nn.Sequential(
             nn.Linear(inputs, network.hidden), nn.ReLU(), nn.Linear(network.hidden, self.features), nn.ReLU()
@@ -200,7 +198,13 @@ class Actor(nn.Module):
     """
 
     def __init__(
-        self, network: NetworkSettings, tasks: int, *, states: bool = False, batch_norm: bool = False, normal: bool = False
+        self,
+        network: NetworkSettings,
+        tasks: int,
+        *,
+        states: bool = False,
+        batch_norm: bool = False,
+        normal: bool = False,
     ) -> None:
         super().__init__()
         self.batch_norm = batch_norm

@@ -29,7 +29,6 @@ from magical_mj.learners.settings import TrainingSettings
 from magical_mj.learners.vector_envs import OBSERVATION, TASK, TrainingEnvs
 from magical_mj.utils.extras import check_extra
 
-
 Samples = tuple[Tensor, Tensor, Tensor]
 """A batch on the device: observations as of `as_input`, actions (n,) and numbers of tasks (n,)."""
 

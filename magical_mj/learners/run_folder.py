@@ -14,13 +14,13 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final, Self, cast
 
 import torch
 from torch.utils.tensorboard.writer import SummaryWriter
 
 from magical_mj._version import __version__
-from magical_mj.evaluation.settings import MUJOCO_VERSION, check_unchanged
+from magical_mj.evaluation.settings import MUJOCO_VERSION
 from magical_mj.learners import checkpoint
 from magical_mj.learners.settings import START, TrainingSettings, from_toml, recorded, to_toml, toml_value
 from magical_mj.policies.folders import loader_in
@@ -31,6 +31,7 @@ from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, TrainingError, shown
 from magical_mj.utils.files import read_toml
 from magical_mj.utils.imports import trust
+from magical_mj.utils.settings import check_unchanged
 
 CONFIG: Final = "config.toml"
 CHECKPOINT: Final = "checkpoint.safetensors"
@@ -105,7 +106,7 @@ class RunFolder:
             TrainingError: if it is of other tasks, or of another preset.
         """
         try:
-            policy = sources(self.path.resolve())[0].load()
+            policy = cast("Policy", sources(self.path.resolve())[0].load())
         except (SettingsError, TrainingError):
             return None
         for name, wanted in (("tasks", self._settings.tasks), ("preset", self._settings.preset)):
@@ -169,14 +170,15 @@ class RunFolder:
         Raises:
             TrainingError: if it cannot be written; the last one is kept.
         """
-        contents = vars(saved) | {"settings": json.dumps(recorded(self._settings)), "learner": saved.learner}
+        contents = {**vars(saved), "settings": json.dumps(recorded(self._settings))}
+        contents["learner"] = contents.pop("learner")  # last, as ever
         checkpoint.write(self.path / CHECKPOINT, contents)
 
     def unusable_checkpoint(self, error: Exception) -> TrainingError:
         """The error for a checkpoint with which this version can do nothing."""
         return TrainingError(
-            f"{self.path / CHECKPOINT} is damaged, or does not fit this version of {self._settings.method} ({error!r}): "
-            "continue with the version that its config.toml names, or train anew in another folder"
+            f"{self.path / CHECKPOINT} is damaged, or does not fit this version of {self._settings.method} "
+            f"({error!r}): continue with the version that its config.toml names, or train anew in another folder"
         )
 
     def _check_config(self) -> int | None:
@@ -193,7 +195,9 @@ class RunFolder:
                 )
         threads = start.get("threads")
         if threads is not None and (type(threads) is not int or not 1 <= threads <= MOST_THREADS):
-            raise SettingsError(f"threads in {config} must be an integer from 1 to {MOST_THREADS}, not {shown(threads)}")
+            raise SettingsError(
+                f"threads in {config} must be an integer from 1 to {MOST_THREADS}, not {shown(threads)}"
+            )
         return threads
 
 

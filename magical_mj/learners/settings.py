@@ -18,7 +18,7 @@ from magical_mj.tasks.registry import TASKS, listed, task_name, task_spec
 from magical_mj.utils.errors import SettingsError
 from magical_mj.utils.files import read_toml
 from magical_mj.utils.imports import check_named, resolve_installed, with_place
-from magical_mj.utils.settings import Count, Natural, Settings, changed, made
+from magical_mj.utils.settings import Count, Natural, Settings, changed
 
 STATE: Final = "State"
 """The preset of the state track."""

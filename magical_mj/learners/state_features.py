@@ -86,7 +86,7 @@ def features_of(histories: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def pose_mask(histories: Tensor) -> Tensor:
-    """1 for the poses of the robot and of blocks that are present, and for the fingers; else 0. As histories in shape."""
+    """1 for the poses of the robot and of blocks that are present, and for the fingers; else 0: as `histories`."""
     mask = torch.zeros_like(histories)
     mask[..., :3] = mask[..., FINGERS] = 1
     blocks = mask[..., _BLOCKS].unflatten(-1, (MAX_BLOCKS, -1))
@@ -135,11 +135,16 @@ def _of_blocks(blocks: Tensor, robot: _Robot) -> Tensor:
     """
     now = blocks[:, -1]
     view = robot.view(now[..., 1:3], now[..., 3:4])
-    return _rows({**view, "shape": now[..., 7:11], "colour": now[..., 11:], "movements": robot.movements(blocks[..., 1:4])})
+    return _rows(
+        {**view, "shape": now[..., 7:11], "colour": now[..., 11:], "movements": robot.movements(blocks[..., 1:4])}
+    )
 
 
 def _of_regions(regions: Tensor, robot: _Robot) -> Tensor:
-    """Features (n, rows, ENTITY_FEATURES) of regions (n, rows, columns): present, x_min, y_min, x_max, y_max, colours."""
+    """Features (n, rows, ENTITY_FEATURES) of regions (n, rows, columns).
+
+    The columns are: present, x_min, y_min, x_max, y_max, four colours.
+    """
     lower, upper = regions[..., 1:3], regions[..., 3:5]
     view = robot.view((lower + upper) / 2, torch.zeros_like(regions[..., :1]))
     half = (upper - lower) / 2

@@ -251,9 +251,7 @@ class _Training:
         learner, path = self._learner, self._folder.path
         if self._saved:  # before the checkpoint, since a run with the last checkpoint is finished
             learner.save_policy(path)
-        self._folder.save(
-            Checkpoint(self._update, learner.updates, self._seconds, self._device, learner.get_state())
-        )
+        self._folder.save(Checkpoint(self._update, learner.updates, self._seconds, self._device, learner.get_state()))
         if not self._saved:  # after the checkpoint: where there is a policy, there is one
             learner.save_policy(path)
         self._saved = self._update

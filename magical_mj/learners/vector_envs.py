@@ -49,8 +49,8 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         self._history: History | None = None
         self._episode, self._actions = -1, list[int]()
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, dict[str, Any]]:  # noqa: ARG002
-        """Starts the next episode. The arguments are not used: each environment has its own seeds."""
+    def reset(self, **_: Any) -> tuple[Observations, dict[str, Any]]:
+        """Starts the next episode. Arguments are not used: each environment has its own seeds."""
         self._episode += 1
         first = self._rng().integers(len(ACTIONS), size=self._random_start) if self._episode == 0 else ()
         return self._replay(first), {}

@@ -15,10 +15,9 @@ from typer.testing import CliRunner
 from magical_mj import MagicalEnv, batched
 from magical_mj.cli.app import app
 from magical_mj.learners import TrainingSettings, checkpoint, load_policy, train
-from magical_mj.learners.copies import SEEN, TASK
-from magical_mj.learners.environments import Environments
-from magical_mj.learners.folder import CHECKPOINT
-from magical_mj.learners.states import HISTORY
+from magical_mj.learners.run_folder import CHECKPOINT
+from magical_mj.learners.state_features import HISTORY
+from magical_mj.learners.vector_envs import OBSERVATION, TASK, TrainingEnvs
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import MissingExtraError, SettingsError
 from tests.helpers.learners import playing
@@ -35,23 +34,23 @@ def in_batch(method: str = "gail", tasks: str = TWO, **changes: Any) -> Training
 
 
 @pytest.fixture
-def worlds(request: pytest.FixtureRequest) -> Iterator[Environments]:
-    made = Environments(in_batch(**getattr(request, "param", {})))
+def worlds(request: pytest.FixtureRequest) -> Iterator[TrainingEnvs]:
+    made = TrainingEnvs(in_batch(**getattr(request, "param", {})))
     yield made
     made.close()
 
 
-def test_learners_see_what_they_see_in_single_worlds(worlds: Environments) -> None:
+def test_learners_see_what_they_see_in_single_worlds(worlds: TrainingEnvs) -> None:
     """Pictures, tasks, ends and what is said of them, beside the copies of the environments."""
-    copies = Environments(playing(tasks=TWO, **SMALL))
+    copies = TrainingEnvs(playing(tasks=TWO, **SMALL))
     assert worlds.tasks.tolist() == copies.tasks.tolist() == [0, 1]
     assert worlds.observation_space == copies.observation_space
     seen, wanted = worlds.reset(), copies.reset()
-    worlds._played._batch._steps[1] = 38  # an episode that is nearly over
+    worlds._envs._batch._steps[1] = 38  # an episode that is nearly over
     for step in range(2):
-        assert seen[SEEN].dtype == wanted[SEEN].dtype
+        assert seen[OBSERVATION].dtype == wanted[OBSERVATION].dtype
         np.testing.assert_array_equal(seen[TASK], wanted[TASK])
-        assert np.abs(seen[SEEN].astype(float) - wanted[SEEN]).mean() < 0.05
+        assert np.abs(seen[OBSERVATION].astype(float) - wanted[OBSERVATION]).mean() < 0.05
         seen, rewards, dones, infos = worlds.step(np.array([1, 1]))
         wanted = copies.step(np.array([1, 1]))[0]
         assert not rewards.any()
@@ -61,36 +60,36 @@ def test_learners_see_what_they_see_in_single_worlds(worlds: Environments) -> No
     assert infos[1]["eval_score"] == 0.0
     last = infos[1]["terminal_observation"]
     np.testing.assert_array_equal(last[TASK], [0, 1])
-    assert np.abs(last[SEEN].astype(float) - wanted[SEEN][1]).mean() < 0.05
-    assert np.abs(seen[SEEN][1].astype(float) - copies.reset()[SEEN][1]).mean() < 0.05  # the next episode's first
+    assert np.abs(last[OBSERVATION].astype(float) - wanted[OBSERVATION][1]).mean() < 0.05
+    assert np.abs(seen[OBSERVATION][1].astype(float) - copies.reset()[OBSERVATION][1]).mean() < 0.05
     copies.close()
 
 
-def test_nothing_is_expected_after_a_broken_state(worlds: Environments) -> None:
+def test_nothing_is_expected_after_a_broken_state(worlds: TrainingEnvs) -> None:
     """Its episode is over, and not merely cut off: PPO adds no value of what would come next."""
     worlds.reset()
-    worlds._played._batch.physics._state["qvel"][1] = float("nan")
+    worlds._envs._batch.physics._state["qvel"][1] = float("nan")
     _, _, dones, infos = worlds.step(np.array([1, 1]))
     assert dones.tolist() == [False, True]
     assert not infos[1]["TimeLimit.truncated"]
 
 
 @pytest.mark.parametrize("worlds", [{"tasks": "MoveToRegion", "preset": "State"}], indirect=True)
-def test_histories_of_states_begin_with_their_episode(worlds: Environments) -> None:
+def test_histories_of_states_begin_with_their_episode(worlds: TrainingEnvs) -> None:
     """Two worlds of one task: the second has a head start of half an episode."""
     single = MagicalEnv("MoveToRegion", "Demo", "State")
     first = np.tile(single.reset(seed=0)[0], (HISTORY, 1))
-    before = worlds.reset()[SEEN]
+    before = worlds.reset()[OBSERVATION]
     assert before.shape == (2, HISTORY, len(STATE_NAMES))
-    assert worlds._played._batch._steps.tolist() == [0, 20]
+    assert worlds._envs._batch._steps.tolist() == [0, 20]
     np.testing.assert_allclose(before[0], first, atol=1e-6)
     assert np.abs(before[1, -1] - first[-1]).max() > 0.01
-    worlds._played._batch._steps[1] = 39
+    worlds._envs._batch._steps[1] = 39
     seen, _, dones, infos = worlds.step(np.array([1, 3]))
     assert dones.tolist() == [False, True]
-    np.testing.assert_array_equal(seen[SEEN][0, :-1], before[0, 1:])
-    np.testing.assert_allclose(seen[SEEN][1], first, atol=1e-6)
-    last = infos[1]["terminal_observation"][SEEN]
+    np.testing.assert_array_equal(seen[OBSERVATION][0, :-1], before[0, 1:])
+    np.testing.assert_allclose(seen[OBSERVATION][1], first, atol=1e-6)
+    last = infos[1]["terminal_observation"][OBSERVATION]
     np.testing.assert_array_equal(last[:-1], before[1, 1:])
     assert np.abs(last[-1] - first[-1]).max() > 0.01
     single.close()

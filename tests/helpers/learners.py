@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from magical_mj.learners import Progress, TrainingSettings, checkpoint, load_settings, train
-from magical_mj.learners.folder import CHECKPOINT
 from magical_mj.learners.policy import POLICY
+from magical_mj.learners.run_folder import CHECKPOINT
 
 TINY = {
     "network.first_stride": 4,

@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from magical_mj.learners import METHODS, Learner, checkpoint
-from magical_mj.learners.adversarial import GAIL, WGAILGP, Discriminator, gail_loss, gradient_penalty
 from magical_mj.learners.apprenticeship import Apprenticeship, Autoencoder, best_weights
-from magical_mj.learners.settings import Network
+from magical_mj.learners.gail import GAIL, WGAILGP, Discriminator, gail_loss, gradient_penalty
+from magical_mj.learners.settings import NetworkSettings
 from tests.helpers.learners import playing
 
 PLAYERS = ("gail", "wgail-gp", "al")
@@ -144,8 +144,8 @@ def test_al_weighs_the_features_of_both_sides() -> None:
     learner.close()
 
 
-@pytest.mark.parametrize("network", [Network(), playing().network], ids=["paper", "small"])
-def test_the_autoencoder_is_its_own_mirror(network: Network) -> None:
+@pytest.mark.parametrize("network", [NetworkSettings(), playing().network], ids=["paper", "small"])
+def test_the_autoencoder_is_its_own_mirror(network: NetworkSettings) -> None:
     autoencoder = Autoencoder(network, 32)
     stacks, actions = torch.rand(2, 12, 96, 96), torch.tensor([0, 17])
     assert autoencoder.encoder(stacks, actions).shape == (2, 32)
@@ -211,8 +211,8 @@ def test_the_policys_samples_are_of_the_latest_rollouts(tmp_path: Path) -> None:
         learner.learn_reward(played[-1])
     expected = np.concatenate([rollout.observations for rollout in played[1:]])
     np.testing.assert_array_equal(seen[-1].observations, expected)
-    checkpoint.write(tmp_path / "kept.safetensors", learner.state())
-    learner.restore(checkpoint.read(tmp_path / "kept.safetensors"))
+    checkpoint.write(tmp_path / "kept.safetensors", learner.get_state())
+    learner.set_state(checkpoint.read(tmp_path / "kept.safetensors"))
     played.append(learner._ppo.collect())
     learner.learn_reward(played[-1])
     expected = np.concatenate([rollout.actions for rollout in played[2:]])
@@ -264,16 +264,16 @@ def test_a_resumed_training_ends_like_an_uninterrupted_one(
     whole = make()
     for _ in range(whole.updates - 2):
         whole.update()
-    checkpoint.write(tmp_path / "kept.safetensors", whole.state())
+    checkpoint.write(tmp_path / "kept.safetensors", whole.get_state())
     resumed = make()
-    resumed.restore(checkpoint.read(tmp_path / "kept.safetensors"))
+    resumed.set_state(checkpoint.read(tmp_path / "kept.safetensors"))
     for _ in range(2):
         metrics = whole.update()
         assert metrics == resumed.update()
         assert all(map(math.isfinite, metrics.values()))
     assert torch.equal(weights(whole), weights(resumed))
-    checkpoint.write(tmp_path / "whole.safetensors", whole.state())
-    checkpoint.write(tmp_path / "resumed.safetensors", resumed.state())
+    checkpoint.write(tmp_path / "whole.safetensors", whole.get_state())
+    checkpoint.write(tmp_path / "resumed.safetensors", resumed.get_state())
     assert (tmp_path / "whole.safetensors").read_bytes() == (tmp_path / "resumed.safetensors").read_bytes()
     whole.close()
     resumed.close()

@@ -18,8 +18,8 @@ from magical_mj.learners import checkpoint
 from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.data import Dataset, drawn
 from magical_mj.learners.learner import seeded
-from magical_mj.learners.network import Actor, Heads, Torso, as_input
-from magical_mj.learners.settings import Network
+from magical_mj.learners.networks import Actor, Heads, Torso, as_input
+from magical_mj.learners.settings import NetworkSettings
 from magical_mj.scene.actions import NOOP
 from magical_mj.utils.errors import DemonstrationError
 from tests.helpers.learners import tiny
@@ -64,14 +64,14 @@ def test_every_task_counts_equally() -> None:
 
 def test_the_network_is_the_papers() -> None:
     """Figure "Base architecture": 4,608 activations after five convolutions, then 256 and 256."""
-    torso = Torso(Network(), batch_norm=True, actions=True)
+    torso = Torso(NetworkSettings(), batch_norm=True, actions=True)
     assert torso.flat == 4608
     kinds = [type(layer).__name__ for layer in torso.convolutions]
     assert kinds == 5 * ["Conv2d", "BatchNorm2d", "ReLU"]
     shapes = [tuple(layer.weight.shape) for layer in torso.convolutions if isinstance(layer, torch.nn.Conv2d)]
     assert shapes == [(64, 12, 5, 5), (128, 64, 3, 3), *3 * [(128, 128, 3, 3)]]
     assert [tuple(p.shape) for p in torso.linear.parameters()] == [(256, 4608 + 18), (256,), (256, 256), (256,)]
-    assert not any(isinstance(layer, torch.nn.BatchNorm2d) for layer in Torso(Network()).convolutions)
+    assert not any(isinstance(layer, torch.nn.BatchNorm2d) for layer in Torso(NetworkSettings()).convolutions)
     assert torso(torch.zeros(2, 12, 96, 96), torch.tensor([0, 17])).shape == (2, 256)
 
 
@@ -120,7 +120,7 @@ def test_the_loss_is_the_log_loss() -> None:
 
 def _after_one_draw(learner: BehaviouralCloning) -> torch.Generator:
     generator = torch.Generator()
-    generator.set_state(learner.state()["draw"])
+    generator.set_state(learner.get_state()["draw"])
     return generator
 
 
@@ -166,8 +166,8 @@ def test_a_resumed_training_ends_like_an_uninterrupted_one(tmp_path: Path) -> No
     whole, resumed = BehaviouralCloning(tiny()), BehaviouralCloning(tiny())
     for _ in range(3):
         whole.update()
-    checkpoint.write(tmp_path / "kept.safetensors", whole.state())
-    resumed.restore(checkpoint.read(tmp_path / "kept.safetensors"))
+    checkpoint.write(tmp_path / "kept.safetensors", whole.get_state())
+    resumed.set_state(checkpoint.read(tmp_path / "kept.safetensors"))
     for _ in range(3):
         assert whole.update() == resumed.update()
     assert all(map(torch.equal, whole.actor.parameters(), resumed.actor.parameters()))

@@ -15,9 +15,8 @@ from safetensors.torch import save_file
 
 from magical_mj.learners import TrainingSettings, checkpoint, load_policy, train
 from magical_mj.learners.bc import BehaviouralCloning
-from magical_mj.learners.folder import CHECKPOINT, CONFIG
-from magical_mj.learners.metrics import METRICS
 from magical_mj.learners.policy import POLICY
+from magical_mj.learners.run_folder import CHECKPOINT, CONFIG, METRICS
 from magical_mj.utils.errors import MagicalError, SettingsError, TrainingError
 from magical_mj.utils.files import read_toml
 from tests.helpers.learners import is_done, stopped, tiny

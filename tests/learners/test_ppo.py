@@ -11,15 +11,13 @@ import torch
 from stable_baselines3.common.utils import obs_as_tensor
 
 from magical_mj import MagicalEnv
-from magical_mj.learners.copies import SEEN, TASK
 from magical_mj.learners.data import Dataset, Rollout
-from magical_mj.learners.environments import Environments
 from magical_mj.learners.learner import seeded
-from magical_mj.learners.network import ONE_HOT, Actor, Heads, Torso, as_input, standardise
+from magical_mj.learners.networks import ONE_HOT, Actor, Heads, Torso, as_input, standardise
 from magical_mj.learners.policy import load_policy, save_policy
-from magical_mj.learners.ppo import EvenBuffer, ExternalRewardPPO
-from magical_mj.learners.reinforced import RewardNormaliser
+from magical_mj.learners.ppo import EvenBuffer, ExternalRewardPPO, RewardNormaliser
 from magical_mj.learners.settings import TrainingSettings
+from magical_mj.learners.vector_envs import OBSERVATION, TASK, TrainingEnvs
 from magical_mj.policies.interface import Episode
 from tests.helpers.learners import playing
 
@@ -30,7 +28,7 @@ def improver(settings: TrainingSettings) -> ExternalRewardPPO:
     with seeded(settings.seed):
         actor = Actor(settings.network, len(settings.tasks))
         critic = Heads(len(settings.tasks), actor.torso.features, 1)
-        return ExternalRewardPPO(settings, Environments(settings), actor, critic, torch.Generator().manual_seed(0), CPU)
+        return ExternalRewardPPO(settings, TrainingEnvs(settings), actor, critic, torch.Generator().manual_seed(0), CPU)
 
 
 @pytest.fixture
@@ -41,33 +39,33 @@ def ppo() -> Iterator[ExternalRewardPPO]:
 
 
 def test_copies_are_split_evenly_between_tasks() -> None:
-    environments = Environments(playing(tasks="MoveToRegion,FixColour"))
+    environments = TrainingEnvs(playing(tasks="MoveToRegion,FixColour"))
     assert environments.tasks.tolist() == [0, 0, 1, 1]
     seen = environments.reset()
-    assert seen[SEEN].shape == (4, 96, 96, 12)
-    assert seen[SEEN].dtype == np.uint8
+    assert seen[OBSERVATION].shape == (4, 96, 96, 12)
+    assert seen[OBSERVATION].dtype == np.uint8
     np.testing.assert_array_equal(seen[TASK], [[1, 0], [1, 0], [0, 1], [0, 1]])
     environments.close()
 
 
 def test_the_preset_is_the_settings() -> None:
-    environments, one = Environments(playing(preset="LoRes4A")), MagicalEnv("MoveToRegion", "Demo", "LoRes4A")
+    environments, one = TrainingEnvs(playing(preset="LoRes4A")), MagicalEnv("MoveToRegion", "Demo", "LoRes4A")
     first = one.reset(seed=0)[0]
-    np.testing.assert_array_equal(environments.reset()[SEEN][0], first)  # the demo variant has one scene
+    np.testing.assert_array_equal(environments.reset()[OBSERVATION][0], first)  # the demo variant has one scene
     environments.close()
     one.close()
 
 
 def test_copies_start_at_different_times_of_their_episodes() -> None:
     """Copies of each of the tasks, whose episodes have 40 steps: two of them begin in the middle of one."""
-    environments = Environments(playing(tasks="MoveToRegion,MoveToCorner"))
+    environments = TrainingEnvs(playing(tasks="MoveToRegion,MoveToCorner"))
     environments.reset()
-    assert [len(one["actions"]) for one in environments.state()] == [0, 20, 0, 40]
+    assert [len(one["actions"]) for one in environments.get_state()] == [0, 20, 0, 40]
     environments.close()
 
 
 def test_an_episode_that_ends_is_truncated_and_the_next_one_begins() -> None:
-    environments = Environments(playing())
+    environments = TrainingEnvs(playing())
     environments.reset()
     ends = []
     for _ in range(40):
@@ -78,26 +76,26 @@ def test_an_episode_that_ends_is_truncated_and_the_next_one_begins() -> None:
     assert [int(np.argmax(end)) for end in np.transpose(ends)] == [39, 29, 19, 9]
     assert dones.tolist() == [True, False, False, False]
     assert infos[0]["TimeLimit.truncated"]
-    assert infos[0]["terminal_observation"][SEEN].shape == (96, 96, 12)
+    assert infos[0]["terminal_observation"][OBSERVATION].shape == (96, 96, 12)
     assert 0 <= infos[0]["eval_score"] <= 1
-    assert [one["episode"] for one in environments.state()] == [1, 1, 1, 1]
+    assert [one["episode"] for one in environments.get_state()] == [1, 1, 1, 1]
     environments.close()
 
 
 def test_environments_are_restored_in_mid_episode() -> None:
     settings = playing(tasks="MoveToRegion,FixColour")
-    first, second = Environments(settings), Environments(settings)
+    first, second = TrainingEnvs(settings), TrainingEnvs(settings)
     rng = np.random.default_rng(0)
     first.reset()
     for _ in range(30):
         seen = first.step(rng.integers(18, size=4))[0]
-    restored = second.restore(first.state())
-    np.testing.assert_array_equal(restored[SEEN], seen[SEEN])
+    restored = second.set_state(first.get_state())
+    np.testing.assert_array_equal(restored[OBSERVATION], seen[OBSERVATION])
     np.testing.assert_array_equal(restored[TASK], seen[TASK])
     for _ in range(30):
         actions = rng.integers(18, size=4)
         ours, theirs = first.step(actions), second.step(actions)
-        np.testing.assert_array_equal(ours[0][SEEN], theirs[0][SEEN])
+        np.testing.assert_array_equal(ours[0][OBSERVATION], theirs[0][OBSERVATION])
         np.testing.assert_array_equal(ours[2], theirs[2])
         assert [info["eval_score"] for info in ours[3]] == [info["eval_score"] for info in theirs[3]]
     first.close()
@@ -122,14 +120,14 @@ def test_minibatches_are_even_over_tasks() -> None:
         assert set(np.bincount(copies[batch.astype(int) % 6])) <= {2, 3}
     batch = next(buffer.get(8))
     np.testing.assert_array_equal(batch.returns - batch.old_values, 100)
-    assert batch.observations[SEEN].dtype == torch.uint8
+    assert batch.observations[OBSERVATION].dtype == torch.uint8
     before = np.random.get_state()[1]  # noqa: NPY002
     list(buffer.get())
     np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
 
 
 def improver_spaces() -> tuple:
-    environments = Environments(playing())
+    environments = TrainingEnvs(playing())
     environments.close()
     return environments.observation_space, environments.action_space
 
@@ -176,14 +174,14 @@ def test_the_saved_policy_has_the_logits_of_the_one_that_plays(tmp_path: Path, m
     with torch.inference_mode():
         logits = ppo.policy.get_distribution(obs_as_tensor(seen, CPU)).distribution.logits
         actor = ppo.policy_kwargs["actor"]
-        theirs = saved._actor(as_input(seen[SEEN], CPU), torch.tensor([0, 0, 1, 1])).log_softmax(1)
+        theirs = saved._actor(as_input(seen[OBSERVATION], CPU), torch.tensor([0, 0, 1, 1])).log_softmax(1)
         np.testing.assert_array_equal(
-            actor(as_input(seen[SEEN], CPU), torch.tensor([0, 0, 1, 1])).log_softmax(1), theirs
+            actor(as_input(seen[OBSERVATION], CPU), torch.tensor([0, 0, 1, 1])).log_softmax(1), theirs
         )
     torch.testing.assert_close(logits, theirs, rtol=0, atol=1e-6)
     assert logits.shape == (4, ONE_HOT)
     saved.reset_batch([Episode("FixColour", "Demo", 0, 0)] * 2)
-    assert saved.act_batch(seen[SEEN][2:]).shape == (2,)
+    assert saved.act_batch(seen[OBSERVATION][2:]).shape == (2,)
     ppo.env.close()
 
 
@@ -280,7 +278,7 @@ def test_rewards_are_normalised_by_all_of_their_task_so_far() -> None:
         expected[:, tasks == task] = (second[:, tasks == task] - own.mean()) / own.std() * 0.1
     np.testing.assert_allclose(normalise(second), expected, atol=1e-4)
     other = RewardNormaliser(0.1, tasks)
-    other.restore(normalise.state())
+    other.set_state(normalise.get_state())
     np.testing.assert_array_equal(other(first), normalise(first))
     same = RewardNormaliser(0.1, tasks)(np.full((100, 4), 7.0))
     assert np.abs(same).max() < 1e-3

@@ -18,11 +18,10 @@ import torch
 import magical_mj
 from magical_mj.learners import checkpoint, train
 from magical_mj.learners.bc import CALIBRATION
-from magical_mj.learners.folder import CHECKPOINT, CONFIG
-from magical_mj.learners.metrics import read_metrics
 from magical_mj.learners.policy import POLICY, TrainedPolicy
-from magical_mj.learners.run import Progress
-from magical_mj.learners.settings_file import from_toml, recorded
+from magical_mj.learners.run_folder import CHECKPOINT, CONFIG, read_metrics
+from magical_mj.learners.settings import from_toml, recorded
+from magical_mj.learners.training import Progress
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.utils.errors import SettingsError, TrainingError, UnknownNameError
 from magical_mj.utils.files import read_toml

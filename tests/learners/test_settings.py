@@ -12,10 +12,18 @@ import pytest
 
 from magical_mj import TASKS
 from magical_mj.learners import load_settings
-from magical_mj.learners.method_settings import QUICK, changed, names
-from magical_mj.learners.settings import Cloning, TrainingSettings
-from magical_mj.learners.settings_file import flattened, from_toml, to_toml, toml_value
+from magical_mj.learners.networks import Actor
+from magical_mj.learners.settings import (
+    QUICK,
+    CloningSettings,
+    TrainingSettings,
+    flattened,
+    from_toml,
+    to_toml,
+    toml_value,
+)
 from magical_mj.utils.errors import SettingsError, UnknownNameError
+from magical_mj.utils.settings import changed, described
 from tests.helpers.learners import tiny
 
 
@@ -69,7 +77,7 @@ def test_toml_there_and_back(settings: TrainingSettings, tmp_path: Path) -> None
 
 def test_toml_holds_what_means_something_to_the_method() -> None:
     text = to_toml(TrainingSettings("a method of one's own", ("FindDupe",)))
-    for name in names(tiny()):
+    for name in described(TrainingSettings):
         assert f"{name.rpartition('.')[2]} = " in text
     assert "[bc]" in to_toml(tiny("bc"))
     assert "[ppo]" not in to_toml(tiny("bc"))
@@ -87,50 +95,56 @@ def test_text_values_are_read_as_the_fields_kind() -> None:
     ("changes", "says"),
     [
         ({"ppo.clp": 1}, "ppo.clip"),
-        ({"ppo": 1}, "unknown setting"),
-        ({"seed": "one"}, "seed must be a number"),
-        ({"seed": 0.5}, "seed must be a number"),
-        ({"bc.batches": 0}, "bc.batches must be positive"),
-        ({"bc.batches": True}, "bc.batches must be a number"),
-        ({"bc.heads": "odd"}, "bc.heads must be normal or uniform, not 'odd'"),
-        ({"bc.optimizer": "rmsprop"}, "sgd or adam"),
-        ({"bc.optimizer": "adam", "bc.momentum": 0.5}, "bc.momentum is of bc.optimizer=sgd"),
-        ({"precision": "half"}, "float32 or bfloat16"),
-        ({"precision": 16}, "precision must be text"),
-        ({"ppo.anneal_clip": 1}, "ppo.anneal_clip must be true or false"),
-        ({"ppo.entropy": -1}, "ppo.entropy must be 0 or more"),
-        ({"ppo.learning_rate": float("nan")}, "ppo.learning_rate must be positive"),
-        ({"ppo.learning_rate": float("inf")}, "ppo.learning_rate must be positive"),
-        ({"bc.batches": float("inf")}, "bc.batches must be a number"),
-        ({"bc.batches": [3]}, "bc.batches must be a number"),
-        ({"tasks": 3}, "give at least one of"),
+        ({"ppo": 1}, "ppo"),
+        ({"seed": "one"}, "seed"),
+        ({"seed": 2**63}, "seed"),
+        ({"bc.batches": 0}, "bc.batches"),
+        ({"bc.batches": True}, "bc.batches"),
+        ({"bc.batches": float("inf")}, "bc.batches"),
+        ({"bc.heads": "odd"}, "bc.heads"),
+        ({"bc.optimizer": "adam", "bc.momentum": 0.5}, "bc.momentum"),
         ({"bc.final_learning_rate": 1}, "learning rates fall"),
-        ({"augment": "odd"}, "unknown augmentation 'odd'"),
-        ({"seed": 2**63}, r"seed must be below 2\*\*63"),
-        ({"network.first_kernel": 4}, "network.first_kernel must be odd"),
-        ({"network.hidden": 10**11}, "network.hidden must be at most 4096"),
-        ({"network.attention": 10**8}, "network.attention must be at most 32"),
-        ({"bc.batch_size": 10**12}, "bc.batch_size must be at most 65536"),
-        ({"episodes": 10**9}, "episodes must be at most 1000000"),
-        ({"network.entity": 62}, "network.entity must be a multiple of 4"),
+        ({"precision": "half"}, "bfloat16"),
+        ({"ppo.anneal_clip": "perhaps"}, "ppo.anneal_clip"),
+        ({"ppo.entropy": -1}, "ppo.entropy"),
+        ({"ppo.learning_rate": float("nan")}, "ppo.learning_rate"),
+        ({"ppo.learning_rate": float("inf")}, "ppo.learning_rate"),
+        ({"augment": "odd"}, "no-trans-rot"),
+        ({"network.first_kernel": 4}, "odd"),
+        ({"network.attention": 10**8}, "network.attention"),
+        ({"network.entity": 62}, "multiple of 4"),
         ({"preset": "LoResCHW4E"}, "one stack of frames"),
         ({"preset": "LoRes5E"}, "LoRes4E"),
-        ({"tasks": "FindDupes"}, "FindDupe"),
-        ({"tasks": "FindDupe,FindDupe"}, "several different tasks"),
-        ({"tasks": ()}, "give at least one of"),
-        ({"tasks": "FindDupe,MakeLine,FixColour"}, "ppo.environments=32 must be a multiple of 3"),
-        ({"ppo.minibatch": 100}, "ppo.minibatch=100 does not divide"),
-        ({"ppo.minibatch": 1}, "more than one sample"),
-        ({"ppo.total_steps": 100}, "too few for one rollout"),
-        ({"ppo.discount": 1.5}, "at most 1"),
-        ({"ppo.averaging": 1}, "would not learn"),
-        ({"discriminator.batch_size": 25}, "must be even"),
-        ({"features.samples": 1, "tasks": "FindDupe,MakeLine"}, "at least one for each of 2 tasks"),
+        ({"tasks": ("FindDupes",)}, "FindDupe"),
+        ({"tasks": ("FindDupe", "FindDupe")}, "different"),
+        ({"tasks": ()}, "tasks"),
+        ({"tasks": ("FindDupe", "MakeLine", "FixColour")}, "ppo.environments"),
+        ({"ppo.minibatch": 100}, "ppo.minibatch"),
+        ({"ppo.total_steps": 100}, "ppo.total_steps"),
+        ({"ppo.discount": 1.5}, "ppo.discount"),
+        ({"ppo.averaging": 1}, "ppo.averaging"),
+        ({"discriminator.batch_size": 25}, "discriminator.batch_size"),
+        ({"features.samples": 1, "tasks": ("FindDupe", "MakeLine")}, "features.samples"),
     ],
 )
 def test_wrong_settings_are_refused(changes: dict[str, Any], says: str) -> None:
     with pytest.raises((SettingsError, UnknownNameError), match=says):
         changed(tiny("gail"), changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "states"),
+    [
+        ({"network.hidden": 10**6}, False),
+        ({"network.channels": 10**5}, False),
+        ({"network.first_channels": 10**5, "network.channels": 1, "network.first_stride": 1}, False),
+        ({"network.entity": 10**6}, True),
+    ],
+)
+def test_networks_that_are_too_large_are_not_built(changes: dict[str, Any], states: bool) -> None:
+    network = changed(tiny(), changes).network
+    with pytest.raises(SettingsError, match="50,000,000 is the most"):
+        Actor(network, 1, states=states)
 
 
 def test_cloning_does_not_mind_what_playing_needs() -> None:
@@ -160,11 +174,6 @@ def test_files_that_are_no_settings_are_refused(text: str, tmp_path: Path) -> No
         from_toml(path)
 
 
-def test_a_method_is_a_name() -> None:
-    with pytest.raises(SettingsError, match="the method must be a name"):
-        load_settings(np.ones(3), "MoveToRegion")  # pyright: ignore[reportArgumentType]
-
-
 @pytest.mark.parametrize("text", ["runs/bc-\U0001f389", 'a\x7f\n"b\\', "no UTF-8: \udcff", "Zürich"])
 def test_any_text_is_written_as_toml(text: str) -> None:
     read = tomllib.loads(f"text = {toml_value(text)}")["text"]
@@ -178,6 +187,8 @@ def test_settings_of_any_origin_are_pythons_numbers() -> None:
     made = replace(given, seed=np.int64(3), bc=replace(given.bc, learning_rate=rate, batches=np.int32(7)))  # pyright: ignore[reportArgumentType]
     assert [type(value) for value in (made.seed, made.bc.learning_rate, made.bc.batches)] == [int, float, int]
     half: Any = 4.5
-    for wrong in ({"device": None}, {"seed": "x"}, {"seed": np.int64(-1)}, {"bc": None}, {"bc": Cloning(batches=half)}):
-        with pytest.raises(SettingsError, match="must be"):
+    with pytest.raises(SettingsError):
+        CloningSettings(batches=half)
+    for wrong in ({"device": None}, {"seed": "x"}, {"seed": np.int64(-1)}, {"bc": None}):
+        with pytest.raises(SettingsError):
             replace(given, **wrong)

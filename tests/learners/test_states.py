@@ -14,21 +14,18 @@ from numpy.typing import NDArray
 import magical_mj
 from magical_mj import demos
 from magical_mj.learners import load_policy, load_settings, train
-from magical_mj.learners.adversarial import GAIL
-from magical_mj.learners.bc import clone
-from magical_mj.learners.settings import Network
-from magical_mj.learners.states import (
-    HISTORY,
-    NOISE,
+from magical_mj.learners.augmentation import (
     PAST_NOISE,
-    ROTATION,
-    TRANSLATION,
-    History,
+    STATE_NOISE,
+    STATE_ROTATION,
+    STATE_TRANSLATION,
     StateAugmentation,
-    StateTorso,
-    features_of,
-    histories,
 )
+from magical_mj.learners.bc import clone
+from magical_mj.learners.gail import GAIL
+from magical_mj.learners.networks import StateTorso
+from magical_mj.learners.settings import NetworkSettings
+from magical_mj.learners.state_features import HISTORY, History, features_of, histories
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.scene.state_vector import MAX_BLOCKS, STATE_NAMES
 from magical_mj.utils.errors import DemonstrationError, SettingsError, UnknownNameError
@@ -92,7 +89,7 @@ def test_movements_are_the_robots_own() -> None:
 
 
 def test_the_order_of_blocks_changes_nothing() -> None:
-    torso = StateTorso(Network()).eval()
+    torso = StateTorso(NetworkSettings()).eval()
     seen = torch.as_tensor(played())
     first = [index for index, name in enumerate(STATE_NAMES) if name.startswith("block0.")]
     blocks = torch.arange(first[0], first[0] + MAX_BLOCKS * len(first)).reshape(MAX_BLOCKS, -1)
@@ -103,7 +100,7 @@ def test_the_order_of_blocks_changes_nothing() -> None:
 
 def test_rows_of_other_samples_change_nothing() -> None:
     """A scene with fewer blocks gives the same in a batch with others that have more."""
-    torso = StateTorso(Network()).eval()
+    torso = StateTorso(NetworkSettings()).eval()
     few = histories(np.asarray(demos.observations(demos.load("MoveToCorner")[0], "State")))[:2]
     many = played()[:2]
     together = torso(torch.as_tensor(np.concatenate([few, many])))[:2]
@@ -126,10 +123,10 @@ def test_augmentations_move_the_robot_and_shake_what_is_there() -> None:
     seen = torch.as_tensor(np.repeat(played()[3:4], 2000, axis=0))
     generator = torch.Generator().manual_seed(0)
     shift = StateAugmentation("all")(seen, generator) - seen
-    bounds = torch.tensor([TRANSLATION, TRANSLATION, math.radians(ROTATION)])
-    torch.testing.assert_close(shift[:, -1, :3].std(0), (bounds**2 / 3 + NOISE**2).sqrt(), rtol=0.1, atol=0)
+    bounds = torch.tensor([STATE_TRANSLATION, STATE_TRANSLATION, math.radians(STATE_ROTATION)])
+    torch.testing.assert_close(shift[:, -1, :3].std(0), (bounds**2 / 3 + STATE_NOISE**2).sqrt(), rtol=0.1, atol=0)
     block = shift[..., STATE_NAMES.index("block2.x")]
-    assert block[:, -1].std() == pytest.approx(NOISE, rel=0.1)
+    assert block[:, -1].std() == pytest.approx(STATE_NOISE, rel=0.1)
     assert block[:, :-1].std() == pytest.approx(PAST_NOISE, rel=0.1)
     fixed = [n for n, name in enumerate(STATE_NAMES) if name.endswith(("present", "velocity", "red", "star", "_min"))]
     assert not shift[..., fixed].any()
@@ -137,7 +134,7 @@ def test_augmentations_move_the_robot_and_shake_what_is_there() -> None:
     assert not shift[..., absent].any()
     assert StateAugmentation("none")(seen, generator) is seen
     still = StateAugmentation("no-trans-rot")(seen, generator) - seen
-    assert still[:, -1, :3].std() == pytest.approx(NOISE, rel=0.1)
+    assert still[:, -1, :3].std() == pytest.approx(STATE_NOISE, rel=0.1)
     with pytest.raises(UnknownNameError, match="no-trans-rot"):
         StateAugmentation("no-trans")
 

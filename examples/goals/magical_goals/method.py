@@ -54,12 +54,12 @@ class GoalInference(Method):
         """Writes goals.json."""
         save_goals(folder, self._written)
 
-    def state(self) -> dict[str, Any]:
+    def get_state(self) -> dict[str, Any]:
         """The text of goals.json."""
         return {"goals": self._written}
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Restores inferred goals."""
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Goes back to inferred goals."""
         self._pursue(state["goals"])
 
     def _pursue(self, written: str) -> None:
