@@ -42,8 +42,7 @@ from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES, EpisodeResult, ScoreFile, read_settings
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.evaluation.worker import Unit, player
-from magical_mj.policies.loading import sources
-from magical_mj.policies.requirements import check_fit
+from magical_mj.policies.loading import check_fit, sources
 from magical_mj.tasks.registry import Pair, task_name, task_spec, variant_name
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError

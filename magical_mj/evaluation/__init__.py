@@ -9,8 +9,7 @@ from magical_mj.evaluation.rollouts import rollouts
 from magical_mj.evaluation.run import Evaluation, evaluate
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.evaluation.settings import EvaluationSettings
-from magical_mj.policies.interface import Episode, Policy
-from magical_mj.policies.requirements import BatchPolicy
+from magical_mj.policies.interface import BatchPolicy, Episode, Policy
 
 __all__ = [
     "BatchPolicy",

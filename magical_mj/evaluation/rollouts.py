@@ -22,10 +22,19 @@ from numpy.typing import NDArray
 
 from magical_mj.envs.registration import env_id
 from magical_mj.evaluation.scores import EpisodeResult, result_of
-from magical_mj.policies.failures import PolicyError, policy_errors, reason, simulation_failure
-from magical_mj.policies.interface import Act, Episode, begin, policy_name, uses_simulation
+from magical_mj.policies.interface import (
+    Act,
+    BatchPolicy,
+    Episode,
+    PolicyError,
+    begin,
+    policy_errors,
+    policy_name,
+    reason,
+    simulation_failure,
+    uses_simulation,
+)
 from magical_mj.policies.interface import play as play_actions
-from magical_mj.policies.requirements import BatchPolicy
 from magical_mj.scene.actions import action_number
 from magical_mj.tasks.registry import task_name
 from magical_mj.tasks.spec import Rules

@@ -15,10 +15,8 @@ from magical_mj._version import __version__
 from magical_mj.evaluation.scores import EpisodeResult, Key, ScoreFile, frame, load_or_start, prepare
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
 from magical_mj.evaluation.worker import Unit, plan, play_unit, player
-from magical_mj.policies.failures import reason
-from magical_mj.policies.interface import uses_simulation
-from magical_mj.policies.loading import Source, sources
-from magical_mj.policies.requirements import check_fit
+from magical_mj.policies.interface import reason, uses_simulation
+from magical_mj.policies.loading import Source, check_fit, sources
 from magical_mj.utils.errors import EvaluationError, SettingsError, WorkerError
 from magical_mj.utils.extras import check_extra
 from magical_mj.utils.parallel import cores, map_unordered

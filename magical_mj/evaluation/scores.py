@@ -20,8 +20,8 @@ import msgspec
 
 from magical_mj._version import __version__
 from magical_mj.evaluation.settings import MUJOCO_VERSION
-from magical_mj.policies.folders import loader_in
 from magical_mj.policies.interface import Episode, letters_of
+from magical_mj.policies.loading import loader_in
 from magical_mj.rendering.backend import chosen_backend
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, SettingsError, shown

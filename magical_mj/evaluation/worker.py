@@ -16,10 +16,8 @@ from magical_mj.evaluation.rollouts import Envs, PolicyCopies, environment_for, 
 from magical_mj.evaluation.scores import EpisodeResult, Key, result_of
 from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
 from magical_mj.evaluation.time_limit import TimeLimitedCaller, TimeLimitError
-from magical_mj.policies.failures import reason
-from magical_mj.policies.interface import Act, Episode, uses_simulation
+from magical_mj.policies.interface import Act, BatchPolicy, Episode, reason, uses_simulation
 from magical_mj.policies.loading import Source
-from magical_mj.policies.requirements import BatchPolicy
 from magical_mj.tasks.registry import sample_scene, task_spec
 
 T = TypeVar("T")

@@ -1,16 +1,18 @@
-"""Episodes: the information that policies get, the loop that plays an episode, and the storage of its actions."""
+"""What policies are, what they are told of an episode, how one is played, and which errors are a policy's."""
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar, runtime_checkable
 
 import dm_env
 import numpy as np
 
-from magical_mj.utils.errors import InvalidActionError, shown
+from magical_mj.utils.errors import InvalidActionError, RenderingError, TaskError, shown
+from magical_mj.utils.imports import place
 
 if TYPE_CHECKING:
     from magical_mj.envs.composer import Environment
@@ -19,6 +21,8 @@ Action = TypeVar("Action")
 Act = Callable[[Any], Any]
 """A policy, or a plain function from observation to action."""
 
+REASON_LENGTH: Final = 300
+"""The number of characters of an error that results show."""
 LETTERS: Final = "abcdefghijklmnopqr"
 """One letter for each of the 18 actions: the actions of an episode are stored as a string."""
 
@@ -60,6 +64,18 @@ class Policy(Protocol):
 
     def __call__(self, observation: Any) -> Any:
         """The action, an integer in 0..17, for an observation of the preset."""
+
+
+@runtime_checkable
+class BatchPolicy(Protocol):
+    """An agent that acts in several episodes at once; used with vector environments."""
+
+    def reset_batch(self, episodes: Sequence[Episode]) -> None:
+        """Called before the episodes, which start together."""
+
+    def act_batch(self, observations: Any) -> Sequence[Any]:
+        """An action for each environment, given the stacked observations of the vector environment."""
+        ...
 
 
 def play(env: Any, actions: Iterable[Action]) -> Iterator[tuple[Action, Any]]:
@@ -123,3 +139,44 @@ def actions_of(letters: str) -> list[int]:
     if not set(letters) <= set(LETTERS):
         raise InvalidActionError(f"stored actions are letters from {LETTERS[0]} to {LETTERS[-1]}, not {shown(letters)}")
     return [LETTERS.index(letter) for letter in letters]
+
+
+class PolicyError(Exception):
+    """An error that a policy has raised, which is its cause; the text is the reason in an episode's result."""
+
+
+@contextmanager
+def policy_errors() -> Iterator[None]:
+    """Where errors are failures of the policy, unless they say that they are not."""
+    try:
+        yield
+    except (RenderingError, TaskError):
+        raise
+    except (Exception, SystemExit) as error:  # a policy may raise anything
+        raise PolicyError(_one_line(f"{_said(error)}{place(error, full=False)}")) from error
+
+
+def simulation_failure(error: Exception) -> str:
+    """One line about a simulation that a policy's actions made unstable; raises any other error again."""
+    from dm_control.rl.control import PhysicsError  # imported late: it loads the simulator
+
+    if not isinstance(error, PhysicsError | FloatingPointError):
+        raise error
+    return reason(error)
+
+
+def reason(error: BaseException) -> str:
+    """The error's type and message in one line."""
+    return _one_line(_said(error))
+
+
+def _said(error: BaseException) -> str:
+    try:
+        return f"{type(error).__name__}: {error}"
+    except Exception:  # noqa: BLE001 a policy's exceptions may be broken, too
+        return f"{type(error).__name__}: an error without a message"
+
+
+def _one_line(text: str) -> str:
+    """A line that can be encoded: Python shows bytes of file names as characters that cannot."""
+    return " ".join(text.split()).encode(errors="backslashreplace").decode()[:REASON_LENGTH]

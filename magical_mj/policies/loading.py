@@ -6,23 +6,25 @@ import hashlib
 import inspect
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Final
 
+from magical_mj.envs.presets import PRESETS
 from magical_mj.policies.agents import AGENTS
-from magical_mj.policies.failures import reason
-from magical_mj.policies.folders import FOLDERS, loader_in
-from magical_mj.policies.interface import Act, policy_name
-from magical_mj.policies.models import LOADERS
+from magical_mj.policies.interface import Act, policy_name, reason, uses_simulation
+from magical_mj.policies.models import LOADERS, Shape
+from magical_mj.tasks.registry import Pair, task_spec
 from magical_mj.utils.errors import SettingsError, UntrustedNameError, shown, unknown_name
 from magical_mj.utils.imports import resolve, source_of
 
 ACCEPTED_POLICIES: Final = (
     f"{', '.join(AGENTS)}, module:object, a file that ends in {' or '.join(LOADERS)}, or a run's folder"
 )
+FOLDERS: Final = "magical_mj.policy_folders"
+"""The group of entry points that load the policy in a folder; the name of each is that of a file in its folders."""
 
 
 @dataclass(frozen=True)
@@ -67,13 +69,15 @@ class Source:
             return self.origin
         if self.origin in AGENTS:
             return AGENTS[self.origin]()
-        suffix = Path(self.origin).suffix
-        if suffix in LOADERS:
-            if not Path(self.origin).is_file():
-                raise SettingsError(f"there is no file {self.origin}")
-            return LOADERS[suffix](Path(self.origin), self.trust)
-        if Path(self.origin).is_dir():
-            return _folder_loader(self.origin).load()(self.origin)
+        path = Path(self.origin)
+        if path.suffix in LOADERS:
+            if not path.exists():
+                raise SettingsError(f"there is no file {path}")
+            if not path.is_file():
+                raise SettingsError(f"{path} is not a plain file, but a folder, a pipe or a device")
+            return LOADERS[path.suffix](path, self.trust)
+        if path.is_dir():
+            return _folder_loader(path).load()(self.origin)
         if ":" in self.origin:
             return _imported(self.origin)
         raise unknown_name("policy", self.origin, (*AGENTS, "module:object", *(f"FILE{s}" for s in LOADERS)))
@@ -96,7 +100,7 @@ class Source:
         path = Path(self.origin)
         if path.suffix in LOADERS:
             return path
-        return path / _folder_loader(self.origin).name if path.is_dir() else None
+        return path / _folder_loader(path).name if path.is_dir() else None
 
 
 def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
@@ -107,47 +111,51 @@ def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
             ``NAME=...``, a path, a mapping of such names to policies or lists of them, or a policy object.
         run: the number of the first run.
         trust: whether files that hold code may be loaded.
+
+    Raises:
+        SettingsError: if it is something else, or a name cannot be printed.
     """
-    found: list[Source] = []
-    seen: Counter[str] = Counter()
-    for source in _each(policies):
+    listed: list[Source] = []
+    runs: Counter[str] = Counter()
+    for source in _parse_policies(policies):
         if not isinstance(source.name, str) or not source.name.strip() or not source.name.isprintable():
             raise SettingsError(f"the name of a method is a text of printable characters, not {shown(source.name)}")
-        found.append(replace(source, run=run + seen[source.name], trust=trust))
-        seen[source.name] += 1
-    if not found:
+        listed.append(replace(source, run=run + runs[source.name], trust=trust))
+        runs[source.name] += 1
+    if not listed:
         raise SettingsError(f"give a policy: {ACCEPTED_POLICIES}")
-    return found
+    return listed
 
 
-def _each(policies: Any) -> Iterator[Source]:
-    if isinstance(policies, os.PathLike):
-        path = os.fspath(policies)
-        yield Source(_short(path), 0, path)
-    elif isinstance(policies, str) and os.path.exists(policies):  # noqa: PTH110  (Path's raises errors)
-        yield Source(_short(policies), 0, policies)
-    elif isinstance(policies, str):
-        for text in filter(None, (part.strip() for part in policies.split(","))):
-            name, equals, origin = text.partition("=")
-            if equals and not origin:  # else it would be the working directory
-                raise SettingsError(f"{text} names no policy: {ACCEPTED_POLICIES}")
-            yield Source(name, 0, origin) if equals else Source(_short(text), 0, text)
+def _parse_policies(policies: Any) -> Iterator[Source]:
+    if isinstance(policies, str | os.PathLike):
+        yield from _parse_text(os.fsdecode(policies), is_path=isinstance(policies, os.PathLike))
     elif isinstance(policies, Mapping):
-        for name, given in policies.items():
-            for source in _each(given):
-                yield replace(source, name=name)
+        for name, policy in policies.items():
+            yield from (replace(source, name=name) for source in _parse_policies(policy))
     elif isinstance(policies, Sequence):
-        for given in policies:
-            yield from _each(given)
-    elif isinstance(policies, type):
-        yield Source(policies.__name__, 0, _made(policies, policies.__name__))
-    elif callable(policies):
-        yield Source(policy_name(policies), 0, policies)
+        for policy in policies:
+            yield from _parse_policies(policy)
     else:
-        raise SettingsError(f"{shown(policies)} is not a policy: it must be callable, or one of {ACCEPTED_POLICIES}")
+        policy = _instantiate(policies, policies.__name__) if isinstance(policies, type) else policies
+        if not callable(policy):
+            raise SettingsError(f"{shown(policy)} is not a policy: it must be callable, or one of {ACCEPTED_POLICIES}")
+        yield Source(policy_name(policies), 0, policy)
 
 
-def _short(origin: str) -> str:
+def _parse_text(text: str, *, is_path: bool) -> Iterator[Source]:
+    """The policies in a text: a path, or some separated by commas, each perhaps as ``NAME=...``."""
+    if is_path or os.path.exists(text):  # noqa: PTH110  (Path's raises errors)
+        yield Source(_default_name(text), 0, text)
+        return
+    for part in filter(None, map(str.strip, text.split(","))):
+        name, equals, origin = part.partition("=")
+        if equals and not origin:  # else it would be the working directory
+            raise SettingsError(f"{part} names no policy: {ACCEPTED_POLICIES}")
+        yield Source(name, 0, origin) if equals else Source(_default_name(part), 0, part)
+
+
+def _default_name(origin: str) -> str:
     path = Path(origin)
     if path.suffix in LOADERS:
         return path.stem
@@ -156,31 +164,35 @@ def _short(origin: str) -> str:
     return origin.rpartition(":")[2]
 
 
-def _folder_loader(folder: str) -> EntryPoint:
-    """The entry point that loads the policy in a folder."""
-    found = loader_in(Path(folder))
-    if found is None:
+def loader_in(folder: Path) -> EntryPoint | None:
+    """The entry point that loads the policy in a folder; None if there is no policy."""
+    return next((loader for loader in entry_points(group=FOLDERS) if (folder / loader.name).is_file()), None)
+
+
+def _folder_loader(folder: Path) -> EntryPoint:
+    loader = loader_in(folder)
+    if loader is None:
         known = " or ".join(loader.name for loader in entry_points(group=FOLDERS))
         raise SettingsError(f"the folder {folder} holds no policy: no {known}")
-    return found
+    return loader
 
 
 def _imported(origin: str) -> Act:
     """The object that ``module:object`` refers to; a class is instantiated."""
     try:
-        found = resolve(origin)
+        policy = resolve(origin)
     except UntrustedNameError:
         raise
     except (Exception, SystemExit) as error:
         raise SettingsError(f"the policy {origin} cannot be imported: {reason(error)}") from error
-    if inspect.isclass(found):
-        found = _made(found, origin)
-    if not callable(found):
-        raise SettingsError(f"the policy {origin} is a {type(found).__name__}, which cannot be called")
-    return found
+    if inspect.isclass(policy):
+        policy = _instantiate(policy, origin)
+    if not callable(policy):
+        raise SettingsError(f"the policy {origin} is a {type(policy).__name__}, which cannot be called")
+    return policy
 
 
-def _made(kind: type, name: str) -> Any:
+def _instantiate(kind: type, name: str) -> Any:
     """An instance of a policy class, made without arguments."""
     try:
         return kind()
@@ -189,3 +201,60 @@ def _made(kind: type, name: str) -> Any:
             f"the policy {name} is a class, and calling it fails: {reason(error)}. Give a function or an object, "
             "or a class that needs no arguments"
         ) from error
+
+
+def check_fit(policy: object, pairs: Sequence[Pair], preset: str) -> None:
+    """Raises a `SettingsError` if the policy's attributes say that it was trained for something else.
+
+    A `TaskError` is raised if it needs a plan, and a task has none.
+
+    Args:
+        policy: the policy; its attributes `preset`, `tasks`, `observation_shapes` and `needs_plan` are checked if they
+            exist.
+        pairs: pairs of task and variant.
+        preset: the preset of the observations.
+    """
+    if getattr(policy, "needs_plan", False):
+        for task, _ in pairs:
+            task_spec(task).check_plan()
+    trained_on = getattr(policy, "preset", preset)
+    if trained_on != preset:
+        raise SettingsError(
+            f"the policy was trained on the preset {trained_on}, not {preset}: give --preset {trained_on}"
+        )
+    tasks = getattr(policy, "tasks", None)
+    tasks = (tasks,) if isinstance(tasks, str) else tasks
+    others = sorted({task for task, _ in pairs} - set(tasks)) if tasks is not None else []
+    if others:
+        raise SettingsError(f"the policy cannot act in {', '.join(others)}: give --tasks {','.join(tasks or ())}")
+    shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
+    if shapes is not None and not uses_simulation(policy):
+        _check_shape(list(shapes), pairs[0][0], preset)
+
+
+def _check_shape(accepted: Sequence[Shape], task: str, preset: str) -> None:
+    """Raises a `SettingsError` unless observations of the preset have one of these shapes."""
+    shape = _shape_of(task, preset)
+    if _fits(accepted, shape):
+        return
+    others = [name for name in PRESETS if _fits(accepted, _shape_of(task, name))]
+    remedy = f"give --preset {' or '.join(others)}" if others else "no preset has such observations"
+    raise SettingsError(
+        f"the policy takes observations of shape {accepted[0]}, and {preset} gives {shape or 'a dict'}: {remedy}"
+    )
+
+
+def _shape_of(task: str, preset: str) -> tuple[int, ...] | None:
+    """The shape of the preset's observations; None if they are dicts."""
+    from magical_mj.envs.gymnasium_env import MagicalEnv  # imported late: it loads the simulator
+
+    env = MagicalEnv(task, preset=preset)
+    env.close()
+    return env.observation_space.shape
+
+
+def _fits(accepted: Sequence[Shape], shape: tuple[int, ...] | None) -> bool:
+    return shape is not None and any(
+        len(sizes) == len(shape) and all(size in (None, real) for size, real in zip(sizes, shape, strict=True))
+        for sizes in accepted
+    )

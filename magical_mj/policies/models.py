@@ -1,5 +1,7 @@
 """Trained models from files: stable-baselines3 archives and ONNX.
 
+Files may be somebody else's: what is read is bounded, by declared and by actual size, and so are networks.
+
 A stable-baselines3 archive contains pickles, and reading a pickle runs whatever code it contains. So none is read
 unless the user sets ``trust``: standard actor-critic networks (PPO, A2C and similar) are rebuilt from the archive's
 plain JSON, and their weights are loaded as plain tensors. ONNX files contain no Python code. (TorchScript is not
@@ -10,6 +12,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
@@ -20,9 +23,7 @@ from typing import Any, Final
 import numpy as np
 from gymnasium import spaces
 
-from magical_mj.policies.failures import reason
-from magical_mj.policies.interface import Episode
-from magical_mj.policies.requirements import Shape
+from magical_mj.policies.interface import Episode, reason
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.utils.errors import MissingExtraError, SettingsError
 from magical_mj.utils.extras import missing_extra
@@ -31,6 +32,19 @@ OTHER_ACTIONS: Final = (
     f"each action is one of the numbers 0 to {len(ACTIONS) - 1}; around a model with continuous actions, give a "
     "function that ends in magical_mj.scene.actions.to_discrete (docs/evaluation.md)"
 )
+MOST_BYTES: Final = 1_000_000_000
+"""The largest content of a model's file that is read."""
+MOST_SETTINGS: Final = 100_000_000
+"""The same for the settings in a stable-baselines3 archive, which hold the last observations, too."""
+MOST_PARAMETERS: Final = 100_000_000
+"""The largest number of parameters of a network that is rebuilt; those of the paper have 2 million."""
+MOST_OBSERVED: Final = 10_000_000
+"""The largest number of values in an observation of such a network."""
+LONGEST_ARGUMENTS: Final = 10_000
+"""The greatest length of what says how such a network is built."""
+Shape = tuple[int | None, ...]
+"""The shape of an observation; None stands for any size."""
+
 TRUST: Final = "--trust (trust=True) loads it and runs the code that it contains: do that only with files of your own"
 
 
@@ -105,14 +119,40 @@ def _content(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
     try:
         with zipfile.ZipFile(path) as archive:
-            data, packed = _named(json.loads(archive.read("data"))), archive.read("policy.pth")
+            data = _named(json.loads(_member(path, archive, "data", MOST_SETTINGS)))
+            packed = _member(path, archive, "policy.pth", MOST_BYTES)
+    except SettingsError:
+        raise
     except Exception as error:
         raise SettingsError(f"{path} is not a stable-baselines3 archive: {reason(error)}") from error
     try:
+        _check_packed(path, packed)
         with warnings.catch_warnings(action="ignore"):  # of pickles that are refused
-            return data, _named(torch.load(io.BytesIO(packed), map_location="cpu", weights_only=True))
+            weights = _named(torch.load(io.BytesIO(packed), map_location="cpu", weights_only=True))
+    except SettingsError:
+        raise
     except Exception as error:
         raise SettingsError(f"{path} has weights that are not tensors; it is not loaded") from error
+    return data, weights
+
+
+def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
+    """A member of an archive; raises a `SettingsError` if it is larger than `most` bytes."""
+    with archive.open(name) as file:
+        content = b"" if archive.getinfo(name).file_size > most else file.read(most + 1)
+    if archive.getinfo(name).file_size > most or len(content) > most:
+        raise SettingsError(f"{path} holds {name} of more than {most:,} bytes, and is not read")
+    return content
+
+
+def _check_packed(path: Path, packed: bytes) -> None:
+    """Checks PyTorch's file of weights, which is an archive, too, before PyTorch unpacks it."""
+    with zipfile.ZipFile(io.BytesIO(packed)) as inner:
+        if sum(member.file_size for member in inner.infolist()) > MOST_BYTES:
+            raise SettingsError(f"{path} holds weights of more than {MOST_BYTES:,} bytes, and is not read")
+        pickles = [member.filename for member in inner.infolist() if member.filename.endswith(".pkl")]
+        if any(b"bytearray" in inner.read(name) for name in pickles):  # PyTorch would make one of any size
+            raise ValueError("bytes where tensors should be")
 
 
 def _named(values: Any) -> dict[str, Any]:
@@ -150,19 +190,31 @@ def _accepted(space: spaces.Space[Any]) -> list[Shape] | None:
 
 def _rebuilt(path: Path, data: dict[str, Any], weights: dict[str, Any]) -> Any:
     """A standard actor-critic network, rebuilt from the archive's plain JSON."""
+    import torch
     from stable_baselines3.common.policies import ActorCriticCnnPolicy, ActorCriticPolicy
 
-    kwargs: Any = data.get("policy_kwargs")
-    seen, acted = data.get("observation_space", {}), data.get("action_space", {})
-    plain = isinstance(kwargs, dict) and ":serialized:" not in kwargs
-    if not plain or "action_net.weight" not in weights or not seen.get("_shape"):
+    arguments: Any = data.get("policy_kwargs")
+    observed, acted = data.get("observation_space", {}), data.get("action_space", {})
+    plain = isinstance(arguments, dict) and ":serialized:" not in arguments
+    if not plain or "action_net.weight" not in weights or not observed.get("_shape"):
         raise SettingsError(f"{path} keeps how its network is built as a pickle; {TRUST}")
     if "n" not in acted or int(acted["n"]) != len(ACTIONS):
         raise SettingsError(f"{path} was trained with other actions, and {OTHER_ACTIONS}")
-    shape, pictures = tuple(int(n) for n in _plain(seen["_shape"])), seen.get("dtype") == "uint8"
+    shape, pictures = tuple(int(n) for n in _plain(observed["_shape"])), observed.get("dtype") == "uint8"
+    if math.prod(shape) > MOST_OBSERVED or len(str(arguments)) > LONGEST_ARGUMENTS:
+        raise SettingsError(
+            f"{path} looks at more than {MOST_OBSERVED:,} values at a time, or describes its network by more than "
+            f"{LONGEST_ARGUMENTS:,} characters, and is not loaded"
+        )
     space = spaces.Box(0, 255, shape, np.uint8) if pictures else spaces.Box(-np.inf, np.inf, shape, np.float32)
     kind = ActorCriticCnnPolicy if any(name.startswith("features_extractor.cnn") for name in weights) else None
-    return (kind or ActorCriticPolicy)(space, spaces.Discrete(len(ACTIONS)), lambda _: 0.0, **kwargs)
+    kind = kind or ActorCriticPolicy
+    outline = type("Outline", (kind,), {"device": property(lambda _: torch.device("meta"))})
+    with torch.device("meta"):  # where parameters have shapes, and take no memory
+        planned = outline(space, spaces.Discrete(len(ACTIONS)), lambda _: 0.0, **arguments).state_dict()
+    if sum(parameter.numel() for parameter in planned.values()) > MOST_PARAMETERS:
+        raise SettingsError(f"{path} has a network of more than {MOST_PARAMETERS:,} parameters, and is not loaded")
+    return kind(space, spaces.Discrete(len(ACTIONS)), lambda _: 0.0, **arguments)
 
 
 def _plain(value: Any) -> Any:
@@ -174,9 +226,9 @@ def _trusted(path: Path) -> Any:
     from stable_baselines3.common.save_util import load_from_zip_file
 
     data, _, _ = load_from_zip_file(path, device="cpu")
-    made: dict[str, Any] = data or {}
-    kwargs = made.get("policy_kwargs") or {}
-    return made["policy_class"](made["observation_space"], made["action_space"], lambda _: 0.0, **kwargs)
+    made_of: dict[str, Any] = data or {}
+    arguments = made_of.get("policy_kwargs") or {}
+    return made_of["policy_class"](made_of["observation_space"], made_of["action_space"], lambda _: 0.0, **arguments)
 
 
 def load_onnx(path: Path, trust: bool = False) -> Model:
@@ -186,6 +238,8 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
         import onnxruntime
     except ModuleNotFoundError:
         raise missing_extra(f"{path}", "onnx") from None
+    if path.stat().st_size > MOST_BYTES:
+        raise SettingsError(f"{path} has more than {MOST_BYTES:,} bytes, and is not read")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     try:

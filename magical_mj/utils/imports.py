@@ -153,10 +153,18 @@ def with_place(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}{where}"
 
 
-def place(error: BaseException) -> str:
-    """The last place from which the error came that is neither in this package nor in Python, if there is one."""
+def place(error: BaseException, *, full: bool = True) -> str:
+    """The last place from which the error came that is neither in this package nor in Python, if there is one.
+
+    Args:
+        error: the error.
+        full: whether the file's folder is named, too.
+    """
     frames = [frame for frame in extract_tb(error.__traceback__) if _is_theirs(frame.filename)]
-    return f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
+    if not frames:
+        return ""
+    file = Path(frames[-1].filename)
+    return f" ({file if full else file.name}, line {frames[-1].lineno})"
 
 
 def _is_theirs(file: str) -> bool:

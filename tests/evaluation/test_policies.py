@@ -116,7 +116,9 @@ def test_policies_need_not_be_comparable() -> None:
 
 def test_an_error_that_cannot_be_shown_costs_one_episode() -> None:
     played = evaluate(Failing(), **STATE)
-    assert played["failure"].dropna().tolist() == ["MuteError: an error without a message"] * 2
+    assert (
+        played["failure"].dropna().tolist() == ["MuteError: an error without a message (test_policies.py, line 67)"] * 2
+    )
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import gymnasium
+import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
@@ -25,17 +26,27 @@ def test_episodes_may_come_one_by_one_and_must_be_of_the_environment() -> None:
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)
-@pytest.mark.parametrize("kind", ["sync", "async"])
-def test_vector_environments_in_every_autoreset_mode(kind: str, mode: AutoresetMode) -> None:
+def test_vector_environments_in_every_autoreset_mode(mode: AutoresetMode) -> None:
     name = "magical_mj:magical_mj/MoveToRegion-TestLayout-State-v0"
-    kwargs: dict[str, Any] = {"autoreset_mode": mode}
-    if kind == "async":
-        kwargs["context"] = "spawn"
-    envs = gymnasium.make_vec(name, 2, kind, vector_kwargs=kwargs)
-    assert isinstance(envs, SyncVectorEnv | AsyncVectorEnv)
     episodes = [Episode("MoveToRegion", "Layout", seed) for seed in range(5)]
-    found = {policy: list(rollouts(envs, policy(), episodes)) for policy in (agents.Counting, agents.Batch)}
+    processes = mode == AutoresetMode.NEXT_STEP  # each of their own
+    kwargs: dict[str, Any] = {"autoreset_mode": mode, **({"context": "spawn"} if processes else {})}
+    envs = gymnasium.make_vec(name, 2, "async" if processes else "sync", vector_kwargs=kwargs)
+    assert isinstance(envs, SyncVectorEnv | AsyncVectorEnv)
+    results = {policy: list(rollouts(envs, policy(), episodes)) for policy in (agents.Counting, agents.Batch)}
     envs.close()
-    for policy, outcomes in found.items():
+    for policy, side_by_side in results.items():
         plain = list(rollouts(gymnasium.make(name), policy(), episodes))
-        assert [(o.score, o.actions, o.failure) for o in outcomes] == [(o.score, o.actions, None) for o in plain]
+        assert [(r.key, r.score, r.actions, r.failure) for r in side_by_side] == [
+            (r.key, r.score, r.actions, None) for r in plain
+        ]
+
+
+def test_results_do_not_depend_on_the_callers_floating_point_settings() -> None:
+    name, episodes = "magical_mj/FindDupe-Demo-State-v0", [Episode("FindDupe", "Demo", seed) for seed in range(4)]
+    env = gymnasium.make(name)
+    usual = [(r.score, r.actions, r.failure) for r in rollouts(env, agents.Counting(), episodes)]
+    with np.errstate(all="raise"):
+        assert [(r.score, r.actions, r.failure) for r in rollouts(env, agents.Counting(), episodes)] == usual
+    assert {failure for _, _, failure in usual} == {None}
+    env.close()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import base64
+import io
 import json
+import os
 import pickle
 import sys
 import warnings
@@ -18,6 +20,7 @@ import pytest
 from gymnasium import spaces
 
 import magical_mj
+from magical_mj.policies import models
 from magical_mj.policies.models import load_onnx, load_sb3
 from magical_mj.utils.errors import EvaluationError, MissingExtraError, SettingsError
 
@@ -181,6 +184,49 @@ def test_archives_that_are_not_whole(tmp_path: Path, data: bytes, weights: Any, 
                 torch.save(weights, file)
     with pytest.raises(SettingsError, match=complaint):
         load_sb3(tmp_path / "model.zip", trust)
+
+
+def rewritten(path: Path, **changes: Any) -> Path:
+    """An archive with other values in its JSON."""
+    new = path.with_name("new.zip")
+    with zipfile.ZipFile(path) as archive, zipfile.ZipFile(new, "w", zipfile.ZIP_DEFLATED) as other:
+        other.writestr("data", json.dumps(json.loads(archive.read("data")) | changes))
+        other.writestr("policy.pth", archive.read("policy.pth"))
+    return new
+
+
+def test_small_files_of_large_models_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By what they declare, before the memory is taken."""
+    ppo(tmp_path / "model.zip", "MlpPolicy", STATE)
+    for changes, bound in (
+        ({"policy_kwargs": {"net_arch": [40_000, 40_000]}}, "100,000,000 parameters"),
+        ({"policy_kwargs": {"net_arch": [2] * 10_000}}, "10,000 characters"),
+        ({"observation_space": {"_shape": [1_000_000, 1_000_000], "dtype": "float32"}}, "10,000,000 values"),
+    ):
+        with pytest.raises(SettingsError, match=bound):
+            load_sb3(rewritten(tmp_path / "model.zip", **changes))
+    monkeypatch.setattr(models, "MOST_SETTINGS", 20_000_000)
+    monkeypatch.setattr(models, "MOST_BYTES", 20_000_000)
+    with pytest.raises(SettingsError, match="data of more than 20,000,000 bytes"):
+        load_sb3(rewritten(tmp_path / "model.zip", filler=" " * 20_000_000))
+    with zipfile.ZipFile(tmp_path / "bomb.zip", "w") as archive, io.BytesIO() as inner:
+        with zipfile.ZipFile(inner, "w", zipfile.ZIP_DEFLATED) as weights:
+            weights.writestr("archive/data/0", bytes(20_000_001))
+        archive.writestr("data", "{}")
+        archive.writestr("policy.pth", inner.getvalue())
+    assert (tmp_path / "bomb.zip").stat().st_size < 100_000
+    with pytest.raises(SettingsError, match="weights of more than 20,000,000 bytes"):
+        load_sb3(tmp_path / "bomb.zip")
+
+
+def test_what_is_not_a_plain_file_is_refused(tmp_path: Path) -> None:
+    """Reading a pipe would wait without end."""
+    os.mkfifo(tmp_path / "pipe.zip")
+    (tmp_path / "link.onnx").symlink_to(tmp_path / "pipe.zip")
+    (tmp_path / "folder.zip").mkdir()
+    for name in ("pipe.zip", "link.onnx", "folder.zip"):
+        with pytest.raises(SettingsError, match="not a plain file"):
+            magical_mj.evaluate(tmp_path / name, **SMALL)
 
 
 def test_an_archive_with_wrong_bytes(tmp_path: Path) -> None:
