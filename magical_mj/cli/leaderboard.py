@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Final
 
+import msgspec
 import typer
-from rich.console import Console
 from rich.progress import MofNCompleteColumn
 
 from magical_mj.cli.console import Bars, Jobs, check_fits, complain, console, make_writable_folder
 from magical_mj.evaluation.scores import read
-from magical_mj.leaderboard import Findings, check_entry, submit, verify
+from magical_mj.leaderboard import Entry, Findings, check_entries, read_entry, submit, verify
 from magical_mj.leaderboard.check import MOST_REPLAYED, SHARE
-from magical_mj.leaderboard.claims import Checked
-from magical_mj.leaderboard.duplicates import copied
-from magical_mj.leaderboard.entry import Entry, entries
+from magical_mj.leaderboard.entry import entry_files
 from magical_mj.leaderboard.page import check_free, write_pages
 from magical_mj.leaderboard.standings import gaps, standings
-from magical_mj.utils.errors import EvaluationError
+from magical_mj.utils.errors import EvaluationError, counted
 
 SHOWN: Final = 20
 """The largest number of problems that are printed; the others are counted."""
 
 Entries = Annotated[Path, typer.Argument(help="The folder with the entries (*.json.xz), or one.", show_default=False)]
 Pages = Annotated[Path | None, typer.Option("--out", help="The folder for the pages.", show_default="FOLDER")]
+Replay = Annotated[int, typer.Option(min=1, help="The largest number of episodes of an entry that are replayed.")]
 All = Annotated[bool, typer.Option("--all", help="Replay all episodes of each entry, not only a random part.")]
 Sample = Annotated[
     int | None, typer.Option("--seed", min=0, help="Chooses the part.", show_default="another each time")
@@ -46,10 +43,11 @@ Extend = Annotated[Path | None, typer.Option(help="An earlier entry, to whose ep
 def verify_folder(folder: Folder, jobs: Jobs = None) -> None:
     """Replay the episodes of an evaluation, compare scenes and scores, and check that it is complete."""
     screen = console()
-    with _bar(screen, f"replaying {folder}", len(read(folder))) as watch:
-        found = verify(folder, jobs=jobs, watch=watch)
-    screen.print(describe(found), soft_wrap=True)
-    if not _complained(str(folder), found):
+    with Bars(screen, MofNCompleteColumn(), transient=True) as progress:
+        bar = progress.add_task(f"replaying {folder}", total=len(read(folder)))
+        findings = verify(folder, jobs=jobs, watch=lambda: progress.update(bar, advance=1))
+    screen.print(describe(findings), soft_wrap=True)
+    if not _complained(str(folder), findings):
         screen.print("everything is there, and is what it says")
     else:
         raise typer.Exit(1)
@@ -59,11 +57,13 @@ def make_entry(folders: Folders, out: Out, card: Card = None, policy: Name = Non
     """Pack the evaluations of one method, with its card, into an entry for the leaderboard."""
     make_writable_folder(out.parent)
     entry = submit(folders, out, card=card, policy=policy, extend=extend)
-    parts = {name: value if isinstance(value, dict) else {"": value} for name, value in entry.card.items()}
+    facts = msgspec.to_builtins(entry.card)
+    parts = {name: value if isinstance(value, dict) else {"": value} for name, value in facts.items()}
     unsaid = [f"{name}.{inner}".rstrip(".") for name, part in parts.items() for inner in part if part[inner] is None]
-    runs = "1 run" if len(entry.runs) == 1 else f"{len(entry.runs)} runs"
+    size = out.stat().st_size / 1e6
     screen = console()
-    screen.print(f"{entry.method}: {len(entry.episodes)} episodes of {runs}, {out.stat().st_size / 1e6:.2f} MB")
+    episodes, runs = counted(len(entry.episodes), "episode"), counted(len(entry.runs), "run")
+    screen.print(f"{entry.method}: {episodes} of {runs}, {size:.2f} MB")
     if unsaid:
         screen.print(f"the card does not say: {', '.join(unsaid)} (--card)", soft_wrap=True)
     missing = gaps(entry)
@@ -76,67 +76,69 @@ def make_leaderboard(
     context: typer.Context,
     folder: Entries,
     out: Pages = None,
+    replay: Replay = MOST_REPLAYED,
     everything: All = False,
     seed: Sample = None,
     jobs: Jobs = None,
 ) -> None:
     """Check all entries in a folder, and write the leaderboard: leaderboard.html and leaderboard.md."""
-    check_fits(context, not everything, "without --all", "seed")
-    paths, pages = entries(folder), out or (folder.parent if folder.is_file() else folder)
+    check_fits(context, not everything, "without --all", "seed", "replay")
+    paths, pages = entry_files(folder), out or (folder.parent if folder.is_file() else folder)
     check_free(make_writable_folder(pages))
     screen = console()
+    seed = secrets.randbits(32) if seed is None else seed
     if not everything:
-        seed = secrets.randbits(32) if seed is None else seed
         screen.print(
-            f"replaying {SHARE:.0%} of each entry, {MOST_REPLAYED} episodes at most; "
+            f"replaying {SHARE:.0%} of each entry, {counted(replay, 'episode')} at most; "
             f"--seed {seed} chooses the same again"
         )
-    good, bad = dict[str, Entry](), 0
+    entries: dict[str, Entry] = {}
     for path in paths:
-        with _bar(screen, f"checking {path.name}", None) as watch:
-            try:
-                entry, found = check_entry(path, everything=everything, seed=seed, jobs=jobs, watch=watch)
-            except EvaluationError as error:
-                complain(str(error))
-                bad += 1
-                continue
-        screen.print(f"{path.name}: {entry.method}; {describe(found)}", soft_wrap=True)
-        if _complained(path.name, found):
-            bad += 1
-        else:
-            good[path.name] = entry
-    for name, problem in copied(good).items():
-        complain(f"{name} is not shown: {problem}")
-        del good[name]
-        bad += 1
+        try:
+            entries[path.name] = read_entry(path)
+        except EvaluationError as error:
+            complain(str(error))
+    with Bars(screen, MofNCompleteColumn(), transient=True) as progress:
+        bar = progress.add_task("replaying episodes", total=None)
+        findings = check_entries(
+            entries,
+            most=None if everything else replay,
+            seed=seed,
+            jobs=jobs,
+            watch=lambda done, total: progress.update(bar, completed=done, total=total),
+        )
+    good: dict[str, Entry] = {}
+    for name, entry in entries.items():
+        screen.print(f"{name}: {entry.method}; {describe(findings[name])}", soft_wrap=True)
+        owner = next((other for other in good if good[other].method == entry.method), None)
+        if owner is not None and good[owner].rules == entry.rules:
+            complain(f"{name} is not shown: it has the name of the method in {owner}, {entry.method}")
+        elif not _complained(name, findings[name]):
+            good[name] = entry
     for page in write_pages(standings(list(good.values())), pages):
         screen.print(page, soft_wrap=True)
-    if bad:
+    if bad := len(paths) - len(good):
         raise EvaluationError(f"entries that are not what they claim, and are not on the page: {bad}")
 
 
-def describe(found: Findings) -> str:
+def describe(findings: Findings) -> str:
     """A sentence about the number of replayed episodes and the speed."""
-    rate = found.steps / found.seconds if found.seconds else 0.0
-    return f"{found.episodes} episodes replayed, {found.steps} steps in {found.seconds:.0f} s ({rate:.0f} steps/s)"
+    rate = findings.steps / findings.seconds if findings.seconds else 0.0
+    return (
+        f"{counted(findings.episodes, 'episode')} replayed, {counted(findings.steps, 'step')} in "
+        f"{findings.seconds:.0f} s of one process ({rate:.0f} steps/s)"
+    )
 
 
-def _complained(name: str, found: Findings) -> bool:
+def _complained(name: str, findings: Findings) -> bool:
     """Prints the problems, and returns whether there are any."""
     for problems, what in (
-        (found.unfit, "does not fit"),
-        (found.differing, "differs"),
-        (found.missing, "is incomplete"),
+        (findings.unfit, "does not fit"),
+        (findings.differing, "differs"),
+        (findings.missing, "is incomplete"),
     ):
         for problem in problems[:SHOWN]:
             complain(f"{name} {what}: {problem}")
         if len(problems) > SHOWN:
             complain(f"{name} {what}: {len(problems) - SHOWN} more")
-    return not found.good
-
-
-@contextmanager
-def _bar(screen: Console, label: str, total: int | None) -> Iterator[Callable[[Checked], None]]:
-    with Bars(screen, MofNCompleteColumn(), transient=True) as progress:
-        bar = progress.add_task(label, total=total)
-        yield lambda checked: progress.update(bar, advance=checked.episodes)
+    return not findings.good

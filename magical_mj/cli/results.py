@@ -97,8 +97,8 @@ def film_episodes(chosen: Sequence[tuple[str, EpisodeResult]], out: Path) -> dic
     """Makes videos of episodes, each given with a word such as "best"; returns description -> file name."""
     links: dict[str, str] = {}
     for name, (which, score) in zip(film_names(chosen), chosen, strict=True):
-        with film(out / name, FILM_SIZE, FILM_SPEED, overwrite=True) as made:
-            replay(made, score)
+        with film(out / name, FILM_SIZE, FILM_SPEED, overwrite=True) as video:
+            replay(video, score)
         links[
             f"{score.policy}, {which} of {score.task}: {score.variant}, seed {score.seed}, score {score.score:.2f}"
         ] = name

@@ -1,28 +1,32 @@
-"""Checks of results: evaluations' folders and entries."""
+"""Checks of results, evaluations' folders and entries: their episodes are replayed from their seeds and actions."""
 
 from __future__ import annotations
 
 import math
 import random
 import secrets
-import time
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
+from operator import index
 from pathlib import Path
-from typing import Any, Final
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, Final
 
-from magical_mj.evaluation.scores import read
+from magical_mj.evaluation.reports.statistics import SCORE_TOLERANCE
+from magical_mj.evaluation.scores import SETTINGS, EpisodeResult, read, read_settings
 from magical_mj.evaluation.settings import UNOFFICIAL
-from magical_mj.leaderboard.claims import SEEDS, Checked, Claim, check_claims, claim_of, contradiction, missing
-from magical_mj.leaderboard.entry import Entry, unpacked
-from magical_mj.leaderboard.record import Plan, disagreements, recorded
+from magical_mj.leaderboard.entry import SEEDS, Entry, name_of
+from magical_mj.policies.interface import LETTERS, actions_of
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
-from magical_mj.tasks.registry import TASKS, check_rules, task_spec
-from magical_mj.tasks.spec import Rules
-from magical_mj.utils.errors import EvaluationError
-from magical_mj.utils.extras import check_extra
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, check_rules, task_spec
+from magical_mj.utils.errors import EvaluationError, shown
+from magical_mj.utils.parallel import map_unordered
 from magical_mj.variants import check_seed
+
+if TYPE_CHECKING:
+    from magical_mj.envs.composer import Environment
 
 SHARE: Final = 0.1
 """The share of an entry's episodes that are replayed by default."""
@@ -30,7 +34,28 @@ MOST_REPLAYED: Final = 500
 """The largest number of an entry's episodes that are replayed by default, so that a folder of many takes minutes. Where
 one episode in a hundred is false, such a sample misses all of them once in 150 times, and the next draws others."""
 
-Watch = Callable[[Checked], None]
+CHUNK: Final = 50
+"""The number of episodes that a worker replays before it reports."""
+
+Recorded = tuple[str, EpisodeResult]
+"""An episode, and the name of the folder or entry that holds it."""
+
+
+@dataclass(frozen=True)
+class ReplayResult:
+    """The result of replaying an episode.
+
+    Attributes:
+        source: the name of the folder or entry that holds it.
+        steps: the number of its actions.
+        seconds: how long it took.
+        problem: how it differs from its record; None if it does not.
+    """
+
+    source: str
+    steps: int
+    seconds: float
+    problem: str | None
 
 
 @dataclass
@@ -40,8 +65,8 @@ class Findings:
     Attributes:
         episodes: the number of replayed episodes.
         steps: the number of their actions.
-        seconds: the duration of the replay.
-        differing: a sentence for each episode that differs from the claim.
+        seconds: how long their replay took, of all processes together.
+        differing: a sentence for each episode that differs from its record.
         missing: a sentence for each run and environment that lacks episodes.
         unfit: sentences about everything else that does not match this version's protocol.
     """
@@ -58,18 +83,16 @@ class Findings:
         """Whether no problems were found."""
         return not (self.differing or self.missing or self.unfit)
 
-    def replay(self, episodes: Sequence[Claim], rules: Rules, jobs: int | None, watch: Watch) -> None:
-        """Replays episodes and records the differences."""
-        start = time.perf_counter()
-        for found in check_claims(episodes, rules, jobs):
-            self.episodes += found.episodes
-            self.steps += found.steps
-            self.differing += found.problems
-            watch(found)
-        self.seconds += time.perf_counter() - start
+    def add(self, result: ReplayResult) -> None:
+        """Counts the result of an episode."""
+        self.episodes += 1
+        self.steps += result.steps
+        self.seconds += result.seconds
+        if result.problem is not None:
+            self.differing.append(result.problem)
 
 
-def verify(folder: Path | str, *, jobs: int | None = None, watch: Watch = lambda _: None) -> Findings:
+def verify(folder: Path | str, *, jobs: int | None = None, watch: Callable[[], object] = lambda: None) -> Findings:
     """Replays the episodes of an evaluation, and checks its settings and completeness against the protocol.
 
     Failed episodes, and those of tasks outside the benchmark, are not replayed. What was to be played is
@@ -78,90 +101,229 @@ def verify(folder: Path | str, *, jobs: int | None = None, watch: Watch = lambda
     Args:
         folder: the folder of the evaluation.
         jobs: the number of processes; None: one per core.
-        watch: called with the result of each chunk of episodes.
+        watch: called after each episode.
 
     Raises:
         EvaluationError: if the folder is not an evaluation.
     """
     folder = Path(folder)
-    settings, scores = recorded(folder), read(folder)
-    if any(score.worlds != "single" for score in scores):
+    settings, episodes = recorded_settings(folder), read(folder)
+    if any(episode.worlds != "single" for episode in episodes):
         return Findings(unfit=[f"it was played in batched worlds: {UNOFFICIAL}"])
-    plan, findings = Plan.read(settings), Findings()
-    for what, here in (("protocol", PROTOCOL), ("demonstrations", DEMONSTRATIONS)):
-        findings.unfit += _unfit(settings, what, here)
-    findings.unfit += disagreements(settings, plan, scores)
-    kinds: dict[tuple[str, Rules], list[Claim]] = defaultdict(list)
-    for score in scores:
-        kinds[score.policy, check_rules(score.rules)].append(claim_of(score))
-    tasks = {task for task, _ in plan.environments} | {score.task for score in scores}
-    for policy in dict.fromkeys([*plan.runs, *(policy for policy, _ in kinds)]):
-        there = [claim_of(score) for score in scores if score.policy == policy]
-        findings.missing += [f"{policy}, {problem}" for problem in missing(there, tasks, plan.runs.get(policy, ()))]
-    for (policy, rules), episodes in kinds.items():
-        findings.unfit += _unfit(settings, "rules", rules)
-        ours = [episode for episode in episodes if episode.task in TASKS]
-        if len(ours) < len(episodes):
-            findings.unfit.append(f"{policy}: {len(episodes) - len(ours)} episodes are of tasks outside the benchmark")
-        findings.replay(ours, rules, jobs, watch)
+    findings = Findings()
+    required = {"protocol": {PROTOCOL}, "demonstrations": {DEMONSTRATIONS}, "rules": {one.rules for one in episodes}}
+    for what, values in required.items():
+        for value in sorted(values - {settings.get(what)}, key=str):
+            said = f"{settings[what]!r} is recorded" if what in settings else "nothing is recorded"
+            findings.unfit.append(f"{what}: {said}, and it must be {value!r}")
+    environments, runs = _assignment(settings)
+    findings.unfit += _contradictions(settings, environments, runs, episodes)
+    played: dict[str, list[EpisodeResult]] = defaultdict(list)
+    for episode in episodes:
+        played[episode.policy].append(episode)
+    tasks = {task for task, _ in environments} | {episode.task for episode in episodes}
+    for policy in dict.fromkeys([*runs, *played]):
+        gaps = missing(played[policy], tasks, runs.get(policy, ()))
+        findings.missing += [f"{policy}, {gap}" for gap in gaps]
+        if others := sum(episode.task not in TASKS for episode in played[policy]):
+            findings.unfit.append(f"{policy}: {others} episodes are of tasks outside the benchmark")
+    for result in replay((("", episode) for episode in episodes if episode.task in TASKS), jobs):
+        findings.add(result)
+        watch()
     return findings
 
 
-def _unfit(settings: Mapping[str, Any], what: str, here: Any) -> list[str]:
-    """A sentence if a recorded setting differs from the required value."""
-    if settings.get(what) == here:
-        return []
-    said = f"{settings[what]!r} is recorded" if what in settings else "nothing is recorded"
-    return [f"{what}: {said}, and it must be {here!r}"]
+def recorded_settings(folder: Path) -> dict[str, Any]:
+    """The settings that an evaluation recorded in ``run.json``; empty if there are none."""
+    try:
+        return read_settings(folder)
+    except EvaluationError:
+        return {}
 
 
-def check_entry(
-    path: Path | str,
+def _assignment(settings: Mapping[str, Any]) -> tuple[set[tuple[str, str]], dict[str, set[int]]]:
+    """What an evaluation was started to play: the benchmark's environments, and the runs of each method."""
+    runs: dict[str, set[int]] = defaultdict(set)
+    try:
+        for policy in settings["policies"]:
+            runs[policy["name"]].add(index(policy["run"]))
+        return {pair for pair in ENVIRONMENTS if "-".join(pair) in settings["environments"]}, runs
+    except (KeyError, TypeError):
+        return set(), {}
+
+
+def _contradictions(
+    settings: Mapping[str, Any],
+    environments: Collection[tuple[str, str]],
+    runs: Mapping[str, Collection[int]],
+    episodes: Sequence[EpisodeResult],
+) -> list[str]:
+    """A sentence for each thing that episodes say otherwise than the settings, or than their own actions."""
+    problems: dict[str, list[str]] = defaultdict(list)
+    for episode in episodes:
+        pair, count = (episode.task, episode.variant), len(episode.actions)
+        texts = {
+            what: f"it was played with {said!r}, and {SETTINGS} says {shown(settings.get(what))}"
+            for what in ("preset", "version", "mujoco")  # workers of a cluster choose the OpenGL backend themselves
+            if (said := getattr(episode, what)) not in (settings.get(what), None)  # who looks at nothing has no preset
+        }
+        if episode.run not in runs.get(episode.policy, ()):
+            texts["run"] = f"{SETTINGS} does not name it"
+        if pair in ENVIRONMENTS and pair not in environments:
+            texts["environment"] = f"{SETTINGS} does not name it"
+        if episode.steps != count:
+            texts["steps"] = f"it says {episode.steps}, and holds {count} actions"
+        for what, text in texts.items():
+            problems[what].append(f"{episode.policy}, {name_of(episode)}: {text}")
+    return [
+        f"{what}: {first}" + (f"; and {len(others)} more" if others else "")
+        for what, (first, *others) in problems.items()
+    ]
+
+
+def missing(episodes: Iterable[EpisodeResult], tasks: Collection[str], runs: Iterable[int] = ()) -> list[str]:
+    """Which episodes that the protocol requires are missing: a sentence for each run and environment.
+
+    Args:
+        episodes: the existing episodes.
+        tasks: the tasks in all of whose environments each run must have played.
+        runs: the numbers of runs of which there may be no episodes at all.
+    """
+    seeds: dict[tuple[int, str, str], set[int]] = defaultdict(set)
+    for episode in episodes:
+        seeds[episode.run, episode.task, episode.variant].add(episode.seed)
+    problems = []
+    for run in sorted({*runs, *(run for run, _, _ in seeds)}):
+        for task, variant in ENVIRONMENTS:
+            absent = set(range(SEEDS)) - seeds[run, task, variant]
+            if task in tasks and absent:
+                which = "all" if len(absent) == SEEDS else f"{len(absent)}, such as seed {min(absent)},"
+                problems.append(f"run {run}, {task} {variant}: {which} of the {SEEDS} episodes are missing")
+    return problems
+
+
+def check_entries(
+    entries: Mapping[str, Entry],
     *,
-    everything: bool = False,
+    most: int | None = MOST_REPLAYED,
     seed: int | None = None,
     jobs: int | None = None,
-    watch: Watch = lambda _: None,
-) -> tuple[Entry, Findings]:
-    """Reads an entry, and replays a random part of the episodes that count.
+    watch: Callable[[int, int], object] = lambda *_: None,
+) -> dict[str, Findings]:
+    """Replays a random part of the episodes of each entry that count.
 
     All of these are checked for what is seen without playing them: their length, and that failures have the score 0.
     The choice of episodes does not depend on the file, whose author could otherwise alter it until the choice is good.
 
     Args:
-        path: the file.
-        everything: replay all episodes.
+        entries: the entries by name, which problems are told by.
+        most: the largest number of episodes of an entry that are replayed, a tenth of them otherwise; None: all are.
         seed: with which a check can be repeated: the same seed chooses the same episodes; None: nobody knows which.
         jobs: the number of processes; None: one per core.
-        watch: called with the result of each chunk of episodes.
+        watch: called with the number of replayed episodes, and of all that will be.
+
+    Returns:
+        The findings by the entries' names.
 
     Raises:
-        EvaluationError: if the file is not a valid entry; see `magical_mj.leaderboard.entry.unpacked`.
         InvalidSeedError: if `seed` is not an integer, or negative.
     """
-    check_extra("leaderboards", "eval")
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise EvaluationError(f"{path} cannot be read: {error.strerror}") from error
-    entry = unpacked(data, path)
-    findings = Findings(unfit=[] if entry.protocol == PROTOCOL else ["no protocol's number was recorded"])
-    if not entry.counted:
-        findings.unfit.append(f"none of its episodes starts in the scenes of seeds 0 to {SEEDS - 1}")
-    if everything:
-        findings.replay(entry.episodes, entry.rules, jobs, watch)
-        return entry, findings
-    playable = []
+    seed = secrets.randbits(64) if seed is None else check_seed(seed)
+    findings: dict[str, Findings] = {}
+    chosen: list[Recorded] = []
+    for name, entry in entries.items():
+        findings[name] = Findings(unfit=[] if entry.protocol == PROTOCOL else ["no protocol's number was recorded"])
+        if not entry.counted:
+            findings[name].unfit.append(f"none of its episodes starts in the scenes of seeds 0 to {SEEDS - 1}")
+        episodes = entry.episodes
+        if most is not None:
+            episodes, findings[name].differing = _playable(entry)
+            count = min(most, math.ceil(SHARE * len(episodes)))
+            episodes = random.Random(seed).sample(episodes, count)  # noqa: S311
+        chosen += [(name, episode) for episode in episodes]
+    watch(0, len(chosen))
+    for done, result in enumerate(replay(chosen, jobs), start=1):
+        findings[result.source].add(result)
+        watch(done, len(chosen))
+    return findings
+
+
+def _playable(entry: Entry) -> tuple[list[EpisodeResult], list[str]]:
+    """The episodes that count and whose replay would tell something; and a sentence for each that is wrong as it is."""
+    horizons = {task: task_spec(task).horizon(entry.rules) for task in TASKS}
+    playable, problems = [], []
     for episode in entry.counted:
-        problem = contradiction(episode, task_spec(episode.task).horizon(entry.rules))
-        if problem is not None:
-            findings.differing.append(f"{episode}: {problem}")
+        if problem := inconsistency(episode, horizons[episode.task]):
+            problems.append(f"{name_of(episode)}: {problem}")
         elif episode.failure is None:
             playable.append(episode)
-    findings.replay(_sample(playable, seed), entry.rules, jobs, watch)
-    return entry, findings
+    return playable, problems
 
 
-def _sample(episodes: Sequence[Claim], seed: int | None) -> list[Claim]:
-    count = min(MOST_REPLAYED, math.ceil(SHARE * len(episodes)))
-    return random.Random(secrets.randbits(64) if seed is None else check_seed(seed)).sample(episodes, count)  # noqa: S311
+def replay(recorded: Iterable[Recorded], jobs: int | None = None) -> Iterator[ReplayResult]:
+    """Replays episodes in the scenes of their seeds, and compares scenes and scores; yields results as they come.
+
+    All processes are started once, whatever the number of entries.
+
+    Args:
+        recorded: the episodes, of the benchmark's environments.
+        jobs: the number of processes; None: one per core.
+    """
+    alike: dict[tuple[str, str, str], list[Recorded]] = defaultdict(list)
+    for source, episode in recorded:
+        alike[episode.task, episode.variant, episode.rules].append((source, episode))
+    for episodes in alike.values():  # a scene that several entries have played is sampled and compiled once
+        episodes.sort(key=lambda recorded: (recorded[1].seed, recorded[0]))
+    chunks = [
+        episodes[start : start + CHUNK] for episodes in alike.values() for start in range(0, len(episodes), CHUNK)
+    ]
+    chunks.sort(key=lambda chunk: -sum(len(episode.actions) for _, episode in chunk))
+    results = map(_replay, chunks) if jobs == 1 or len(chunks) == 1 else map_unordered(_replay, chunks, jobs)
+    for chunk_results in results:
+        yield from chunk_results
+
+
+def _replay(chunk: Sequence[Recorded]) -> list[ReplayResult]:
+    """The work of one process: replays some episodes of one environment."""
+    from magical_mj.envs.composer import load  # which loads the simulator
+
+    first, results = chunk[0][1], []
+    with closing(load(first.task, first.variant, seed=0, observations=(), rules=check_rules(first.rules))) as env:
+        for source, episode in chunk:
+            start = perf_counter()
+            env.reset(seed=episode.seed)
+            difference = _difference(episode, env)
+            problem = f"{name_of(episode)}: {difference}" if difference else None
+            results.append(ReplayResult(source, len(episode.actions), perf_counter() - start, problem))
+    return results
+
+
+def _difference(episode: EpisodeResult, env: Environment) -> str | None:
+    """What is wrong with an episode, whose scene the environment is in; None if its replay confirms it."""
+    digest = env.initial_scene.digest()
+    if episode.scene is not None and episode.scene != digest:
+        return f"it was played in the scene {episode.scene}, and the seed's scene is {digest}"
+    problem = inconsistency(episode, env.horizon)
+    if problem is not None or episode.failure is not None:
+        return problem
+    for action in actions_of(episode.actions):
+        env.step(action)
+    if abs(env.score() - episode.score) > SCORE_TOLERANCE:
+        return f"the score is {episode.score:g}, and its actions lead to {env.score():g}"
+    return None
+
+
+def inconsistency(episode: EpisodeResult, horizon: int | None) -> str | None:
+    """What is wrong with an episode without playing it; None if nothing is.
+
+    Args:
+        episode: the episode.
+        horizon: the number of steps of its task.
+    """
+    if episode.failure is not None:
+        return None if episode.score == 0 else f"the policy failed, and its score is {episode.score:g} instead of 0"
+    if set(episode.actions) - set(LETTERS):
+        return "its actions are not all among the 18"
+    if len(episode.actions) != horizon:
+        return f"it has {len(episode.actions)} actions, and episodes have {horizon}"
+    return None

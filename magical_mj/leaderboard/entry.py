@@ -1,71 +1,134 @@
-"""Entries: the results of one method in one file, with a card that describes it and a hash of everything."""
+"""Entries: the evaluations of one method in one file, with a card that describes it and a hash of everything."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import lzma
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cache
-from importlib.resources import files as resources
+import re
+from collections import defaultdict
+from collections.abc import Sequence
+from operator import attrgetter
 from pathlib import Path
-from typing import Any, Final, Literal, NoReturn
+from typing import Annotated, Any, Final, Literal
 
-from magical_mj.leaderboard.claims import SEEDS, Claim
+import msgspec
+from msgspec import Meta, Struct
+
+from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.tasks.spec import Rules
-from magical_mj.utils.errors import EvaluationError
+from magical_mj.utils import files
+from magical_mj.utils.errors import EvaluationError, shown
 
 FORMAT: Final = 2
-FIELDS: Final = tuple(field for field in Claim._fields if field not in ("task", "variant"))
-"""The fields of an episode in a file, which holds one list of each for an environment: values of one kind compress best
-side by side."""
 SUFFIX: Final = ".json.xz"
-MOST_BYTES: Final = 60_000_000
-"""The largest size of an unpacked entry in bytes: a small file may expand to a huge one."""
+SEEDS: Final = 100
+"""The number of episodes in each environment that the protocol requires."""
+MOST_BYTES: Final = 20_000_000
+"""The largest size of an entry's file in bytes. Ours have 2 MB at most."""
+MOST_UNPACKED: Final = 60_000_000
+"""The largest size of an unpacked entry in bytes: a small file may expand to a huge one. Ours have 6 MB."""
+MOST_VALUES: Final = 2_000_000
+"""The largest number of values in an entry: small ones take ten times as much memory as their text. Ours have 180,000:
+six for each of 30,000 episodes."""
 _MEMORY: Final = 100_000_000
 """How much memory in bytes unpacking may take: a file says how much it wants. Ours need 66 MB."""
 
+Natural = Annotated[int, Meta(ge=0)]
+Positive = Annotated[int, Meta(ge=1)]
+Name = Annotated[str, Meta(max_length=80)]
+Line = Annotated[str, Meta(max_length=500)]
 
-def entries(folder: Path | str) -> list[Path]:
-    """The files of entries in a folder, sorted by name; or the one file that is given instead.
 
-    Raises:
-        EvaluationError: if there are none.
+class Demonstrations(Struct, forbid_unknown_fields=True):
+    """What was learnt from: the number of the shipped set, how many of each task, anything else."""
+
+    set: Positive | None = None
+    per_task: Natural | None = None
+    other: Line | None = None
+
+
+class Training(Struct, forbid_unknown_fields=True):
+    """What one run cost: hours on the device, and environment steps."""
+
+    hours: Annotated[float, Meta(ge=0, le=1e9)] | Natural | None = None
+    device: Annotated[str, Meta(max_length=200)] | None = None
+    steps: Natural | None = None
+
+
+class Card(Struct, forbid_unknown_fields=True):
+    """The description of a method; what was not said is None."""
+
+    method: Annotated[str, Meta(pattern=r"^[^<>|`\[\]\x00-\x1f\u2020\u2605\u2b50]{1,80}$(?!\n)")]
+    description: Annotated[str, Meta(max_length=2000)] | None = None
+    authors: Line | None = None
+    links: Annotated[list[Annotated[str, Meta(pattern="^https?://")]], Meta(max_length=10)] | None = None
+    demonstrations: Demonstrations = msgspec.field(default_factory=Demonstrations)
+    training: Training = msgspec.field(default_factory=Training)
+    hardware: Line | None = None
+
+
+class Versions(Struct, forbid_unknown_fields=True):
+    """The versions of this package and of MuJoCo, and the OpenGL backends, with which the episodes were played."""
+
+    version: Annotated[list[Name], Meta(min_length=1)]
+    mujoco: Annotated[list[Name], Meta(min_length=1)]
+    gl: Annotated[list[Name], Meta(min_length=1)]
+
+
+class Columns(Struct, forbid_unknown_fields=True):
+    """The episodes: field -> environment, such as "FindDupe-All" -> a value for each, in the same order in all fields.
+
+    Values of one kind compress best side by side.
     """
-    found = [Path(folder)] if Path(folder).is_file() else sorted(Path(folder).glob(f"*{SUFFIX}"))
-    if not found:
-        raise EvaluationError(f"{folder} holds no entries (*{SUFFIX}); magical-mj submit makes them")
-    return found
+
+    run: dict[str, list[Natural]]
+    seed: dict[str, list[Natural]]
+    scene: dict[str, list[Annotated[str, Meta(pattern=r"^[0-9a-f]{16}$(?!\n)")] | None]]
+    score: dict[str, list[Annotated[float, Meta(ge=0, le=1)]]]
+    actions: dict[str, list[Annotated[str, Meta(pattern=r"^[a-r]*$(?!\n)")]]]
+    failure: dict[str, list[Annotated[str, Meta(max_length=300)] | None]]
 
 
-@dataclass(frozen=True)
-class Entry:
+class Content(Struct, forbid_unknown_fields=True):
+    """What the file holds, as JSON with sorted keys, compressed by xz. `sha256` is of all else in the same form."""
+
+    format: Literal[2]
+    card: Card
+    observations: Annotated[str, Meta(pattern=r"^[0-9A-Za-z]{0,80}$(?!\n)")] | None
+    rules: Rules
+    protocol: Positive | None
+    versions: Versions
+    runs: Annotated[list[Natural], Meta(min_length=1)]
+    episodes: Columns
+    sha256: str
+
+
+class Entry(Struct, frozen=True):
     """The results of one method.
 
     Attributes:
-        card: the description of the method; see `magical_mj.leaderboard.submission.CARD`.
+        card: the description of the method.
         observations: the preset of the observations; None if it used none.
         rules: the rules by which it was scored.
         protocol: the protocol's number; None if it was not recorded.
-        versions: the versions of the packages with which it was played.
-        episodes: all episodes.
+        versions: what it was played with.
+        episodes: all episodes. Those from a file have no duration, and no versions of their own.
     """
 
-    card: dict[str, Any]
+    card: Card
     observations: str | None
     rules: Rules
     protocol: int | None
-    versions: dict[str, list[str]]
-    episodes: list[Claim]
+    versions: Versions
+    episodes: list[EpisodeResult]
 
     @property
     def method(self) -> str:
         """The method's name."""
-        return self.card["method"]
+        return self.card.method
 
     @property
     def runs(self) -> list[int]:
@@ -73,9 +136,33 @@ class Entry:
         return sorted({episode.run for episode in self.episodes})
 
     @property
-    def counted(self) -> list[Claim]:
+    def counted(self) -> list[EpisodeResult]:
         """The episodes that count: those in the scenes that the protocol requires."""
         return [episode for episode in self.episodes if episode.seed < SEEDS]
+
+
+def entry_files(folder: Path | str) -> list[Path]:
+    """The files of entries in a folder, sorted by name; or the one file that is given instead.
+
+    Raises:
+        EvaluationError: if there are none.
+    """
+    paths = [Path(folder)] if Path(folder).is_file() else sorted(Path(folder).glob(f"*{SUFFIX}"))
+    if not paths:
+        raise EvaluationError(f"{folder} holds no entries (*{SUFFIX}); magical-mj submit makes them")
+    return paths
+
+
+def read_entry(path: Path | str) -> Entry:
+    """The entry in a file, which may be anybody's.
+
+    Raises:
+        EvaluationError: if it is not an entry, is too large, damaged or was altered, or has another format or protocol.
+    """
+    try:
+        return unpacked(files.read_foreign(Path(path), most=MOST_BYTES, error=EvaluationError), path)
+    except OSError as error:
+        raise EvaluationError(f"{path} cannot be read: {error.strerror}") from error
 
 
 def packed(entry: Entry) -> bytes:
@@ -84,148 +171,123 @@ def packed(entry: Entry) -> bytes:
     Raises:
         EvaluationError: if they are so many that nobody would read them again.
     """
-    content = {
-        "format": FORMAT,
-        "card": entry.card,
-        "observations": entry.observations,
-        "rules": entry.rules,
-        "protocol": entry.protocol,
-        "versions": entry.versions,
-        "runs": entry.runs,
-        "episodes": _columns(entry.episodes),
-    }
-    text = _text({**content, "sha256": _hash(content)}).encode()
-    if len(text) > MOST_BYTES:
+    columns: dict[str, dict[str, list[Any]]] = {field: defaultdict(list) for field in Columns.__struct_fields__}
+    for episode in sorted(entry.episodes, key=attrgetter("run", "task", "variant", "seed")):
+        for field, column in columns.items():
+            column[f"{episode.task}-{episode.variant}"].append(getattr(episode, field))
+    kept = {name: msgspec.to_builtins(getattr(entry, name)) for name in Entry.__struct_fields__}
+    content = {**kept, "format": FORMAT, "runs": entry.runs, "episodes": columns}
+    text = _text({**content, "sha256": _hash(_text(content))})
+    if len(text) > MOST_UNPACKED:
         raise EvaluationError(
-            f"an entry has {MOST_BYTES / 1e6:.0f} MB at most, and this {len(text) / 1e6:.0f}: take fewer runs"
+            f"an entry has {MOST_UNPACKED / 1e6:.0f} MB at most, and this {len(text) / 1e6:.0f}: take fewer runs"
         )
     return lzma.compress(text, preset=9 | lzma.PRESET_EXTREME)  # a sixth smaller than with gzip
 
 
-def _text(content: dict[str, Any]) -> str:
-    return json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+def _text(content: dict[str, Any]) -> bytes:
+    return json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
 
 
-def _hash(content: dict[str, Any]) -> str:
-    return hashlib.sha256(_text(content).encode()).hexdigest()
-
-
-def _columns(episodes: Sequence[Claim]) -> dict[str, dict[str, list[Any]]]:
-    """Field -> environment -> that field of its episodes."""
-    columns: dict[str, dict[str, list[Any]]] = {field: {} for field in FIELDS}
-    for episode in sorted(episodes, key=lambda episode: episode[:4]):
-        for field, column in columns.items():
-            column.setdefault(f"{episode.task}-{episode.variant}", []).append(getattr(episode, field))
-    return columns
+def _hash(text: bytes) -> str:
+    return hashlib.sha256(text).hexdigest()
 
 
 def unpacked(data: bytes, name: object = "the entry") -> Entry:
-    """The entry in a file's bytes.
+    """The entry in a file's bytes; see `read_entry`.
 
     Args:
         data: the file's content.
         name: the name of the entry in errors.
-
-    Raises:
-        EvaluationError: if it is not an entry, is damaged or was altered, or has another format or protocol.
     """
-    content = _content(data, name)
-    _check_schema(content, name)
-    if content.pop("sha256") != _hash(content):
+    text = _decompressed(data, name)
+    try:
+        content = msgspec.json.decode(text, type=Content)
+    except (msgspec.MsgspecError, RecursionError, UnicodeError) as error:
+        raise EvaluationError(f"{name} is no entry: {str(error)[:200]}") from error
+    if content.sha256 != _hash(re.sub(rb',"sha256":"[^"]*"(?=,"versions":\{[^{]*$)', b"", text)):
         raise EvaluationError(f"{name} was altered after it was made: its hash is not that of its content")
-    if content["protocol"] not in (None, PROTOCOL):
-        raise EvaluationError(f"{name} follows protocol {content['protocol']}, and this version plays {PROTOCOL}")
-    columns = content["episodes"]
-    episodes = [
-        Claim(run, *environment.split("-", 1), *rest)
-        for environment in columns["run"]
-        for run, *rest in zip(*(columns[field][environment] for field in FIELDS), strict=True)
-    ]
+    if content.protocol not in (None, PROTOCOL):
+        raise EvaluationError(f"{name} follows protocol {content.protocol}, and this version plays {PROTOCOL}")
+    check_method(content.card, name)
+    episodes = _episodes(content, name)
     check_unique(episodes, name)
-    if content["runs"] != sorted({episode.run for episode in episodes}):
-        raise EvaluationError(f"{name} names the runs {content['runs']}, and its episodes are of others")
-    kept = {what: content[what] for what in ("card", "observations", "rules", "protocol", "versions")}
-    return Entry(**kept, episodes=episodes)
+    if content.runs != sorted({episode.run for episode in episodes}):
+        raise EvaluationError(f"{name} names the runs {content.runs}, and its episodes are of others")
+    return Entry(content.card, content.observations, content.rules, content.protocol, content.versions, episodes)
 
 
-def _content(data: bytes, name: object) -> dict[str, Any]:
+def _decompressed(data: bytes, name: object) -> bytes:
     try:
         file = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=_MEMORY)
-        text = file.decompress(data, MOST_BYTES + 1)
-        if len(text) > MOST_BYTES:
-            raise ValueError("it is too large")
-        if not file.eof or file.unused_data:
-            raise ValueError("it is cut short" if not file.eof else "something follows its end")
-        content = json.loads(text, parse_constant=_no_number, parse_float=_finite)
-        _text(content).encode()  # raises an error for half a character, which JSON can name and UTF-8 cannot hold
-    except (ValueError, RecursionError, lzma.LZMAError) as error:
+        text = file.decompress(data, MOST_UNPACKED + 1)
+    except lzma.LZMAError as error:
         raise EvaluationError(f"{name} cannot be read: {error}") from error
-    return content
+    if len(text) > MOST_UNPACKED:
+        raise EvaluationError(f"{name} expands to more than {MOST_UNPACKED / 1e6:.0f} MB, which no entry may")
+    if not file.eof or file.unused_data:
+        raise EvaluationError(f"{name} is cut short" if not file.eof else f"{name} goes on after its end")
+    if text.count(b",") > MOST_VALUES:
+        raise EvaluationError(f"{name} holds more than {MOST_VALUES:,} values, which no entry may")
+    return text
 
 
-def _no_number(name: str) -> NoReturn:
-    """For NaN and infinities, which JSON does not have, but Python's parser reads."""
-    raise ValueError(f"{name} is not a finite number")
-
-
-def _finite(digits: str) -> float:
-    """A number; those like 1e999 are too large for Python's, and would be infinite."""
-    number = float(digits)
-    return number if math.isfinite(number) else _no_number(digits)
-
-
-def violation(content: Any, what: Literal["entry", "card"]) -> str:
-    """How content violates the JSON schema of entries, or of their cards; empty if it does not."""
-    from fastjsonschema import JsonSchemaValueException
-
-    try:
-        _schema(what)(content, name_prefix=what)
-    except JsonSchemaValueException as error:
-        return error.message[:200]
-    return ""
-
-
-@cache
-def _schema(what: str) -> Callable[..., Any]:
-    """Raises an error for content that violates it."""
-    import fastjsonschema
-
-    text = (resources("magical_mj.leaderboard") / "entry.schema.json").read_text(encoding="utf-8")
-    schema = json.loads(text)
-    return fastjsonschema.compile(schema if what == "entry" else schema["properties"]["card"])
-
-
-def _check_schema(content: Any, name: object) -> None:
-    if wrong := violation(content, "entry"):
-        raise EvaluationError(f"{name} does not follow the schema: {wrong}")
-    method = content["card"]["method"]
-    if not is_readable(method):
-        raise EvaluationError(f"{name} has a method whose name {method!r} {UNREADABLE}")
-    columns = content["episodes"]
-    for environment in sorted({environment for column in columns.values() for environment in column}):
-        if tuple(environment.split("-", 1)) not in ENVIRONMENTS:
-            raise EvaluationError(f"{name} has results in {environment}, which is no environment")
-        lengths = {field: len(columns[field].get(environment, ())) for field in FIELDS}
-        if len(set(lengths.values())) > 1:
-            counts = ", ".join(f"{field} {length}" for field, length in lengths.items())
+def _episodes(content: Content, name: object) -> list[EpisodeResult]:
+    """The episodes in columns, which must be of the benchmark's environments and equally long."""
+    columns = [getattr(content.episodes, field) for field in Columns.__struct_fields__]
+    episodes: list[EpisodeResult] = []
+    for environment in sorted({environment for column in columns for environment in column}):
+        task, _, variant = environment.partition("-")
+        if (task, variant) not in ENVIRONMENTS:
+            raise EvaluationError(f"{name} has results in {shown(environment)}, which is no environment")
+        lengths = [len(column.get(environment, ())) for column in columns]
+        if len(set(lengths)) > 1 or not lengths[0]:
+            fields = zip(Columns.__struct_fields__, lengths, strict=True)
+            counts = ", ".join(f"{field} {count}" for field, count in fields)
             raise EvaluationError(f"{name} has not all fields of all episodes in {environment}: {counts}")
-        numbers = columns["run"][environment] + columns["seed"][environment]
-        if any(type(number) is not int for number in numbers):  # to the schema, 1.0 is an integer
-            raise EvaluationError(f"{name} has runs or seeds in {environment} that are not written as integers")
+        for run, seed, scene, score, actions, failure in zip(*(column[environment] for column in columns), strict=True):
+            episodes.append(
+                EpisodeResult(
+                    policy=content.card.method,
+                    run=run,
+                    task=task,
+                    variant=variant,
+                    seed=seed,
+                    score=score,
+                    steps=len(actions),
+                    seconds=0.0,
+                    rules=content.rules,
+                    preset=content.observations,
+                    version="",
+                    mujoco="",
+                    gl="",
+                    actions=actions,
+                    failure=failure,
+                    scene=scene,
+                )
+            )
+    return episodes
 
 
-UNREADABLE: Final = "holds signs that cannot be seen, or begins or ends with a space"
-
-
-def is_readable(name: str) -> bool:
-    """Whether the name of a method looks like what it is."""
-    return name.isprintable() and name == name.strip()
-
-
-def check_unique(episodes: Sequence[Claim], name: object, remedy: str = "") -> None:
+def check_unique(episodes: Sequence[EpisodeResult], name: object, remedy: str = "") -> None:
     """Raises an `EvaluationError`, which ends with `remedy`, if an episode appears twice."""
-    seen: set[tuple[Any, ...]] = set()
+    keys: set[tuple[int, str, str, int]] = set()
     for episode in episodes:
-        if episode[:4] in seen:
-            raise EvaluationError(f"{name} holds an episode twice: {episode}{remedy}")
-        seen.add(episode[:4])
+        key = episode.run, episode.task, episode.variant, episode.seed
+        if key in keys:
+            raise EvaluationError(f"{name} holds an episode twice: {name_of(episode)}{remedy}")
+        keys.add(key)
+
+
+def name_of(episode: EpisodeResult) -> str:
+    """The episode in words, for problems."""
+    return f"run {episode.run}, {episode.task} {episode.variant}, seed {episode.seed}"
+
+
+def check_method(card: Card, where: object) -> None:
+    """Raises an `EvaluationError` unless the name of the method looks like what it is."""
+    if not (card.method.isprintable() and card.method == card.method.strip()):
+        raise EvaluationError(
+            f"the method's name {card.method!r} in {where} holds signs that cannot be seen, or begins or ends with a "
+            "space"
+        )

@@ -1,17 +1,17 @@
-"""The leaderboard as a page: self-contained HTML without external resources, and Markdown."""
+"""The leaderboard as a page: self-contained HTML with charts and without external resources, and Markdown."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from importlib.resources import files as resources
 from pathlib import Path
 from typing import Final
 
-from magical_mj.evaluation.reports.tables import Table, markdown
-from magical_mj.leaderboard.charts import intervals, profiles
-from magical_mj.leaderboard.sections import tables
-from magical_mj.leaderboard.standings import Standing
+from magical_mj.evaluation.reports.tables import DAGGER, Table, markdown
+from magical_mj.leaderboard.standings import OVERALL, THRESHOLDS, Standing
+from magical_mj.leaderboard.tables import label, share, tables
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError
 from magical_mj.utils.escape import html
@@ -37,6 +37,18 @@ BEGINNINGS: Final = {
     MARKDOWN: f"# {TITLE}\n",
 }
 """By which an earlier page is recognised, and may be replaced."""
+WIDTH: Final = 910
+NAMES: Final = 310
+"""The width in pixels of the column with the methods' names."""
+ROW: Final = 26
+LEGEND: Final = 20
+"""The height in pixels of a line of the profiles' legend."""
+HEIGHT: Final = 320
+"""Of the profiles."""
+LETTER: Final = 6.3
+"""The mean width of a letter in pixels."""
+COLOURS: Final = 10
+"""Different ones; see style.css."""
 
 
 def check_free(out: Path) -> None:
@@ -47,31 +59,31 @@ def check_free(out: Path) -> None:
             raise EvaluationError(f"{path} is not a page of an earlier leaderboard: move it, or choose another folder")
 
 
-def write_pages(found: Sequence[Standing], out: Path) -> list[Path]:
+def write_pages(methods: Sequence[Standing], out: Path) -> list[Path]:
     """Writes both pages into a folder, replacing earlier ones, and returns their paths.
 
     Raises:
         EvaluationError: if somebody else's file has the name of a page.
     """
     check_free(out)
-    made = tables(found)
-    pages = {HTML: _html(found, made), MARKDOWN: _markdown(made)}
+    contents = tables(methods)
+    pages = {HTML: _html(methods, contents), MARKDOWN: _markdown(contents)}
     for name, text in pages.items():
         files.write(out / name, text, overwrite=True)
     return [out / name for name in pages]
 
 
-def _markdown(made: Sequence[Table]) -> str:
+def _markdown(contents: Sequence[Table]) -> str:
     parts = [BEGINNINGS[MARKDOWN].strip(), INTRODUCTION]
-    for table in made:
+    for table in contents:
         parts += [f"## {HEADINGS[table.name]}", markdown(table).strip()]
     return "\n\n".join(parts) + "\n"
 
 
-def _html(found: Sequence[Standing], made: Sequence[Table]) -> str:
-    drawn = {"scores": intervals(found), "profiles": profiles(found)}
+def _html(methods: Sequence[Standing], contents: Sequence[Table]) -> str:
+    drawn = {"scores": intervals(methods), "profiles": profiles(methods)}
     sections = "\n".join(
-        _section(table.name, HEADINGS[table.name], drawn.get(table.name, "") + _table(table)) for table in made
+        _section(table.name, HEADINGS[table.name], drawn.get(table.name, "") + _table(table)) for table in contents
     )
     headings = {**HEADINGS, "entries": "Entries"}
     links = " ".join(f'<a href="#{name}">{heading}</a>' for name, heading in headings.items())
@@ -81,7 +93,7 @@ def _html(found: Sequence[Standing], made: Sequence[Table]) -> str:
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<style>\n{style}</style></head>\n<body><header><h1>{TITLE}</h1><p>{INTRODUCTION}</p>\n"
         f"<nav>{links}</nav></header>\n<main>\n{sections}\n"
-        f"{_section('entries', headings['entries'], ''.join(_cards(found)))}</main></body></html>\n"
+        f"{_section('entries', headings['entries'], ''.join(_cards(methods)))}</main></body></html>\n"
     )
 
 
@@ -117,20 +129,87 @@ def _cell(text: str, shaded: bool) -> str:
     return f'<td class="figure" style="--share: {share}%">{figure[1]}{below}</td>'
 
 
-def _cards(found: Sequence[Standing]) -> Iterator[str]:
-    for one in found:
-        if one.entry is not None:
-            entry, card = one.entry, one.entry.card
-            links = " ".join(f'<a href="{html(link)}">{html(link)}</a>' for link in card["links"] or ())
+def _cards(methods: Sequence[Standing]) -> Iterator[str]:
+    for method in methods:
+        if method.entry is not None:
+            entry, card = method.entry, method.entry.card
+            links = " ".join(f'<a href="{html(link)}">{html(link)}</a>' for link in card.links or ())
             facts = {
-                "by": card["authors"],
-                "other data": card["demonstrations"]["other"],
+                "by": card.authors,
+                "other data": card.demonstrations.other,
                 "runs": ", ".join(map(str, entry.runs)),
                 "episodes": len(entry.episodes),
                 "protocol": entry.protocol,
-                "magical_mj": ", ".join(entry.versions["version"]),
-                "MuJoCo": ", ".join(entry.versions["mujoco"]),
+                "magical_mj": ", ".join(entry.versions.version),
+                "MuJoCo": ", ".join(entry.versions.mujoco),
             }
             said = "".join(f"<dt>{name}</dt><dd>{html(fact)}</dd>" for name, fact in facts.items() if fact)
-            text = html(card["description"] or "")
-            yield f"<article><h3>{html(one.name)}</h3><p>{text} {links}</p><dl>{said}</dl></article>"
+            text = html(card.description or "")
+            yield f"<article><h3>{html(method.name)}</h3><p>{text} {links}</p><dl>{said}</dl></article>"
+
+
+def intervals(methods: Sequence[Standing]) -> str:
+    """Each method's overall score as a dot, with its interval as a line."""
+    height = ROW * (len(methods) + 1)
+    rows = _grid(height - ROW)
+    for index, method in enumerate(methods):
+        score, y = method.scores[OVERALL], ROW * (index + 0.5)
+        rows += _name(f"{label(method)} {share(method)}".strip(), NAMES - 10, y + 4)
+        if not math.isnan(score.low):
+            rows += f'<line class="{method.kind}" x1="{_x(score.low)}" x2="{_x(score.high)}" y1="{y}" y2="{y}"/>'
+        rows += f'<circle class="{method.kind}" cx="{_x(score.value)}" cy="{y}" r="5"/>'
+    return _svg(height, rows, "Interquartile means over all environments, with 95 % intervals")
+
+
+def profiles(methods: Sequence[Standing]) -> str:
+    """The performance profile of each method with results in all environments; the published ones are dotted."""
+    rows = _grid(HEIGHT - ROW)
+    for tick in (0.0, 0.5, 1.0):
+        y = (1 - tick) * (HEIGHT - ROW)
+        rows += f'<text x="{WIDTH - 15}" y="{y + 4:.0f}">{tick:g}</text>'
+    whole = [method for method in methods if method.everywhere]
+    names = [label(method) for method in whole if method.kind != "published"]
+    for index, method in enumerate(whole):
+        points = " ".join(
+            f"{_x(x)},{(1 - y) * (HEIGHT - ROW):.1f}" for x, y in zip(THRESHOLDS, method.profile, strict=True)
+        )
+        line = _line(index) if method.kind != "published" else "published"
+        rows += f'<polyline class="{line}" points="{points}"><title>{html(label(method))}</title></polyline>'
+    lines = [*map(_line, range(len(names))), "published"]
+    for index, (name, line) in enumerate(zip([*names, f"methods of the paper{DAGGER}"], lines, strict=True)):
+        y = LEGEND * (index + 0.7)
+        rows += _name(name, NAMES - 65, y)
+        rows += f'<polyline class="{line}" points="{NAMES - 58},{y - 4:.0f} {NAMES - 28},{y - 4:.0f}"/>'
+    height = max(HEIGHT, math.ceil(LEGEND * (len(lines) + 1)))
+    return _svg(height, rows, "Share of environments and runs with a mean score of at least so much")
+
+
+def _name(name: str, right: float, y: float) -> str:
+    """A method's name, shortened if it is long, left of a place."""
+    most = int(right / LETTER)
+    short = name if len(name) <= most else f"{name[: most - 1]}…"
+    whole = f"<title>{html(name)}</title>" if short != name else ""
+    return f'<text x="{right}" y="{y:.0f}" text-anchor="end">{html(short)}{whole}</text>'
+
+
+def _line(index: int) -> str:
+    """The colour and the dashes of a method's line, as classes of the style sheet."""
+    return f"c{index % COLOURS} d{index // COLOURS}"
+
+
+def _grid(height: float) -> str:
+    lines = ""
+    for tick in range(0, 11, 2):
+        x = _x(tick / 10)
+        lines += f'<line class="grid" x1="{x}" x2="{x}" y1="0" y2="{height}"/>'
+        lines += f'<text x="{x}" y="{height + 16}" text-anchor="middle">{tick / 10:g}</text>'
+    return lines
+
+
+def _x(share: float) -> float:
+    return round(NAMES + share * (WIDTH - NAMES - 20), 1)
+
+
+def _svg(height: float, content: str, title: str) -> str:
+    picture = f'<svg viewBox="0 0 {WIDTH} {height}" role="img" aria-label="{title}">{content}</svg>'
+    return f'<div class="wide" tabindex="0" role="region" aria-label="Chart: {title}">{picture}</div>'

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +20,9 @@ from magical_mj.evaluation.reports.statistics import (
     mean_interval,
     summarise,
 )
-from magical_mj.leaderboard.claims import SEEDS, Claim
-from magical_mj.leaderboard.duplicates import copies
-from magical_mj.leaderboard.entry import SUFFIX, Entry, entries, unpacked
+from magical_mj.leaderboard.entry import SEEDS, SUFFIX, Entry, entry_files, read_entry
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, Pair
-
-if TYPE_CHECKING:
-    import pandas as pd
+from magical_mj.utils.errors import counted
 
 Floats = NDArray[np.float64]
 Kind = Literal["official", "partial", "published"]
@@ -73,8 +70,8 @@ class Standing:
         for variant in (OVERALL, *VARIANTS):
             pairs = [pair for pair in self.means if variant in (OVERALL, pair[1])]
             if pairs and self.episodes:
-                found = summarise([list(self.episodes[pair].values()) for pair in pairs])
-                scores[variant] = Estimate(found.iqm, found.iqm_low, found.iqm_high)
+                summary = summarise([list(self.episodes[pair].values()) for pair in pairs])
+                scores[variant] = Estimate(summary.iqm, summary.iqm_low, summary.iqm_high)
             elif pairs:
                 scores[variant] = Estimate(
                     float(interquartile_mean(np.concatenate([self.means[pair] for pair in pairs])))
@@ -125,58 +122,50 @@ class Standing:
 
 def standing(entry: Entry) -> Standing:
     """The standing of an entry."""
-    episodes = frame(entry)
-    runs = {
-        (str(task), str(variant)): {int(run): played["score"].to_numpy(float) for run, played in group.groupby("run")}
-        for (task, variant), group in episodes.groupby(["task", "variant"], sort=False)
+    scores: dict[Pair, dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
+    for episode in entry.counted:
+        scores[episode.task, episode.variant][episode.run].append(episode.score)
+    episodes = {
+        pair: {run: np.array(scores[pair][run]) for run in sorted(scores[pair])}
+        for pair in ENVIRONMENTS
+        if pair in scores
     }
-    there = [pair for pair in ENVIRONMENTS if pair in runs]
-    means = {pair: np.array([scores.mean() for scores in runs[pair].values()]) for pair in there}
+    means = {pair: np.array([values.mean() for values in runs.values()]) for pair, runs in episodes.items()}
     missing = tuple(gaps(entry))
-    kind: Kind = "partial" if missing else "official"
-    return Standing(entry.method, kind, entry, missing, means, runs)
+    return Standing(entry.method, "partial" if missing else "official", entry, missing, means, episodes)
 
 
 def own_standings(folder: Path) -> dict[str, Standing]:
-    """File name -> standing, for the entries in a folder. They are not replayed; `check_entry` does that.
+    """File name -> standing, for the entries in a folder. They are not replayed; `check_entries` does that.
 
     Raises:
         EvaluationError: if there are none, or a file is not an entry.
     """
-    return {path.name.removesuffix(SUFFIX): standing(unpacked(path.read_bytes(), path)) for path in entries(folder)}
-
-
-def frame(entry: Entry) -> pd.DataFrame:
-    """A frame with a row for each episode that the protocol requires."""
-    import pandas as pd
-
-    return pd.DataFrame(entry.counted, columns=list(Claim._fields))
+    return {path.name.removesuffix(SUFFIX): standing(read_entry(path)) for path in entry_files(folder)}
 
 
 def gaps(entry: Entry) -> list[str]:
     """What keeps an entry from being official, if anything does."""
-    found = []
+    lacks = []
     if len(entry.runs) < LEAST_RUNS:
-        found.append(f"{len(entry.runs)} of {LEAST_RUNS} runs")
-    there = {(episode.task, episode.variant) for episode in entry.episodes}
-    if len(there) < len(ENVIRONMENTS):
-        found.append(f"{len(there)} of {len(ENVIRONMENTS)} environments")
-    wanted = len(there) * SEEDS * len(entry.runs)
-    absent = wanted - len(entry.counted)
-    elsewhere = " in the environments played" if len(there) < len(ENVIRONMENTS) else ""
-    if absent:
-        found.append(f"{absent} of {wanted} episodes missing{elsewhere}")
-    runs = {run: [episode for episode in entry.counted if episode.run == run] for run in entry.runs}
-    return [*found, *(f"run {later} has the same actions as run {earlier}" for later, earlier in copies(runs))]
+        lacks.append(f"{len(entry.runs)} of {counted(LEAST_RUNS, 'run')}")
+    pairs = {(episode.task, episode.variant) for episode in entry.episodes}
+    if len(pairs) < len(ENVIRONMENTS):
+        lacks.append(f"{len(pairs)} of {counted(len(ENVIRONMENTS), 'environment')}")
+    wanted = len(pairs) * SEEDS * len(entry.runs)
+    elsewhere = " in the environments played" if len(pairs) < len(ENVIRONMENTS) else ""
+    if absent := wanted - len(entry.counted):
+        lacks.append(f"{absent} of {wanted} episodes missing{elsewhere}")
+    return lacks
 
 
 def published() -> list[Standing]:
     """The paper's own results: only the mean of each method in each environment is published."""
-    found = []
+    methods = []
     for policy, group in published_results().groupby("policy", sort=False):
         means = {(row.task, row.variant): np.array([row.mean]) for row in group.itertuples()}
-        found.append(Standing(str(policy), "published", None, (), means, {}))
-    return found
+        methods.append(Standing(str(policy), "published", None, (), means, {}))
+    return methods
 
 
 def improvement(first: Standing, second: Standing) -> Estimate:
@@ -203,18 +192,23 @@ def _better(first: Floats, second: Floats) -> Any:
     return ((difference > SCORE_TOLERANCE) + 0.5 * (np.abs(difference) <= SCORE_TOLERANCE)).mean(axis=(-1, -2))
 
 
-def standings(found: Sequence[Entry]) -> list[Standing]:
+def standings(entries: Sequence[Entry]) -> list[Standing]:
     """All methods: official ones first, then partial and published ones, each kind by its overall score.
 
     Partial ones that played all environments come before those with some, whose scores do not compare.
     """
     order = ("official", "partial", "published")
-    every = [*map(standing, found), *published()]
     return sorted(
-        every, key=lambda one: (order.index(one.kind), not one.everywhere, -one.scores[OVERALL].value, one.name)
+        [*map(standing, entries), *published()],
+        key=lambda method: (
+            order.index(method.kind),
+            not method.everywhere,
+            -method.scores[OVERALL].value,
+            method.name,
+        ),
     )
 
 
-def rules_of(one: Standing) -> str:
+def rules_of(method: Standing) -> str:
     """By which a method was scored."""
-    return PUBLISHED_RULES if one.entry is None else one.entry.rules
+    return PUBLISHED_RULES if method.entry is None else method.entry.rules

@@ -2,42 +2,36 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from operator import index
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-from magical_mj.evaluation.scores import EpisodeResult, folders_of, read
+import msgspec
+
+from magical_mj.evaluation.scores import SETTINGS, EpisodeResult, folders_of, read
 from magical_mj.evaluation.settings import UNOFFICIAL
-from magical_mj.leaderboard.claims import claim_of
+from magical_mj.leaderboard.check import recorded_settings
 from magical_mj.leaderboard.entry import (
     SUFFIX,
-    UNREADABLE,
+    Card,
+    Demonstrations,
     Entry,
+    Training,
+    Versions,
+    check_method,
     check_unique,
-    is_readable,
     packed,
-    unpacked,
-    violation,
+    read_entry,
 )
-from magical_mj.leaderboard.record import digests, protocol_of
 from magical_mj.tasks.registry import ENVIRONMENTS, check_rules
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, SettingsError, check_name, shown
-from magical_mj.utils.extras import check_extra
 
-CARD: Final[dict[str, Any]] = {
-    "method": None,
-    "description": None,
-    "authors": None,
-    "links": None,
-    "demonstrations": {"set": None, "per_task": None, "other": None},
-    "training": {"hours": None, "device": None, "steps": None},
-    "hardware": None,
-}
-"""The fields of a card; fields that are not given are null."""
+Source = tuple[EpisodeResult, Path]
+"""An episode and the folder that holds it."""
 
 
 def submit(
@@ -53,16 +47,15 @@ def submit(
     Args:
         folders: evaluations of one method, such as one for each run.
         out: the file, whose name must end in .json.xz; an existing file is not replaced.
-        card: a TOML file with fields of `CARD`; missing fields are null, and the method then has its name in the
-            evaluations.
+        card: a TOML file with fields of `Card`, all optional; the method has its name in the evaluations otherwise.
         policy: the name of the method in the folders, if they hold several, or if the earlier entry calls it otherwise.
         extend: an earlier entry of the same method, whose episodes are taken over, and its card if none is given.
 
     Raises:
         SettingsError, UnknownNameError: if the card has unknown fields or values of the wrong kind, or the choice of a
             method is ambiguous.
-        EvaluationError: if a folder is not an evaluation, or they cannot be combined.
-        OSError: if the file exists or cannot be written, or the earlier entry cannot be read.
+        EvaluationError: if a folder is not an evaluation, the earlier entry not one, or they cannot be combined.
+        OSError: if the file exists or cannot be written.
     """
     out = Path(out)
     if not out.name.endswith(SUFFIX):
@@ -70,24 +63,24 @@ def submit(
     folders = folders_of(folders)
     if not folders:
         raise SettingsError("give at least one folder of an evaluation")
-    said = _card({} if card is None else files.read_toml(Path(card)), card)
-    found = [(score, folder) for folder in folders for score in read(folder)]
-    names = list(dict.fromkeys(score.policy for score, _ in found))
+    said = {} if card is None else files.read_toml(Path(card))
+    sources = [(episode, folder) for folder in folders for episode in read(folder)]
+    names = list(dict.fromkeys(episode.policy for episode, _ in sources))
     if policy is not None:
         check_name("policy", policy, names)
-    if policy is None and len(names) > 1:
+    elif len(names) > 1:
         raise SettingsError(
             f"the folders hold {', '.join(names)}: say which one is meant (--policy NAME); if they are runs of one "
             "method, evaluate them again under its name, as in evaluate --policy BC=runs/a,BC=runs/b"
         )
-    found = [(score, folder) for score, folder in found if score.policy == (policy or names[0])]
-    _check_trainings(folders, policy or names[0])
-    described = {**said, "method": said["method"] or policy or names[0]}
-    _check_card(described, card)
-    entry = _entry(described, found, _protocol(folders))
+    name = policy or names[0]
+    _check_trainings(folders, name)
+    entry = _entry(
+        _card({"method": name, **said}, card), [source for source in sources if source[0].policy == name], folders
+    )
     if extend is not None:
-        earlier = unpacked(Path(extend).read_bytes(), extend)
-        if earlier.method != entry.method and said["method"] is None and policy is None:
+        earlier = read_entry(extend)
+        if earlier.method != entry.method and "method" not in said and policy is None:
             raise SettingsError(
                 f"{extend} is of {earlier.method!r}, and the folders hold {entry.method!r}: if these are the same "
                 f"method, say so (--policy {shlex.quote(entry.method)}, or a card with its name)"
@@ -100,43 +93,59 @@ def submit(
     return entry
 
 
-def _entry(card: dict[str, Any], found: Sequence[tuple[EpisodeResult, Path]], protocol: int | None) -> Entry:
-    """The entry of one method's scores, which must be of one kind and in the benchmark's environments."""
-    batched = next((folder for score, folder in found if score.worlds != "single"), None)
-    if batched is not None:
-        raise EvaluationError(f"{batched} was played in batched worlds, and cannot be an entry: {UNOFFICIAL}")
-    for what in ("rules", "preset"):
-        _check_same(found, what)
-    seen = {score.preset is None: folder for score, folder in found}
-    if len(seen) > 1:
-        raise EvaluationError(
-            f"the policy in {seen[True]} saw the simulation instead of pictures or states, unlike that in "
-            f"{seen[False]}; an entry is of one kind"
-        )
-    others = {f"{score.task}-{score.variant}" for score, _ in found if (score.task, score.variant) not in ENVIRONMENTS}
-    if others:
-        raise EvaluationError(
-            f"an entry has results in the benchmark's environments, not in {', '.join(sorted(others))}"
-        )
-    return Entry(
-        card=card,
-        observations=next((score.preset for score, _ in found if score.preset is not None), None),
-        rules=check_rules(found[0][0].rules),
-        protocol=protocol,
-        versions={what: sorted({getattr(score, what) for score, _ in found}) for what in ("version", "mujoco", "gl")},
-        episodes=[claim_of(score) for score, _ in found],
-    )
+def _card(said: Mapping[str, Any], where: object) -> Card:
+    """The card that a TOML file describes; raises a `SettingsError` or an `UnknownNameError` if it is not valid."""
+    for fields, kind in ((said, Card), (said.get("demonstrations"), Demonstrations), (said.get("training"), Training)):
+        for name in fields if isinstance(fields, Mapping) else ():
+            check_name(f"entry of {where}", name, kind.__struct_fields__)
+    try:
+        card = msgspec.convert(said, Card)
+        check_method(card, where)
+    except (msgspec.ValidationError, EvaluationError) as error:
+        raise SettingsError(f"the card is not valid{f' in {where}' if where else ''}: {error}") from None
+    return card
 
 
-def _check_same(found: Sequence[tuple[EpisodeResult, Path]], what: str) -> None:
-    """Raises an `EvaluationError` unless this attribute is the same in all scores; None matches anything."""
-    where: dict[str, Path] = {}
-    for score, folder in found:
-        if getattr(score, what) is not None:
-            where.setdefault(getattr(score, what), folder)
-    if len(where) > 1:
-        kinds = ", ".join(f"{name} in {folder}" for name, folder in where.items())
-        raise EvaluationError(f"different {what}: {kinds}; an entry is of one kind")
+def _entry(card: Card, sources: Sequence[Source], folders: Sequence[Path]) -> Entry:
+    """The entry of one method's episodes, which must be of one kind and in the benchmark's environments."""
+    for episode, folder in sources:
+        if episode.worlds != "single":
+            raise EvaluationError(f"{folder} was played in batched worlds, and cannot be an entry: {UNOFFICIAL}")
+        if (episode.task, episode.variant) not in ENVIRONMENTS:
+            raise EvaluationError(
+                f"an entry has results in the benchmark's environments, not in {shown(episode.task)} "
+                f"{shown(episode.variant)}, as {folder} has"
+            )
+    rules = _common("rules", {episode.rules: folder for episode, folder in sources})
+    preset = _common("preset", {episode.preset: folder for episode, folder in sources})
+    protocol = _common("protocol", {_protocol(folder): folder for folder in folders})
+    versions = {what: sorted({getattr(episode, what) for episode, _ in sources}) for what in Versions.__struct_fields__}
+    episodes = [episode for episode, _ in sources]
+    return Entry(card, preset, check_rules(rules), protocol, Versions(**versions), episodes)
+
+
+def _common(what: str, folders: Mapping[Any, Path]) -> Any:
+    """The one value that a setting has in all folders.
+
+    Args:
+        what: the setting.
+        folders: value -> a folder with it.
+    """
+    if len(folders) > 1:
+        values = ", ".join(f"{value or 'none'} in {folder}" for value, folder in folders.items())
+        raise EvaluationError(f"different {what}: {values}; an entry is of one kind")
+    (value,) = folders
+    return value
+
+
+def _protocol(folder: Path) -> int | None:
+    """The protocol's number that an evaluation recorded; None if there is none."""
+    number = recorded_settings(folder).get("protocol")
+    if number is not None and (type(number) is not int or number < 1):
+        raise EvaluationError(
+            f"the protocol in {folder / SETTINGS} must be a number such as 1, and is {shown(number)}: evaluate again"
+        )
+    return number
 
 
 def _extended(earlier: Entry, added: Entry, name: object, *, keep_card: bool) -> Entry:
@@ -145,61 +154,31 @@ def _extended(earlier: Entry, added: Entry, name: object, *, keep_card: bool) ->
         before, now = getattr(earlier, what), getattr(added, what)
         if before != now:
             raise EvaluationError(f"{name} cannot be extended by these folders: {what} is {before} there, {now} here")
-    return Entry(
+    versions = {
+        what: sorted({*getattr(earlier.versions, what), *getattr(added.versions, what)})
+        for what in Versions.__struct_fields__
+    }
+    return msgspec.structs.replace(
+        added,
         card=earlier.card if keep_card else added.card,
-        observations=added.observations,
-        rules=added.rules,
-        protocol=added.protocol,
-        versions={what: sorted({*earlier.versions[what], *found}) for what, found in added.versions.items()},
+        versions=Versions(**versions),
         episodes=[*earlier.episodes, *added.episodes],
     )
 
 
-def _check_trainings(folders: Sequence[Path | str], method: str) -> None:
+def _check_trainings(folders: Sequence[Path], method: str) -> None:
     """Raise an `EvaluationError` if two runs played with equal policies: a run is a training of its own."""
     runs: dict[str, set[int]] = defaultdict(set)
     for folder in folders:
-        for run, digest in digests(Path(folder), method):
-            runs[digest].add(run)
+        try:
+            for policy in recorded_settings(folder)["policies"]:
+                if policy["name"] == method and "sha256" in policy:
+                    runs[str(policy["sha256"])].add(index(policy["run"]))
+        except (KeyError, TypeError):
+            continue
     for digest, same in runs.items():
         if len(same) > 1:
             raise EvaluationError(
                 f"the runs {', '.join(map(str, sorted(same)))} of {method} played with equal policies (sha256 "
                 f"{digest[:12]}...), which count as one run: leave the others out"
             )
-
-
-def _protocol(folders: Sequence[Path | str]) -> int | None:
-    """The protocol's number that the evaluations recorded.
-
-    Raises:
-        EvaluationError: if they recorded different ones, or something else.
-    """
-    numbers = {protocol_of(Path(folder)) for folder in folders}
-    if len(numbers) > 1:
-        raise EvaluationError(f"the evaluations follow different protocols: {', '.join(map(str, numbers))}")
-    return numbers.pop()
-
-
-def _card(said: dict[str, Any], where: object, known: dict[str, Any] = CARD) -> dict[str, Any]:
-    """All fields of a card, with the values that are given."""
-    for name in said:
-        check_name(f"entry of {where}", name, known)
-    whole = dict(known)
-    for name, value in said.items():
-        if isinstance(known[name], dict) and not isinstance(value, dict):
-            raise SettingsError(f"{name} in {where} must be a table with {', '.join(known[name])}, not {shown(value)}")
-        whole[name] = _card(value, where, known[name]) if isinstance(known[name], dict) else value
-    return whole
-
-
-def _check_card(card: dict[str, Any], where: object) -> None:
-    """Raise a `SettingsError` unless the card is as the schema of entries says, which checks the leaderboard, too."""
-    check_extra("entries", "eval")
-    if wrong := violation(card, "card"):
-        raise SettingsError(f"the card is not valid{f' in {where}' if where else ''}: {wrong}")
-    if not is_readable(card["method"]):
-        raise SettingsError(f"the card's method {card['method']!r} {UNREADABLE}{f' in {where}' if where else ''}")
-    hours = card["training"]["hours"]
-    if isinstance(hours, float) and not math.isfinite(hours):
-        raise SettingsError(f"the card's training.hours must be a finite number, and is {hours} in {where}")

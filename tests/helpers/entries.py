@@ -7,10 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from magical_mj.evaluation.scores import SCORES
-from magical_mj.leaderboard import Entry
-from magical_mj.leaderboard.claims import Claim
-from magical_mj.leaderboard.submission import CARD
+from magical_mj.evaluation.scores import SCORES, EpisodeResult
+from magical_mj.leaderboard import Entry, Findings, check_entries, read_entry
+from magical_mj.leaderboard.entry import Card, Versions
 from magical_mj.policies.interface import LETTERS
 from magical_mj.tasks.registry import ENVIRONMENTS
 
@@ -60,14 +59,41 @@ TAMPERED = [
 ]
 
 
+def recorded(
+    run: int, task: str, variant: str, seed: int, score: float, actions: str, failure: Any = None
+) -> EpisodeResult:
+    """An episode that nobody played."""
+    return EpisodeResult(
+        policy="Nobody",
+        run=run,
+        task=task,
+        variant=variant,
+        seed=seed,
+        score=score,
+        steps=len(actions),
+        seconds=0.0,
+        rules="paper",
+        preset="LoRes4E",
+        version="",
+        mujoco="",
+        gl="",
+        actions=actions,
+        failure=failure,
+    )
+
+
 def whole(runs: int = 5) -> Entry:
     """An entry with all 60 environments, whose episodes nobody played."""
     episodes = [
-        Claim(run, task, variant, seed, None, ((seed + run) % 5) / 4, LETTERS[run], None)
+        recorded(run, task, variant, seed, ((seed + run) % 5) / 4, LETTERS[run])
         for run in range(runs)
         for task, variant in ENVIRONMENTS
         for seed in range(100)
     ]
-    card = {**CARD, "method": "Nobody"}
-    versions = {"version": ["0.1.0"], "mujoco": ["3.17.0"], "gl": ["egl"]}
-    return Entry(card, "LoRes4E", "paper", 1, versions, episodes)
+    return Entry(Card("Nobody"), "LoRes4E", "paper", 1, Versions(["0.1.0"], ["3.17.0"], ["egl"]), episodes)
+
+
+def check(path: Path, **settings: Any) -> tuple[Entry, Findings]:
+    """The entry in a file, and what a check of it finds."""
+    entry = read_entry(path)
+    return entry, check_entries({"": entry}, **settings)[""]

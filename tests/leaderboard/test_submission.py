@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +11,10 @@ import pytest
 
 from magical_mj.evaluation.reports.report import report
 from magical_mj.evaluation.scores import SETTINGS
-from magical_mj.leaderboard import check_entry, submit
+from magical_mj.leaderboard import read_entry, submit
+from magical_mj.leaderboard.entry import packed
 from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError
-from tests.helpers.entries import EPISODES, rewrite
+from tests.helpers.entries import EPISODES, check, rewrite
 
 
 @pytest.mark.parametrize(
@@ -23,11 +23,11 @@ from tests.helpers.entries import EPISODES, rewrite
         ('colour = "red"', {}, UnknownNameError, "unknown entry of .*card.toml 'colour'"),
         ("[training]\nhuors = 1", {}, UnknownNameError, "Did you mean 'hours'"),
         ("method =", {}, SettingsError, "cannot be read as TOML"),
-        ("method = 2020-01-01", {}, SettingsError, "the card is not valid in .*card.toml: card.method must be string"),
-        ('links = "https://example.org"', {}, SettingsError, "card.links must be array or null"),
-        ('training = "long"', {}, SettingsError, "training in .* must be a table with hours"),
-        ("[training]\nhours = nan", {}, SettingsError, "training.hours must be a finite number"),
-        ("[training]\nhours = inf", {}, SettingsError, "training.hours must be a finite number, and is inf"),
+        ("method = 2020-01-01", {}, SettingsError, "the card is not valid in .*card.toml.*method"),
+        ('links = "https://example.org"', {}, SettingsError, "links"),
+        ('training = "long"', {}, SettingsError, "training"),
+        ("[training]\nhours = nan", {}, SettingsError, "hours"),
+        ("[training]\nhours = inf", {}, SettingsError, "hours"),
         ("", {"folders": []}, SettingsError, "give at least one folder"),
         ("", {"policy": "nobody"}, UnknownNameError, "unknown policy 'nobody'"),
         ("", {"out": "entry.json"}, SettingsError, "must end in .json.xz"),
@@ -75,15 +75,15 @@ def test_an_entry_is_extended_by_further_runs(folder: Path, tmp_path: Path) -> N
     with pytest.raises(SettingsError, match=r"is of 'Oracle', and the folders hold 'expert': .*\(--policy expert, or"):
         submit([folder], tmp_path / "two.json.xz", extend=tmp_path / "one.json.xz")
     two = submit([folder], tmp_path / "two.json.xz", policy="expert", extend=tmp_path / "one.json.xz")
-    entry, found = check_entry(tmp_path / "two.json.xz", everything=True)
-    assert entry == replace(two, episodes=sorted(two.episodes))
+    entry, found = check(tmp_path / "two.json.xz", most=None)
+    assert (tmp_path / "two.json.xz").read_bytes() == packed(entry) == packed(two)
     assert (entry.runs, found.episodes, found.differing) == ([0, 1], 2 * EPISODES, [])
-    assert entry.card == check_entry(tmp_path / "one.json.xz")[0].card
-    assert len(entry.versions["mujoco"]) == 2
+    assert entry.card == read_entry(tmp_path / "one.json.xz").card
+    assert len(entry.versions.mujoco) == 2
     with pytest.raises(EvaluationError, match=r"two.json.xz with these folders holds an episode twice"):
         submit([folder], tmp_path / "three.json.xz", policy="expert", extend=tmp_path / "two.json.xz")
     (tmp_path / "card.toml").write_text('method = "Another"')
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(EvaluationError, match="none"):
         submit([folder], tmp_path / "three.json.xz", extend=tmp_path / "none.json.xz")
     again = submit([folder], tmp_path / "three.json.xz", card=tmp_path / "card.toml", extend=tmp_path / "one.json.xz")
     assert (again.method, again.runs) == ("Another", [0, 1])
@@ -100,7 +100,7 @@ def test_an_entry_is_extended_by_its_own_kind_only(folder: Path, tmp_path: Path,
 
 def test_folders_are_a_list_and_the_entrys_own_is_made(folder: Path, tmp_path: Path) -> None:
     submit((one for one in [folder]), tmp_path / "made" / "entry.json.xz")
-    entry, _ = check_entry(tmp_path / "made" / "entry.json.xz", seed=np.int64(3))  # pyright: ignore[reportArgumentType]
+    entry, _ = check(tmp_path / "made" / "entry.json.xz", seed=np.int64(3))
     assert len(entry.episodes) == EPISODES
     for use in (submit, report):
         with pytest.raises(SettingsError, match="give a list of folders"):
