@@ -27,9 +27,9 @@ def test_wrong_actions_are_refused(actions: Any) -> None:
 def test_states_of_other_worlds_and_closed_environments_are_refused() -> None:
     made = batched.make("MoveToRegion", "Demo", 2, device="cpu", image_size=32)
     for wrong in (None, {}):
-        with pytest.raises(StateError, match="takes what get_state"):
+        with pytest.raises(StateError, match="get_state"):
             made.set_state(wrong)
-    with pytest.raises(ResetNeeded, match="no running episode: reset them"):
+    with pytest.raises(ResetNeeded, match="reset"):
         made.step([0, 0])
     made.reset(seed=0)
     for name, variant, count, changes in (
@@ -42,7 +42,7 @@ def test_states_of_other_worlds_and_closed_environments_are_refused() -> None:
         other = batched.make("MoveToRegion", variant, count, device="cpu", **{"image_size": 32, **changes})
         other.reset(seed=0)
         other.step([1] * count)
-        with pytest.raises(StateError, match=f"the state has {name} .*, and these worlds"):
+        with pytest.raises(StateError, match=name):
             made.set_state(other.get_state())
         assert made._steps.tolist() == [0, 0], "nothing is changed"
         other.close()
@@ -60,7 +60,7 @@ def test_states_of_other_worlds_and_closed_environments_are_refused() -> None:
         assert torch.equal(made.physics.poses, seen), "nothing is changed"
     made.close()
     for use in (made.reset, made.get_state, lambda: made.step([0, 0]), lambda: made.set_state({})):
-        with pytest.raises(ClosedError, match="make another one"):
+        with pytest.raises(ClosedError, match="closed"):
             use()
 
 
@@ -69,15 +69,15 @@ def test_wrong_settings_are_named() -> None:
         batched.make("MoveToRegion", num_envs=1, device="cuda:7")
     with pytest.raises(SettingsError, match="at least 1"):
         batched.make("MoveToRegion", num_envs=0, device="cpu")
-    with pytest.raises(SettingsError, match="these are 60 environments, for which num_envs=4 is too few"):
+    with pytest.raises(SettingsError, match="60 environments"):
         batched.make("all", "all", 4, device="cpu")
     batched.make("MoveToRegion", num_envs=1, device=torch.device("cpu")).close()  # type: ignore[arg-type]
-    with pytest.raises(SettingsError, match="workers must be an integer of at least 0"):
+    with pytest.raises(SettingsError, match="workers"):
         batched.make("MoveToRegion", num_envs=1, device="cpu", workers=-1)
     with pytest.raises(UnknownNameError, match="preset"):
         batched.make("MoveToRegion", num_envs=1, device="cpu", preset="HiRes")
-    with pytest.raises(SettingsError, match="num_envs must be an integer of at least 1, not True"):
+    with pytest.raises(SettingsError, match="num_envs"):
         batched.make("MoveToRegion", num_envs=True, device="cpu")
     for mode in (AutoresetMode.NEXT_STEP, "SAME_STEP"):
-        with pytest.raises(SettingsError, match=r"must be gymnasium\.vector\.AutoresetMode\.SAME_STEP or .*, not"):
+        with pytest.raises(SettingsError, match="SAME_STEP"):
             batched.make("MoveToRegion", num_envs=1, device="cpu", autoreset_mode=mode)  # type: ignore[arg-type]

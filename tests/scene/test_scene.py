@@ -116,86 +116,64 @@ def test_a_region_contains_centres_borders_included() -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "arguments", "message"),
+    ("make", "arguments", "word"),
     [
-        (Block, ("hexagon", "red", 0, 0, 0), "Block.shape is 'hexagon'; it must be one of square"),
-        (Block, ("star", "pink", 0, 0, 0), "Block.colour is 'pink'; it must be one of red"),
-        (Robot, (math.nan, 0, 0), "Robot.x must be finite"),
-        (Robot, (0, "1", 0), "Robot.y must be a number, not '1'"),
-        (Robot, (0, True, 0), "Robot.y must be a number, not True"),
-        (Robot, (0, np.True_, 0), "Robot.y must be a number, not np.True_"),
-        (Robot, (0, np.array([1.0]), 0), r"Robot.y must be a number, not array\(\[1.\]\)"),
-        (Robot, (0, 1j, 0), "Robot.y must be a number, not 1j"),
-        (Robot, (0, np.complex64(1), 0), "Robot.y must be a number, not np.complex64"),
-        (Robot, (0, None, 0), "Robot.y must be a number, not None"),
-        (Robot, (0, "7" * 10_000, 0), r"Robot.y must be a number, not '7{79}\.\.\.$"),
-        (Robot, (10**400, 0, 0), r"Robot.x must be finite and at most 1e\+10, not 10{79}\.\.\.$"),
-        (Robot, (10**5000, 0, 0), r"Robot.x must be finite and at most 1e\+10, not a value of type int$"),
-        (Robot, (0, 0, 1e308), r"Robot.angle must be finite and at most 1e\+10, not 1e\+308"),
-        (Robot, (0, 0, -math.inf), "Robot.angle must be finite"),
-        (Robot, (0, 0, 0, (math.nan, 0)), "Robot.fingers must be finite"),
-        (Robot, (0, 0, 0, "ab"), r"Robot.fingers must be two angles \(left, right\), not 'ab'"),
-        (GoalRegion, ("red", -1e300, 0, 1e300, 1), "GoalRegion.x_min must be finite and at most"),
-        (Block, (["star"], "red", 0, 0, 0), r"Block.shape is \['star'\]"),
-        (Block, (np.array(["star", "star"]), "red", 0, 0, 0), "Block.shape is array"),
+        (Block, ("hexagon", "red", 0, 0, 0), "shape"),
+        (Block, (["star"], "red", 0, 0, 0), "shape"),
+        (Block, ("star", "pink", 0, 0, 0), "colour"),
+        *(
+            (Robot, (0, wrong, 0), "number")
+            for wrong in ("1", True, np.True_, np.array([1.0]), 1j, np.complex64(1), None)
+        ),
+        *((Robot, (wrong, 0, 0), "finite") for wrong in (math.nan, -math.inf, 1e308, 10**400, 10**5000)),
+        (Robot, (0, 0, 0, (math.nan, 0)), "fingers"),
+        (Robot, (0, 0, 0, "ab"), "two angles"),
         (Robot, (0, 0, 0, (0.1,)), "two angles"),
-        (GoalRegion, ("red", 0.5, 0, 0.5, 1), "is empty"),
-        (Dynamics, (3, 0), "Dynamics.turn_torque must be positive"),
-        (Scene, ((0, 0, 0),), "needs a Robot"),
-        (Scene, (Robot(0, 0, 0), [Robot(0, 0, 0)]), "needs a Block"),
-        (Scene, (Robot(0, 0, 0), (), "red"), "must be a sequence of GoalRegion"),
-        (Scene, (Robot(0, 0, 0), {Block("star", "red", 0, 0, 0)}), "must be a sequence of Block"),
-        (SCENE.moved, (None, [(0, 0, 0)]), "2 blocks need 2 poses, not"),
-        (SCENE.moved, ((0, 0),), "a pose is"),
-        (SCENE.moved, (5,), "a pose is"),
-        (SCENE.moved, (None, 5), "2 blocks need 2 poses, not 5"),
-        (SCENE.moved, (None, [(0, 0, 0), (0, math.nan, 0)]), "Block.y must be finite"),
+        (GoalRegion, ("red", -1e300, 0, 1e300, 1), "finite"),
+        (GoalRegion, ("red", 0.5, 0, 0.5, 1), "empty"),
+        (Dynamics, (3, 0), "positive"),
+        (Scene, ((0, 0, 0),), "Robot"),
+        (Scene, (Robot(0, 0, 0), [Robot(0, 0, 0)]), "Block"),
+        (Scene, (Robot(0, 0, 0), (), "red"), "GoalRegion"),
+        (Scene, (Robot(0, 0, 0), {Block("star", "red", 0, 0, 0)}), "sequence"),
+        (SCENE.moved, (None, [(0, 0, 0)]), "2 poses"),
+        (SCENE.moved, (5,), "pose"),
+        (SCENE.moved, (None, [(0, 0, 0), (0, math.nan, 0)]), "finite"),
     ],
 )
-def test_what_is_not_a_scene_is_refused(make: Callable[..., Any], arguments: tuple[Any, ...], message: str) -> None:
-    with pytest.raises(InvalidSceneError, match=message):
+def test_what_is_not_a_scene_is_refused(make: Callable[..., Any], arguments: tuple[Any, ...], word: str) -> None:
+    with pytest.raises(InvalidSceneError, match=word) as caught:
         make(*arguments)
+    assert len(str(caught.value)) < 250
+
+
+ROBOT = '"robot": {"x": 0, "y": 0, "angle": 0}'
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "word"),
     [
-        ("{", "must be JSON"),
-        ("[]", "must be a JSON object"),
-        (None, "must be JSON"),
-        (b"\xff", "must be JSON"),
-        ("[" * 100_000, "must be JSON"),
-        ('{"a":' * 100_000, "must be JSON"),
-        ("1" * 5000, "must be JSON"),
-        ('{"format": true}', '"format": 1'),
-        ('{"format": 1.0}', '"format": 1'),
-        ('{"format": [1]}', '"format": 1'),
-        ('{"format": 1, "robot": {"x": 0, "x": 1, "y": 0, "angle": 0}}', "'x' occurs twice in one object"),
-        ('{"format": 1, "robot": {"x": 1e400, "y": 0, "angle": 0}}', "Robot.x must be finite"),
-        (f'{{"format": 1, "robot": {{"x": 1{"0" * 400}, "y": 0, "angle": 0}}}}', "Robot.x must be finite"),
-        ('{"format": 1, "robot": {"x": true, "y": 0, "angle": 0}}', "Robot.x must be a number, not True"),
-        ('{"format": 1, "robot": {"x": [0], "y": 0, "angle": 0}}', r"Robot.x must be a number, not \[0\]"),
-        ('{"format": 1, "robot": {"x": 0, "y": 0, "angle": 0, "fingers": [NaN, 0]}}', "Robot.fingers must be finite"),
-        ('{"format": 1, "robot": {"x": 0, "y": 0, "angle": 0, "fingers": 1}}', "must be two angles"),
-        ('{"format": 1, "robot": {"x": 0, "y": 0, "angle": 0}, "blocks": [null]}', "Block must be a JSON object"),
-        ('{"format": 1, "robot": {"x": 0, "y": 0, "angle": 0}, "dynamics": null}', "Dynamics must be a JSON object"),
-        (
-            '{"format": 1, "robot": {"x": 0, "y": 0, "angle": 0}, "dynamics": {"drive_force": -1}}',
-            "Dynamics.drive_force must be positive",
+        *((text, "JSON") for text in ("{", "[]", None, b"\xff", "[" * 100_000, '{"a":' * 100_000, "1" * 5000)),
+        *(
+            (text, "format")
+            for text in ("{}", '{"format": 2}', '{"format": true}', '{"format": 1.0}', '{"format": [1]}')
         ),
-        ("{}", '"format": 1'),
-        ('{"format": 2}', '"format": 1'),
-        ('{"format": 1}', "lacks the field 'robot'"),
-        ('{"format": 1, "robot": []}', "Robot must be a JSON object"),
-        ('{"format": 1, "robot": {"x": 0, "y": 0}}', "lacks the field 'angle'"),
-        ('{"format": 1, "robot": {"x": 0, "y": 0, "angle": 0, "z": 0}}', "no field 'z'; it has x, y, angle, fingers"),
-        ('{"format": 1, "robot": {"x": 0, "y": 0, "angle": NaN}}', "must be finite"),
-        ('{"format": 1, "robot": {"x": 0, "y": 0, "angle": 0}, "blocks": {}}', "must be a list"),
-        ('{"format": 1, "robot": {"x": 0, "y": 0, "angle": 0}, "walls": 4}', "no field 'walls'"),
+        ('{"format": 1}', "robot"),
+        ('{"format": 1, "robot": []}', "JSON object"),
+        ('{"format": 1, "robot": {"x": 0, "y": 0}}', "angle"),
+        ('{"format": 1, "robot": {"x": 0, "x": 1, "y": 0, "angle": 0}}', "twice"),
+        ('{"format": 1, "robot": {"x": 0, "y": 0, "angle": 0, "z": 0}}', "'z'"),
+        ('{"format": 1, "robot": {"x": 1e400, "y": 0, "angle": 0}}', "finite"),
+        ('{"format": 1, "robot": {"x": [0], "y": 0, "angle": NaN}}', "number"),
+        (f'{{"format": 1, {ROBOT}, "blocks": [null]}}', "JSON object"),
+        (f'{{"format": 1, {ROBOT}, "blocks": {{}}}}', "list"),
+        (f'{{"format": 1, {ROBOT}, "dynamics": null}}', "JSON object"),
+        (f'{{"format": 1, {ROBOT}, "dynamics": {{"drive_force": -1}}}}', "positive"),
+        (f'{{"format": 1, {ROBOT}, "walls": 4}}', "'walls'"),
     ],
 )
-def test_malformed_json_is_refused(text: Any, message: str) -> None:
-    with pytest.raises(InvalidSceneError, match=message):
+def test_malformed_json_is_refused(text: Any, word: str) -> None:
+    with pytest.raises(InvalidSceneError, match=word):
         Scene.from_json(text)
 
 

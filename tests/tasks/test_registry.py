@@ -29,21 +29,17 @@ def test_lists_of_environments() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tasks", "variants", "error", "message"),
+    ("tasks", "variants", "error", "word"),
     [
-        ("", "all", SettingsError, "give at least one of MoveToCorner"),
-        ([], "all", SettingsError, "give at least one of MoveToCorner"),
-        (np.array("all"), "all", SettingsError, "give at least one of MoveToCorner"),
-        ([np.ones(3)], "all", UnknownNameError, "unknown task array"),
-        ("FindDup", "all", UnknownNameError, "Did you mean 'FindDupe'"),
-        ("all", "Shapes", UnknownNameError, "Did you mean 'Shape'"),
-        ("MoveToCorner", "Layout", UnknownNameError, "MoveToCorner has no variant 'Layout'"),
+        *((nothing, "all", SettingsError, "at least one") for nothing in ("", ",", [], [""], 5, None, np.array("all"))),
+        ([np.ones(3)], "all", UnknownNameError, "array"),
+        ("FindDup", "all", UnknownNameError, "FindDupe"),
+        ("all", "Shapes", UnknownNameError, "Shape"),
+        ("MoveToCorner", "Layout", UnknownNameError, "Layout"),
     ],
 )
-def test_lists_that_name_no_environment(
-    tasks: str | list[str], variants: str, error: type[Exception], message: str
-) -> None:
-    with pytest.raises(error, match=message):
+def test_lists_that_name_no_environment(tasks: Any, variants: str, error: type[Exception], word: str) -> None:
+    with pytest.raises(error, match=word):
         environments(tasks, variants)
 
 
@@ -117,32 +113,32 @@ def test_tasks_of_ones_own_are_played_by_reference(mine: str) -> None:
     assert score(good, scene, scene) == 0.0
     assert scene != sample_scene("MatchRegions", "CountPlus", 3), "a task has random numbers of its own"
     assert env_id(good, "All") == env_id(good, "All") == "magical_mj/Mine-TestAll-v0"
-    with pytest.raises(TaskError, match=f"Mine-TestAll-v0 is the id of {good}; give .*:AGAIN another name than 'Mine'"):
+    with pytest.raises(TaskError, match="another name"):
         env_id(f"{mine}:AGAIN", "All")
 
 
 @pytest.mark.parametrize(
-    ("name", "message"),
+    ("name", "word"),
     [
-        ("DEMO", r"is not a magical_mj\.tasks\.TaskSpec but Scene\("),
-        ("TAKEN", "is called 'MatchRegions', as a task of the benchmark is"),
-        ("OUTSIDE", "no episode of Mine can start in its own demo scene: robot at"),
-        ("NOT_ITS_OWN", "no episode of .* can start in its own demo scene: this is not a scene of MatchRegions"),
-        ("TWO", r"Mine.score must return a number in \[0, 1\], and returned 2.0"),
-        ("TEXT", r"Mine.score must return a number in \[0, 1\], and returned 'all'"),
-        ("NO_RULES", r"Mine.score failed: TypeError: .*takes 2 positional arguments but 3 were given"),
-        ("YES", "Mine.check must raise InvalidSceneError or return None, not True"),
-        ("WRONG_ERROR", r"cannot be played: ZeroDivisionError: division by zero \(.*mine_.*, line \d+\)"),
-        ("PURPLE", r"Block.colour is 'purple'; it must be one of .* \(.*mine_.*, line \d+\)"),
-        ("CHANCE", "Mine-Colour draws different scenes for one seed: its rules must use no random numbers except"),
-        ("NO_SCENE", "Mine.colour must return a magical_mj.Scene, not None"),
-        ("MOVED", "no episode of Mine can start in the scene of Colour that seed 0 draws: block 0 and block 1 overlap"),
-        ("STUCK", "cannot be played: found no room for Robot.*let nothing stick out into a region in which its centre"),
+        ("DEMO", "TaskSpec"),
+        ("TAKEN", "MatchRegions"),
+        ("OUTSIDE", "demo scene: robot"),
+        ("NOT_ITS_OWN", "not a scene of MatchRegions"),
+        ("TWO", "returned 2"),
+        ("TEXT", "returned 'all'"),
+        ("NO_RULES", "TypeError"),
+        ("YES", "Mine.check"),
+        ("WRONG_ERROR", r"ZeroDivisionError.*mine_.*, line \d+"),
+        ("PURPLE", r"purple.*mine_.*, line \d+"),
+        ("CHANCE", "different scenes for one seed"),
+        ("NO_SCENE", "Mine.colour"),
+        ("MOVED", "Colour .* overlap"),
+        ("STUCK", "no room for Robot"),
     ],
 )
-def test_tasks_that_cannot_be_played_are_refused(mine: str, name: str, message: str) -> None:
+def test_tasks_that_cannot_be_played_are_refused(mine: str, name: str, word: str) -> None:
     sample_scene(f"{mine}:GOOD", "Demo", 0)
-    with pytest.raises(TaskError, match=message):
+    with pytest.raises(TaskError, match=word):
         sample_scene(f"{mine}:{name}", "Demo", 0)
 
 
@@ -151,11 +147,9 @@ def test_later_scores_and_scenes_of_ones_own_are_checked_too(mine: str) -> None:
     env.reset()
     assert env.score() == 0.0
     env.step(2)
-    with pytest.raises(TaskError, match=r"Mine.score must return a number in \[0, 1\], and returned 2.0"):
+    with pytest.raises(TaskError, match="returned 2"):
         env.score()
-    with pytest.raises(
-        TaskError, match=r"no episode of Mine can start in the scene of Colour that seed \d+ draws: this"
-    ):
+    with pytest.raises(TaskError, match=r"seed \d+"):
         [sample_scene(f"{mine}:RARELY", "Colour", seed) for seed in range(100)]
 
 
@@ -181,7 +175,7 @@ def test_a_scene_that_does_not_fit_the_state_vector_ends_no_episode(mine: str) -
     assert 0 < len(seeds) < 8
     env.reset(seed=min(set(range(8)) - set(seeds)))
     env.step(1)
-    with pytest.raises(InvalidSceneError, match="the state vector holds 10 blocks"):
+    with pytest.raises(InvalidSceneError, match="10 blocks"):
         env.reset(seed=seeds[0])
     env.step(1)
 
@@ -189,7 +183,7 @@ def test_a_scene_that_does_not_fit_the_state_vector_ends_no_episode(mine: str) -
 @pytest.mark.parametrize("name", ["NAN", "SOLID", "NUMBER"])
 def test_targets_that_are_no_points_are_refused(mine: str, name: str) -> None:
     spec = task_spec(f"{mine}:{name}")
-    with pytest.raises(TaskError, match=r"targets are points \(x, y\), and Mine.plan returned Subgoal"):
+    with pytest.raises(TaskError, match="points"):
         spec.subgoals(spec.demo, spec.demo, Noise(np.random.default_rng(0), 0.0))
 
 
@@ -202,9 +196,7 @@ def test_rounding_makes_no_score_invalid(mine: str) -> None:
 @pytest.mark.parametrize(("name", "returned"), [("NOWHERE", "None"), ("PAIRS", r"\(0, "), ("BEYOND", "Subgoal")])
 def test_plans_of_ones_own_are_checked(mine: str, name: str, returned: str) -> None:
     spec = task_spec(f"{mine}:{name}")
-    with pytest.raises(
-        TaskError, match=rf"Mine.plan must return Subgoals of .* blocks 0 to \d, and returned {returned}"
-    ):
+    with pytest.raises(TaskError, match=f"Mine.plan .* returned {returned}"):
         spec.subgoals(spec.demo, spec.demo, Noise(np.random.default_rng(0), 0.0))
 
 
@@ -221,7 +213,7 @@ def test_a_task_that_was_edited_and_reloaded_is_the_new_one(mine: str) -> None:
     assert spec.max_episode_steps == 17
     file.write_text(MINE.replace('name="Mine"', 'name="Mine", score=lambda initial, final, rules: 2.0'))
     importlib.reload(sys.modules[mine])
-    with pytest.raises(TaskError, match=r"and returned 2\.0"):
+    with pytest.raises(TaskError, match="returned 2"):
         load(good)
 
 
@@ -233,47 +225,43 @@ def test_a_robot_that_belongs_in_a_region_stays_there(mine: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("task", "message"),
+    ("task", "word"),
     [
-        ("no_such_module:SPEC", "cannot be imported: No module named 'no_such_module'"),
-        ("magical_mj.tasks:NONE", "cannot be imported: .*there is no 'NONE' in magical_mj.tasks"),
-        ("magical_mj.tasks.find_dupe", "unknown task 'magical_mj.tasks.find_dupe'.*package.module:SPEC"),
-        ("a b:SPEC", "unknown task 'a b:SPEC'"),
-        (["FindDupe"], r"unknown task \['FindDupe'\]"),
-        (None, "unknown task None"),
-        ("x" * 10_000, r"unknown task 'x{79}\.\.\."),
-        pytest.param(10**5000, "unknown task a value of type int", id="many digits"),
+        ("no_such_module:SPEC", "No module"),
+        ("magical_mj.tasks:NONE", "NONE"),
+        ("magical_mj.tasks.find_dupe", "package.module:SPEC"),
+        ("a b:SPEC", "a b:SPEC"),
+        (["FindDupe"], "unknown"),
+        (None, "None"),
+        ("x" * 10_000, r"x\.\.\."),
+        pytest.param(10**5000, "type int", id="many digits"),
     ],
 )
-def test_what_is_no_task_is_refused(task: Any, message: str) -> None:
-    with pytest.raises(UnknownNameError, match=message):
+def test_what_is_no_task_is_refused(task: Any, word: str) -> None:
+    with pytest.raises(UnknownNameError, match=word):
         task_spec(task)
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    "changes",
     [
-        ({"name": "Find-Dupe"}, "must be made of letters and digits, not 'Find-Dupe'"),
-        ({"demo": None}, "FindDupe.demo must be a Scene, not None"),
-        ({"steps": 0}, "must be an integer above 0, not 0"),
-        ({"released_steps": 1.5}, "must be an integer above 0, not 1.5"),
-        ({"region_size": (0.0, 0.0)}, "region_size must be the least and greatest side"),
-        ({"region_size": (0.8, 0.5)}, r"region_size must be the least and greatest side .*, not \(0.8, 0.5\)"),
-        ({"region_size": 0.5}, "region_size must be the least and greatest side"),
-        ({"region_size": (0.5, 0.7)}, r"region_size is \(0.5, 0.7\); the sides in its demo must be within: 0.67, 0.72"),
-        ({"layout": False}, "FindDupe.count needs layouts, which place the blocks that it adds"),
-        ({"inner_margin": 0.25}, "inner_margin must be 0, or less than half of the least side"),
-        ({"layout": "no"}, "FindDupe.layout must be a bool, not 'no'"),
-        ({"score": None}, "FindDupe.score must be a function"),
-        ({"plan": "drive"}, "FindDupe.plan must be a function, or None"),
+        {"name": "Find-Dupe"},
+        {"demo": None},
+        {"steps": 0},
+        {"released_steps": 1.5},
+        *({"region_size": sizes} for sizes in ((0.0, 0.0), (0.8, 0.5), (0.5, float("nan")), 0.5, (0.5, 0.7))),
+        {"layout": "no"},
+        {"inner_margin": 0.25},
+        {"score": None},
+        {"plan": "drive"},
     ],
 )
-def test_specs_are_checked(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(TaskError, match=message):
+def test_specs_are_checked(changes: dict[str, Any]) -> None:
+    (field,) = changes
+    with pytest.raises(TaskError, match=field.removeprefix("released_")):
         replace(task_spec("FindDupe"), **changes)
 
 
-@pytest.mark.parametrize("names", [5, None, ",", [""]])
-def test_lists_that_name_nothing(names: Any) -> None:
-    with pytest.raises(SettingsError, match="give at least one of MoveToCorner"):
-        environments(names)
+def test_counts_need_layouts() -> None:
+    with pytest.raises(TaskError, match="layout=False"):
+        replace(task_spec("FindDupe"), layout=False)

