@@ -11,14 +11,28 @@ On software OpenGL every drawn pixel costs time. Frames are cheap because of thi
 from __future__ import annotations
 
 import operator
-from typing import Any, Final
+import os
+import warnings
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final, Literal, cast, get_args
 
 import mujoco
 import numpy as np
 
 from magical_mj.rendering import gl
-from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS, Context, Picture
-from magical_mj.utils.errors import SettingsError, shown
+from magical_mj.rendering.backend import chosen_backend, problem_of
+from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS, FORKED, Context, Picture
+from magical_mj.scene.state_vector import SEGMENTATIONS, SOLID_VIEW
+from magical_mj.utils.errors import RenderingError, SettingsError, check_name, shown
+
+if TYPE_CHECKING:
+    from magical_mj.rendering.software import SoftwareRenderer
+
+RendererName = Literal["opengl", "software"]
+RENDERERS: Final[tuple[RendererName, ...]] = get_args(RendererName)
+"""What draws the flat views: MuJoCo with OpenGL, or scanlines on the processor."""
+VARIABLE: Final = "MAGICAL_MJ_RENDERER"
+"""The environment variable that chooses between them for a whole process."""
 
 _FLAT: Final = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 """Ambient and diffuse light with which pixels have exactly the colours of the palette."""
@@ -50,16 +64,119 @@ def check_size(value: Any, name: str = "image_size") -> int:
     return size
 
 
-def check_out(out: Any, size: int) -> None:
+def check_out(out: Any, size: int, channels: tuple[int, ...] = (3,)) -> None:
     """Raises a `SettingsError` unless a picture of this size can be written to the array, if there is one."""
     if out is None:
         return
+    shape = (size, size, *channels)
     if not isinstance(out, np.ndarray):
-        raise SettingsError(f"out must be an array of shape ({size}, {size}, 3), uint8, not {shown(out)}")
-    if out.shape != (size, size, 3) or out.dtype != np.uint8:
-        raise SettingsError(f"out must be of shape ({size}, {size}, 3), uint8, not {out.shape}, {out.dtype}")
+        raise SettingsError(f"out must be an array of shape {shape}, uint8, not {shown(out)}")
+    if out.shape != shape or out.dtype != np.uint8:
+        raise SettingsError(f"out must be of shape {shape}, uint8, not {out.shape}, {out.dtype}")
     if not out.flags.writeable:
         raise SettingsError("out is a read-only array; give one that can be written to, or a copy")
+
+
+def check_renderer(name: str | None) -> RendererName | None:
+    """The name of a renderer; None stands for MAGICAL_MJ_RENDERER, and if that is not set, stays None.
+
+    Raises:
+        UnknownNameError: if there is no such renderer.
+    """
+    name = os.environ.get(VARIABLE) or None if name is None else name
+    if name is not None:
+        check_name("renderer", name, RENDERERS)
+    return cast("RendererName | None", name)
+
+
+def drawn_by(renderer: str | None = None) -> str:
+    """What draws flat views, as results record it: "software", or OpenGL's backend, such as "egl".
+
+    Args:
+        renderer: as `Views` takes it.
+    """
+    renderer, backend = check_renderer(renderer), chosen_backend()
+    return "software" if renderer == "software" or (renderer is None and problem_of(backend)) else backend
+
+
+class Views:
+    """Draws all views of one model; what each needs is made when it is first drawn.
+
+    Args:
+        model: the model.
+        renderer: "opengl" or "software" for the flat views. None: as MAGICAL_MJ_RENDERER says, else OpenGL if it works
+            here, else software with a warning. What users have added to a model is drawn by OpenGL alone.
+    """
+
+    def __init__(self, model: mujoco.MjModel, renderer: str | None = None) -> None:
+        self.model = model
+        self._wanted = check_renderer(renderer)
+        self._flat: Renderer | SoftwareRenderer | None = None
+        self._segments: SoftwareRenderer | None = None
+        self._solid: SolidRenderer | None = None
+
+    def draw(self, data: mujoco.MjData, view: str, size: int, out: Picture | None = None) -> Picture:
+        """The view of the present state, top row first, fresh or in `out`: RGB, shape (size, size, 3), uint8.
+
+        Args:
+            data: the state; its positions must be current (as after `mj_forward`).
+            view: "ego", "allo", "scene", or a segmentation such as "ego-segmentation", which has shape (size, size).
+            size: pixels per side.
+            out: where to write it.
+
+        Raises:
+            RenderingError: if OpenGL is needed and does not work here; it says what to do.
+            SettingsError: if `out` cannot hold it.
+        """
+        if view in SEGMENTATIONS:
+            check_out(out, size, ())
+            self._segments = self._segments or _software(self.model)
+            return self._segments.draw(data, view, size, out)
+        check_out(out, size)
+        if view == SOLID_VIEW:
+            self._solid = self._solid or SolidRenderer(self.model)
+            return self._solid.draw(data, view, size, out)
+        self._flat = self._flat or self._choose()
+        return self._flat.draw(data, view, size, out)
+
+    def close(self) -> None:
+        """Releases what it drew with. May be called twice."""
+        for renderer in (self._flat, self._segments, self._solid):
+            if renderer is not None:
+                renderer.close()
+        self._flat = self._segments = self._solid = None
+
+    def _choose(self) -> Renderer | SoftwareRenderer:
+        if self._wanted == "software":
+            try:
+                return _software(self.model)
+            except RenderingError:  # of a model that users have changed
+                return Renderer(self.model)
+        try:
+            with CANVAS:
+                return Renderer(self.model)
+        except RenderingError as error:
+            if self._wanted == "opengl" or str(error) == FORKED:
+                raise
+            try:
+                renderer = _software(self.model)
+            except RenderingError:
+                raise error from None
+            _warn(str(error))
+            return renderer
+
+
+def _software(model: mujoco.MjModel) -> SoftwareRenderer:
+    from magical_mj.rendering.software import SoftwareRenderer  # imported late: it compiles
+
+    return SoftwareRenderer(model)
+
+
+@cache
+def _warn(error: str) -> None:
+    """Says once that pictures come from the software renderer."""
+    text = f'{error} Until then the software renderer draws the flat views; renderer="software" says that you want it'
+    warnings.warn(text, stacklevel=5)
 
 
 class Renderer:

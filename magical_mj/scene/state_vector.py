@@ -22,8 +22,11 @@ VIEWS: Final = ("ego", "allo")
 SOLID_VIEW: Final = "scene"
 """The name of the view for people: the world in 3-D with lights and shadows, seen from above a corner."""
 
+SEGMENTATIONS: Final = tuple(f"{view}-segmentation" for view in VIEWS)
+"""What is at each pixel of the two views, as one number (`magical_mj.rendering.software`)."""
+
 CAMERAS: Final = (*VIEWS, SOLID_VIEW)
-"""The views that `Environment.render` draws."""
+"""The views in colours that `render` draws."""
 
 OBSERVATIONS: Final = (*VIEWS, "state")
 """The names that `magical_mj.load(observations=...)` accepts."""

@@ -1,0 +1,304 @@
+"""A scanline rasteriser for flat convex polygons, compiled by numba: the kernels of the software renderer.
+
+Every processor draws the same bytes. Which samples a polygon covers is decided with integers alone: corners lie on a
+grid of 256 x 256 points a sample, and edges are followed with exact quotients and remainders. Corners come to the grid
+by additions and multiplications of doubles and one `floor`, each rounded on its own as IEEE 754 defines: numba does not
+fuse or reorder them (no `fastmath`), and a test looks for fused instructions in the compiled code.
+
+Machine code is kept on disk, as numba does: beside this file, or in NUMBA_CACHE_DIR, or in the user's cache folder.
+Where none can be written, it is compiled in each process, which takes some seconds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+
+GRID_BITS: Final = 8
+"""Corners lie on a grid with 2 ** GRID_BITS steps a sample, as OpenGL's usually do."""
+GRID: Final = 1 << GRID_BITS
+HALF: Final = GRID // 2
+MOST_CORNERS: Final = 64
+FIRST, LAST, BODY, SOURCE, IS_SKIN = range(5)
+"""The columns of a table of polygons: its corners' rows, its body, its geom or skin, and which of the two that is."""
+
+_EVEN: Final = np.uint64(0x00FF_00FF_00FF_00FF)  # red and blue of two samples
+_ROUND: Final = np.uint64(0x0002_0002)
+_BYTE: Final = np.uint64(0xFF)
+_2, _8, _16, _32 = np.uint64(2), np.uint64(8), np.uint64(16), np.uint64(32)
+
+
+def compiled(signature: str) -> Callable[[Callable[..., None]], Any]:
+    """Compiles a kernel for this signature now, or loads what an earlier process has compiled."""
+
+    def decorate(function: Callable[..., None]) -> Any:
+        try:
+            return njit(signature, cache=True, nogil=True)(function)
+        except Exception:  # noqa: BLE001 - of many kinds: no folder can be written, the disk is full, files in it are damaged
+            return njit(signature, nogil=True)(function)
+
+    return decorate
+
+
+@njit
+def packed(rgba: Any) -> Any:
+    """Red, green, blue in [0, 1] as an opaque pixel 0xAABBGGRR, rounded to 8 bits each."""
+    pixel = _BYTE
+    for k in range(2, -1, -1):
+        pixel = (pixel << _8) | np.uint64(math.floor(255.0 * np.float64(rgba[k]) + 0.5))
+    return np.uint32(pixel)
+
+
+@njit
+def to_grid(position: float) -> int:
+    """The nearest point of the grid, for a position in steps of the grid."""
+    return math.floor(position + 0.5)
+
+
+@njit
+def transform(points: Any, first: int, last: int, frame: Any, scale: float, middle: float, x: Any, y: Any) -> None:
+    """Corners of a polygon on the picture's grid: R(c, s) (u, v) + (tx, ty), scaled, with the camera in the middle.
+
+    Args:
+        points: local coordinates u, v (world units).
+        first: the first row of `points`.
+        last: the row after the last one.
+        frame: tx, ty, c, s, as `relative` computes them.
+        scale: steps of the grid per world unit.
+        middle: the picture's middle, in steps of the grid.
+        x: where to write x, to the right.
+        y: where to write y, upwards.
+    """
+    tx, ty, c, s = frame
+    for k in range(last - first):
+        u, v = np.float64(points[first + k, 0]), np.float64(points[first + k, 1])
+        x[k] = to_grid(scale * (tx + c * u - s * v) + middle)
+        y[k] = to_grid(scale * (ty + s * u + c * v) + middle)
+
+
+@njit
+def relative(position: Any, rotation: Any, camera: Any, axes: Any) -> Any:
+    """The frame of a body as a camera sees it: tx, ty, cosine and sine of the angle.
+
+    With d the vector from the camera to the body, a and b their angles: R(-a) d and b - a. All look straight down.
+    """
+    dx, dy = position[0] - camera[0], position[1] - camera[1]
+    cos_a, sin_a, cos_b, sin_b = axes[0], axes[3], rotation[0], rotation[3]
+    return (
+        cos_a * dx + sin_a * dy,
+        cos_a * dy - sin_a * dx,
+        cos_a * cos_b + sin_a * sin_b,
+        cos_a * sin_b - sin_a * cos_b,
+    )
+
+
+@njit
+def first_centre(position: int) -> int:
+    """The first sample whose centre is not before a position on the grid: ceil((position - HALF) / GRID)."""
+    return (position + HALF - 1) >> GRID_BITS
+
+
+@njit
+def clip(x: Any, y: Any, count: int, side: int) -> Any:
+    """The rows first..last - 1 of samples that a polygon covers within the picture; none if it is beside it."""
+    low_x, high_x, low_y, high_y = x[0], x[0], y[0], y[0]
+    for k in range(1, count):
+        low_x, high_x = min(low_x, x[k]), max(high_x, x[k])
+        low_y, high_y = min(low_y, y[k]), max(high_y, y[k])
+    if high_x <= 0 or low_x >= side * GRID:
+        return 0, 0
+    return max(first_centre(low_y), 0), min(first_centre(high_y), side)
+
+
+@njit
+def follow(xa: int, ya: int, xb: int, yb: int, first: int, last: int, side: int, ends: Any) -> None:
+    """Writes, for each row that an edge crosses, the first sample whose centre is not left of it, within 0..side.
+
+    The edge goes up from (xa, ya) to (xb, yb). At the centre of row r, y = GRID r + HALF, it is at
+    xa + (y - ya) (xb - xa) / (yb - ya), and the sample is ceil((that - HALF) / GRID) = ceil(n / d) with
+    d = GRID (yb - ya) and n = (xa - HALF) (yb - ya) + (y - ya) (xb - xa). From row to row n grows by GRID (xb - xa).
+    """
+    start, stop = max(first_centre(ya), first), min(first_centre(yb), last)
+    if start >= stop:
+        return
+    dx, dy = xb - xa, yb - ya
+    d = GRID * dy
+    n = (xa - HALF) * dy + (GRID * start + HALF - ya) * dx + d - 1  # + d - 1: ceil as floor
+    quotient, rest = n // d, n % d
+    step, step_rest = (GRID * dx) // d, (GRID * dx) % d
+    for row in range(start, stop):
+        ends[row] = min(max(quotient, 0), side)
+        quotient += step
+        rest += step_rest
+        if rest >= d:
+            rest -= d
+            quotient += 1
+
+
+@njit
+def fill(x: Any, y: Any, count: int, colour: int, side: int, pixels: Any, left: Any, right: Any) -> None:
+    """Colours the samples whose centres a convex polygon covers; on an edge: those of left and lower edges.
+
+    Args:
+        x: corners on the grid, counter-clockwise: edges that go up are on the right.
+        y: the same, upwards.
+        count: the number of corners.
+        colour: what to write.
+        side: samples per side of the picture.
+        pixels: row by row from below. Shape (side * side,).
+        left: scratch, for the first sample of each row. Shape (side,).
+        right: likewise, for the sample after the last one.
+    """
+    first, last = clip(x, y, count, side)
+    if first >= last:
+        return
+    for k in range(count):
+        after = k + 1 if k + 1 < count else 0
+        if y[after] > y[k]:
+            follow(x[k], y[k], x[after], y[after], first, last, side, right)
+        elif y[after] < y[k]:
+            follow(x[after], y[after], x[k], y[k], first, last, side, left)
+    for row in range(first, last):
+        for place in range(row * side + left[row], row * side + right[row]):
+            pixels[place] = colour
+
+
+@njit
+def paint(
+    polygons: Any,
+    corners: Any,
+    skin: Any,
+    colours: Any,
+    poses: Any,
+    camera: Any,
+    visible: float,
+    side: int,
+    pixels: Any,
+    left: Any,
+    right: Any,
+) -> None:
+    """Paints polygons one over the other, in their order.
+
+    Args:
+        polygons: a row of columns `FIRST`..`IS_SKIN` for each.
+        corners: of geoms, in their bodies' frames.
+        skin: of skins, likewise.
+        colours: of each polygon.
+        poses: positions and rotation matrices of all bodies. Shapes (n, 3) and (n, 9).
+        camera: the same of the camera.
+        visible: the side of the square that it sees (world units).
+        side: samples per side of the picture.
+        pixels: as in `fill`.
+        left: as in `fill`.
+        right: as in `fill`.
+    """
+    positions, rotations = poses
+    x, y = np.empty(MOST_CORNERS, np.int64), np.empty(MOST_CORNERS, np.int64)
+    scale, middle = GRID * side / visible, 0.5 * GRID * side
+    pixels[: side * side] = 0
+    for p in range(len(polygons)):
+        first, last, body = polygons[p, FIRST], polygons[p, LAST], polygons[p, BODY]
+        frame = relative(positions[body], rotations[body], camera[0], camera[1])
+        if polygons[p, IS_SKIN]:
+            transform(skin, first, last, frame, scale, middle, x, y)
+        else:
+            transform(corners, first, last, frame, scale, middle, x, y)
+        fill(x, y, last - first, colours[p], side, pixels, left, right)
+
+
+@njit
+def average(pairs: Any, out: Any) -> None:
+    """The picture of painted samples: averaged 2 x 2, rounded, on white paper, top row first. As `renderer.on_white`.
+
+    Two colours of 8 bits lie 16 bits apart in a word, so that four samples can be added at once without carries. Most
+    pixels have the samples of their left neighbour, and so its average.
+
+    Args:
+        pairs: two samples that stand side by side, as one word: 0xAABBGGRR of the right one, then of the left one.
+        out: shape (height, width, 3).
+    """
+    height, width = out.shape[0], out.shape[1]
+    for row in range(height):
+        lower = pairs[2 * row * width : (2 * row + 1) * width]
+        upper = pairs[(2 * row + 1) * width : (2 * row + 2) * width]
+        line = out[height - 1 - row]
+        last_low, last_up = np.uint64(0), np.uint64(0)
+        red = green = blue = np.uint8(255)
+        for column in range(width):
+            low, up = lower[column], upper[column]
+            if low != last_low or up != last_up:
+                last_low, last_up = low, up
+                red_blue = (low & _EVEN) + (up & _EVEN)
+                green_alpha = ((low >> _8) & _EVEN) + ((up >> _8) & _EVEN)
+                red_blue = ((red_blue + (red_blue >> _32) + _ROUND) >> _2) & _EVEN
+                green_alpha = ((green_alpha + (green_alpha >> _32) + _ROUND) >> _2) & _EVEN
+                paper = _BYTE - ((green_alpha >> _16) & _BYTE)
+                red = np.uint8((red_blue & _BYTE) + paper)
+                green = np.uint8((green_alpha & _BYTE) + paper)
+                blue = np.uint8(((red_blue >> _16) & _BYTE) + paper)
+            line[column, 0] = red
+            line[column, 1] = green
+            line[column, 2] = blue
+
+
+_SCENE = "i4[:, ::1], f8[:, ::1], f4[:, ::1]"
+_WORLD = "f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8"
+_SCRATCH = "u4[::1], i8[::1], i8[::1]"
+
+
+@compiled(f"void({_SCENE}, f4[:, ::1], f4[:, ::1], u4[::1], {_WORLD}, {_SCRATCH}, u8[::1], u1[:, :, :])")
+def draw_picture(
+    polygons: Any,
+    corners: Any,
+    skin: Any,
+    geom_rgba: Any,
+    skin_rgba: Any,
+    colours: Any,
+    positions: Any,
+    rotations: Any,
+    camera: Any,
+    axes: Any,
+    visible: float,
+    pixels: Any,
+    left: Any,
+    right: Any,
+    pairs: Any,
+    out: Any,
+) -> None:
+    """Draws polygons in colours, four samples a pixel, into `out`, shape (size, size, 3); `pairs` are the pixels."""
+    for p in range(len(polygons)):
+        source = polygons[p, SOURCE]
+        colours[p] = packed(skin_rgba[source]) if polygons[p, IS_SKIN] else packed(geom_rgba[source])
+    side = 2 * len(out)
+    poses, view = (positions, rotations), (camera, axes)
+    paint(polygons, corners, skin, colours, poses, view, visible, side, pixels, left, right)
+    average(pairs, out)
+
+
+@compiled(f"void({_SCENE}, u4[::1], {_WORLD}, {_SCRATCH}, u1[:, :])")
+def draw_segments(
+    polygons: Any,
+    corners: Any,
+    skin: Any,
+    segments: Any,
+    positions: Any,
+    rotations: Any,
+    camera: Any,
+    axes: Any,
+    visible: float,
+    pixels: Any,
+    left: Any,
+    right: Any,
+    out: Any,
+) -> None:
+    """Writes the segment of each pixel's centre into `out`, shape (size, size); 0 where no polygon is."""
+    side = len(out)
+    poses, view = (positions, rotations), (camera, axes)
+    paint(polygons, corners, skin, segments, poses, view, visible, side, pixels, left, right)
+    for row in range(side):
+        for column in range(side):
+            out[side - 1 - row, column] = pixels[row * side + column]
