@@ -107,7 +107,7 @@ def _episode(env: MagicalEnv, seed: int, plan: list[int], preset: Preset) -> tup
     start = process_time()
     env.reset(seed=seed)
     seconds = process_time() - start + _seconds(play, first)
-    with closing(BareLoop(env.dm_env.initial_scene, preset)) as bare:
+    with closing(BareLoop(env.engine.initial_scene, preset)) as bare:
         bare_seconds = _seconds(bare.run, first)
         for actions in others:
             seconds += _seconds(play, actions)
@@ -126,7 +126,7 @@ def plans(env: MagicalEnv) -> Iterator[list[int]]:
     """Random actions for one episode after another."""
     rng = np.random.default_rng(0)
     while True:
-        yield rng.integers(len(ACTIONS), size=env.dm_env.horizon).tolist()
+        yield rng.integers(len(ACTIONS), size=env.engine.horizon).tolist()
 
 
 def _reset_times(task: str, variant: str, preset: str) -> dict[Cause, list[float]]:
@@ -134,10 +134,10 @@ def _reset_times(task: str, variant: str, preset: str) -> dict[Cause, list[float
     times: dict[Cause, list[float]] = {"rewritten": [], "compiled": []}
     with closing(MagicalEnv(task, variant, preset)) as env:
         for seed in range(RESETS):
-            before, start = env.dm_env.task.world.structure, process_time()
+            before, start = env.engine.simulation.world.structure, process_time()
             env.reset(seed=seed)
             taken = process_time() - start
-            times["rewritten" if env.dm_env.task.world.structure == before else "compiled"].append(taken)
+            times["rewritten" if env.engine.simulation.world.structure == before else "compiled"].append(taken)
     return times
 
 

@@ -25,6 +25,7 @@ from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, sample_scen
 
 if TYPE_CHECKING:
     from magical_mj import batched, demos, evaluation
+    from magical_mj.engine import Engine
     from magical_mj.engine.export import export_mjcf
     from magical_mj.envs import wrappers
     from magical_mj.envs.composer import Environment, load, load_scene
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from magical_mj.policies import expert as experts
 
 _LAZY = {  # loaded at first use, so that listing tasks and sampling scenes start no simulator
+    "Engine": "engine",
     "Environment": "envs.composer",
     "MagicalEnv": "envs.gymnasium_env",
     "load": "envs.composer",
@@ -47,6 +49,7 @@ __all__ = [
     "VARIANTS",
     "Block",
     "Dynamics",
+    "Engine",
     "Environment",
     "GoalRegion",
     "MagicalEnv",

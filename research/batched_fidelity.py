@@ -59,15 +59,14 @@ def compare(states: int, steps: int, device: str) -> None:
     pairs = magical_mj.ENVIRONMENTS
     for first in range(0, states, BATCH):
         chosen = [pairs[number % len(pairs)] for number in range(first, min(first + BATCH, states))]
-        envs = [magical_mj.load(*pair, seed=first, observations=()) for pair in chosen]
+        envs = [magical_mj.Engine(*pair, seed=first) for pair in chosen]
         for env in envs:
-            env.reset()
             for action in held(rng, int(rng.integers((env.horizon or 1) - steps))):
                 env.step(action)
         scenes = [env.initial_scene for env in envs]
         physics = Physics(WorldScenes.of(scenes, *Capacity.of(scenes)), device)
         for world, env in enumerate(envs):
-            take_over(physics, world, env.physics.data.ptr)
+            take_over(physics, world, env.data)
         plans = np.array([held(rng, steps) for _ in envs])
         errors = np.zeros((len(envs), steps))
         for step in range(steps):
@@ -110,8 +109,7 @@ def replay(tasks: Sequence[str], human: Path | None, count: int, device: str) ->
     for (who, task), cases in groups.items():
         ours = []
         for scene, actions in cases:
-            env = magical_mj.load(task, scene=scene, observations=())
-            env.reset()
+            env = magical_mj.Engine(task, scene=scene)
             for action in actions:
                 env.step(int(action))
             ours.append(env.score())

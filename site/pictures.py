@@ -33,8 +33,7 @@ def animation(task: str, path: Path) -> None:
 
 def picture(scene: Scene, path: Path, size: int) -> None:
     """A scene from above as a small PNG."""
-    env = magical_mj.load_scene(scene, observations=())
-    env.reset()
+    env = magical_mj.Engine.of_scene(scene)
     Image.fromarray(env.render("allo", size)).quantize(64).save(path, optimize=True)
     env.close()
 

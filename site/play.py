@@ -24,7 +24,7 @@ def write_play(folder: Path) -> int:
     shutil.copytree(PAGE, folder)
     for task, variant in magical_mj.ENVIRONMENTS:
         data = environment_scenes(task, variant)
-        env = magical_mj.load(task, variant, seed=0, observations=())
+        env = magical_mj.Engine(task, variant, seed=0)
         models = []
         for entry in data["scenes"]:
             env.reset(seed=entry["seed"])

@@ -45,8 +45,8 @@ def test_wheel_runs(wheel: zipfile.ZipFile, tmp_path: Path) -> None:
     wheel.extractall(tmp_path)
     code = (
         "import magical_mj; "
-        "env = magical_mj.load('FindDupe', 'All', seed=1); "
-        "assert env.reset().observation['ego'].any(); "
+        "env = magical_mj.Engine('FindDupe', 'All', seed=1); "
+        "assert env.render('ego', 96).any(); "
         "print(magical_mj.__file__)"
     )
     variables = os.environ | {"PYTHONPATH": str(tmp_path)}

@@ -8,9 +8,9 @@ from typing import Final
 import mujoco
 
 from magical_mj.assets import solids, style
-from magical_mj.assets.contacts import PRESS, SETTINGS, PhysicsSettings, floor_pair, foot, softness, vertex
+from magical_mj.assets.contacts import SETTINGS, PhysicsSettings, floor_pair, foot, foot_friction, softness, vertex
 from magical_mj.assets.meshes import Points, inset
-from magical_mj.assets.mjcf import comment, move_body, numbers, planar_body
+from magical_mj.assets.mjcf import comment, move_body, numbers, planar_body, planar_joint
 from magical_mj.assets.style import BLOCK_FILL, BLOCK_OUTLINE
 from magical_mj.scene import Block, Dynamics
 from magical_mj.scene import constants as c
@@ -50,15 +50,19 @@ def block_pair(index: int, dynamics: Dynamics, settings: PhysicsSettings) -> str
     return floor_pair(f"block{index}_foot", dynamics.block_friction_force, c.BLOCK_MASS, settings)
 
 
-def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dynamics) -> None:
-    """Changes pose, colour and friction of a block in a compiled model, with the same result as compiling."""
-    move_body(model, f"block{index}", block.pose)
-    body = model.body(f"block{index}")
-    first, colours = int(body.geomadr[0]), model.geom_rgba
-    colours[first] = colours[first + SIDES] = style.levels(BLOCK_OUTLINE[block.colour])
-    colours[first + 1] = style.levels(BLOCK_FILL[block.colour])
-    model.pair_friction[model.pair(f"block{index}_foot").id, :2] = dynamics.block_friction_force / PRESS
-    model.dof_frictionloss[body.dofadr[0] + 2] = dynamics.block_friction_torque
+def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dynamics, scope: str = "") -> None:
+    """Changes pose, colour and friction of a block in a compiled model, with the same result as compiling.
+
+    `scope` is that of `planar_joint`.
+    """
+    name = f"block{index}"
+    move_body(model, name, block.pose, scope)
+    outline, fill = style.levels(BLOCK_OUTLINE[block.colour]), style.levels(BLOCK_FILL[block.colour])
+    for part, colour in (("outline", outline), ("fill", fill), ("sides", outline)):
+        model.geom_rgba[model.geom(f"{scope}{name}_{part}").id] = colour
+    model.pair_friction[model.pair(f"{name}_foot").id, :2] = foot_friction(dynamics.block_friction_force)
+    spin = model.jnt_dofadr[planar_joint(model, f"{name}_angle", scope)]
+    model.dof_frictionloss[spin] = dynamics.block_friction_torque
 
 
 @lru_cache(32)

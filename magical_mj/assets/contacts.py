@@ -8,11 +8,17 @@ are two sets of walls, one for the fingers and one for everything else, with the
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from magical_mj.assets import style
 from magical_mj.assets.mjcf import comment, numbers
 from magical_mj.scene import constants as c
+
+Floats = TypeVar("Floats", float, NDArray[np.float64])
+"""A number, or one for each of several worlds."""
 
 SUBSTEPS: Final = 10
 """Physics steps per action."""
@@ -107,6 +113,11 @@ def foot(name: str) -> str:
     return f'<geom name="{name}" class="foot"/>'
 
 
+def foot_friction(force: Floats) -> Floats:
+    """The friction coefficient of a foot that resists with at most this force; of arrays, too."""
+    return force / PRESS
+
+
 def floor_pair(name: str, friction_force: float, mass: float, settings: PhysicsSettings) -> str:
     """The contact of a foot with the floor: it presses with `PRESS`, so friction resists with at most `friction_force`.
 
@@ -116,7 +127,7 @@ def floor_pair(name: str, friction_force: float, mass: float, settings: PhysicsS
     """
     stiffness = PRESS * (1 - settings.foot_impedance) * 2 / 3 / mass / FOOT_DEPTH
     soft = softness("", stiffness, settings.foot_impedance)
-    friction = numbers(friction_force / PRESS, friction_force / PRESS)
+    friction = numbers(*[foot_friction(friction_force)] * 2)
     return f'<pair name="{name}" geom1="floor" geom2="{name}" condim="3" friction="{friction}" {soft}/>'
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from typing import Final
-from xml.etree.ElementTree import Comment, Element
+from xml.etree.ElementTree import Comment, Element, TreeBuilder, XMLParser, fromstring
 from xml.sax.saxutils import quoteattr
 
 import mujoco
@@ -64,10 +64,22 @@ def planar_body(name: str, pose: Pose, content: str, hinge: str = "") -> str:
     )
 
 
-def move_body(model: mujoco.MjModel, name: str, pose: Pose) -> None:
+def planar_joint(model: mujoco.MjModel, name: str, scope: str) -> int:
+    """The index of a planar body's joint.
+
+    Args:
+        model: a compiled model.
+        name: the joint's name.
+        scope: "" or, where bodies are models of their own that dm_control attached, what precedes names, as "block0/".
+            Planar joints are in the frame of the attachment there, and names of what is in it end with "/", too.
+    """
+    return model.joint(f"{scope}{name}/" if scope else name).id
+
+
+def move_body(model: mujoco.MjModel, name: str, pose: Pose, scope: str = "") -> None:
     """Changes the reference pose of a planar body in a compiled model, with the same result as compiling."""
-    body = model.body(name).id
-    joint = model.body_jntadr[body]
+    joint = planar_joint(model, f"{name}_x", scope)
+    body = model.jnt_bodyid[joint]
     model.body_pos[body, :2] = pose[:2]
     model.body_quat[body] = quaternion(pose[2])
     model.jnt_axis[joint : joint + 2] = slide_axes(pose[2])
@@ -76,11 +88,16 @@ def move_body(model: mujoco.MjModel, name: str, pose: Pose) -> None:
 
 
 def bend_body(model: mujoco.MjModel, name: str, angle: float) -> None:
-    """The same for the reference angle of a body with one hinge."""
-    body = model.body(name).id
-    model.body_quat[body] = quaternion(angle)
-    first = model.jnt_qposadr[model.body_jntadr[body]]
-    model.qpos0[first] = angle
+    """The same for the reference angle of a body with one hinge, which has the body's name."""
+    joint = model.joint(name).id
+    model.body_quat[model.jnt_bodyid[joint]] = quaternion(angle)
+    model.qpos0[model.jnt_qposadr[joint]] = angle
+
+
+def elements(text: str) -> list[Element]:
+    """MJCF text of this package as elements, with its comments."""
+    parser = XMLParser(target=TreeBuilder(insert_comments=True))  # noqa: S314
+    return list(fromstring(f"<mujoco>{text}</mujoco>", parser))  # noqa: S314
 
 
 def comment(text: str) -> str:

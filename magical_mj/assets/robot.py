@@ -28,12 +28,13 @@ from magical_mj.assets.arena import EGO_CAMERA
 from magical_mj.assets.contacts import (
     FOOT_DEPTH,
     FOOT_RADIUS,
-    PRESS,
     SETTINGS,
     TIMESTEP,
+    Floats,
     PhysicsSettings,
     floor_pair,
     foot,
+    foot_friction,
     softness,
     vertex,
 )
@@ -147,9 +148,21 @@ def robot_pairs(dynamics: Dynamics, settings: PhysicsSettings) -> str:
     """The contacts of the wheels with the floor."""
     mass = c.ROBOT_MASS + 2 * c.FINGER_MASS
     return comment("Wheels grip the ground up to the drive's cap") + "".join(
-        floor_pair(name, share * dynamics.drive_force, mass, settings)
-        for name, share in zip(WHEELS, _shares(settings.loaded_share), strict=True)
+        floor_pair(wheel, force, mass, settings) for wheel, force in wheel_caps(dynamics.drive_force, settings).items()
     )
+
+
+def wheel_caps(drive_force: Floats, settings: PhysicsSettings = SETTINGS) -> dict[str, Floats]:
+    """Wheel -> the largest force with which it drives; of arrays, too."""
+    first, loaded = _shares(settings.loaded_share)
+    return {WHEELS[0]: first * drive_force, WHEELS[1]: loaded * drive_force}
+
+
+def torque_caps(turn_torque: Floats, finger_torque: Floats, settings: PhysicsSettings = SETTINGS) -> dict[str, Floats]:
+    """Rotor or finger motor -> the largest torque of its tendon; of arrays, too."""
+    first, loaded = _shares(settings.loaded_turn_share)
+    rotors = {ROTORS[0]: first * turn_torque, ROTORS[1]: loaded * turn_torque}
+    return rotors | dict.fromkeys(MOTORS.values(), finger_torque)
 
 
 def tendons_mjcf(dynamics: Dynamics, settings: PhysicsSettings) -> str:
@@ -157,15 +170,16 @@ def tendons_mjcf(dynamics: Dynamics, settings: PhysicsSettings) -> str:
 
     The damping of the castor makes it lag behind the robot by one substep.
     """
+    caps = torque_caps(dynamics.turn_torque, dynamics.finger_torque, settings)
     soft = softness("friction", 1, settings.dry_impedance)
     turns = "".join(
-        f'<fixed name="{rotor}" frictionloss="{numbers(share * dynamics.turn_torque)}" {soft}>'
+        f'<fixed name="{rotor}" frictionloss="{numbers(caps[rotor])}" {soft}>'
         f'<joint joint="robot_angle" coef="1"/><joint joint="{rotor}" coef="1"/></fixed>'
-        for rotor, share in zip(ROTORS, _shares(settings.loaded_turn_share), strict=True)
+        for rotor in ROTORS
     )
     soft = softness("friction", 1, settings.motor_impedance)
     grips = "".join(
-        f'<fixed name="{motor}" frictionloss="{numbers(dynamics.finger_torque)}" {soft}>'
+        f'<fixed name="{motor}" frictionloss="{numbers(caps[motor])}" {soft}>'
         f'<joint joint="{side}_finger" coef="1"/><joint joint="{motor}" coef="-1"/></fixed>'
         for side, motor in MOTORS.items()
     )
@@ -193,16 +207,18 @@ def actuators_mjcf() -> str:
     )
 
 
-def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics) -> None:
-    """Changes pose and force caps of the robot in a compiled model, with the same result as compiling."""
-    move_body(model, "robot", robot.pose)
-    for wheel, share in zip(WHEELS, _shares(SETTINGS.loaded_share), strict=True):
-        model.pair_friction[model.pair(wheel).id, :2] = share * dynamics.drive_force / PRESS
-    for rotor, share in zip(ROTORS, _shares(SETTINGS.loaded_turn_share), strict=True):
-        model.tendon_frictionloss[model.tendon(rotor).id] = share * dynamics.turn_torque
-    for (side, motor), angle in zip(MOTORS.items(), robot.fingers, strict=True):
-        bend_body(model, f"{side}_finger", angle)
-        model.tendon_frictionloss[model.tendon(motor).id] = dynamics.finger_torque
+def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics, scope: str = "") -> None:
+    """Changes pose and force caps of the robot in a compiled model, with the same result as compiling.
+
+    `scope` is that of `planar_joint`.
+    """
+    move_body(model, "robot", robot.pose, scope)
+    for side, angle in zip(MOTORS, robot.fingers, strict=True):
+        bend_body(model, f"{scope}{side}_finger", angle)
+    for wheel, force in wheel_caps(dynamics.drive_force).items():
+        model.pair_friction[model.pair(wheel).id, :2] = foot_friction(force)
+    for motor, torque in torque_caps(dynamics.turn_torque, dynamics.finger_torque).items():
+        model.tendon_frictionloss[model.tendon(f"{scope}{motor}").id] = torque
 
 
 def controls(settings: PhysicsSettings = SETTINGS) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""The world of a scene: its MJCF model, its compiled model, and the composer entity of both.
+"""The world of a scene: its MJCF model, its compiled model, and where the scene's things are in it.
 
 Parsing the MJCF text of a world takes longer than compiling it. Worlds with the same numbers of blocks and regions
 differ only in the shapes of their blocks and in numbers, which `World.rewrite` writes into the compiled model. So specs
@@ -8,14 +8,12 @@ are assembled from parts that are parsed once.
 from __future__ import annotations
 
 import dataclasses
-from collections import OrderedDict
 from copy import copy
 from functools import cache, lru_cache
 from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
-from dm_control import composer, mjcf
 from numpy.typing import NDArray
 
 from magical_mj.assets import solids
@@ -32,6 +30,8 @@ from magical_mj.scene.constants import Shape
 MEMORY: Final = '<size memory="33M"/>'
 """Only about 50 kB of it are used, and unused memory costs nothing. Blocks above 32 MiB are returned to the system by
 glibc; with smaller ones, memory would become fragmented as models come and go: 1 MB per 300 models."""
+APART: Final = '<exclude body1="left_finger" body2="right_finger"/>'
+"""The fingers do not touch each other."""
 
 
 def world_mjcf(scene: Scene, settings: PhysicsSettings = SETTINGS, regions: str | None = None) -> str:
@@ -42,23 +42,39 @@ def world_mjcf(scene: Scene, settings: PhysicsSettings = SETTINGS, regions: str 
         settings: parameters of the simulation.
         regions: the skins of the regions, as MJCF; None: those of the scene.
     """
-    if regions is None:
-        regions = regions_mjcf(scene.regions)
     dynamics = scene.dynamics
     blocks = "".join(block_mjcf(index, block, dynamics, settings) for index, block in enumerate(scene.blocks))
     feet = "".join(block_pair(index, dynamics, settings) for index in range(len(scene.blocks)))
+    return model_mjcf(
+        bodies=blocks + robot_mjcf(scene.robot, settings),
+        regions=regions_mjcf(scene.regions) if regions is None else regions,
+        contacts=feet + robot_pairs(dynamics, settings) + APART,
+        tendons=tendons_mjcf(dynamics, settings),
+        actuators=actuators_mjcf(),
+        settings=settings,
+    )
+
+
+def model_mjcf(
+    *,
+    bodies: str = "",
+    regions: str = "",
+    contacts: str = "",
+    tendons: str = "",
+    actuators: str = "",
+    settings: PhysicsSettings = SETTINGS,
+) -> str:
+    """A model as MJCF text: the arena, with what is given as MJCF; without anything, the empty arena."""
     return (
         f'<mujoco model="magical_mj">{options(settings)}{MEMORY}{LOOK}'
         f"{comment('What geoms are: two meet if a bit of the contype of one is in the conaffinity of the other')}"
         f"<default>{geom_classes(settings)}</default>"
         f"{comment('Flat polygons, in which things are drawn, and the sides of pentagons and stars')}"
         f"<asset>{SKY}{library()}</asset>{comment('The world')}"
-        f"<worldbody>{arena_mjcf()}{blocks}{robot_mjcf(scene.robot, settings)}</worldbody>"
+        f"<worldbody>{arena_mjcf()}{bodies}</worldbody>"
         f"<deformable>{regions}</deformable>{comment('Friction with the ground: force cap / pressure')}"
-        f"<contact>{feet}{robot_pairs(dynamics, settings)}"
-        '<exclude body1="left_finger" body2="right_finger"/></contact>'
-        f"{comment('Servos')}<tendon>{tendons_mjcf(dynamics, settings)}</tendon><actuator>{actuators_mjcf()}</actuator>"
-        "</mujoco>"
+        f"<contact>{contacts}</contact>"
+        f"{comment('Servos')}<tendon>{tendons}</tendon><actuator>{actuators}</actuator></mujoco>"
     )
 
 
@@ -133,45 +149,42 @@ def planar(blocks: int) -> NDArray[np.int64]:
     return np.array([range(start, start + 3) for start in (first, *range(0, first, 3))])
 
 
-class World(composer.Entity):
-    """The composer entity of one scene: arena, robot, blocks and goal regions in one MJCF model.
+class World:
+    """A scene in the simulator: its model, as text or rewritten from another one, and the scene that `qpos` describes.
 
-    The model is written as text, which is forty times faster than building composer's tree of elements, and is compiled
-    from a spec that was parsed from parts of this text. The tree is made only when `mjcf_model` is first read; from
-    then on the tree is compiled, with everything that users have added to it, until an episode starts in another scene,
-    which is another world: what every episode needs is added in a hook, composer's `initialize_episode_mjcf`.
+    Args:
+        scene: the scene in which the world's episodes start.
+
+    Attributes:
+        structure: worlds with the same structure share a compiled model, apart from its numbers.
     """
 
-    def _build(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.structure = Structure(tuple(block.shape for block in scene.blocks), tuple(map(dash_count, scene.regions)))
-        self.tree: mjcf.RootElement | None = None
         self._planar = planar(len(scene.blocks))
         self._fingers = 3 * len(scene.blocks) + JOINTS.index("left_finger")
-
-    def _build_observables(self) -> composer.Observables:
-        return _NoObservables(self)
-
-    @property
-    def mjcf_model(self) -> mjcf.RootElement:
-        """The model as composer's tree of elements."""
-        if self.tree is None:
-            self.tree = mjcf.from_xml_string(self.mjcf())
-        return self.tree
 
     def mjcf(self) -> str:
         """The model as text."""
         return world_mjcf(self.scene)
 
-    def rewrite(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    def rewrite(self, model: mujoco.MjModel, data: mujoco.MjData, *, nested: bool = False) -> None:
         """Turns the compiled model of a world with the same structure into the model of this world.
 
         Compiling takes more than ten times as long. Constants that the compiler derives are computed again.
+
+        Args:
+            model: the compiled model.
+            data: a state of it, which is used to compute constants, and is to be reset afterwards.
+            nested: whether robot and blocks are models of their own that were attached to the arena's, whose names
+                begin with theirs, as in "block0/block0_x".
         """
-        rewrite_robot(model, self.scene.robot, self.scene.dynamics)
-        for index, block in enumerate(self.scene.blocks):
-            rewrite_block(model, index, block, self.scene.dynamics)
-        for index, region in enumerate(self.scene.regions):
+        scene = self.scene
+        rewrite_robot(model, scene.robot, scene.dynamics, "robot/" if nested else "")
+        for index, block in enumerate(scene.blocks):
+            rewrite_block(model, index, block, scene.dynamics, f"block{index}/" if nested else "")
+        for index, region in enumerate(scene.regions):
             rewrite_region(model, index, region)
         mujoco.mj_setConst(model, data)
 
@@ -193,11 +206,3 @@ class World(composer.Entity):
         now = self.scene.moved(robot, blocks)
         fingers = tuple(self.fingers(qpos).tolist())
         return dataclasses.replace(now, robot=dataclasses.replace(now.robot, fingers=fingers))
-
-
-class _NoObservables(composer.Observables):
-    """An empty set of observables, for which composer need not build the tree of elements to find names."""
-
-    def as_dict(self, fully_qualified: bool = True) -> OrderedDict[str, Any]:
-        del fully_qualified
-        return OrderedDict()

@@ -17,8 +17,8 @@ from torch import Tensor
 from magical_mj.batched.observations import Frames, Observation, States
 from magical_mj.batched.physics import Physics, check_device
 from magical_mj.batched.scenes import Capacity, SceneSampler, WorldScenes, sample
+from magical_mj.envs.gymnasium_env import ResetOptions
 from magical_mj.envs.presets import preset_named
-from magical_mj.envs.reset_options import ResetOptions
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS

@@ -119,8 +119,7 @@ def _print_backends(out: Console, results: dict[str, dict[str, str | float]]) ->
 def probe() -> None:
     """Draws a few frames and prints JSON: the renderer, and the milliseconds of the first and of a typical frame."""
     times = []
-    with closing(magical_mj.load("FindDupe", observations=())) as env:  # which says why OpenGL does not start
-        env.reset()
+    with closing(magical_mj.Engine("FindDupe", seed=0)) as env:  # which says why OpenGL does not start
         for _ in range(FRAMES):
             start = time.perf_counter()
             env.render("ego", SIZE)

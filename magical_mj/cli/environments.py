@@ -90,9 +90,8 @@ def view(
     else:
         if task is None:
             raise typer.BadParameter("give TASK, or --grid for all environments.")
-        with closing(magical_mj.load(task, variant, seed=seed, observations=())) as env:
+        with closing(magical_mj.Engine(task, variant, seed=seed)) as env:
             path = check_writable(out or Path(file_name(task, variant, seed, ".png")), force)
-            env.reset()
             picture = Image.fromarray(side_by_side(env, size or 384, views))
     with files.new_file(path, overwrite=force) as unfinished:
         picture.save(unfinished)
@@ -101,9 +100,8 @@ def view(
 
 def export(task: Task, out: Folder, variant: Variant = "Demo", seed: Seed = 0, force: Force = False) -> None:
     """Write a scene as a self-contained MJCF model."""
-    with closing(magical_mj.load(task, variant, seed=seed, observations=())) as env:
+    with closing(magical_mj.Engine(task, variant, seed=seed)) as env:
         path = check_writable(out / file_name(task, variant, seed, ".xml"), force)
-        env.reset()
         console().print(magical_mj.export_mjcf(env, path, overwrite=force), soft_wrap=True)
 
 
@@ -124,8 +122,7 @@ def contact_sheet(seed: int, size: int) -> Image.Image:
 def _scene(task: str, variant: str, seed: int, size: int) -> Image.Image:
     if (task, variant) not in ENVIRONMENTS:
         return Image.new("RGB", (size, size), ABSENT)
-    with closing(magical_mj.load(task, variant, seed=seed, observations=())) as env:
-        env.reset()
+    with closing(magical_mj.Engine(task, variant, seed=seed)) as env:
         return Image.fromarray(env.render("allo", size))
 
 

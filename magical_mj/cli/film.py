@@ -27,7 +27,7 @@ from magical_mj.utils.errors import EvaluationError, check_name
 from magical_mj.utils.extras import check_extra
 
 if TYPE_CHECKING:
-    from magical_mj.envs.composer import Environment
+    from magical_mj.engine import Engine
 
 Picture = NDArray[np.uint8]
 
@@ -169,8 +169,7 @@ def replay(made: Film, score: EpisodeResult) -> None:
         EvaluationError: if the replay ends with another score, because versions have changed.
     """
     rules = check_rules(score.rules)
-    with closing(magical_mj.load(score.task, score.variant, seed=score.seed, observations=(), rules=rules)) as env:
-        env.reset(seed=score.seed)
+    with closing(magical_mj.Engine(score.task, score.variant, seed=score.seed, rules=rules)) as env:
         title = f"{score.task} {score.variant}, seed {score.seed}: {score.policy}"
         made.begin(title, side_by_side(env, made.size, made.views), env.score())
         for step, (action, _) in enumerate(play(env, actions_of(score.actions)), start=1):
@@ -196,7 +195,7 @@ def views_of(cameras: str) -> list[str]:
     return views
 
 
-def side_by_side(env: Environment, size: int, views: Sequence[str] = SIDE_BY_SIDE) -> Picture:
+def side_by_side(env: Engine, size: int, views: Sequence[str] = SIDE_BY_SIDE) -> Picture:
     """Views of the present state side by side. Shape (size, views * size, 3)."""
     return np.concatenate([env.render(view, size) for view in views], axis=1)
 

@@ -26,7 +26,7 @@ from magical_mj.utils.extras import missing_extra
 
 if TYPE_CHECKING:
     from magical_mj.demos import Demonstration
-    from magical_mj.envs.composer import Environment
+    from magical_mj.engine import Engine
     from magical_mj.web.server import PlayServer
 
 KEYS: Final = "arrows drive, space grips, R again, N next scene, Esc quits"
@@ -101,7 +101,7 @@ def play(
     browser = "; without one, play in a browser: magical-mj play --web" if task_name(task) in TASKS else ""
     title = f"{task} {variant_name(variant)}"
     with (
-        closing(magical_mj.load(task, variant, seed=seed, observations=())) as env,
+        closing(magical_mj.Engine(task, variant, seed=seed)) as env,
         closing(Window(title, size, speed, browser)) as window,
     ):
         episodes = Episodes(None if record is None else make_writable_folder(record))
@@ -142,7 +142,7 @@ class Episodes:
 class Episode:
     """One scene in a window, from its start to what became of it. The clock starts with the first key."""
 
-    def __init__(self, env: Environment, pair: Pair, seed: int, episodes: Episodes) -> None:
+    def __init__(self, env: Engine, pair: Pair, seed: int, episodes: Episodes) -> None:
         env.reset(seed=seed)
         self._env, self._pair, self._seed, self._episodes = env, pair, seed, episodes
         self._recorder = magical_mj.demos.Recorder(env)
@@ -154,7 +154,7 @@ class Episode:
         if self._result is not None or (self._steps == 0 and action == NOOP):
             return
         self._steps += 1
-        if self._recorder.step(action).last():
+        if self._recorder.step(action):
             demo = self._recorder.demonstration(*self._pair, self._seed, "human", self._seed)
             self._result = self._episodes.finish(demo)
 
@@ -172,7 +172,7 @@ class Episode:
         return f"{left}, score so far {self._env.score():.2f} ({KEYS})"
 
 
-def play_in(window: Window, env: Environment, pair: Pair, seed: int, size: int, episodes: Episodes) -> None:
+def play_in(window: Window, env: Engine, pair: Pair, seed: int, size: int, episodes: Episodes) -> None:
     """Plays episodes until the player quits, in scene after scene or in the same one again."""
     summary = task_spec(pair[0]).summary
     goal = f"{summary[0].upper()}{summary[1:]}."

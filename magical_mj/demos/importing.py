@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.recording import Recorder
-from magical_mj.envs.composer import load
+from magical_mj.engine import Engine
 from magical_mj.policies.interface import play
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS
@@ -85,7 +85,7 @@ def from_recording(text: str | bytes) -> Imported:
 
 
 def _replayed(task: str, variant: str, seed: int, actions: list[int], seen: Any) -> Imported:
-    with closing(load(task, variant, seed=0, observations=())) as env:
+    with closing(Engine(task, variant, seed=0)) as env:
         env.reset(seed=seed)
         expected = None if seen is None else _poses(seen, blocks=len(env.initial_scene.blocks))
         recorder = Recorder(env)

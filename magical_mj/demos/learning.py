@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.replay import see
-from magical_mj.envs.frames import FrameStack, seen
-from magical_mj.envs.presets import Preset, preset_named
+from magical_mj.envs.presets import FrameStack, Preset, drawn, preset_named
 from magical_mj.scene.actions import NOOP
 from magical_mj.scene.state_vector import StateEncoder
 from magical_mj.utils.errors import DemonstrationError
@@ -88,5 +87,5 @@ def _stacked(demo: Demonstration, preset: Preset, frames: tuple[tuple[str, int],
     stack = FrameStack(frames, preset.image_size, channels_first=preset.layout == "chw")
     rows = np.empty((len(demo.qpos), *stack.shape), np.uint8)
     for number, pictures in enumerate(see(demo, [view for view, _ in frames], preset.image_size)):
-        rows[number] = stack.push(seen(pictures)) if number else stack.start(seen(pictures))
+        rows[number] = stack.push(drawn(pictures)) if number else stack.start(drawn(pictures))
     return rows

@@ -1,16 +1,15 @@
-"""Recording: the steps of an environment become a demonstration."""
+"""Recording: the steps of an engine become a demonstration."""
 
 from __future__ import annotations
 
 from contextlib import closing
 from typing import Any, Final
 
-import dm_env
 import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.demos.demonstration import Demonstration, Demonstrator
-from magical_mj.envs.composer import Environment, load
+from magical_mj.engine import Engine
 from magical_mj.policies.expert import Expert
 from magical_mj.policies.interface import forever, play
 from magical_mj.scene.actions import NOOP, action_number
@@ -28,21 +27,21 @@ STRIDE: Final = 1_000_003
 
 
 class Recorder:
-    """Steps an environment and records actions and states of one episode, at whose start it must be made.
+    """Steps an engine and records actions and states of one episode, at whose start it must be made.
 
     Raises:
         DemonstrationError: if the episode has begun already.
     """
 
-    def __init__(self, env: Environment) -> None:
-        if env.task.steps:
-            raise DemonstrationError(f"the episode began {env.task.steps} steps ago: reset the environment before")
+    def __init__(self, env: Engine) -> None:
+        if env.steps:
+            raise DemonstrationError(f"the episode began {env.steps} steps ago: reset the environment before")
         self._env = env
         self._actions: list[int] = []
         self._states = [self._state()]
 
-    def step(self, action: Any) -> dm_env.TimeStep:
-        """One action, as the environment takes it.
+    def step(self, action: Any) -> bool:
+        """One action, as the engine takes it. Returns whether the episode is over.
 
         Raises:
             DemonstrationError: if the episode is over, or went on without this recorder.
@@ -51,10 +50,10 @@ class Recorder:
         if self._env.over:
             raise DemonstrationError("the episode is over: reset the environment, and record with another Recorder")
         self._check_complete()
-        now = self._env.step(action)
+        over = self._env.step(action)
         self._actions.append(action_number(action))
         self._states.append(self._state())
-        return now
+        return over
 
     def idle(self, steps: int) -> bool:
         """Whether the last `steps` actions were all no-ops."""
@@ -95,11 +94,11 @@ class Recorder:
         )
 
     def _check_complete(self) -> None:
-        if self._env.task.steps != len(self._actions):
+        if self._env.steps != len(self._actions):
             raise DemonstrationError("the environment was reset or stepped without the recorder: make another one")
 
     def _state(self) -> tuple[Floats, Floats]:
-        data = self._env.physics.data
+        data = self._env.data
         return data.qpos.copy(), data.qvel.copy()
 
 
@@ -114,7 +113,7 @@ def demonstrate(task: str, variant: str, number: int, least_score: float = 1.0) 
     """
     number = check_seed(number)
     best = 0.0
-    with closing(load(task, variant, seed=number, observations=())) as env:
+    with closing(Engine(task, variant, seed=number)) as env:
         for attempt in range(ATTEMPTS):
             env.reset(seed=number)
             seed = number + attempt * STRIDE

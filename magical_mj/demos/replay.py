@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.recording import Recorder
-from magical_mj.envs.composer import Environment, load
+from magical_mj.engine import Engine
 from magical_mj.policies.interface import play
 from magical_mj.tasks.registry import sample_scene
 
@@ -47,7 +47,7 @@ class Verdict(NamedTuple):
 def verify(demo: Demonstration) -> Verdict:
     """Checks a demonstration with this version of the package and of MuJoCo."""
     drawn = [pictures["allo"] for pictures in itertools.islice(see(demo), 0, None, GLANCE)]
-    with _world(demo) as env:
+    with _engine(demo) as env:
         recorder, seen = Recorder(env), [env.render("allo", SIZE)]
         for step, _ in enumerate(play(recorder, demo.actions.tolist()), start=1):
             if step % GLANCE == 0:
@@ -75,22 +75,21 @@ def see(demo: Demonstration, views: Sequence[str] = ("allo",), size: int = SIZE)
     Yields:
         View -> picture, shape (size, size, 3).
     """
-    with _world(demo) as env:
+    with _engine(demo) as env:
         for positions in demo.qpos:
             place(env, positions)
             yield {view: env.render(view, size) for view in views}
 
 
-def place(env: Environment, positions: NDArray[np.float64]) -> None:
+def place(engine: Engine, positions: NDArray[np.float64]) -> None:
     """Sets all positions; pictures depend on nothing else."""
-    env.physics.data.qpos[:] = positions
-    mujoco.mj_kinematics(env.physics.model.ptr, env.physics.data.ptr)
-    mujoco.mj_camlight(env.physics.model.ptr, env.physics.data.ptr)
+    engine.data.qpos[:] = positions
+    mujoco.mj_kinematics(engine.model, engine.data)
+    mujoco.mj_camlight(engine.model, engine.data)
 
 
 @contextmanager
-def _world(demo: Demonstration) -> Iterator[Environment]:
-    """The environment of a demonstration, at its start."""
-    with closing(load(demo.task, demo.variant, scene=demo.scene, observations=())) as env:
-        env.reset()
-        yield env
+def _engine(demo: Demonstration) -> Iterator[Engine]:
+    """The engine of a demonstration, at its start."""
+    with closing(Engine(demo.task, demo.variant, scene=demo.scene)) as engine:
+        yield engine

@@ -1,4 +1,4 @@
-"""Scenes and running environments as MJCF files that plain MuJoCo loads, and that people can read.
+"""Scenes and running episodes as MJCF files that plain MuJoCo loads, and that people can read.
 
 A program needs only such a file to show, play and score an episode: besides the model it holds, under `<custom>`, the
 scene, the task and its rules, the horizon and the values of `ctrl` for each of the 18 actions.
@@ -17,16 +17,16 @@ import mujoco
 
 from magical_mj._version import __version__
 from magical_mj.assets.contacts import SUBSTEPS
-from magical_mj.assets.mjcf import indented, numbers
+from magical_mj.assets.mjcf import elements, indented, numbers
 from magical_mj.assets.region import BONE, region_mjcf
 from magical_mj.assets.robot import controls
 from magical_mj.assets.world import world_mjcf
-from magical_mj.envs.composer import Environment
+from magical_mj.engine.engine import Engine
 from magical_mj.scene import Scene
 from magical_mj.scene.geometry import check_scene
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.utils import files
-from magical_mj.utils.errors import InvalidSceneError, StateError, shown
+from magical_mj.utils.errors import InvalidSceneError, shown
 
 HEADER: Final = """<!--
   {what}, as a MuJoCo model. Written by magical-mj {version}.
@@ -47,15 +47,15 @@ BLOCK_PARTS: Final = ("outline", "fill", "sides")
 SENSORS: Final = "For plots: where everything is and how fast, in world coordinates"
 
 
-def export_mjcf(source: Scene | Environment, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+def export_mjcf(source: Scene | Engine, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
     """Writes a self-contained MJCF model: geometry, dynamics, all cameras, sensors and a keyframe.
 
-    The reference pose of the model is the scene (for an environment: the one in which its episode started), and the
+    The reference pose of the model is the scene (for an engine: the one in which its episode started), and the
     keyframe "now" is the present state with velocities. From the start of an episode, the model moves exactly as the
-    environment does if it is played as the file's header says; from later states, up to rounding.
+    engine does if it is played as the file's header says; from later states, up to rounding.
 
     Args:
-        source: a scene, or an environment at any point of an episode. For an environment, the file also holds task,
+        source: a scene, or an engine at any point of an episode. For an engine, the file also holds task,
             rules and horizon, and variant and seed if the scene was drawn from a seed.
         path: the file to write; its folder is made if missing.
         overwrite: whether an existing file may be replaced.
@@ -65,8 +65,7 @@ def export_mjcf(source: Scene | Environment, path: str | os.PathLike[str], *, ov
 
     Raises:
         InvalidSceneError: if the scene is not legal, or the source is something else.
-        ClosedError: if the environment is closed.
-        StateError: if users have changed the environment's MJCF tree, which a file made of its scene would lack.
+        ClosedError: if the engine is closed.
         FileExistsError: if the file exists and `overwrite` is false.
         OSError: if it cannot be written.
     """
@@ -77,32 +76,26 @@ def export_mjcf(source: Scene | Environment, path: str | os.PathLike[str], *, ov
     return path
 
 
-def mjcf_text(source: Scene | Environment) -> str:
+def mjcf_text(source: Scene | Engine) -> str:
     """The content of the file that `export_mjcf` writes.
 
     Raises:
-        InvalidSceneError, ClosedError, StateError: as `export_mjcf`.
+        InvalidSceneError, ClosedError: as `export_mjcf`.
     """
     about: dict[str, Any] = {"protocol": PROTOCOL, "substeps": SUBSTEPS}
     if isinstance(source, Scene):
         check_scene(source)
         scene, data = source, mujoco.MjData(mujoco.MjModel.from_xml_string(world_mjcf(source)))
-    elif not isinstance(source, Environment):
+    elif not isinstance(source, Engine):
         raise InvalidSceneError(
-            f"a file is made of a Scene, or of what magical_mj.load returns, not of {shown(source)}; "
-            "in Gymnasium's environments that is env.unwrapped.dm_env"
+            f"a file is made of a Scene or a magical_mj.Engine, not of {shown(source)}; "
+            "in Gymnasium's environments that is env.unwrapped.engine"
         )
     else:
-        scene, data = source.initial_scene, source.physics.data.ptr
-        if source.task.world.tree is not None:
-            raise StateError(
-                "the environment's MJCF tree has been read, and may have been changed: write that one, with "
-                "dm_control.mjcf.export_with_assets(env.task.root_entity.mjcf_model, folder), or export its scene"
-            )
-        settings = source.task.settings
-        drawn = source.task.seed is not None  # else the scene may be of no variant, or of another one
-        about |= {"task": settings.task, "variant": settings.variant if drawn else None, "seed": source.task.seed}
-        about |= {"rules": settings.rules if settings.task else None, "horizon": source.horizon}
+        scene, data = source.initial_scene, source.data
+        drawn = source.seed is not None  # else the scene may be of no variant, or of another one
+        about |= {"task": source.task, "variant": source.variant if drawn else None, "seed": source.seed}
+        about |= {"rules": source.rules if source.task else None, "horizon": source.horizon}
     about = {name: value for name, value in about.items() if value is not None}
     return _header(about) + indented(_model(scene, about, data))
 
@@ -116,7 +109,7 @@ def _header(about: Mapping[str, Any]) -> str:
 
 def _model(scene: Scene, about: Mapping[str, Any], data: mujoco.MjData) -> Element:
     """The model of a scene with everything that only files have: names, comments, sensors, custom data, keyframe."""
-    root = _parsed(world_mjcf(scene))
+    root = fromstring(world_mjcf(scene), XMLParser(target=TreeBuilder(insert_comments=True)))  # noqa: S314
     _name_blocks(root, scene)
     _unfold_regions(root, scene)
     root[:0] = [Comment(ABOUT), _custom(scene, about)]
@@ -141,15 +134,10 @@ def _unfold_regions(root: Element, scene: Scene) -> None:
     skins, assets, body = (_find(root, path) for path in ("deformable", "asset", f".//body[@name='{BONE}']"))
     root.remove(skins)
     for index, region in enumerate(scene.regions):
-        mesh, *geoms = region_mjcf(index, region)
-        assets.append(_parsed(mesh))
+        mesh, *geoms = elements("".join(region_mjcf(index, region)))
+        assets.append(mesh)
         body.append(Comment(f"Goal region {index}: {region.colour}"))
-        body.extend(map(_parsed, geoms))
-
-
-def _parsed(mjcf: str) -> Element:
-    """MJCF text of this package as an element with comments."""
-    return fromstring(mjcf, XMLParser(target=TreeBuilder(insert_comments=True)))  # noqa: S314
+        body.extend(geoms)
 
 
 def _find(root: Element, path: str) -> Element:

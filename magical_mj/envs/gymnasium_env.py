@@ -1,9 +1,10 @@
-"""The Gymnasium environment: presets of stacked frames over the dm_env environment."""
+"""The Gymnasium environment: presets of stacked frames over the engine."""
 
 from __future__ import annotations
 
 import copy
 import dataclasses
+import warnings
 from collections.abc import Mapping
 from typing import Any, Final, Literal, get_args
 
@@ -13,18 +14,16 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from magical_mj.envs.composer import Environment, State, load
-from magical_mj.envs.frames import Images, Stacks
-from magical_mj.envs.presets import observation_space, preset_named
-from magical_mj.envs.reset_options import ResetOptions
+from magical_mj.engine import Engine, State
+from magical_mj.envs.presets import Images, Stacks, observation_space, preset_named
 from magical_mj.envs.wrappers import continuous_space
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS, to_discrete
-from magical_mj.scene.state_vector import CAMERAS, VIEWS
-from magical_mj.tasks.spec import Reward, Rules
-from magical_mj.utils.errors import InvalidSceneError, check_name
+from magical_mj.scene.state_vector import CAMERAS, VIEWS, StateEncoder
+from magical_mj.tasks.spec import REWARDS, Reward, Rules
+from magical_mj.utils.errors import InvalidSceneError, SettingsError, check_name, shown
 from magical_mj.variants import check_seed
 
 ActionForm = Literal["discrete", "continuous"]
@@ -93,15 +92,9 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._preset = preset_named(preset)
         size = self._preset.image_size if image_size is None else check_size(image_size)
         self._stacks = Stacks(self._preset, size)
-        self._env = load(
-            task,
-            variant,
-            seed=0,  # for an episode that is never played, since every reset gives a seed
-            observations=["state"] if self._preset.layout == "state" else [],  # pictures go to the stacks
-            image_size=size,
-            reward=reward,
-            rules=rules,
-        )
+        check_name("reward", reward, REWARDS)
+        self.reward: Reward = reward
+        self._engine = Engine(task, variant, seed=0, rules=rules)  # every episode begins with a reset
         self._continuous = action == "continuous"
         self.action_space = continuous_space() if self._continuous else spaces.Discrete(len(ACTIONS))
         self.observation_space = observation_space(self._preset, self._stacks.shapes)
@@ -111,23 +104,23 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._options = ResetOptions("scene", "state")
 
     @property
-    def dm_env(self) -> Environment:
-        """The dm_env environment that this one runs."""
-        return self._env
+    def engine(self) -> Engine:
+        """The engine that this environment runs."""
+        return self._engine
 
     @property
     def scene(self) -> Scene:
         """Where everything is now, fingers included."""
-        return self._env.scene
+        return self._engine.scene
 
     @property
     def initial_scene(self) -> Scene:
         """The scene in which this episode started."""
-        return self._env.initial_scene
+        return self._engine.initial_scene
 
     def score(self) -> float:
         """The score in [0, 1] if the episode ended now."""
-        return self._env.score()
+        return self._engine.score()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -146,18 +139,19 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             SettingsError: if the options are no dict.
         """
         seed = None if seed is None else check_seed(seed)
-        given = self._options.checked(options)
-        scene, state = _scene_option(given), given.get("state")
+        options = self._options.checked(options)
+        scene, state = _scene_option(options), options.get("state")
         if scene is not None or state is not None:
-            first = self._env.reset(scene=scene, state=state)
+            self._check_observable(scene if state is None else getattr(state, "scene", None))
+            self._engine.reset(scene=scene, state=state)
         else:
             again = self._seeded if seed is None else seed
-            first = self._env.reset(seed=int(self.np_random.integers(2**63)) if again is None else again)
+            self._engine.reset(seed=int(self.np_random.integers(2**63)) if again is None else again)
         super().reset(seed=seed)  # last, so that a reset that is refused leaves the generator as it was
         self._begun = True
         self._seeded = seed if scene is None and state is None else None
-        stacks = self._stacks.start(self._see, None if state is None else state.frames)
-        return self._observation(first.observation, stacks), self._info(last=False)
+        stacks = self._stacks.start(self._draw, None if state is None else state.frames)
+        return self._observation(stacks), self._info(last=False)
 
     def get_state(self) -> State:
         """The present state of the episode, to the bit, the pictures in the stacks included.
@@ -167,7 +161,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """
         if not self._begun:
             raise ResetNeeded("no episode has begun; call reset() before get_state()")
-        return dataclasses.replace(self._env.get_state(), frames=self._stacks.save())
+        return dataclasses.replace(self._engine.get_state(), frames=self._stacks.save())
 
     def set_state(self, state: State) -> None:
         """Goes back to a state, of this environment or another with the same task: what follows is the same to the bit.
@@ -179,9 +173,9 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             StateError: if it is no state of a scene of this task.
             InvalidSceneError: if its scene is not one of this task.
         """
-        self._env.set_state(state)
+        self._engine.set_state(state)
         self._begun, self._seeded = True, None
-        self._stacks.start(self._see, state.frames)
+        self._stacks.start(self._draw, state.frames)
 
     def __getstate__(self) -> dict[str, Any]:
         """For copying and pickling: with the generator of later scenes, which Gymnasium makes when it is first used."""
@@ -199,23 +193,25 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             InvalidActionError: if the action is not one of the 18.
             gymnasium.error.ResetNeeded: before the first reset and after the last step.
         """
-        if not self._begun or self._env.over:
+        if not self._begun or self._engine.over:
             raise ResetNeeded("the episode has ended; call reset() before the next step")
-        now = self._env.step(to_discrete(action) if self._continuous else action)
-        last, self._seeded = now.last(), None
-        observation = self._observation(now.observation, self._stacks.push(self._see))
-        return observation, float(now.reward or 0.0), False, last, self._info(last=last)
+        last = self._engine.step(to_discrete(action) if self._continuous else action)
+        self._seeded = None
+        observation = self._observation(self._stacks.push(self._draw))
+        info = self._info(last=last)
+        reward = float(info["eval_score"]) if self.reward == "score" else 0.0
+        return observation, reward, False, last, info
 
     def render(self) -> Images | None:
         """The view of `render_view` if `render_mode` is "rgb_array". Shape (size, size, 3); "both": twice as wide."""
         if self.render_mode is None:
             gymnasium.logger.warn('render() draws nothing: make the environment with render_mode="rgb_array"')
             return None
-        return np.concatenate([self._env.render(view, self._render_size) for view in self._views], axis=1)
+        return np.concatenate([self._engine.render(view, self._render_size) for view in self._views], axis=1)
 
     def close(self) -> None:
         """Frees the simulation; closing twice is fine."""
-        self._env.close()
+        self._engine.close()
         super().close()
 
     def _info(self, *, last: bool) -> dict[str, Any]:
@@ -225,15 +221,20 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         info = {"eval_score": np.float64(reached), "is_success": np.array(reached == 1.0)}
         return info | {"score": np.float64(score)} if self._score_every_step else info
 
-    def _see(self, view: str, place: Images) -> None:
-        self._env.render(view, len(place), out=place)
+    def _draw(self, view: str, place: Images) -> None:
+        self._engine.render(view, len(place), out=place)
 
-    def _observation(self, seen: Mapping[str, NDArray[Any]], stacks: dict[str, Images]) -> Observation:
+    def _check_observable(self, scene: Scene | None) -> None:
+        """Raises an `InvalidSceneError`, while the present episode can go on, if the state vector is too short."""
+        if scene is not None and self._preset.layout == "state":
+            StateEncoder(scene)
+
+    def _observation(self, stacks: dict[str, Images]) -> Observation:
         if self._preset.layout == "state":
-            return seen["state"]
+            return self._engine.state_vector()
         if self._preset.fingers:
-            fingers = self._env.task.world.fingers(self._env.physics.data.qpos)
-            return {**stacks, "fingers": fingers.astype(np.float32)}
+            with np.errstate(all="ignore"):  # angles may be too small for float32
+                return {**stacks, "fingers": self._engine.fingers().astype(np.float32)}
         return stacks if self._preset.layout == "dict" else next(iter(stacks.values()))
 
 
@@ -244,3 +245,32 @@ def _scene_option(options: Mapping[str, Any]) -> Scene | None:
     if isinstance(scene, str | bytes):
         return Scene.from_json(scene)
     raise InvalidSceneError(f'options["scene"] must be a Scene or its JSON, not {type(scene).__name__}')
+
+
+class ResetOptions:
+    """The options that an environment's `reset` knows. It warns of others, since libraries give options of their own.
+
+    Args:
+        known: their names.
+    """
+
+    def __init__(self, *known: str) -> None:
+        self._known = known
+        self._warned: set[str] = set()
+
+    def checked(self, options: Mapping[str, Any] | None) -> Mapping[str, Any]:
+        """The options given to `reset`. Of a name that is not known it warns once: resets are many.
+
+        Raises:
+            SettingsError: if they are neither a mapping nor None.
+        """
+        names = " and ".join(f'"{name}"' for name in self._known)
+        if options is None:
+            return {}
+        if not isinstance(options, Mapping):
+            raise SettingsError(f"options are a dict with {names} for keys, not {shown(options)}")
+        if others := options.keys() - self._warned - set(self._known):
+            self._warned |= others
+            ignored = ", ".join(sorted(map(repr, others)))
+            warnings.warn(f"reset ignores the options {ignored}; it knows {names}", stacklevel=3)
+        return options

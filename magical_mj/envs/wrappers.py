@@ -10,6 +10,7 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
+from magical_mj.engine import Engine
 from magical_mj.scene.actions import ACTIONS, to_discrete, to_vector
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import InvalidActionError, SettingsError
@@ -66,15 +67,15 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         gymnasium.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
-        self._world: Any = getattr(self.unwrapped, "dm_env", None)
-        if self._world is None:
+        engine = getattr(self.unwrapped, "engine", None)
+        if not isinstance(engine, Engine) or engine.task is None:
             raise SettingsError(f"ScoreAtTheEnd wraps the environments of magical_mj, not {self.unwrapped}")
+        self._engine, self._horizon = engine, task_spec(engine.task).horizon(engine.rules)
         asked = (env.spec.max_episode_steps or 0) if env.spec else 0
-        registered = task_spec(self._world.task.settings.task).horizon()  # what ids say, for all rules
-        if asked > self._world.horizon and asked != registered:
+        if asked > self._horizon and asked != task_spec(engine.task).horizon():  # the latter is what ids say
             raise SettingsError(
-                f"max_episode_steps={asked} is more than the {self._world.horizon} steps after which every episode of "
-                f"{self._world.task.settings.task} ends; give a smaller number, or none for the task's own"
+                f"max_episode_steps={asked} is more than the {self._horizon} steps after which every episode of "
+                f"{engine.task} ends; give a smaller number, or none for the task's own"
             )
 
     @property
@@ -82,15 +83,15 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         """The spec of the wrapped environment, with the number of steps of its episodes."""
         spec = super().spec
         if spec is not None:
-            spec.max_episode_steps = min(spec.max_episode_steps or self._world.horizon, self._world.horizon)
+            spec.max_episode_steps = min(spec.max_episode_steps or self._horizon, self._horizon)
         return spec
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """One action."""
         observation, reward, terminated, truncated, info = super().step(action)
         if terminated or truncated:
-            score = np.float64(self._world.score())
+            score = np.float64(self._engine.score())
             info = info | {"eval_score": score, "is_success": np.array(score == 1.0)}
-            if self._world.task.settings.reward == "score" and not self._world.over:  # else it was paid already
+            if getattr(self.unwrapped, "reward", "none") == "score" and not self._engine.over:  # else paid already
                 reward = float(score)
         return observation, reward, terminated, truncated, info

@@ -13,7 +13,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-import dm_env
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Discrete
@@ -48,10 +47,10 @@ from magical_mj.utils.errors import (
 )
 
 if TYPE_CHECKING:
-    from magical_mj.envs.composer import Environment
+    from magical_mj.engine import Engine
 
 Envs = gymnasium.vector.VectorEnv[Any, Any, Any]
-Env: TypeAlias = "Environment | gymnasium.Env[Any, Any]"
+Env: TypeAlias = "Engine | gymnasium.Env[Any, Any]"
 
 NO_SCORE: Final = "only environments of this package have a score: make one whose id begins with magical_mj/"
 
@@ -119,8 +118,8 @@ def _check_fits(env: gymnasium.Env[Any, Any] | Envs, episodes: Sequence[Episode]
         arguments = {} if spec is None else spec.kwargs
         task, variant, rules = arguments.get("task"), arguments.get("variant"), arguments.get("rules", "paper")
     else:
-        space, settings = env.action_space, simulation(env).task.settings
-        task, variant, rules = settings.task, settings.variant, settings.rules
+        space, engine = env.action_space, simulation(env)
+        task, variant, rules = engine.task, engine.variant, engine.rules
     if not isinstance(space, Discrete):
         raise EvaluationError(
             f"policies give one of the 18 actions, and the environment takes {space}: make it without continuous "
@@ -134,22 +133,22 @@ def _check_fits(env: gymnasium.Env[Any, Any] | Envs, episodes: Sequence[Episode]
 
 
 def environment_for(policy: Act, task: str, variant: str, preset: str, rules: Rules) -> Env:
-    """The environment that a policy plays in: Gymnasium's with the preset's observations, or the bare simulation.
+    """The environment that a policy plays in: Gymnasium's with the preset's observations, or the bare engine.
 
     The Gymnasium environment has no wrappers of `gymnasium.make`, whose checks at each step would only take time.
     """
     if uses_simulation(policy):
-        from magical_mj.envs.composer import load  # imported late: it loads the simulator
+        from magical_mj.engine import Engine  # imported late: it loads the simulator
 
-        return load(task, variant, seed=0, observations=(), rules=rules)
+        return Engine(task, variant, seed=0, rules=rules)
     return gymnasium.make(env_id(task, variant, preset), rules=rules).unwrapped
 
 
-def simulation(env: Env) -> Environment:
-    """The dm_env environment itself, or the one inside a Gymnasium environment, which must be of this package."""
+def simulation(env: Env) -> Engine:
+    """The engine itself, or the one inside a Gymnasium environment, which must be of this package."""
     if not isinstance(env, gymnasium.Env):
         return env
-    inside = getattr(env.unwrapped, "dm_env", None)
+    inside = getattr(env.unwrapped, "engine", None)
     if inside is None:
         raise EvaluationError(NO_SCORE)
     return inside
@@ -193,7 +192,7 @@ def play(env: Env, policy: Act, episode: Episode) -> EpisodeResult:
             failure = str(error)
         except Exception as error:  # noqa: BLE001 raised again if it is another
             failure = simulation_failure(error)
-    facts = {"policy": policy_name(policy), "preset": None, "rules": inside.task.settings.rules}
+    facts = {"policy": policy_name(policy), "preset": None, "rules": inside.rules}
     facts["scene"] = inside.initial_scene.digest()
     return result_of(episode, actions, score, failure, time.perf_counter() - start, **facts)
 
@@ -273,5 +272,5 @@ def _reset(env: Env | Envs, seed: Any) -> Any:
 
 
 def _observation(result: Any) -> Any:
-    """The observation in the result of `reset` or `step` of Gymnasium; None for dm_env."""
-    return None if isinstance(result, dm_env.TimeStep) else result[0]
+    """The observation in the result of `reset` or `step` of Gymnasium; None for an engine's."""
+    return result[0] if isinstance(result, tuple) else None

@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import dm_env
 import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import ArrayLike, NDArray
 
 from magical_mj.demos.export.lerobot import IMAGE_SIZE
-from magical_mj.envs.composer import Environment, load
+from magical_mj.engine import Engine
 from magical_mj.scene.actions import to_discrete
 from magical_mj.scene.state_vector import VIEWS
 from magical_mj.tasks.registry import Pair, environments, task_spec
@@ -60,7 +59,7 @@ class MagicalBenchmark(StepBenchmark):
         for view in self._views:
             check_name("view", view, VIEWS)
         self._size = image_size
-        self._env: Environment | None = None
+        self._env: Engine | None = None
         self._made_for: Pair | None = None
 
     @classmethod
@@ -81,8 +80,9 @@ class MagicalBenchmark(StepBenchmark):
         pair = task["task"], task["variant"]
         if self._env is None or self._made_for != pair:
             self.cleanup()
-            self._env, self._made_for = load(*pair, observations=self._views, image_size=self._size), pair
-        return self._seen(self._env.reset(seed=int(task.get("episode_idx", 0))))
+            self._env, self._made_for = Engine(*pair, seed=0), pair
+        self._env.reset(seed=int(task.get("episode_idx", 0)))
+        return self._pictures(self._env)
 
     def step(self, action: Mapping[str, ArrayLike]) -> StepResult:
         """One action.
@@ -93,10 +93,10 @@ class MagicalBenchmark(StepBenchmark):
         env = self._env
         if env is None:
             raise ResetNeeded("no episode has begun")
-        now = env.step(to_discrete(action["actions"]))
-        score = env.score() if now.last() else 0.0
-        self._recorder.record_step(reward=score, done=now.last(), success=score == 1.0)
-        return StepResult(obs=self._seen(now), reward=score, done=now.last(), info={})
+        over = env.step(to_discrete(action["actions"]))
+        score = env.score() if over else 0.0
+        self._recorder.record_step(reward=score, done=over, success=score == 1.0)
+        return StepResult(obs=self._pictures(env), reward=score, done=over, info={})
 
     def make_obs(self, raw_obs: Pictures, task: Mapping[str, Any]) -> dict[str, Any]:
         """The pictures and the task's sentence."""
@@ -133,7 +133,7 @@ class MagicalBenchmark(StepBenchmark):
             self._env.close()
         self._env = None
 
-    def _seen(self, now: dm_env.TimeStep) -> Pictures:
-        pictures = dict(now.observation)
+    def _pictures(self, engine: Engine) -> Pictures:
+        pictures = {view: engine.render(view, self._size) for view in self._views}
         self._recorder.record_video(pictures[self._views[0]])
         return pictures

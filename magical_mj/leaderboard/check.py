@@ -26,7 +26,7 @@ from magical_mj.utils.parallel import map_unordered
 from magical_mj.variants import check_seed
 
 if TYPE_CHECKING:
-    from magical_mj.envs.composer import Environment
+    from magical_mj.engine import Engine
 
 SHARE: Final = 0.1
 """The share of an entry's episodes that are replayed by default."""
@@ -285,10 +285,10 @@ def replay(recorded: Iterable[Recorded], jobs: int | None = None) -> Iterator[Re
 
 def _replay(chunk: Sequence[Recorded]) -> list[ReplayResult]:
     """The work of one process: replays some episodes of one environment."""
-    from magical_mj.envs.composer import load  # which loads the simulator
+    from magical_mj.engine import Engine  # which loads the simulator
 
     first, results = chunk[0][1], []
-    with closing(load(first.task, first.variant, seed=0, observations=(), rules=check_rules(first.rules))) as env:
+    with closing(Engine(first.task, first.variant, seed=0, rules=check_rules(first.rules))) as env:
         for source, episode in chunk:
             start = perf_counter()
             env.reset(seed=episode.seed)
@@ -298,7 +298,7 @@ def _replay(chunk: Sequence[Recorded]) -> list[ReplayResult]:
     return results
 
 
-def _difference(episode: EpisodeResult, env: Environment) -> str | None:
+def _difference(episode: EpisodeResult, env: Engine) -> str | None:
     """What is wrong with an episode, whose scene the environment is in; None if its replay confirms it."""
     digest = env.initial_scene.digest()
     if episode.scene is not None and episode.scene != digest:

@@ -8,14 +8,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar, runtime_checkable
 
-import dm_env
 import numpy as np
 
-from magical_mj.utils.errors import InvalidActionError, RenderingError, TaskError, shown
+from magical_mj.utils.errors import InvalidActionError, PhysicsError, RenderingError, TaskError, shown
 from magical_mj.utils.imports import place
 
 if TYPE_CHECKING:
-    from magical_mj.envs.composer import Environment
+    from magical_mj.engine import Engine
 
 Action = TypeVar("Action")
 Act = Callable[[Any], Any]
@@ -36,14 +35,14 @@ class Episode:
         variant: the variant's name.
         seed: the scene's seed: the episode starts in `sample_scene(task, variant, seed)`.
         run: the number of the policy among several runs of a method.
-        env: the environment itself, for policies with `uses_simulation = True`; None for all others.
+        env: the engine of the environment, for policies with `uses_simulation = True`; None for all others.
     """
 
     task: str
     variant: str
     seed: int
     run: int = 0
-    env: Environment | None = None
+    env: Engine | None = None
 
     def rng(self) -> np.random.Generator:
         """A random generator for the policy; it depends only on the fields of this episode."""
@@ -82,7 +81,7 @@ def play(env: Any, actions: Iterable[Action]) -> Iterator[tuple[Action, Any]]:
     """Takes actions in an episode that has begun, until the episode or the actions end.
 
     Args:
-        env: an environment with the `step` of dm_env or of Gymnasium. In a vector environment, all episodes must end
+        env: an engine, or an environment with the `step` of Gymnasium. In a vector environment, all episodes must end
             together.
         actions: the actions. They may come from a generator, since each is requested only after the step before it
             was yielded and handled.
@@ -104,8 +103,8 @@ def forever(act: Callable[[], Action]) -> Iterator[Action]:
 
 
 def _ended(result: Any) -> bool:
-    if isinstance(result, dm_env.TimeStep):
-        return result.last()
+    if isinstance(result, bool):  # of an engine
+        return result
     _, _, terminated, truncated, _ = result
     return bool(np.any(terminated) or np.any(truncated))
 
@@ -158,8 +157,6 @@ def policy_errors() -> Iterator[None]:
 
 def simulation_failure(error: Exception) -> str:
     """One line about a simulation that a policy's actions made unstable; raises any other error again."""
-    from dm_control.rl.control import PhysicsError  # imported late: it loads the simulator
-
     if not isinstance(error, PhysicsError | FloatingPointError):
         raise error
     return reason(error)

@@ -181,6 +181,7 @@ def solids(scene: Scene) -> dict[str, Solid]:
     return bodies
 
 
+@np.errstate(all="ignore")  # numbers may be too small for some operations, whatever the caller wants of those
 def check_scene(scene: Scene) -> None:
     """Raise unless the scene is legal: everything is inside the walls, and no two solids overlap.
 

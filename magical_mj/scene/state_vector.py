@@ -77,6 +77,7 @@ class StateEncoder:
             row[:5] = (1.0, region.x_min, region.y_min, region.x_max, region.y_max)
             row[_REGION.index(region.colour)] = 1.0
 
+    @np.errstate(all="ignore")  # numbers may be too small for float32, and are 0 then
     def __call__(self, poses: Rows, velocities: Rows, fingers: Rows) -> NDArray[np.float32]:
         """The state as a fresh vector. Shape (len(STATE_NAMES),).
 

@@ -66,6 +66,10 @@ class ClosedError(MagicalError, RuntimeError):
     """An environment that was closed."""
 
 
+class PhysicsError(MagicalError, RuntimeError):
+    """A simulation that has become unstable."""
+
+
 class RenderingError(MagicalError, RuntimeError):
     """OpenGL does not work here."""
 

@@ -21,7 +21,7 @@ import logging
 from collections.abc import Collection as Container
 from typing import Any, Final
 
-from magical_mj.envs.composer import Environment, load
+from magical_mj.engine import Engine
 from magical_mj.scene import Scene
 from magical_mj.tasks.registry import Pair
 from magical_mj.utils.errors import MagicalError
@@ -43,7 +43,7 @@ class PlayerSession:
         self._environments = environments
         self._collection = collection
         self._participant: str | None = None
-        self._env: Environment | None = None
+        self._env: Engine | None = None
         self._name: Pair | None = None
 
     def handle(self, text: str | bytes) -> str:
@@ -86,7 +86,7 @@ class PlayerSession:
             raise MagicalError(f"{task}-{variant} is not played here")
         if self._env is None or self._name != (task, variant):
             self.close()
-            self._env, self._name = load(task, variant, seed=0, observations=()), (task, variant)
+            self._env, self._name = Engine(task, variant, seed=0), (task, variant)
         self._env.reset(seed=seed)
         return {"scene": scene_data(self._env.scene)}
 

@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 import magical_mj
+from magical_mj.engine import Engine
 from magical_mj.engine.export import mjcf_text
-from magical_mj.envs.composer import Environment
 from magical_mj.scene import Scene
 from magical_mj.web.page_data import drawing_style, scene_data
 
@@ -39,7 +39,7 @@ def episodes() -> Iterator[dict[str, Any]]:
 
 
 def _played(name: str, task: str, scene: Scene, actions: list[int]) -> dict[str, Any]:
-    env = magical_mj.load(task, scene=scene, observations=())
+    env = magical_mj.Engine(task, scene=scene)
     env.reset()
     mjcf = mjcf_text(env)
     glances = {}
@@ -99,13 +99,12 @@ def pictures() -> Iterator[dict[str, Any]]:
     """What the renderer draws: red, green and blue of each pixel, from the top left, as hexadecimal digits."""
     for number, (task, variant) in enumerate(magical_mj.ENVIRONMENTS):
         if number % EVERY == 0:
-            env = magical_mj.load(task, variant, seed=number, observations=())
-            env.reset()
+            env = magical_mj.Engine(task, variant, seed=number)
             yield from (_pictured(env, view) for view in ("allo", "ego"))
             env.close()
 
 
-def _pictured(env: Environment, view: str) -> dict[str, Any]:
+def _pictured(env: Engine, view: str) -> dict[str, Any]:
     return {
         "scene": scene_data(env.scene),
         "view": view,

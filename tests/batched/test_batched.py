@@ -40,7 +40,7 @@ def table(scene: Scene) -> NDArray[np.float64]:
     return np.array([scene.robot.pose, *(block.pose for block in scene.blocks)])
 
 
-def distances(physics: Physics, envs: list[magical_mj.Environment]) -> list[float]:
+def distances(physics: Physics, envs: list[magical_mj.Engine]) -> list[float]:
     """How far the worst thing of each world is from where it should be, world units."""
     wanted = [table(env.scene) for env in envs]
     return [
@@ -49,8 +49,8 @@ def distances(physics: Physics, envs: list[magical_mj.Environment]) -> list[floa
     ]
 
 
-def running(scenes: list[Scene]) -> list[magical_mj.Environment]:
-    envs = [magical_mj.load_scene(scene, observations=()) for scene in scenes]
+def running(scenes: list[Scene]) -> list[magical_mj.Engine]:
+    envs = [magical_mj.Engine.of_scene(scene) for scene in scenes]
     for env in envs:
         env.reset()
     return envs

@@ -42,7 +42,7 @@ def test_the_bare_loop_takes_the_same_steps(name: str) -> None:
     for action in (1, 1, 4, 13):
         bare.run([action])
         env.step(action)
-    np.testing.assert_allclose(bare.data.qpos, env.dm_env.physics.data.qpos, atol=1e-9)
+    np.testing.assert_allclose(bare.data.qpos, env.engine.data.qpos, atol=1e-9)
     bare.close()
 
 

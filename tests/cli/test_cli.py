@@ -66,7 +66,7 @@ def test_view(shell: Shell, tmp_path: Path) -> None:
     pictures = [opened(tmp_path / name) for name in ("FindDupe-All-3.png", "new/a.png")]
     assert {picture.size for picture in pictures} == {(128, 64)}
     assert pictures[0].tobytes() != pictures[1].tobytes()
-    env = magical_mj.load("FindDupe", "All", seed=3, observations=())
+    env = magical_mj.Engine("FindDupe", "All", seed=3)
     env.reset()
     left = pictures[0].crop((0, 0, 64, 64))
     assert left.tobytes() == Image.fromarray(env.render("allo", 64)).tobytes()

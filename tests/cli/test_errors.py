@@ -72,7 +72,8 @@ def test_unwritable_path_is_said_before_the_work(shell: Shell, line: str, monkey
     def no_work(*_: object, **__: object) -> None:
         pytest.fail("the path was not checked first")
 
-    monkeypatch.setattr("magical_mj.envs.composer.Environment.reset", no_work)
+    for work in ("render", "step"):
+        monkeypatch.setattr(f"magical_mj.engine.Engine.{work}", no_work)
     assert "cannot write into /dev/null/folder" in shell.fails(1, *line.format("/dev/null/folder").split())
 
 

@@ -94,7 +94,7 @@ class Player:
 def test_an_episode_is_played_recorded_and_read_again(
     window: Window, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    env = magical_mj.load("MoveToRegion", seed=0, observations=())
+    env = magical_mj.Engine("MoveToRegion", seed=0)
     keys = {5: [pygame.K_UP], 14: [pygame.K_r], 16: [pygame.K_LEFT], 80: [pygame.K_ESCAPE]}
     player = Player(window, monkeypatch, keys)
     play_in(window, env, ("MoveToRegion", "Demo"), 0, SIZE, Episodes(tmp_path))
@@ -115,7 +115,7 @@ def test_an_episode_is_played_recorded_and_read_again(
 def test_what_was_played_is_kept_at_once_and_discarded_on_request(
     window: Window, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str], discard: bool
 ) -> None:
-    env = magical_mj.load("MoveToRegion", seed=0, observations=())
+    env = magical_mj.Engine("MoveToRegion", seed=0)
     last = [pygame.K_d, pygame.K_d] if discard else [pygame.K_n]
     player = Player(window, monkeypatch, {1: [pygame.K_UP], 50: last, 55: [pygame.K_ESCAPE]})
     play_in(window, env, ("MoveToRegion", "Demo"), 0, SIZE, Episodes(tmp_path))

@@ -132,7 +132,7 @@ def test_a_failed_film_leaves_nothing(shell: Shell, tmp_path: Path, monkeypatch:
     def broken(*_: object, **__: object) -> None:
         raise RenderingError("OpenGL does not work here")
 
-    monkeypatch.setattr("magical_mj.envs.composer.Environment.render", broken)
+    monkeypatch.setattr("magical_mj.engine.Engine.render", broken)
     code, _, error = shell("rollout", "MoveToRegion", "--video", "a.mp4")
     assert (code, error) == (1, "magical-mj: OpenGL does not work here\n")
     assert list(tmp_path.iterdir()) == []

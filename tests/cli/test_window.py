@@ -26,7 +26,7 @@ pytestmark = pytest.mark.skipif(not shutil.which("Xvfb"), reason="needs Xvfb (De
 WATCH = """
 import sys, gymnasium, magical_mj
 draws_first, presets = sys.argv[1] == "True", sys.argv[2:]
-other = magical_mj.load("MoveToRegion", observations=())
+other = magical_mj.Engine("MoveToRegion")
 other.reset()
 if draws_first:
     other.render()

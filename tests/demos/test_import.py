@@ -28,7 +28,7 @@ def poses(scene: magical_mj.Scene) -> dict[str, Any]:
 
 def recording(task: str, variant: str, seed: int) -> dict[str, Any]:
     """What the page saves of an episode of random actions."""
-    env = magical_mj.load(task, variant, observations=())
+    env = magical_mj.Engine(task, variant)
     env.reset(seed=seed)
     actions = np.random.default_rng(seed).integers(18, size=env.horizon).tolist()
     for action in actions:

@@ -14,7 +14,7 @@ from magical_mj.utils.errors import DemonstrationError, InvalidSeedError
 
 
 def test_actions_may_be_recorded_as_triples() -> None:
-    env = magical_mj.load("MoveToRegion", seed=0, observations=())
+    env = magical_mj.Engine("MoveToRegion", seed=0)
     env.reset()
     recorder = demos.Recorder(env)
     for action in (ACTIONS[0], ACTIONS[10], 3):
@@ -23,7 +23,7 @@ def test_actions_may_be_recorded_as_triples() -> None:
 
 
 def test_an_episode_is_recorded_from_its_start_to_its_end() -> None:
-    env = magical_mj.load("MoveToRegion", seed=0, observations=())
+    env = magical_mj.Engine("MoveToRegion", seed=0)
     env.reset()
     recorder = demos.Recorder(env)
     for _ in range(env.horizon or 0):
@@ -41,7 +41,7 @@ def test_an_episode_is_recorded_from_its_start_to_its_end() -> None:
 
 def test_what_a_recorder_did_not_see_is_no_demonstration() -> None:
     """Not episodes that were stepped or begun anew without it, and not those of another scene than they claim."""
-    env = magical_mj.load("ClusterShape", "Layout", seed=5, observations=(), rules="released")
+    env = magical_mj.Engine("ClusterShape", "Layout", seed=5, rules="released")
     env.reset()
     recorder = demos.Recorder(env)
     recorder.step(0)

@@ -209,12 +209,11 @@ def test_the_model_alone_holds_the_dynamics(tmp_path: Path) -> None:
         world = Rollouts(scene)
         world.model, world.data = model, mujoco.MjData(model)
         actions = [FORWARD] * 10 + [CLOSE] * 3 + [LEFT] * 5
-        env = magical_mj.load_scene(scene, observations=())
-        env.reset()
+        env = magical_mj.Engine.of_scene(scene)
         for action in actions:
             env.step(action)
         ends.append(world.roll(actions)[0][-1])
-        np.testing.assert_allclose(ends[-1], world.world.poses(env.physics.data.qpos), atol=1e-9)
+        np.testing.assert_allclose(ends[-1], world.world.poses(env.data.qpos), atol=1e-9)
     assert np.abs(ends[0] - ends[1]).max() > 0.01
 
 

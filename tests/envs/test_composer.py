@@ -1,42 +1,316 @@
-"""What users of composer may do to an environment: hooks, and changes of its MJCF tree."""
+"""The dm_env door: composer's public interface over the same physics, to the bit: hooks, delays, an MJCF tree."""
 
 from __future__ import annotations
 
+import copy
+import pickle
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+
 import numpy as np
+import pytest
+
+pytest.importorskip("dm_control", reason="dm_control does not install with this Python or MuJoCo")
+
+import dm_env
+from absl.testing import absltest
+from dm_control import composer, mjcf
+from dm_control.rl.control import PhysicsError
+from dm_env import test_utils
 
 import magical_mj
-from magical_mj.scene import Block, Robot, Scene
-from magical_mj.scene.actions import Action, Drive
-from magical_mj.scene.state_vector import STATE_NAMES
+from magical_mj.engine import Engine
+from magical_mj.engine.state import State
+from magical_mj.envs.composer.entities import Arena
+from magical_mj.scene import Block, GoalRegion, Robot, Scene
+from magical_mj.scene.actions import ACTIONS
+from magical_mj.tasks.registry import task_spec
+from magical_mj.utils.errors import (
+    ClosedError,
+    InvalidActionError,
+    InvalidSceneError,
+    SettingsError,
+    StateError,
+    UnknownNameError,
+)
+
+ARRAYS = ("qpos", "qvel", "act", "qacc_warmstart", "xpos", "xmat", "tree_asleep", "efc_force")
 
 
-def test_composer_hooks_of_users_run() -> None:
-    """Substep hooks still see every substep, and the physics does not change by it."""
-    env, twin = (magical_mj.load("MatchRegions", seed=0, observations=("state",)) for _ in range(2))
-    calls = []
-    env.add_extra_hook("before_substep", lambda physics, action, random_state: calls.append(physics.time()))
-    env.add_extra_hook("initialize_episode", lambda physics, random_state: calls.append("episode"))
-    for one in (env, twin):
-        one.reset()
-        seen = one.step(Action(drive=Drive.FORWARD))
-    assert calls[0] == "episode"
-    assert len(calls) == 1 + env.task.physics_steps_per_control_step
-    for there, expected in zip(env.scene.blocks, twin.scene.blocks, strict=True):
-        np.testing.assert_allclose(there.pose, expected.pose, atol=1e-9)
-    np.testing.assert_allclose(env.scene.robot.pose, twin.scene.robot.pose, atol=1e-9)
-    assert seen.observation["state"].shape == (len(STATE_NAMES),)
+def test_trajectories_states_and_scores_equal_an_engines_in_all_environments() -> None:
+    for number, (task, variant) in enumerate(magical_mj.ENVIRONMENTS):
+        env, engine = magical_mj.load(task, variant, seed=number, observations=()), Engine(task, variant, seed=number)
+        rng = np.random.default_rng(number)
+        env.reset()
+        for _ in range(20):
+            action = int(rng.integers(len(ACTIONS)))
+            env.step(action)
+            engine.step(action)
+        for name in ARRAYS:
+            ours, theirs = getattr(engine.data, name), getattr(env.physics.data.ptr, name)
+            np.testing.assert_array_equal(theirs, ours, err_msg=f"{task}-{variant} {name}")
+        assert env.get_state() == engine.get_state()
+        assert (env.scene, env.score(), env.seed) == (engine.scene, engine.score(), number)
+        env.close()
 
 
-def test_changes_to_the_mjcf_tree_are_compiled() -> None:
-    """Whoever edits the composer entity's MJCF before an episode gets what they wrote."""
-    env = magical_mj.load_scene(Scene(Robot(0, 0, 0), (Block("square", "red", 0.5, 0.5, 0),)), observations=())
+def test_later_episodes_and_pictures_equal_an_engines_too() -> None:
+    """Whether the model is rewritten, for the same blocks, or compiled, for others."""
+    env, engine = magical_mj.load("FindDupe", "All", seed=0, observations=("ego", "allo", "state")), Engine("FindDupe")
+    for seed in (0, 4, 5):
+        for scene in (magical_mj.sample_scene("FindDupe", "All", seed), magical_mj.sample_scene("FindDupe", "Demo", 0)):
+            for _ in range(2):
+                first = env.reset(scene=scene)
+                engine.reset(scene=scene)
+                for timestep in (first, env.step(10), env.step(4)):
+                    if not timestep.first():
+                        engine.step(10 if timestep is not first and engine.steps == 0 else 4)
+                seen = env.step(13).observation
+                engine.step(13)
+                np.testing.assert_array_equal(seen["state"], engine.state_vector())
+                np.testing.assert_array_equal(seen["ego"], engine.render("ego", 96))
+                np.testing.assert_array_equal(seen["allo"], engine.render("allo", 96))
+                assert env.get_state() == engine.get_state()
+    np.testing.assert_array_equal(env.render("scene", 64), engine.render("scene", 64))
 
-    def add_site(random_state: object) -> None:
-        del random_state
-        root = env.task.root_entity.mjcf_model
-        if root.find("site", "mark") is None:
-            root.worldbody.add("site", name="mark", pos=(0.1, 0.2, 0))
 
-    env.add_extra_hook("initialize_episode_mjcf", add_site)
+def test_dm_env_protocol() -> None:
+    """dm_env's own test cases, with an action sequence that goes past the horizon."""
+
+    class Case(test_utils.EnvironmentTestMixin, absltest.TestCase):
+        def make_object_under_test(self) -> dm_env.Environment:
+            return magical_mj.load("MoveToRegion", "All", seed=1, observations=("ego", "state"), image_size=16)
+
+        def make_action_sequence(self) -> Iterator[int]:
+            return iter(np.arange(task_spec("MoveToRegion").horizon() + 5) % len(ACTIONS))
+
+    result = absltest.unittest.TestResult()
+    absltest.unittest.defaultTestLoader.loadTestsFromTestCase(Case).run(result)
+    assert result.testsRun == 4
+    assert not result.errors + result.failures, "\n".join(text for _, text in result.errors + result.failures)
+
+
+@pytest.mark.parametrize("reward", ["none", "score"])
+def test_episodes_end_at_the_horizon_and_the_next_scenes_are_drawn(reward: str) -> None:
+    envs = [magical_mj.load("MoveToRegion", "Layout", seed=7, observations=(), reward=reward) for _ in range(2)]
+    scenes = []
+    for env in envs:
+        scenes.append([])
+        for _ in range(3):
+            timestep = env.step(0)
+            scenes[-1].append(env.initial_scene)
+            assert timestep.first()
+            steps = [env.step(1) for _ in range(env.horizon)]
+            assert [step.last() for step in steps] == [False] * (env.horizon - 1) + [True]
+            assert steps[-1].reward == (env.score() if reward == "score" else 0.0)
+            assert steps[-1].discount == 1.0
+    assert scenes[0] == scenes[1]
+    assert scenes[0][0] == magical_mj.sample_scene("MoveToRegion", "Layout", 7)
+    assert len(set(scenes[0])) == 3
+
+
+def test_the_tree_is_one_of_entities_and_compiles_to_the_engines_model() -> None:
+    scene = magical_mj.sample_scene("MatchRegions", "All", 0)
+    env = magical_mj.load_scene(scene, observations=())
+    arena = env.task.root_entity
+    assert [entity.mjcf_model.model for entity in arena.iter_entities()] == [
+        "magical_mj",
+        *(f"block{index}" for index in range(len(scene.blocks))),
+        "robot",
+    ]
+    model, ours = mjcf.Physics.from_mjcf_model(arena.mjcf_model).model.ptr, Engine.of_scene(scene).model
+    for name in ("body_pos", "geom_size", "dof_invweight0", "pair_friction", "tendon_frictionloss", "skin_vert"):
+        np.testing.assert_array_equal(getattr(model, name), getattr(ours, name), err_msg=name)
+    joint = mjcf.get_attachment_frame(arena.blocks[1].mjcf_model).joint["block1_x"]
     env.reset()
-    np.testing.assert_allclose(env.physics.named.data.site_xpos["mark"], [0.1, 0.2, 0])
+    np.testing.assert_allclose(env.physics.bind(joint).qpos, scene.blocks[1].x)
+    assert env.physics.named.data.qpos["robot/robot_x/"] == scene.robot.x
+
+
+def test_what_users_add_to_the_trees_stays() -> None:
+    env = magical_mj.load("FindDupe", "CountPlus", seed=0, observations=())
+    arena = env.task.root_entity
+    arena.mjcf_model.worldbody.add("site", name="mark", pos=(0.1, 0.2, 0))
+    arena.robot.mjcf_model.worldbody.add("site", name="nose", pos=(0, 0.1, 0))
+    counts = set()
+    for seed in range(4):
+        env.reset(seed=seed)
+        counts.add(len(env.scene.blocks))
+        np.testing.assert_allclose(env.physics.named.data.site_xpos["mark"], [0.1, 0.2, 0])
+        assert np.linalg.norm(env.physics.named.data.site_xpos["robot/nose"][:2] - env.scene.robot.pose[:2]) < 0.1001
+    assert len(counts) > 1
+
+
+def test_trees_are_changed_in_every_episode_if_they_are_compiled_in_every_episode() -> None:
+    sizes: list[float] = []
+
+    def resize(random_state: np.random.RandomState) -> None:
+        wall = env.task.root_entity.mjcf_model.find("geom", "top_wall")
+        wall.size = [3, random_state.uniform(0.5, 1.5), 1]
+        sizes.append(wall.size[1])
+
+    quick = magical_mj.load("MoveToRegion", seed=0, observations=())
+    with pytest.raises(SettingsError, match="recompile_mjcf_every_episode"):
+        quick.add_extra_hook("initialize_episode_mjcf", resize)
+    env = magical_mj.load("MoveToRegion", seed=0, observations=(), recompile_mjcf_every_episode=True)
+    env.add_extra_hook("initialize_episode_mjcf", resize)
+    for _ in range(3):
+        env.reset()
+        assert env.physics.named.model.geom_size["top_wall", 1] == sizes[-1]
+    assert len(set(sizes)) == 3
+
+
+def test_hooks_run_and_change_nothing_by_themselves() -> None:
+    env, twin = (magical_mj.load("FindDupe", "All", seed=0, observations=()) for _ in range(2))
+    calls: list[str] = []
+    for name in ("initialize_episode", "before_step", "before_substep", "after_substep", "after_step"):
+        env.add_extra_hook(name, lambda *_, name=name: calls.append(name))
+    for seed in (0, 3):  # of other structures
+        env.reset(seed=seed)
+        twin.reset(seed=seed)
+        for action in (1, 10):
+            env.step(action)
+            twin.step(action)
+        assert env.get_state() == twin.get_state()
+    step = ["before_step", "before_substep", "after_substep", "after_step"]
+    assert calls == ["initialize_episode", *step, *step] * 2
+
+
+def test_observables_have_buffers_and_delays() -> None:
+    env = magical_mj.load("MoveToRegion", seed=0, observations=("state",))
+    env.task.observables["state"].buffer_size = 3
+    env.task.observables["state"].delay = 1
+    env.reset()
+    buffers = [env.step(1).observation["state"] for _ in range(6)]
+    assert buffers[0].shape[0] == 3
+    for before, after in pairwise(buffers[2:]):
+        np.testing.assert_array_equal(after[:2], before[1:])
+    assert (buffers[-1][-1] != env.task.task_observables["state"](env.physics)).any()
+
+
+def test_a_variation_of_the_users_own() -> None:
+    """Composer's usual way: a hook that draws with the environment's generator, written into the compiled model."""
+    env = magical_mj.load("FindDupe", seed=0, observations=())
+    drawn: list[float] = []
+
+    def slippery(physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
+        drawn.append(random_state.uniform(0.5, 2))
+        physics.named.model.pair_friction["block0_foot", :2] *= drawn[-1]
+
+    usual = Engine("FindDupe", seed=0).model.pair("block0_foot").friction[0]
+    env.add_extra_hook("initialize_episode", slippery)
+    for _ in range(3):
+        env.reset(scene=env.initial_scene)
+        assert env.physics.named.model.pair_friction["block0_foot", 0] == pytest.approx(drawn[-1] * usual)
+
+
+def test_states_go_from_here_to_engines_and_back() -> None:
+    env, engine = magical_mj.load("FindDupe", "All", seed=2, observations=("state",)), Engine("FindDupe", "All", seed=9)
+    env.reset()
+    for action in (1, 10, 4, 13):
+        env.step(action)
+    state = env.get_state()
+    engine.reset(state=state)
+    env.reset(seed=5)
+    first = env.reset(state=state)
+    np.testing.assert_array_equal(first.observation["state"], engine.state_vector())
+    assert first.first()
+    for action in (1, 10, 4, 13):
+        env.step(action)
+        engine.step(action)
+    assert env.get_state() == engine.get_state()
+    while not env.step(1).last():
+        pass
+    over = env.get_state()
+    with pytest.raises(StateError, match="over"):
+        env.reset(state=over)
+    env.set_state(state)
+    assert env.step(1).mid()
+    env.set_state(over)
+    assert env.step(1).first()
+    with pytest.raises(InvalidSceneError):
+        env.set_state(Engine("MakeLine", seed=0).get_state())
+    good = env.get_state()
+    with pytest.raises(StateError):
+        env.set_state(State(good.scene, 0, good.simulation[:-1]))
+    assert env.get_state() == good
+
+
+def test_copies_go_on_alike() -> None:
+    env = magical_mj.load("MoveToRegion", "All", seed=1, observations=("state",), reward="score")
+    env.reset()
+    env.step(10)
+    for twin in (env.clone(), pickle.loads(pickle.dumps(env)), copy.deepcopy(env)):
+        assert twin.get_state() == env.get_state()
+        assert twin.seed == 1
+        twin.step(4)
+        twin.reset()
+        scene = twin.initial_scene
+    env.reset()
+    assert env.initial_scene == scene
+
+
+@pytest.mark.parametrize("change", ["hook", "buffer", "tree"])
+def test_what_somebody_changed_is_not_copied_without_a_word(change: str) -> None:
+    env = magical_mj.load("MoveToRegion", seed=0, observations=("state",))
+    changes: dict[str, Callable[[], object]] = {
+        "hook": lambda: env.add_extra_hook("before_step", lambda *_: None),
+        "buffer": lambda: setattr(env.task.observables["state"], "buffer_size", 2),
+        "tree": lambda: env.task.root_entity.mjcf_model.worldbody.add("site", name="mark"),
+    }
+    changes[change]()
+    env.reset()
+    with pytest.raises(StateError, match="load another one"):
+        env.clone()
+
+
+def test_errors_say_what_is_wrong() -> None:
+    for arguments in ({"observations": ("egg",)}, {"reward": "dense"}, {"rules": "old"}, {"variant": "Layot"}):
+        with pytest.raises(UnknownNameError):
+            magical_mj.load("FindDupe", **arguments)
+    for arguments in ({"observations": "ego"}, {"observations": None}, {"image_size": 0}):
+        with pytest.raises(SettingsError):
+            magical_mj.load("FindDupe", **arguments)
+    with pytest.raises(InvalidSceneError):
+        magical_mj.load_scene(3)  # type: ignore[arg-type]
+    env = magical_mj.load("MoveToRegion", seed=0, observations=())
+    env.reset()
+    with pytest.raises(InvalidActionError):
+        env.step(18)
+    with pytest.raises(SettingsError, match="not from seed and scene"):
+        env.reset(seed=1, scene=env.initial_scene)
+    env.physics.data.qvel[:] = 1e30
+    with pytest.raises(PhysicsError):
+        env.step(4)
+    assert env.step(4).first()
+    env.close()
+    env.close()
+    for use in (env.reset, lambda: env.step(0), lambda: env.scene, env.render, env.get_state, env.clone):
+        with pytest.raises(ClosedError):
+            use()
+
+
+def test_an_episode_that_is_over_stays_over_if_the_next_cannot_start() -> None:
+    env = magical_mj.load("MoveToRegion", seed=0, observations=())
+    problems = [RuntimeError("no episode today")]
+
+    def fail_once(*_: object) -> None:
+        if problems:
+            raise problems.pop()
+
+    env.add_extra_hook("initialize_episode", fail_once)
+    with pytest.raises(RuntimeError, match="no episode today"):
+        env.step(0)
+    assert env.step(0).first()
+
+
+def test_arenas_show_one_scene_after_another() -> None:
+    """The tree of an arena that showed others equals that of a fresh one."""
+    scenes = [magical_mj.sample_scene("MatchRegions", "All", seed) for seed in range(3)]
+    scenes += [Scene(Robot(0, 0, 0)), Scene(Robot(0, 0.5, 1), (Block("star", "red", 0, 0, 0),)), scenes[0]]
+    scenes.append(Scene(Robot(0, 0, 0), regions=(GoalRegion("red", -0.5, -0.5, 0.5, 0.5),)))
+    used = Arena(scenes[0])
+    for scene in scenes:
+        used.show(scene)
+        assert used.mjcf_model.to_xml_string() == Arena(scene).mjcf_model.to_xml_string()
+    assert isinstance(used, composer.Entity)

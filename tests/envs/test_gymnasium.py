@@ -93,11 +93,14 @@ def stacked(preset: str, seen: list[dict[str, np.ndarray]]) -> np.ndarray | dict
 
 @pytest.mark.parametrize("preset", SHAPES)
 def test_frames_are_stacked_oldest_first(preset: str) -> None:
-    """Against the single frames that the dm_env environment gives."""
+    """Against the single frames that an engine draws."""
     env = gymnasium.make(magical_mj.env_id("MatchRegions", "Demo", preset))
-    size = 384 if preset == "" else 96
-    single = magical_mj.load("MatchRegions", "Demo", image_size=size)
-    seen = [single.reset().observation]
+    engine, size = magical_mj.Engine("MatchRegions", seed=0), 384 if preset == "" else 96
+
+    def drawn() -> dict[str, np.ndarray]:
+        return {view: engine.render(view, size) for view in ("ego", "allo")}
+
+    seen = [drawn()]
     observation, _ = env.reset(seed=0)
     for action in (1, 4, 4, 10, 13, 0):
         expected = stacked(preset, [seen[0]] * 3 + seen)
@@ -109,7 +112,8 @@ def test_frames_are_stacked_oldest_first(preset: str) -> None:
             np.testing.assert_array_equal(observation, expected)
             assert expected.shape == SHAPES[preset]
         observation = env.step(action)[0]
-        seen.append(single.step(action).observation)
+        engine.step(action)
+        seen.append(drawn())
 
 
 def test_fingers_are_those_of_the_scene() -> None:
@@ -207,8 +211,8 @@ def test_rendering_shows_the_whole_workspace() -> None:
     env = gymnasium.make("magical_mj/MoveToRegion-Demo-State-v0", render_mode="rgb_array")
     env.reset(seed=0)
     picture = env.render()
-    single = magical_mj.load("MoveToRegion", image_size=384, observations=("allo",))
-    np.testing.assert_array_equal(picture, single.reset().observation["allo"])
+    single = magical_mj.Engine("MoveToRegion")
+    np.testing.assert_array_equal(picture, single.render("allo", 384))
 
 
 @pytest.mark.parametrize(

@@ -152,7 +152,7 @@ def test_rendered_views(size: int) -> None:
         env.reset(seed=0)
         pictures[view] = env.render()
         np.testing.assert_array_equal(
-            pictures[view][:, :size], env.unwrapped.dm_env.render(env.unwrapped._views[0], size)
+            pictures[view][:, :size], env.unwrapped.engine.render(env.unwrapped._views[0], size)
         )
     assert pictures["both"].shape == (size, 2 * size, 3)
     np.testing.assert_array_equal(pictures["both"], np.hstack([pictures["ego"], pictures["allo"]]))

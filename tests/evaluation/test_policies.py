@@ -236,7 +236,7 @@ class Exploding:
     def reset(self, episode: Episode) -> None:
         assert episode.env is not None
         if episode.seed == 0:
-            episode.env.physics.data.qvel[:] = 1e30
+            episode.env.data.qvel[:] = 1e30
 
     def __call__(self, observation: Any) -> int:
         return 0

@@ -71,9 +71,9 @@ def scores(task: str) -> str:
 
 def physics(task: str) -> str:
     """The compiled model of a scene of All, the substeps of an action, and what each action writes into `ctrl`."""
-    env = magical_mj.load(task, "All", scene=sample_scene(task, "All", 0), observations=())
+    env = magical_mj.Engine(task, "All", scene=sample_scene(task, "All", 0))
     env.reset()
-    model = env.physics.model.ptr
+    model = env.model
     controls = [control_signal(action).tolist() for action in range(env.action_spec().num_values)]
     found = model_digest(model), round(env.control_timestep() / model.opt.timestep), controls
     env.close()

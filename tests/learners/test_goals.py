@@ -254,7 +254,7 @@ TASK = replace(task_spec("FixColour"), name="Unscored", score=_score, plan=_plan
 
 
 def test_the_policy_uses_neither_the_tasks_score_nor_its_plan(goals: dict[str, InferredGoal]) -> None:
-    env = magical_mj.load(f"{__name__}:TASK", "Layout", seed=4, observations=())
+    env = magical_mj.Engine(f"{__name__}:TASK", "Layout", seed=4)
     env.reset(seed=4)
     ASKED.clear()
     policy = GoalPolicy({"Unscored": goals["FixColour"]})

@@ -17,12 +17,12 @@ from tests.helpers.display import hidden_display
 
 FIRST_FRAME = """
 import magical_mj
-env = magical_mj.load("MoveToRegion", seed=0)
-env.reset()
+env = magical_mj.Engine("MoveToRegion", seed=0)
+env.render()
 """
 DAEMON = """
 import threading, time
-work = lambda: (magical_mj.load("MoveToRegion").reset(), started.set(), time.sleep(60))
+work = lambda: (magical_mj.Engine("MoveToRegion").render(), started.set(), time.sleep(60))
 started = threading.Event()
 threading.Thread(target=work, daemon=True).start()
 assert started.wait(60)
@@ -96,15 +96,11 @@ def test_a_fork_after_drawing_ends_in_silence(view: str, closing: str) -> None:
 @pytest.mark.parametrize("ours_first", [True, False])
 def test_mujocos_renderer_beside_ours_is_silent_at_exit_if_closed(ours_first: bool) -> None:
     """If it is not closed, its own clean-up complains, in a program without us too."""
-    theirs = (
-        "renderer = mujoco.Renderer(env.physics.model.ptr, 64, 64)\n"
-        "renderer.update_scene(env.physics.data.ptr)\n"
-        "renderer.render()\n"
-    )
+    theirs = "renderer = mujoco.Renderer(env.model, 64, 64)\nrenderer.update_scene(env.data)\nrenderer.render()\n"
     ours = "env.render('ego', 64)\n"
     result = python(
         "import os; os.environ['MUJOCO_GL'] = 'egl'  # which mujoco's renderer looks at\n"
-        "import magical_mj, mujoco\nenv = magical_mj.load('MoveToRegion', observations=())\nenv.reset()\n"
+        "import magical_mj, mujoco\nenv = magical_mj.Engine('MoveToRegion')\n"
         + (ours + theirs if ours_first else theirs + ours)
         + "renderer.render()\nrenderer.close()\n"
     )
@@ -119,8 +115,8 @@ class TestWithoutOpenGL:
     def test_states_work_and_pictures_say_what_is_missing(self) -> None:
         program = (
             "import magical_mj\n"
-            "env = magical_mj.load('FindDupe', observations=('state',))\n"
-            "env.reset(); env.step(1)\n"
+            "env = magical_mj.Engine('FindDupe')\n"
+            "env.step(1); env.state_vector()\n"
             "print('state')\n"
             "env.render()"
         )
@@ -131,7 +127,7 @@ class TestWithoutOpenGL:
 
     @pytest.mark.parametrize("backend", ["egl", "osmesa"])
     def test_a_backend_that_was_asked_for_and_fails_is_named(self, backend: str) -> None:
-        result = python("import magical_mj; magical_mj.load('FindDupe')", MUJOCO_GL=backend, **NO_DRIVER)
+        result = python("import magical_mj; magical_mj.Engine('FindDupe')", MUJOCO_GL=backend, **NO_DRIVER)
         assert result.returncode == 1
         self.check_message(result.stderr)
         assert f"MUJOCO_GL is {backend}" in result.stderr
@@ -242,7 +238,7 @@ def test_tritons_library_is_loaded_before_any_driver(backend: str, tmp_path: Pat
     (tmp_path / "triton" / "__init__.py").touch()
     shutil.copy(_ctypes.__file__, library)
     program = (
-        "import magical_mj\ntry: magical_mj.load('MoveToRegion', image_size=16).reset()\n"
+        "import magical_mj\ntry: magical_mj.Engine('MoveToRegion').render()\n"
         "except magical_mj.utils.errors.RenderingError: pass"
     )
     result = subprocess.run(
@@ -261,5 +257,5 @@ def test_tritons_library_is_loaded_before_any_driver(backend: str, tmp_path: Pat
 
 def test_drawing_goes_with_triton() -> None:
     pytest.importorskip("triton")
-    program = "import magical_mj; magical_mj.load('MoveToRegion', image_size=16).reset(); import triton; print('well')"
+    program = "import magical_mj; magical_mj.Engine('MoveToRegion').render(); import triton; print('well')"
     assert subprocess.run([sys.executable, "-c", program], capture_output=True, check=False).stdout == b"well\n"

@@ -106,7 +106,7 @@ def test_it_is_played_by_its_name_and_by_its_reference(user: User) -> None:
         assert magical_mj.score("PushOut", scene, scene) == 0 and magical_mj.score("PushOut", scene, apart) == 1
 
         for task in ("PushOut", "push_out:SPEC"):
-            env = magical_mj.load(task, "All", seed=7)
+            env = magical_mj.Engine(task, "All", seed=7)
             env.reset(seed=7)
             assert env.scene == scene and env.horizon == 120
             name = magical_mj.env_id(task, "All", "State")
@@ -198,13 +198,12 @@ def test_without_a_plan_everything_but_the_expert_works(user: User) -> None:
     assert "Planless has no plan, so no expert can play it" in done.stderr + done.stdout
     user.runs(
         """
-        from magical_mj import demos, load
+        from magical_mj import Engine, demos
 
         for task, known, name in (
             ("planless:SPEC", "planless:SPEC", "Planless"), ("push_out:SPEC", "PushOut", "PushOut")
         ):
-            env = load(task, seed=0, observations=())
-            env.reset()
+            env = Engine(task, seed=0)
             recorder = demos.Recorder(env)
             recorder.step(1)
             path, _ = demos.keep(recorder.demonstration(task, "Demo", 0, "human", 0), "played")

@@ -55,9 +55,9 @@ def test_the_shipped_demonstrations_are_the_same(task: str) -> None:
 
 
 def test_the_fingerprint_of_the_physics_notices_physics_and_nothing_else() -> None:
-    env = magical_mj.load("FindDupe", "Demo", observations=())
+    env = magical_mj.Engine("FindDupe", "Demo")
     env.reset()
-    model, before = env.physics.model.ptr, fingerprints.physics("FindDupe")
+    model, before = env.model, fingerprints.physics("FindDupe")
     assert before == fingerprints.physics("FindDupe")
     same = fingerprints.model_digest(model)
     model.geom_rgba[:] = 0.5

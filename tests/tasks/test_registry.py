@@ -13,7 +13,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from magical_mj import load
+from magical_mj.engine import Engine
 from magical_mj.envs.registration import env_id
 from magical_mj.tasks.planning import Noise
 from magical_mj.tasks.registry import ENVIRONMENTS, environments, sample_scene, score, task_name, task_spec
@@ -143,7 +143,7 @@ def test_tasks_that_cannot_be_played_are_refused(mine: str, name: str, word: str
 
 
 def test_later_scores_and_scenes_of_ones_own_are_checked_too(mine: str) -> None:
-    env = load(f"{mine}:LATER", observations=(), seed=0)
+    env = Engine(f"{mine}:LATER", seed=0)
     env.reset()
     assert env.score() == 0.0
     env.step(2)
@@ -156,7 +156,7 @@ def test_later_scores_and_scenes_of_ones_own_are_checked_too(mine: str) -> None:
 def test_errors_in_the_code_of_ones_own_task_say_where(mine: str) -> None:
     """Also in code that runs later than the checks of a task."""
     where = r"ZeroDivisionError: .* \(.*mine_.*\.py, line \d+\)$"
-    env = load(f"{mine}:FAILS", observations=(), seed=0)
+    env = Engine(f"{mine}:FAILS", seed=0)
     env.reset()
     env.step(2)
     with pytest.raises(TaskError, match=f"^Mine.score failed: {where}"):
@@ -202,19 +202,19 @@ def test_plans_of_ones_own_are_checked(mine: str, name: str, returned: str) -> N
 
 def test_a_task_that_was_edited_and_reloaded_is_the_new_one(mine: str) -> None:
     good = f"{mine}:GOOD"
-    assert load(good).horizon == task_spec("MatchRegions").steps
+    assert Engine(good).horizon == task_spec("MatchRegions").steps
     file = Path(f"{mine}.py")
     file.write_text(MINE.replace('name="Mine"', 'name="Mine", steps=17'))
     gymnasium.make(env_id(good)).close()
     importlib.reload(sys.modules[mine])
-    assert load(good).horizon == 17
+    assert Engine(good).horizon == 17
     spec = gymnasium.make(env_id(good)).spec
     assert spec is not None
     assert spec.max_episode_steps == 17
     file.write_text(MINE.replace('name="Mine"', 'name="Mine", score=lambda initial, final, rules: 2.0'))
     importlib.reload(sys.modules[mine])
     with pytest.raises(TaskError, match="returned 2"):
-        load(good)
+        Engine(good)
 
 
 def test_a_robot_that_belongs_in_a_region_stays_there(mine: str) -> None:

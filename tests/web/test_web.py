@@ -81,7 +81,7 @@ def test_the_expert_that_is_watched_solves_the_scenes() -> None:
         entries = environment_scenes(task, variant)["scenes"]
         assert len(entries) == (1 if variant == "Demo" else 20)
         entry = entries[number % len(entries)]
-        env = magical_mj.load(task, variant, seed=entry["seed"], observations=())
+        env = magical_mj.Engine(task, variant, seed=entry["seed"])
         env.reset()
         for action in actions_of(entry["expert"]):
             env.step(action)
@@ -228,7 +228,7 @@ def test_an_episode_at_the_server_is_pythons_and_outlives_a_kill(server: tuple[A
     process, address, folder = server
     with urlopen(address, timeout=60) as reply:
         assert reply.read() == (PAGE / "index.html").read_bytes()
-    env = magical_mj.load("MoveToRegion", "All", seed=7, observations=())
+    env = magical_mj.Engine("MoveToRegion", "All", seed=7)
     env.reset()
     recorder, actions = Recorder(env), [1, 4, 7, 10] * 10
     with sit(address) as seat:

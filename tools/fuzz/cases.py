@@ -39,7 +39,7 @@ def scenes(rng: random.Random, folder: Path) -> None:
     tree = spoilt_tree(json.loads(first.to_json()), rng) if rng.random() < 0.97 else json_value(rng)
     text = "[" * 10**5 if rng.random() < 0.005 else json.dumps(tree)
     scene = magical_mj.Scene.from_json(text)
-    env = magical_mj.load_scene(scene, observations=(), image_size=16)
+    env = magical_mj.Engine.of_scene(scene)
     try:
         env.reset()
         for camera in CAMERAS:
@@ -84,8 +84,7 @@ def gymnasium_env(preset: str, **settings: Any) -> Any:
 
 
 def _draw(view: Any, size: Any) -> None:
-    env = magical_mj.load("MoveToRegion", observations=())
-    env.reset()
+    env = magical_mj.Engine("MoveToRegion")
     env.render(view, size)
     env.close()
 
@@ -96,8 +95,7 @@ def _moved(robot: Any, blocks: Any) -> None:
 
 
 def _expert(task: Any, seed: Any) -> None:
-    env = magical_mj.load("MoveToRegion", observations=())
-    env.reset()
+    env = magical_mj.Engine("MoveToRegion")
     env.step(magical_mj.policies.expert.Expert(env, task, seed)())
 
 

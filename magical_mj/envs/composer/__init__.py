@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import sys
+
+import mujoco
+
+from magical_mj.engine import State
 from magical_mj.rendering.backend import prepare_dm_control
+from magical_mj.utils.errors import MissingExtraError
 
-prepare_dm_control()  # before anything below imports dm_control
-
-from magical_mj.engine.state import State  # noqa: E402
-from magical_mj.envs.composer.environment import Environment  # noqa: E402
-from magical_mj.envs.composer.loading import load, load_scene  # noqa: E402
+try:
+    prepare_dm_control()  # before it is imported
+    from magical_mj.envs.composer.environment import Environment, load, load_scene
+except (ImportError, AttributeError) as error:  # the latter with versions that do not fit together
+    raise MissingExtraError(
+        "magical_mj.load needs dm_control, which installs with Python below 3.13 and MuJoCo 3 (this is Python "
+        f"{sys.version_info.major}.{sys.version_info.minor} with MuJoCo {mujoco.__version__}): pip install dm_control "
+        f"there, or use Gymnasium or magical_mj.Engine here ({error})"
+    ) from error
 
 __all__ = ["Environment", "State", "load", "load_scene"]

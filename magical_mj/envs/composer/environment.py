@@ -1,64 +1,239 @@
-"""`Environment`: composer's environment, which knows its scene and saves and restores its states.
+"""The dm_env environment: dm_control's composer runs a scene, with a task's score and horizon if there is a task.
 
-A control step writes the controls once and runs all substeps in one call of MuJoCo: composer's own Python loop over
-substeps takes longer than the physics. Environments with users' hooks, or with observables that have a buffer or a
-delay, still use composer's loop.
+It uses composer's public interface only, and steps the same physics as an engine: to the bit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable
-from typing import Any
+import secrets
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
 
 import dm_env
+import mujoco
 import numpy as np
+from dm_control import composer
+from dm_control.composer.observation import observable
 from dm_control.rl.control import PhysicsError
+from dm_env import specs
 from numpy.typing import NDArray
 
-from magical_mj.assets.contacts import SUBSTEPS
-from magical_mj.engine.settings import EnvironmentSettings
-from magical_mj.engine.simulation import Simulation
-from magical_mj.engine.state import State, check_state
-from magical_mj.envs.composer.internals import OpenEnvironment
-from magical_mj.envs.composer.observables import CurrentObservable, CurrentUpdater
-from magical_mj.envs.composer.task import SceneTask
-from magical_mj.rendering.renderer import check_size
+from magical_mj.assets.contacts import SUBSTEPS, TIMESTEP
+from magical_mj.assets.robot import control_signal
+from magical_mj.assets.world import World
+from magical_mj.engine import State
+from magical_mj.engine.setup import Setup, check_one_start
+from magical_mj.engine.simulation import advance, restore, save
+from magical_mj.engine.state import check_state
+from magical_mj.envs.composer.entities import Arena
+from magical_mj.rendering.renderer import Renderer, SolidRenderer, check_out, check_size
 from magical_mj.scene import Scene
-from magical_mj.scene.state_vector import CAMERAS
-from magical_mj.utils.errors import ClosedError, SettingsError, StateError, check_name
+from magical_mj.scene import constants as c
+from magical_mj.scene.actions import ACTIONS, action_number
+from magical_mj.scene.state_vector import CAMERAS, OBSERVATIONS, SOLID_VIEW, STATE_NAMES, VIEWS, StateEncoder
+from magical_mj.tasks.registry import task_spec
+from magical_mj.tasks.spec import REWARDS, Reward, Rules
+from magical_mj.utils import errors
+from magical_mj.utils.errors import ClosedError, SettingsError, StateError, check_name, shown
 from magical_mj.variants import check_seed
 
+CAMERA_NAMES: Final = {"ego": "robot/ego"}
+"""The names of cameras in the compiled tree, where they are not those of the views."""
+AT_COMPILATION: Final = ("initialize_episode_mjcf", "after_compile")
+"""Hooks that composer calls only when it compiles the tree."""
 
-class Environment(OpenEnvironment):
+
+class CurrentObservable(observable.Generic):
+    """An observable with a known spec, so that reading the spec draws nothing. It is enabled by default."""
+
+    def __init__(self, function: Callable[[Any], Any], spec: specs.Array) -> None:
+        super().__init__(function)
+        self._own_spec = spec
+        self.enabled = True
+
+    @property
+    def array_spec(self) -> specs.Array:
+        """Shape and type."""
+        return self._own_spec
+
+
+class SceneTask(composer.Task):
+    """Runs scenes: executes actions, provides observations, and ends and scores episodes if there is a benchmark task.
+
+    All ten of MuJoCo's steps of an action are one substep of composer, whose own loop takes longer than the physics.
+
+    Args:
+        setup: what is played.
+        scene: the first scene.
+        observations: any of "ego", "allo" and "state".
+        image_size: side of the pictures in pixels.
+        reward: "none", or "score" for the score at the last step.
+
+    Attributes:
+        world: the world of this episode's scene.
+        steps: the number of actions since the start of the episode.
+    """
+
+    def __init__(
+        self, setup: Setup, scene: Scene, observations: Sequence[str], image_size: int, reward: Reward
+    ) -> None:
+        self.setup, self.observations, self.image_size, self.reward = setup, tuple(observations), image_size, reward
+        self.steps = 0
+        self._renderers: dict[type[Renderer], Renderer] = {}
+        self._arena = Arena(scene)
+        self.start(scene)
+        self._observables = OrderedDict((name, self._observable(name)) for name in observations)
+
+    def start(self, scene: Scene, state: State | None = None) -> None:
+        """Makes the next episode start in the scene, or in a state of an episode that started in it."""
+        self.world, self._state = World(scene), state
+        self._encoder = StateEncoder(scene) if "state" in self.observations else None
+
+    def _observable(self, name: str) -> CurrentObservable:
+        if name == "state":
+            return CurrentObservable(self._state_vector, specs.Array((len(STATE_NAMES),), np.float32, name))
+        size = self.image_size
+        picture = specs.BoundedArray((size, size, 3), np.uint8, 0, 255, name)
+        return CurrentObservable(lambda physics: self.draw(physics, name, size), picture)
+
+    def _state_vector(self, physics: Any) -> NDArray[np.float32]:
+        world, data = self.world, physics.data
+        encoder = self._encoder or StateEncoder(world.scene)
+        return encoder(world.poses(data.qpos), world.poses(data.qvel), world.fingers(data.qpos))
+
+    def draw(self, physics: Any, view: str, size: int, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
+        """A picture of the present state, fresh or in `out`. Shape (size, size, 3), RGB, top row first."""
+        check_out(out, size)
+        kind, model = SolidRenderer if view == SOLID_VIEW else Renderer, physics.model.ptr
+        renderer = self._renderers.get(kind)
+        if renderer is None or renderer.model is not model:
+            renderer = self._renderers[kind] = kind(model)
+        return renderer.draw(physics.data.ptr, CAMERA_NAMES.get(view, view), size, out)
+
+    def free(self) -> None:
+        """Frees what it drew with."""
+        for renderer in self._renderers.values():
+            renderer.close()
+        self._renderers.clear()
+
+    @property
+    def root_entity(self) -> Arena:
+        """The arena."""
+        return self._arena
+
+    @property
+    def task_observables(self) -> Mapping[str, observable.Observable]:
+        """The observables that were asked for, all enabled."""
+        return self._observables
+
+    @property
+    def control_timestep(self) -> float:
+        """Seconds per action."""
+        return 1 / c.CONTROL_RATE
+
+    @property
+    def physics_timestep(self) -> float:
+        """Seconds per step of MuJoCo."""
+        return TIMESTEP
+
+    @property
+    def physics_steps_per_control_step(self) -> int:
+        """Composer's substeps per action."""
+        return 1
+
+    def initialize_episode_mjcf(self, random_state: np.random.RandomState) -> None:
+        """Makes the tree that of the scene."""
+        del random_state
+        self._arena.show(self.world.scene)
+
+    def initialize_episode(self, physics: Any, random_state: np.random.RandomState) -> None:
+        """Writes the scene into the compiled model, and puts everything into its place."""
+        del random_state
+        model, data = physics.model.ptr, physics.data.ptr
+        self.world.rewrite(model, data, nested=True)
+        mujoco.mj_resetData(model, data)
+        physics.after_reset()
+        self.steps = 0
+        if self._state is not None:
+            self.resume(physics, self._state)
+
+    def resume(self, physics: Any, state: State) -> None:
+        """Restores a state of an episode that started in this scene."""
+        restore(physics.model.ptr, physics.data.ptr, state.simulation)
+        self.steps = int(state.steps)
+
+    def before_step(self, physics: Any, action: Any, random_state: np.random.RandomState) -> None:
+        """Writes the controls of the action."""
+        del random_state
+        physics.data.ctrl[:] = control_signal(action_number(action))
+        self.steps += 1
+
+    def after_substep(self, physics: Any, random_state: np.random.RandomState) -> None:
+        """Takes MuJoCo's other steps: composer has taken the first."""
+        del random_state
+        try:
+            advance(physics.model.ptr, physics.data.ptr, SUBSTEPS - 1)
+        except errors.PhysicsError as error:
+            raise PhysicsError(str(error)) from None
+
+    def should_terminate_episode(self, physics: Any) -> bool:
+        """Whether the horizon is reached."""
+        del physics
+        horizon = self.setup.horizon
+        return horizon is not None and self.steps >= horizon
+
+    def get_reward(self, physics: Any) -> float:
+        """0, or with `reward="score"` the score at the last step."""
+        return self.score(physics) if self.reward == "score" and self.should_terminate_episode(physics) else 0.0
+
+    def score(self, physics: Any) -> float:
+        """The score in [0, 1] if the episode ended now; an `InvalidSceneError` for plain scenes."""
+        return self.setup.score(self.world.scene, self.world.read(physics.data.qpos))
+
+    def action_spec(self, physics: Any) -> specs.DiscreteArray:
+        """The 18 actions."""
+        del physics
+        return specs.DiscreteArray(len(ACTIONS), name="action")
+
+
+class Environment(composer.Environment):
     """A composer environment that knows its scene. Make one with `magical_mj.load` or `load_scene`."""
 
     task: SceneTask
 
-    def __init__(self, settings: EnvironmentSettings, first: Scene, seed: int) -> None:
+    def __init__(self, task: SceneTask, seed: int, *, fixed: bool, recompile: bool) -> None:
         """Compiles the first scene.
 
         Args:
-            settings: the settings of the environment.
-            first: the scene of the first episode.
-            seed: the seed of the generator that draws the seeds of later scenes.
+            task: runs the scenes.
+            seed: the seed of the first scene unless that is fixed, and of the generator of the seeds of later ones.
+            fixed: whether every episode starts in the same scene.
+            recompile: composer's `recompile_mjcf_every_episode`.
         """
-        self._compiled: tuple[Hashable, Simulation] | None = None
-        super().__init__(
-            SceneTask(settings, first),
-            random_state=np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed))),
-            strip_singleton_obs_buffer_dim=True,
-        )
+        self._fixed, self._recompile, self._hooks_added = fixed, recompile, list[tuple[str, Callable[..., Any]]]()
+        self._first_seed: int | None = None if fixed else seed
+        self._over, self._closed = True, False
+        self.seed = self._first_seed
+        """The seed of the present scene; None if it came from elsewhere."""
+        self._compile(task, np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed))))
 
-    @property
-    def physics(self) -> Simulation:
-        """The simulation. A reset may replace it: whoever changes its model does so in a hook, at every episode."""
-        self._open()
-        return super().physics
+    def _compile(self, task: SceneTask, random_state: np.random.RandomState) -> None:
+        """Makes composer's part anew: that is how it compiles another tree where it does not do so in every episode."""
+        super().__init__(
+            task,
+            random_state=random_state,
+            strip_singleton_obs_buffer_dim=True,
+            recompile_mjcf_every_episode=self._recompile,
+        )
+        self._structure = task.world.structure
+        for name, hook in self._hooks_added:
+            super().add_extra_hook(name, hook)
 
     @property
     def scene(self) -> Scene:
         """Where everything is now, fingers included."""
-        return self.task.world.read(self._open().data.qpos)
+        return self.task.world.read(self._opened().data.qpos)
 
     @property
     def initial_scene(self) -> Scene:
@@ -68,25 +243,30 @@ class Environment(OpenEnvironment):
     @property
     def horizon(self) -> int | None:
         """Number of control steps of an episode; None if it never ends."""
-        return self.task.horizon
+        return self.task.setup.horizon
 
     def score(self) -> float:
         """The score in [0, 1] if the episode ended now; an `InvalidSceneError` for plain scenes."""
-        return self.task.score(self._open())
+        return self.task.score(self._opened())
 
     def render(self, view: str = "allo", size: int = 384, *, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
-        """A picture of the present state in a fresh array or in `out`. Shape (size, size, 3), uint8 RGB, top row first.
+        """A picture of the present state, as `magical_mj.Engine.render`."""
+        check_name("view", view, CAMERAS)
+        return self.task.draw(self._opened(), view, check_size(size, "size"), out)
 
-        Args:
-            view: "ego" or "allo", the flat views of the benchmark, or "scene", a 3-D view from above a corner.
-            size: pixels per side.
-            out: the array to write to.
+    def add_extra_hook(self, hook_name: str, hook_callable: Callable[..., Any]) -> None:
+        """Adds a function to one of composer's hooks.
 
         Raises:
-            UnknownNameError, SettingsError, RenderingError: for another view, size or array; without OpenGL.
+            SettingsError: for a hook that is called at compilation only, which episodes mostly do without.
         """
-        check_name("view", view, CAMERAS)
-        return self._open().draw(view, check_size(size, "size"), out)
+        if hook_name in AT_COMPILATION and not self._recompile:
+            raise SettingsError(
+                f"{hook_name} is called only when the tree is compiled: "
+                "load the environment with recompile_mjcf_every_episode=True"
+            )
+        super().add_extra_hook(hook_name, hook_callable)
+        self._hooks_added.append((hook_name, hook_callable))
 
     def reset(
         self, *, seed: int | None = None, scene: Scene | None = None, state: State | None = None
@@ -96,52 +276,77 @@ class Environment(OpenEnvironment):
         Args:
             seed: the seed of this episode's scene; scenes of later episodes do not depend on it.
             scene: the scene in which to start.
-            state: a state to continue from: as `set_state`, but returns a first time step with its observation.
+            state: a state of an episode that goes on, to continue from.
 
         Raises:
             InvalidSceneError, InvalidSeedError, StateError, SettingsError: if it is invalid; if there is more than one.
         """
-        self._open()
-        given = [name for name, value in (("seed", seed), ("scene", scene), ("state", state)) if value is not None]
-        if len(given) > 1:
-            raise SettingsError(f"an episode starts from one of seed, scene and state, not from {' and '.join(given)}")
+        self._opened()
+        check_one_start(seed=seed, scene=scene, state=state)
         if state is not None:
             check_state(state)
             if self.horizon is not None and state.steps >= self.horizon:
                 raise StateError(f"the episode of this state is over, after {state.steps} steps; give an earlier state")
-            self.set_state(state)
-            return dm_env.restart(self._updater.get_observation())
+            return self._start(state.scene, state=state)
         if scene is not None:
-            self.task.settings.check(scene)
-            self.task.next_scene, self.task.next_seed = scene, None
-        elif seed is not None:
-            self.task.set_next_seed(check_seed(seed))
-        return super().reset()
+            return self._start(scene)
+        if self._fixed:
+            return self._start(self.initial_scene)
+        if seed is None:
+            seed = self._first_seed
+        if seed is None:
+            seed = int(self.random_state.randint(2**63 - 1, dtype=np.int64))
+        return self._start(self.task.setup.sample(check_seed(seed)), seed)
+
+    def _start(self, scene: Scene, seed: int | None = None, state: State | None = None) -> dm_env.TimeStep:
+        task = self.task
+        task.setup.check(scene)
+        task.start(scene, state)
+        self.seed, self._first_seed, self._over = seed, None, True  # until it has succeeded
+        if not self._recompile and task.world.structure != self._structure:
+            self._compile(task, self.random_state)
+        timestep = super().reset()
+        if state is not None:
+            task.resume(self.physics, state)  # to the bit: composer has solved for accelerations since
+        self._over = task.should_terminate_episode(self.physics)
+        return timestep
+
+    def step(self, action: Any) -> dm_env.TimeStep:
+        """One action of 1/8 s. After the last step of an episode, the next call starts another one.
+
+        Raises:
+            InvalidActionError: if the action is not one of the 18.
+            dm_control.rl.control.PhysicsError: if the simulation becomes unstable, which ends the episode.
+        """
+        self._opened()
+        if self._over:
+            return self.reset()
+        try:
+            timestep = super().step(action)
+        except PhysicsError:
+            self._over = True
+            raise
+        self._over = timestep.last()
+        return timestep
 
     def get_state(self) -> State:
-        """The present state of the episode, exactly. Takes about 1/40 of a step's time."""
-        return State(self.initial_scene, self.task.steps, self._open().save())
+        """The present state of the episode, exactly: engines and Gymnasium's environments can go on from it, too."""
+        physics = self._opened()
+        return State(self.initial_scene, self.task.steps, save(physics.model.ptr, physics.data.ptr))
 
     def set_state(self, state: State) -> None:
         """Restores a state of this environment, or of another one with the same task: what follows is exactly the same.
 
-        Takes half a step's time, or as long as a reset if the state has another scene than the present one. The
-        environments may have different observations. The generator of later scenes stays as it is; no hook is called.
+        It takes as long as a reset, and calls its hooks.
 
         Raises:
             StateError, InvalidSceneError: if it is none of this task. A damaged one of another scene ends the episode.
         """
-        self._open()
+        physics = self._opened()
         check_state(state)
-        if self.task.next_scene is not None or state.scene != self.initial_scene:
-            self.task.settings.check(state.scene)
-            self.over = True  # until everything below has succeeded
-            self.task.start(state.scene)
-            self.recompile()
-        self._open().restore(state.simulation)
-        self.task.steps = int(state.steps)
-        self._updater.reset(self._open(), self.random_state)
-        self.over = self.task.should_terminate_episode(self._open())
+        if state.scene == self.initial_scene:
+            restore(physics.model.ptr, physics.data.ptr, state.simulation)  # raises an error while nothing has changed
+        self._start(state.scene, state=state)
 
     def clone(self) -> Environment:
         """A copy in the same state, in as long as loading takes. Both behave the same, also in later episodes.
@@ -151,89 +356,129 @@ class Environment(OpenEnvironment):
         """
         return _copied(*self.__reduce__()[1])
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> Environment:
+        return self.clone()
+
     def __reduce__(self) -> tuple[Any, ...]:
-        """For copying and pickling: the settings, the generator, and the state of the episode if one has begun."""
-        self._open()
-        own_observables = self._is_plain and len(self._enabled()) == len(self.task.observables)
-        if self.user_hooks() or not own_observables or self.task.world.tree is not None:
+        """For copying and pickling: what it was loaded with, the generator, and the state of the episode."""
+        self._opened()
+        task = self.task
+        timing = {(it.enabled, it.update_interval, it.buffer_size, it.delay) for it in task.task_observables.values()}
+        mine, fresh = task.root_entity.mjcf_model, Arena(self.initial_scene).mjcf_model
+        task.root_entity.show(self.initial_scene)
+        if self._hooks_added or timing - {(True, 1, None, None)} or mine.to_xml_string() != fresh.to_xml_string():
             raise StateError(
                 "an environment with hooks, changed observables or a changed MJCF tree cannot be copied or pickled: "
                 "load another one, make the same changes, and call its set_state() with this one's get_state()"
             )
-        begun = None if self.task.next_scene is not None else self.get_state()
-        now = self.random_state.get_state(legacy=False), self.task.seed, self.task.next_seed
-        return _copied, (self.task.settings, self.initial_scene, now, begun)
-
-    def step(self, action: Any) -> dm_env.TimeStep:
-        """One action of 1/8 s. After the last step of an episode, the next call starts another one.
-
-        Raises:
-            InvalidActionError: if the action is not one of the 18.
-            dm_control.rl.control.PhysicsError: if the simulation becomes unstable, which ends the episode.
-        """
-        if self.over:  # if this reset failed, composer's own would let the episode that is over go on
-            return self.reset()
-        simulation = self._open()
-        try:
-            if self.extra_hooks or not self._is_plain:
-                return super().step(action)
-            self.task.before_step(simulation, action, self.random_state)
-            simulation.step(SUBSTEPS)
-        except PhysicsError:
-            self.over = True  # MuJoCo has put everything back to the start
-            raise
-        self.over = self.task.should_terminate_episode(simulation)
-        kind = dm_env.StepType.LAST if self.over else dm_env.StepType.MID
-        reward, discount = self.task.get_reward(simulation), self.task.get_discount(simulation)
-        return dm_env.TimeStep(kind, reward, discount, self._updater.get_observation())
+        loaded = task.setup, self.initial_scene, task.observations, task.image_size, task.reward
+        seeds = self.random_state.get_state(legacy=False), self.seed, self._first_seed
+        begun = None if self._first_seed is not None or self._over else self.get_state()
+        return _copied, (loaded, seeds, self._fixed, self._recompile, begun)
 
     def close(self) -> None:
         """Frees the simulation. Closing twice is fine."""
-        if self._compiled is not None:
-            self._compiled[1].free()
-        self._compiled = None
-        super().close()
+        if not self._closed:
+            self._closed = True
+            self.task.free()
+            super().close()
 
-    def _open(self) -> Simulation:
-        if self._compiled is None:
-            raise ClosedError("the environment is closed, or its model could not be compiled; load another one")
-        return self._compiled[1]
-
-    def _enabled(self) -> dict[str, Any]:
-        return {name: entry for name, entry in self.task.observables.items() if entry.enabled}
-
-    def make_updater(self) -> Any:
-        """`CurrentUpdater` if all observables are immediate, else composer's updater."""
-        enabled = self._enabled()
-        current = all(isinstance(entry, CurrentObservable) and entry.is_immediate for entry in enabled.values())
-        self._is_plain = current and not self.user_hooks()
-        self._updater = CurrentUpdater(enabled) if current else super().make_updater()
-        return self._updater
-
-    def simulate(self) -> Simulation:
-        """The simulation of the task's present world, exactly as if newly compiled. It may replace the previous one.
-
-        Compiling takes more than ten times as long as rewriting a model, and most episodes differ in numbers only.
-        If users may have changed the model, by a hook or in composer's tree, it is always compiled.
-        """
-        world = self.task.world
-        if self._compiled is not None:
-            structure, simulation = self._compiled
-            changed = world.tree is not None or not simulation.is_ours or self.user_hooks()
-            if world.structure == structure and not changed:
-                world.rewrite(simulation.model.ptr, simulation.data.ptr)
-                return simulation
-            simulation.free()
-            self._compiled = None  # also if it cannot be compiled
-        self._compiled = world.structure, Simulation.of(world)
-        return self._compiled[1]
+    def _opened(self) -> Any:
+        """The physics."""
+        if self._closed:
+            raise ClosedError("the environment is closed; load another one")
+        return self.physics
 
 
-def _copied(settings: EnvironmentSettings, first: Scene, seeds: tuple[Any, ...], begun: State | None) -> Environment:
+def _copied(
+    loaded: tuple[Any, ...], seeds: tuple[Any, ...], fixed: bool, recompile: bool, begun: State | None
+) -> Environment:
     """A copy of an environment, as `Environment.__reduce__` describes it."""
-    env = Environment(settings, first, seed=0)
+    env = Environment(SceneTask(*loaded), 0, fixed=fixed, recompile=recompile)
     if begun is not None:
         env.set_state(begun)
-    generator, env.task.seed, env.task.next_seed = seeds
+    generator, env.seed, env._first_seed = seeds
     env.random_state.set_state(generator)
     return env
+
+
+def load(
+    task: str,
+    variant: str = "Demo",
+    *,
+    seed: int | None = None,
+    scene: Scene | None = None,
+    observations: Sequence[str] = VIEWS,
+    image_size: int = 96,
+    reward: Reward = "none",
+    rules: Rules = "paper",
+    recompile_mjcf_every_episode: bool = False,
+) -> Environment:
+    """A dm_env environment of the benchmark, by dm_control's composer.
+
+    Its MJCF tree is `env.task.root_entity.mjcf_model`. What is changed there counts from the next compilation: before
+    the first episode, and when an episode has other blocks than the one before. In between, a scene is written into the
+    compiled model, which takes milliseconds.
+
+    Args:
+        task: one of `magical_mj.TASKS`, a task that a package announces, or ``"package.module:SPEC"``.
+        variant: one of `magical_mj.VARIANTS` that the task has.
+        seed: the first episode starts in `sample_scene(task, variant, seed)`, the following ones in scenes
+            drawn from a generator with this seed. None: seeded from the system's entropy.
+        scene: start every episode in this scene instead.
+        observations: any of "ego", "allo" and "state".
+        image_size: side of the pictures in pixels.
+        reward: "none" (always 0: the benchmark has no reward) or "score" (the score, at the last step).
+        rules: "paper", or "released" for the scores and horizons of the original's released code.
+        recompile_mjcf_every_episode: compile the tree for every episode, as hooks that change it need.
+
+    Raises:
+        UnknownNameError: for an unknown task, variant, observation, reward or rules, or an unsupported pair.
+        TaskError: if the task of another package is invalid.
+        InvalidSceneError: if the scene is illegal or not one of the task.
+        InvalidSeedError, SettingsError: for a bad seed; for a bad image size or list of observations.
+    """
+    task_spec(task)  # None, too, is no task
+    check_name("reward", reward, REWARDS)
+    setup = Setup(task, variant, rules)
+    return _loaded(setup, seed, scene, observations, image_size, reward, recompile_mjcf_every_episode)
+
+
+def load_scene(
+    scene: Scene,
+    *,
+    seed: int | None = None,
+    observations: Sequence[str] = VIEWS,
+    image_size: int = 96,
+    recompile_mjcf_every_episode: bool = False,
+) -> Environment:
+    """A dm_env environment that starts every episode in `scene`: no task, so no score and no horizon.
+
+    Raises:
+        UnknownNameError, InvalidSceneError, InvalidSeedError, SettingsError: as `load`.
+    """
+    Setup(None).check(scene)
+    return _loaded(Setup(None), seed, scene, observations, image_size, "none", recompile_mjcf_every_episode)
+
+
+def _loaded(
+    setup: Setup,
+    seed: int | None,
+    scene: Scene | None,
+    observations: Sequence[str],
+    image_size: int,
+    reward: Reward,
+    recompile: bool,
+) -> Environment:
+    if not isinstance(observations, list | tuple):
+        example = observations if isinstance(observations, str) and observations in OBSERVATIONS else "ego"
+        raise SettingsError(
+            f'observations must be a list or a tuple of names, such as ("{example}",), not {shown(observations)}'
+        )
+    for name in observations:
+        check_name("observation", name, OBSERVATIONS)
+    seed = secrets.randbits(63) if seed is None else check_seed(seed)
+    first = setup.sample(seed) if scene is None else scene
+    setup.check(first)
+    task = SceneTask(setup, first, observations, check_size(image_size), reward)
+    return Environment(task, seed, fixed=scene is not None, recompile=recompile)

@@ -53,7 +53,7 @@ class LeRobotEnv(gymnasium.ObservationWrapper[dict[str, Any], NDArray[np.float32
         check_name("choice of views", views, VIEWS)
         env = MagicalEnv(task, variant, "State", reward="score", action="continuous", render_mode="rgb_array")
         super().__init__(cast("gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]", env))
-        self._dm_env, self._views, self._with_fingers = env.dm_env, VIEWS[views], fingers
+        self._engine, self._views, self._with_fingers = env.engine, VIEWS[views], fingers
         self.task = task
         self.task_description = task_spec(task).summary
         self._max_episode_steps = task_spec(task).horizon()
@@ -78,7 +78,7 @@ class LeRobotEnv(gymnasium.ObservationWrapper[dict[str, Any], NDArray[np.float32
         """The pictures of the present state, or its vector, and the fingers from the vector."""
         seen: dict[str, Any] = {"environment_state": observation}
         if self._views:
-            pictures = {view: self._dm_env.render(view, IMAGE_SIZE) for view in self._views}
+            pictures = {view: self._engine.render(view, IMAGE_SIZE) for view in self._views}
             seen = {"pixels": pictures if len(pictures) > 1 else pictures[self._views[0]]}
         return {**seen, "agent_pos": state(observation[WHERE_FINGERS] if self._with_fingers else None)}
 

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from magical_mj.envs.composer import Environment
+from magical_mj.engine import Engine
 from magical_mj.policies.expert.lookahead import Lookahead, state_of
 from magical_mj.policies.expert.planner import Plan, Planner
 from magical_mj.scene.actions import NOOP
@@ -20,12 +20,12 @@ BUDGET: Final = 300  # simulated steps per step of the episode; once they are us
 
 
 class PlanFollower:
-    """A policy that drives one environment; each call gives the action for the environment's present state.
+    """A policy that drives one engine; each call gives the action for the engine's present state.
 
     It plans when an episode starts, and again whenever the state is not the one that its plan predicted.
 
     Args:
-        env: an environment, already reset. It may be reset again.
+        env: an engine. It may be reset again.
         horizon: the number of steps of an episode.
         planner: makes the planner of the present episode.
         rng: makes the random generator of a plan.
@@ -34,7 +34,7 @@ class PlanFollower:
 
     def __init__(
         self,
-        env: Environment,
+        env: Engine,
         horizon: int,
         planner: Callable[[], Planner],
         rng: Callable[[], np.random.Generator],
@@ -46,7 +46,7 @@ class PlanFollower:
 
     def __call__(self) -> int:
         """The action for the present state."""
-        left = self._horizon - self._env.task.steps
+        left = self._horizon - self._env.steps
         if left <= 0:
             return NOOP
         state = state_of(self._env)
@@ -61,23 +61,23 @@ class Expert(PlanFollower):
     """The expert: it plans with the task's own score and subgoals.
 
     Args:
-        env: an environment of the task, already reset.
+        env: an engine of the task.
         task: a task's name, or "package.module:SPEC".
         seed: the seed of the expert's random choices.
 
     Raises:
         UnknownNameError: if there is no such task.
         TaskError: if it has no plan.
-        InvalidSceneError: if the environment's scene is not one of the task.
+        InvalidSceneError: if the engine's scene is not one of the task.
         InvalidSeedError: if the seed is not an integer, or negative.
-        SettingsError: if the environment is not one of `magical_mj.load`.
+        SettingsError: if it is no engine.
     """
 
-    def __init__(self, env: Environment, task: str, seed: int = 0) -> None:
-        if not isinstance(env, Environment):
+    def __init__(self, env: Engine, task: str, seed: int = 0) -> None:
+        if not isinstance(env, Engine):
             raise SettingsError(
-                f"an expert drives what magical_mj.load returns, not {shown(env)}; "
-                "in Gymnasium's environments that is env.unwrapped.dm_env"
+                f"an expert drives a magical_mj.Engine, not {shown(env)}; "
+                "in Gymnasium's environments that is env.unwrapped.engine"
             )
         spec = task_spec(task)
         spec.check_plan()
@@ -85,7 +85,7 @@ class Expert(PlanFollower):
         seed = check_seed(seed)
 
         def planner() -> Planner:
-            initial, rules = env.initial_scene, env.task.settings.rules
+            initial, rules = env.initial_scene, env.rules
             return Planner(
                 lambda scene: spec.checked_score(initial, scene, rules),
                 lambda scene, noise, _: spec.subgoals(initial, scene, noise, rules),

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.envs.composer import Environment
+from magical_mj.engine import Engine
 from magical_mj.policies.expert.hand import Hand
 from magical_mj.scene import Pose, Scene
 from magical_mj.scene.actions import ACTIONS, Action, Drive, Gripper, Turn
@@ -18,16 +18,16 @@ Point = tuple[float, float]
 
 
 class Lookahead:
-    """A copy of an environment's simulation, to try actions in.
+    """A copy of an engine's simulation, to try actions in.
 
     Args:
-        env: the environment whose present state is copied; it is not changed.
+        engine: the engine whose present state is copied; it is not changed.
     """
 
-    def __init__(self, env: Environment) -> None:
-        self._simulation = env.physics.copy(share_model=True)
-        self._simulation.restore(env.physics.save())
-        self._world = env.task.world
+    def __init__(self, engine: Engine) -> None:
+        self._simulation = engine.simulation.copy()
+        self._simulation.restore(engine.simulation.save())
+        self._world = engine.simulation.world
         self.trace: list[int] = []
         """The actions since the last `restore`."""
         self.states: list[SavedState] = []
@@ -91,6 +91,6 @@ class Lookahead:
         return self._world.read(self._simulation.data.qpos)
 
 
-def state_of(env: Environment) -> SavedState:
-    """The present state of an environment."""
-    return env.physics.save()
+def state_of(engine: Engine) -> SavedState:
+    """The present state of an engine."""
+    return engine.simulation.save()

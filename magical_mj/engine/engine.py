@@ -1,0 +1,255 @@
+"""`Engine`: one world with its task's horizon and score, pictures, and states that can be saved and restored."""
+
+from __future__ import annotations
+
+import secrets
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.engine.setup import Setup, check_one_start
+from magical_mj.engine.simulation import Simulation
+from magical_mj.engine.state import State, check_state
+from magical_mj.rendering.renderer import check_size
+from magical_mj.scene import Scene
+from magical_mj.scene.state_vector import CAMERAS, StateEncoder
+from magical_mj.tasks.registry import task_spec
+from magical_mj.tasks.spec import Rules
+from magical_mj.utils.errors import ClosedError, PhysicsError, StateError, check_name
+from magical_mj.variants import check_seed
+
+
+class Engine:
+    """One of the benchmark's environments without observations, rewards and wrappers: both doors stand on it.
+
+    A new engine is at the start of its first episode: in `scene`, or else in `sample_scene(task, variant, seed)`.
+
+    Args:
+        task: one of `magical_mj.TASKS`, a task that a package announces, or ``"package.module:SPEC"``.
+        variant: one of `magical_mj.VARIANTS` that the task has.
+        scene: the scene in which to start.
+        rules: "paper", or "released" for the scores and horizons of the original's released code.
+        seed: the seed of the first scene; None: drawn from the system's entropy.
+
+    Attributes:
+        setup: task, variant and rules, with what follows from them.
+        task, variant, rules: likewise; the task is None for plain scenes.
+        seed: the seed of the present episode's scene; None if it came from elsewhere.
+        steps: the number of actions since the start of the episode.
+        horizon: the number of actions of an episode; None if it never ends, as in plain scenes.
+        simulation: MuJoCo's model and data.
+
+    Raises:
+        UnknownNameError: for an unknown task, variant or rules, or an unsupported pair.
+        TaskError: if the task of another package is invalid.
+        InvalidSceneError: if the scene is illegal or not one of the task.
+        InvalidSeedError: if the seed is not an integer, or negative.
+        SettingsError: if both a scene and a seed are given.
+    """
+
+    def __init__(
+        self,
+        task: str,
+        variant: str = "Demo",
+        *,
+        scene: Scene | None = None,
+        rules: Rules = "paper",
+        seed: int | None = None,
+    ) -> None:
+        check_one_start(seed=seed, scene=scene)
+        task_spec(task)  # None, too, is no task
+        setup = Setup(task, variant, rules)
+        if scene is None:
+            seed = secrets.randbits(63) if seed is None else check_seed(seed)
+            scene = setup.sample(seed)
+        else:
+            setup.check(scene)
+        self._begin(setup, scene, seed)
+
+    @classmethod
+    def of_scene(cls, scene: Scene) -> Engine:
+        """An engine for a plain scene: no task, so no score and no horizon.
+
+        Raises:
+            InvalidSceneError: if the scene is illegal.
+        """
+        engine, setup = cls.__new__(cls), Setup(None)
+        setup.check(scene)
+        engine._begin(setup, scene, None)
+        return engine
+
+    def _begin(self, setup: Setup, scene: Scene, seed: int | None) -> None:
+        self.setup, self.task, self.variant, self.rules = setup, setup.task, setup.variant, setup.rules
+        self.horizon = setup.horizon
+        self._simulation: Simulation | None = Simulation(scene)
+        self._encoder: tuple[Scene, StateEncoder] | None = None
+        self.seed, self.steps, self._broken = seed, 0, False
+
+    @property
+    def simulation(self) -> Simulation:
+        """The simulation."""
+        if self._simulation is None:
+            raise ClosedError("the environment is closed; make another one")
+        return self._simulation
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """MuJoCo's model. A reset may replace it, and writes every number that the scene determines."""
+        return self.simulation.model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """MuJoCo's data."""
+        return self.simulation.data
+
+    @property
+    def scene(self) -> Scene:
+        """Where everything is now, fingers included."""
+        simulation = self.simulation
+        return simulation.world.read(simulation.data.qpos)
+
+    @property
+    def initial_scene(self) -> Scene:
+        """The scene in which this episode started."""
+        return self.simulation.world.scene
+
+    @property
+    def over(self) -> bool:
+        """Whether the episode has ended: at its horizon, or because the simulation became unstable."""
+        return self._broken or (self.horizon is not None and self.steps >= self.horizon)
+
+    def reset(self, *, seed: int | None = None, scene: Scene | None = None, state: State | None = None) -> None:
+        """Starts an episode in the scene of `seed`, or in `scene`, or again in the present episode's scene.
+
+        Args:
+            seed: the seed of this episode's scene.
+            scene: the scene in which to start.
+            state: a state to continue from, as `set_state`, of an episode that goes on.
+
+        Raises:
+            InvalidSceneError, InvalidSeedError, StateError, SettingsError: if it is invalid; if there is more than one.
+        """
+        simulation = self.simulation
+        check_one_start(seed=seed, scene=scene, state=state)
+        if state is not None:
+            check_state(state)
+            if self.horizon is not None and state.steps >= self.horizon:
+                raise StateError(f"the episode of this state is over, after {state.steps} steps; give an earlier state")
+            self.set_state(state)
+            return
+        if seed is not None:
+            seed = check_seed(seed)
+            scene = self.setup.sample(seed)
+        elif scene is not None:
+            self.setup.check(scene)
+        else:
+            scene, seed = self.initial_scene, self.seed
+        self._broken = True  # until it has succeeded
+        simulation.start(scene)
+        self.seed, self.steps, self._broken = seed, 0, False
+
+    def step(self, action: Any) -> bool:
+        """One action of 1/8 s. Returns whether the episode is over.
+
+        Raises:
+            InvalidActionError: if the action is not one of the 18.
+            StateError: if the episode is over already.
+            PhysicsError: if the simulation becomes unstable, which ends the episode.
+        """
+        simulation = self.simulation
+        if self.over:
+            raise StateError("the episode is over: call reset() before the next step")
+        try:
+            simulation.act(action)
+        except PhysicsError:
+            self._broken = True
+            raise
+        self.steps += 1
+        return self.over
+
+    def score(self) -> float:
+        """The score in [0, 1] if the episode ended now.
+
+        Raises:
+            InvalidSceneError: without a task.
+        """
+        return self.setup.score(self.initial_scene, self.scene)
+
+    def state_vector(self) -> NDArray[np.float32]:
+        """What `magical_mj.scene.state_vector.STATE_NAMES` names, in a fresh vector. Shape (len(STATE_NAMES),).
+
+        Raises:
+            InvalidSceneError: if the scene has more blocks or regions than the vector holds.
+        """
+        world, data = self.simulation.world, self.simulation.data
+        if self._encoder is None or self._encoder[0] is not world.scene:
+            self._encoder = world.scene, StateEncoder(world.scene)
+        return self._encoder[1](world.poses(data.qpos), world.poses(data.qvel), world.fingers(data.qpos))
+
+    def fingers(self) -> NDArray[np.float64]:
+        """The angles of the left and the right finger, rad. Shape (2,)."""
+        return self.simulation.world.fingers(self.data.qpos)
+
+    def render(self, view: str = "allo", size: int = 384, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
+        """A picture of the present state in a fresh array or in `out`. Shape (size, size, 3), uint8 RGB, top row first.
+
+        Args:
+            view: "ego" or "allo", the flat views of the benchmark, or "scene", a 3-D view from above a corner.
+            size: pixels per side.
+            out: the array to write to.
+
+        Raises:
+            UnknownNameError, SettingsError, RenderingError: for another view, size or array; without OpenGL.
+        """
+        check_name("view", view, CAMERAS)
+        return self.simulation.draw(view, check_size(size, "size"), out)
+
+    def get_state(self) -> State:
+        """The present state of the episode, exactly. Takes about 1/40 of a step's time."""
+        return State(self.initial_scene, self.steps, self.simulation.save())
+
+    def set_state(self, state: State) -> None:
+        """Restores a state of this engine, or of another one with the same task: what follows is exactly the same.
+
+        Takes half a step's time, or as long as a reset if the state has another scene than the present one.
+
+        Raises:
+            StateError, InvalidSceneError: if it is none of this task. A damaged one of another scene ends the episode.
+        """
+        simulation = self.simulation
+        check_state(state)
+        if state.scene != self.initial_scene:
+            self.setup.check(state.scene)
+            self._broken = True  # until everything below has succeeded
+            simulation.start(state.scene)
+            self.seed = None
+        simulation.restore(state.simulation)
+        self.steps, self._broken = int(state.steps), False
+
+    def clone(self) -> Engine:
+        """A copy in the same state, in as long as a new one takes. Both go on alike."""
+        return _restored(*self.__reduce__()[1])
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Engine:
+        return self.clone()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For copying and pickling: what it was made of, and its state."""
+        return _restored, (self.setup, self.seed, self.get_state(), self._broken)
+
+    def close(self) -> None:
+        """Frees the simulation. Closing twice is fine."""
+        if self._simulation is not None:
+            self._simulation.free()
+        self._simulation = None
+
+
+def _restored(setup: Setup, seed: int | None, state: State, broken: bool) -> Engine:
+    """A copy of an engine, as `Engine.__reduce__` describes it."""
+    engine = Engine.__new__(Engine)
+    engine._begin(setup, state.scene, seed)
+    engine.simulation.restore(state.simulation)
+    engine.steps, engine._broken = state.steps, broken
+    return engine
