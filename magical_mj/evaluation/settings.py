@@ -80,7 +80,7 @@ class EvaluationSettings(Settings):
         super().__post_init__()
         _ = self.environments
         preset_named(self.preset)
-        check_backend(self.backend, self.jobs, self.address)
+        check_backend(self.backend, self.address)
         if self.device != DEVICE and not self.batched:
             raise SettingsError(f"device is that of MuJoCo Warp, not {shown(self.device)}: give --simulator warp")
 

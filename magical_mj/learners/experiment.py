@@ -213,7 +213,7 @@ def conduct(
         out: the folder of the experiment.
         jobs: the number of simultaneous runs, each on one thread; a single run uses all cores. None: one here, or as
             many as the cluster can do.
-        backend: "local", "dask" or "ray".
+        backend: "local" or "dask".
         address: the cluster's address.
         watch: called with a run's name and progress after each of its updates, if the runs are not in other processes.
 
@@ -222,7 +222,7 @@ def conduct(
             continues.
     """
     out = Path(out)
-    check_backend(backend, jobs, address)
+    check_backend(backend, address)
     _check_runs(planned, out, backend == "local")
     if backend == "local" and jobs in (None, 1):
         yield from (run.play(watch) for run in planned)

@@ -11,7 +11,6 @@ MODULES: Final = {
     "dask": ("distributed",),
     "eval": ("fastjsonschema", "joblib", "matplotlib", "pandas", "scipy"),
     "gpu": ("mujoco_warp", "torch", "warp"),
-    "ray": ("ray",),
     "il": ("kornia", "safetensors", "stable_baselines3", "tensorboard", "torch"),
     "video": ("imageio_ffmpeg",),
 }

@@ -3,6 +3,9 @@
 They are new processes, not forks, since OpenGL does not survive a fork. They do not import the caller's `__main__`, so
 that scripts need no guard. A worker's standard input is a pipe from the caller's process, which closes when that
 process ends for any reason; then the worker ends at once, with all that it has forked.
+
+joblib's loky was tried in its place: one dead worker fails all pieces that are not done, a caller that is killed leaves
+busy workers and their forks behind, and one that is interrupted waits for them.
 """
 
 from __future__ import annotations
@@ -17,8 +20,8 @@ import threading
 import traceback
 import weakref
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, as_completed
-from contextlib import suppress
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager, suppress
 from typing import IO, Any, Final, TypeVar
 
 import cloudpickle
@@ -29,8 +32,6 @@ Piece = TypeVar("Piece")
 Result = TypeVar("Result")
 Answer = tuple[bool, Any]
 """(success, the result or the error)."""
-Todo = queue.SimpleQueue["tuple[Future[Any], Any] | None"]
-"""Pieces of work with their functions, and where the results go; None: there is no more."""
 
 LIVES: Final = 3
 """The number of workers that may die of one piece of work."""
@@ -38,32 +39,56 @@ GRACE: Final = 10.0
 """Seconds that a worker has to close its files."""
 ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """One thread per worker: sums depend on how they are split, and workers share the cores."""
+_KEPT: Final[list[dict[int, Pool]]] = []
+"""Of each `kept_workers` that is entered: by their sizes, the pools that are not in use."""
+
+
+@contextmanager
+def kept_workers() -> Iterator[None]:
+    """Within it, successive calls of `map_unordered` use the same worker processes, which take a while to start."""
+    pools: dict[int, Pool] = {}
+    _KEPT.append(pools)
+    try:
+        yield
+        for pool in pools.values():
+            pool.finish()
+    finally:
+        _KEPT.remove(pools)
+        for pool in pools.values():
+            pool.close()
 
 
 def map_locally(function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int) -> Iterator[Result]:
     """See `magical_mj.utils.parallel.map_unordered`."""
-    pool = Pool(min(jobs, len(pieces)))
+    kept = _KEPT[-1] if _KEPT else None
+    pool = (kept.pop(jobs, None) if kept is not None else None) or Pool(jobs)
     try:
         for future in as_completed([pool.submit(function, piece) for piece in pieces]):
             yield future.result()
+    except BaseException:
+        pool.close()
+        raise
+    if kept is not None and kept in _KEPT:
+        kept[jobs] = pool
+    else:
         pool.finish()
-    finally:
         pool.close()
 
 
 class Pool:
-    """Worker processes, each with a thread that hands it one piece of work after another.
+    """Worker processes, each of which is started when there is work for it, and does one piece after another.
 
     Args:
-        workers: how many.
+        workers: how many at most.
     """
 
     def __init__(self, workers: int) -> None:
-        self._todo: Todo = queue.SimpleQueue()
         self._workers = [_Worker() for _ in range(workers)]
-        self._end = weakref.finalize(self, _end, self._todo, self._workers)
+        self._idle: queue.LifoQueue[_Worker] = queue.LifoQueue()  # so that those that have started come first
         for worker in self._workers:
-            threading.Thread(target=_attend, args=(self._todo, worker), daemon=True).start()
+            self._idle.put(worker)
+        self._threads = ThreadPoolExecutor(workers)
+        self._end = weakref.finalize(self, _end, self._threads, self._workers)
 
     def submit(self, function: Callable[[Piece], Result], piece: Piece) -> Future[Result]:
         """The function's result for a piece of work, or its exception, to come.
@@ -71,12 +96,10 @@ class Pool:
         A worker that dies is replaced, and its piece is done again; a `WorkerError` comes if three have died of it.
 
         Args:
-            function: a function of one piece. It and the piece are pickled (by cloudpickle).
+            function: a function of one piece. It and the piece are pickled (by cloudpickle) when a worker is free.
             piece: the piece of work.
         """
-        future: Future[Result] = Future()
-        self._todo.put((future, (function, piece)))
-        return future
+        return self._threads.submit(_do, self._idle, function, piece)
 
     def finish(self) -> None:
         """Lets workers that have nothing to do close their files, and waits for them to end."""
@@ -91,49 +114,45 @@ class Pool:
         self._end()
 
 
-def _end(todo: Todo, workers: Sequence[_Worker]) -> None:
-    with suppress(queue.Empty):
-        while work := todo.get_nowait():
-            work[0].cancel()
+def _do(idle: queue.LifoQueue[_Worker], function: Callable[[Piece], Result], piece: Piece) -> Result:
+    worker = idle.get()
+    try:
+        return worker.do(cloudpickle.dumps((function, piece)))
+    finally:
+        idle.put(worker)
+
+
+def _end(threads: ThreadPoolExecutor, workers: Sequence[_Worker]) -> None:
+    threads.shutdown(wait=False, cancel_futures=True)
     for worker in workers:
-        todo.put(None)
         worker.kill()
 
 
-def _attend(todo: Todo, worker: _Worker) -> None:
-    while work := todo.get():
-        future, piece = work
-        if future.set_running_or_notify_cancel():
-            try:
-                future.set_result(worker.do(cloudpickle.dumps(piece)))
-            except Exception as error:  # noqa: BLE001 the function's own, or the piece cannot be pickled
-                future.set_exception(error)
-
-
 class _Worker:
-    """A worker process, which is replaced if it dies.
+    """A worker process, which is started with its first piece of work, and replaced if it dies.
 
     It leads a process group, so that what it forks can be killed with it, and Ctrl-C is left to the caller.
     """
 
     def __init__(self) -> None:
         self._lock, self._killed = threading.Lock(), False
-        self._process = self._started()
+        self._process: subprocess.Popen[bytes] | None = None
 
     def do(self, piece: bytes) -> Any:
         """The result of a piece of work: a pickled function and its argument."""
         code = 0
         for _ in range(LIVES):
+            process = self._running()
             try:
-                _send(self._process.stdin, piece)
-                fine, result = _receive(self._process.stdout)
+                _send(process.stdin, piece)
+                fine, result = _receive(process.stdout)
             except (EOFError, OSError, ValueError, pickle.UnpicklingError) as error:
                 try:
-                    code = self._process.wait(GRACE)
+                    code = process.wait(GRACE)
                 except subprocess.TimeoutExpired:  # it has not died
-                    self._replace()
                     raise WorkerError(f"the answer of a worker process cannot be read: {error}") from None
-                self._replace()
+                finally:
+                    self._clear()
                 continue
             if fine:
                 return result
@@ -145,38 +164,41 @@ class _Worker:
 
     def end(self) -> None:
         """Lets the process close its files, and waits for it to end."""
-        with suppress(OSError, subprocess.TimeoutExpired):
-            _send(self._process.stdin, None)
-            self._process.wait(GRACE)
+        if (process := self._process) is not None:
+            with suppress(OSError, subprocess.TimeoutExpired):
+                _send(process.stdin, None)
+                process.wait(GRACE)
 
     def kill(self) -> None:
         """Kills the process for good."""
-        with self._lock:
-            self._killed = True
-            self._clear()
+        self._killed = True
+        self._clear()
 
-    def _replace(self) -> None:
+    def _running(self) -> subprocess.Popen[bytes]:
         with self._lock:
-            if not self._killed:
-                self._clear()
-                self._process = self._started()
-
-    def _started(self) -> subprocess.Popen[bytes]:
-        program = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve()"
-        return subprocess.Popen(
-            [sys.executable, "-c", program],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env={**ONE_THREAD, **os.environ},
-            process_group=0,  # not a session: on Linux, each has its own share of the cores, whatever its `nice`
-        )
+            if self._killed:
+                raise WorkerError("the worker processes were stopped")
+            if self._process is None:
+                program = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve()"
+                self._process = subprocess.Popen(
+                    [sys.executable, "-c", program],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    env={**ONE_THREAD, **os.environ},
+                    process_group=0,  # not a session: on Linux each has its own share of the cores, whatever its `nice`
+                )
+            return self._process
 
     def _clear(self) -> None:
-        _kill_group(self._process.pid)
-        self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout):
-            with suppress(OSError):
-                pipe.close()  # type: ignore[union-attr]
+        with self._lock:
+            if (process := self._process) is None:
+                return
+            self._process = None
+            _kill_group(process.pid)
+            process.wait()
+            for pipe in (process.stdin, process.stdout):
+                with suppress(OSError):
+                    pipe.close()  # type: ignore[union-attr]
 
 
 def _kill_group(leader: int) -> None:
