@@ -1,4 +1,4 @@
-"""Evaluations: checking the settings, reading finished episodes, and playing the rest."""
+"""Evaluations: checks of the settings, finished episodes from the folder, and the rest from workers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from magical_mj.policies.loading import Source, check_fit, sources
 from magical_mj.utils.errors import EvaluationError, SettingsError, WorkerError
 from magical_mj.utils.extras import check_extra
 from magical_mj.utils.parallel import cores, map_unordered
-from magical_mj.utils.settings import described, made
+from magical_mj.utils.settings import described, with_values
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,7 +38,7 @@ def evaluate(policy: Any, *, watch: Callable[[EpisodeResult], None] = lambda _: 
         policy: "expert", "random", "noop", "module:object", the folder of a training, a model file (.zip of
             stable-baselines3, .onnx), a `Policy`, or a function from observation to action; or several, as a list or
             as a mapping of names to them. Policies with the same name are successive runs of one method.
-        watch: called with the score of each finished episode.
+        watch: called with the result of each finished episode.
         settings: the fields of `magical_mj.evaluation.EvaluationSettings`, such as ``tasks="FindDupe", episodes=10``.
 
     Returns:
@@ -51,9 +51,9 @@ def evaluate(policy: Any, *, watch: Callable[[EpisodeResult], None] = lambda _: 
         TaskError: if a task of another package has no scene for a seed, or an invalid score.
         MissingExtraError: if an extra is not installed.
     """
-    evaluation = Evaluation(policy, made(EvaluationSettings, settings))
-    for score in evaluation.play():
-        watch(score)
+    evaluation = Evaluation(policy, with_values(EvaluationSettings, settings))
+    for result in evaluation.play():
+        watch(result)
     return frame(evaluation.scores)
 
 
@@ -64,8 +64,8 @@ def _signature() -> inspect.Signature:
         inspect.Parameter(name, kind, default=setting.default, annotation=setting.kind)
         for name, setting in described(EvaluationSettings).items()
     ]
-    *given, _ = inspect.signature(evaluate).parameters.values()
-    return inspect.Signature([*given, *known], return_annotation="pd.DataFrame")
+    *own, _ = inspect.signature(evaluate).parameters.values()
+    return inspect.Signature([*own, *known], return_annotation="pd.DataFrame")
 
 
 evaluate.__signature__ = _signature()
@@ -76,7 +76,7 @@ class Evaluation:
 
     Attributes:
         settings: the settings of the evaluation.
-        scores: the scores of the finished episodes.
+        scores: the results of the finished episodes.
         units: the work that remained when it was made, or when `play` was called last.
     """
 
@@ -101,21 +101,21 @@ class Evaluation:
         self.units = self._remaining()
 
     def play(self) -> Iterator[EpisodeResult]:
-        """Plays the remaining episodes and yields each score once it is in the file."""
+        """Plays the remaining episodes and yields each result once it is in the file."""
         with ScoreFile(self._out) if self._out else nullcontext() as file:
             if self._out:
                 self.scores = load_or_start(self._out, self._recorded)  # another process may have added some by now
             self.units = self._remaining()
-            fine = {(score.policy, score.run) for score in self.scores}
-            for found in _without_hopeless(self._play_units(), fine, self._first_episodes()):
-                _check_versions(found)
+            proven = {(result.policy, result.run) for result in self.scores}
+            for results in _abort_if_all_fail(self._play_units(), proven, self._first_episodes()):
+                _check_versions(results)
                 if file is not None:
-                    file.add(found)
-                self.scores += found
-                yield from found
+                    file.add(results)
+                self.scores += results
+                yield from results
 
     def _remaining(self) -> list[Unit]:
-        return plan(self._sources, self.settings, {score.key for score in self.scores})
+        return plan(self._sources, self.settings, {result.key for result in self.scores})
 
     def _first_episodes(self) -> dict[tuple[str, int], list[Key]]:
         """The first remaining episodes of each policy."""
@@ -126,7 +126,7 @@ class Evaluation:
         return {policy: keys[:FIRST_EPISODES] for policy, keys in first.items()}
 
     def _play_units(self) -> Iterator[list[EpisodeResult]]:
-        """The scores of all units in order of completion."""
+        """The results of all units in order of completion."""
         jobs, backend = self.settings.jobs, self.settings.backend
         if backend == "local":
             enough = max(1, sum(unit.steps for unit in self.units) // STEPS_PER_WORKER)
@@ -134,7 +134,7 @@ class Evaluation:
         if backend == "local" and jobs == 1:
             try:
                 for unit in self.units:
-                    yield from ([score] for score in player().play(unit))
+                    yield from ([result] for result in player().play(unit))
             finally:
                 player().release()
             return
@@ -155,53 +155,49 @@ def _check_pickles(source: Source) -> None:
         ) from error
 
 
-def _without_hopeless(
-    played: Iterable[list[EpisodeResult]], fine: set[tuple[str, int]], first: Mapping[tuple[str, int], list[Key]]
+def _abort_if_all_fail(
+    played: Iterable[list[EpisodeResult]], proven: set[tuple[str, int]], first: Mapping[tuple[str, int], list[Key]]
 ) -> Iterator[list[EpisodeResult]]:
-    """The scores; those of a policy are held back until one of its first episodes succeeds or fails differently.
+    """The results; those of a policy are held back until one of its first episodes succeeds or fails differently.
 
     Args:
-        played: scores in order of completion, which depends on the number of workers.
-        fine: names and runs of the policies whose scores are not held back.
+        played: results in order of completion, which depends on the number of workers.
+        proven: names and runs of the policies whose results are not held back.
         first: the first planned episodes of each policy, which therefore decide.
 
     Raises:
         EvaluationError: if all first episodes of a policy fail with the same type of error. None are yielded.
     """
     held: dict[tuple[str, int], list[EpisodeResult]] = defaultdict(list)
-    for found in played:
-        for score in found:
-            policy = score.policy, score.run
-            held[policy].append(score)
-            deciding = [one for one in held[policy] if one.key in first[policy]] if policy not in fine else []
-            if len({_kind(one) for one in deciding}) > 1 or any(one.failure is None for one in deciding):
-                fine.add(policy)
-            if policy in fine:
-                yield held.pop(policy)
+    for result in (result for results in played for result in results):
+        policy = result.policy, result.run
+        held[policy].append(result)
+        if policy not in proven:
+            deciding = [result for result in held[policy] if result.key in first[policy]]
+            types = {None if result.failure is None else result.failure.partition(":")[0] for result in deciding}
+            if len(types) > 1 or None in types:
+                proven.add(policy)
             elif len(deciding) == len(first[policy]):
-                raise _hopeless(deciding)
+                raise _all_failed_error(deciding)
+        if policy in proven:
+            yield held.pop(policy)
 
 
-def _kind(score: EpisodeResult) -> str | None:
-    """Of a failure."""
-    return None if score.failure is None else score.failure.partition(":")[0]
-
-
-def _hopeless(scores: list[EpisodeResult]) -> EvaluationError:
-    score, count = scores[0], len(scores)
-    run = f", run {score.run}," if score.run else ""
+def _all_failed_error(results: list[EpisodeResult]) -> EvaluationError:
+    result, count = results[0], len(results)
+    run = f", run {result.run}," if result.run else ""
     which = "the first episode" if count == 1 else f"the first {count} episodes"
     return EvaluationError(
-        f"{which} of {score.policy}{run} failed, so none of them is kept; {score.task} {score.variant}, "
-        f"seed {score.seed}: {score.failure}"
+        f"{which} of {result.policy}{run} failed, so none of them is kept; {result.task} {result.variant}, "
+        f"seed {result.seed}: {result.failure}"
     )
 
 
-def _check_versions(scores: Iterable[EpisodeResult]) -> None:
+def _check_versions(results: Iterable[EpisodeResult]) -> None:
     """Raises an `EvaluationError` if a worker has other versions than this process."""
-    for score in scores:
-        if (score.version, score.mujoco) != (__version__, MUJOCO_VERSION):
+    for result in results:
+        if (result.version, result.mujoco) != (__version__, MUJOCO_VERSION):
             raise EvaluationError(
-                f"a worker has magical_mj {score.version} and mujoco {score.mujoco}, "
+                f"a worker has magical_mj {result.version} and mujoco {result.mujoco}, "
                 f"and this process {__version__} and {MUJOCO_VERSION}: install the same everywhere"
             )

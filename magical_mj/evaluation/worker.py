@@ -172,9 +172,9 @@ class Player:
 
     def _drop(self, what: str) -> None:
         """Closes an environment. Policies are not closed, since they may be users' objects."""
-        _, made = self._kept.pop(what)
+        _, thing = self._kept.pop(what)
         if what in CLOSABLE:
-            made.close()
+            thing.close()
 
     def _forget(self) -> None:
         """Drops environment and policy: an episode that did not end may still be using them."""
@@ -204,11 +204,11 @@ def _batch(unit: Unit) -> Envs:
     from magical_mj.batched.environment import Arrays
 
     settings = unit.settings
-    made = batched.make(
+    envs = batched.make(
         *(unit.task, unit.variant, settings.envs),
         preset=settings.preset,
         device=settings.device,
         rules=settings.rules,
         autoreset_mode=gymnasium.vector.AutoresetMode.DISABLED,
     )
-    return Arrays(made)
+    return Arrays(envs)

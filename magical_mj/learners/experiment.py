@@ -27,7 +27,7 @@ from magical_mj.utils.errors import SettingsError, check_name
 from magical_mj.utils.files import read_toml
 from magical_mj.utils.imports import check_named
 from magical_mj.utils.parallel import check_backend, map_unordered
-from magical_mj.utils.settings import Names, Settings, check_unchanged, made
+from magical_mj.utils.settings import Names, Settings, check_unchanged, with_values
 
 SIDE_BY_SIDE: Final = {"pictures": 10, "states": 100}
 """Episodes that are played at once, for networks like batches; pictures fill the memory."""
@@ -172,7 +172,7 @@ def runs(file: Path | str, out: Path | str) -> list[Run]:
         UntrustedNameError: if it names the code of a task that the user has not named.
     """
     file, out = Path(file), Path(out)
-    experiment = made(ExperimentSettings, read_toml(file))
+    experiment = with_values(ExperimentSettings, read_toml(file))
     for name in experiment.evaluation:
         check_name(f"entry of [evaluation] in {file}", name, EVALUATION)
     evaluation = EVALUATION | experiment.evaluation
@@ -192,7 +192,7 @@ def runs(file: Path | str, out: Path | str) -> list[Run]:
     for seed, method, group in product(experiment.seeds, experiment.methods, groups):
         settings = load_settings(method, group, quick=experiment.quick, **{**changes, "seed": seed})
         run = Run(settings, experiment.quick, changes, evaluation, out.absolute())  # workers are in other folders
-        made(EvaluationSettings, run.played)  # an error now, not after the training
+        with_values(EvaluationSettings, run.played)  # an error now, not after the training
         planned.append(run)
     return planned
 
@@ -238,7 +238,9 @@ def _check_runs(planned: list[Run], out: Path, here: bool) -> None:
     for run in planned:
         RunFolder(run.trained, run.settings, resume=True)
         if (run.scores / SETTINGS).exists():
-            check_unchanged(run.scores, read_settings(run.scores), made(EvaluationSettings, run.played).recorded())
+            check_unchanged(
+                run.scores, read_settings(run.scores), with_values(EvaluationSettings, run.played).recorded()
+            )
         if here:
             device(run.settings.device)
     for run in {(run.settings.method, run.settings.tasks): run for run in planned}.values():

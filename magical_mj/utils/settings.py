@@ -119,7 +119,7 @@ def described(settings: type, prefix: str = "") -> dict[str, Setting]:
     return known
 
 
-def made(settings: Callable[..., T], values: Mapping[str, Any]) -> T:
+def with_values(settings: Callable[..., T], values: Mapping[str, Any]) -> T:
     """Settings with these values, and defaults for all others.
 
     Raises:

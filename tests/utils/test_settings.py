@@ -11,7 +11,7 @@ import pytest
 from msgspec import Meta
 
 from magical_mj.utils.errors import SettingsError, UnknownNameError
-from magical_mj.utils.settings import Count, Names, Settings, changed, described, made
+from magical_mj.utils.settings import Count, Names, Settings, changed, described, with_values
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def test_values_become_pythons_own() -> None:
 )
 def test_errors_say_what_is_allowed(values: dict[str, Any], problem: str) -> None:
     with pytest.raises((SettingsError, UnknownNameError)) as caught:
-        made(Cake, values)
+        with_values(Cake, values)
     assert problem in str(caught.value)
 
 
