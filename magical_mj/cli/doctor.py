@@ -21,6 +21,7 @@ from rich.text import Text
 import magical_mj
 from magical_mj.cli.console import console
 from magical_mj.rendering.backend import PACKAGES, REMEDY, wanted_backend
+from magical_mj.utils.extras import remedy
 
 CORE: Final = ("magical-mj", "mujoco", "gymnasium", "numpy", "shapely", "pillow")
 OWN: Final = ("all", "dev", "site")
@@ -59,7 +60,7 @@ def _print_versions(out: Console) -> None:
         table.add_row(name, _version(name) or Text("missing", style="red"))
     table.add_row("dm_control", _version("dm_control") or "not installed: only magical_mj.load needs it")
     for name, extra in optional().items():
-        table.add_row(name, _version(name) or f'not installed: pip install "magical-mj[{extra}]"')
+        table.add_row(name, _version(name) or f"not installed: {remedy(extra)}")
     table.add_row("MUJOCO_GL", os.environ.get("MUJOCO_GL") or "not set")
     out.print(table)
 

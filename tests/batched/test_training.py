@@ -138,7 +138,7 @@ def test_what_cannot_be_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         playing(**{"ppo.worlds": "many"})
     find = importlib.util.find_spec
     monkeypatch.setattr("magical_mj.utils.extras.find_spec", lambda name: None if name == "mujoco_warp" else find(name))
-    with pytest.raises(MissingExtraError, match=r'batched worlds need mujoco_warp: pip install "magical-mj\[gpu\]"'):
+    with pytest.raises(MissingExtraError, match=r"batched worlds need mujoco_warp: .*\[gpu\]"):
         train(in_batch(), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 

@@ -144,7 +144,7 @@ def test_missing_extras_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(MissingExtraError, match=r"magical-mj\[dask\]"):
         magical_mj.evaluate("noop", backend="dask", address="tcp://127.0.0.1:9", **SETTINGS)
     monkeypatch.setattr("magical_mj.utils.extras.find_spec", lambda name: None)
-    with pytest.raises(MissingExtraError, match=r'pip install "magical-mj\[eval\]"'):
+    with pytest.raises(MissingExtraError, match=r"pip install .*\[eval\]"):
         magical_mj.evaluate("noop", **SETTINGS)
 
 

@@ -85,7 +85,9 @@ def test_a_missing_extra_is_one_line(package: str, tmp_path: Path) -> None:
     arguments = [sys.executable, "-c", hide, *TRAIN, "--out", str(tmp_path / "run")]
     done = subprocess.run(arguments, capture_output=True, text=True, check=False)
     assert done.returncode == 1
-    assert done.stderr == f'magical-mj: learners need {package}: pip install "magical-mj[il]"\n'
+    assert done.stderr.startswith(f"magical-mj: learners need {package}: pip install ")
+    assert '[il]"' in done.stderr
+    assert done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize(
