@@ -24,7 +24,8 @@ FRAMES: Final = 130  # of an animation, at most
 def animation(task: str, path: Path) -> None:
     """A demonstration from both sides, as an animated WebP that goes round; a long one at several times its speed."""
     demo = demos.load(task)[0]
-    shown = itertools.islice(demos.see(demo, ("allo", "ego"), ANIMATION), 0, None, 1 + len(demo.actions) // FRAMES)
+    frames = demos.render_demo(demo, ("allo", "ego"), ANIMATION)
+    shown = itertools.islice(frames, 0, None, 1 + len(demo.actions) // FRAMES)
     frames = [Image.fromarray(np.hstack([views["allo"], views["ego"]])) for views in shown]
     frames += [frames[-1]] * CONTROL_RATE
     period = 1000 // CONTROL_RATE  # milliseconds

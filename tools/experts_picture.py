@@ -23,7 +23,8 @@ def strip(demo: magical_mj.demos.Demonstration) -> np.ndarray:
     """Frames side by side, from the start to the end of the last action that does something."""
     end = int(np.flatnonzero(demo.actions)[-1]) + 1
     wanted = set(np.linspace(0, end, FRAMES).astype(int).tolist())
-    frames = [seen["allo"] for step, seen in enumerate(magical_mj.demos.see(demo, size=SIZE)) if step in wanted]
+    drawn = enumerate(magical_mj.demos.render_demo(demo, size=SIZE))
+    frames = [pictures["allo"] for step, pictures in drawn if step in wanted]
     return np.concatenate(
         [np.pad(frame, ((0, GAP), (0, GAP), (0, 0)), constant_values=255) for frame in frames], axis=1
     )

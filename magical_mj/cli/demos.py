@@ -257,8 +257,8 @@ def video(
     with film(out, size, speed, overwrite=force) as made:
         for demo in demos:
             title = f"{demo.task} {demo.variant}, seed {demo.scene_seed}: {demo.demonstrator}"
-            seen = magical_mj.demos.see(demo, ("allo", "ego"), size)
-            for step, (pictures, scene) in enumerate(zip(seen, demo.scenes(), strict=True)):
+            frames = magical_mj.demos.render_demo(demo, ("allo", "ego"), size)
+            for step, (pictures, scene) in enumerate(zip(frames, demo.scenes(), strict=True)):
                 views = np.concatenate([pictures["allo"], pictures["ego"]], axis=1)
                 reached = score(demo.task, demo.scene, scene)
                 if step == 0:

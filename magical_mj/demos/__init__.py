@@ -14,11 +14,9 @@ from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.export.archives import to_npz
 from magical_mj.demos.export.minari import to_minari
 from magical_mj.demos.files import files_in, files_in_or_below, keep, read, write
-from magical_mj.demos.importing import MAX_BYTES, Imported, from_recording
 from magical_mj.demos.learning import Transitions, observations, stream, transitions
-from magical_mj.demos.recording import Recorder, demonstrate
-from magical_mj.demos.replay import Verdict, see, verify
-from magical_mj.demos.variety import Diversity, diversity
+from magical_mj.demos.recording import MAX_BYTES, Imported, Recorder, demonstrate, from_recording
+from magical_mj.demos.replay import Diversity, Verdict, diversity, render_demo, verify
 from magical_mj.tasks.registry import TASKS, task_name, task_spec
 from magical_mj.utils.errors import DemonstrationError
 
@@ -40,7 +38,7 @@ __all__ = [
     "observations",
     "paths_of",
     "read",
-    "see",
+    "render_demo",
     "stream",
     "to_minari",
     "to_npz",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration
-from magical_mj.demos.replay import see
+from magical_mj.demos.replay import render_demo
 from magical_mj.envs.presets import FrameStack, Preset, drawn, preset_named
 from magical_mj.scene.actions import NOOP
 from magical_mj.scene.state_vector import StateEncoder
@@ -55,12 +55,12 @@ def stream(demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop_noop
             of all steps.
     """
     for demo in demos:
-        seen = observations(demo, preset)
+        rows = observations(demo, preset)
         keep = demo.actions != NOOP if drop_noop else np.ones(len(demo.actions), bool)
-        if isinstance(seen, dict):
-            yield Transitions({view: rows[:-1][keep] for view, rows in seen.items()}, demo.actions[keep])
+        if isinstance(rows, dict):
+            yield Transitions({view: stacks[:-1][keep] for view, stacks in rows.items()}, demo.actions[keep])
         else:
-            yield Transitions(seen[:-1][keep], demo.actions[keep])
+            yield Transitions(rows[:-1][keep], demo.actions[keep])
 
 
 def observations(demo: Demonstration, preset: str = "LoRes4E") -> Observations:
@@ -69,23 +69,23 @@ def observations(demo: Demonstration, preset: str = "LoRes4E") -> Observations:
         return _observations(demo, preset_named(preset))
 
 
-def _observations(demo: Demonstration, made: Preset) -> Observations:
-    if made.layout == "state":
+def _observations(demo: Demonstration, preset: Preset) -> Observations:
+    if preset.layout == "state":
         world, encode = World(demo.scene), StateEncoder(demo.scene)
         states = zip(demo.qpos, demo.qvel, strict=True)
         return np.array([encode(world.poses(qpos), world.poses(qvel), world.fingers(qpos)) for qpos, qvel in states])
-    if made.layout == "dict":
-        rows: dict[str, NDArray[Any]] = {view: _stacked(demo, made, ((view, n),)) for view, n in made.frames}
-        if made.fingers:
+    if preset.layout == "dict":
+        rows: dict[str, NDArray[Any]] = {view: _stacked(demo, preset, ((view, n),)) for view, n in preset.frames}
+        if preset.fingers:
             world = World(demo.scene)
             rows["fingers"] = np.array([world.fingers(qpos) for qpos in demo.qpos], np.float32)
         return rows
-    return _stacked(demo, made, made.frames)
+    return _stacked(demo, preset, preset.frames)
 
 
 def _stacked(demo: Demonstration, preset: Preset, frames: tuple[tuple[str, int], ...]) -> NDArray[np.uint8]:
     stack = FrameStack(frames, preset.image_size, channels_first=preset.layout == "chw")
     rows = np.empty((len(demo.qpos), *stack.shape), np.uint8)
-    for number, pictures in enumerate(see(demo, [view for view, _ in frames], preset.image_size)):
+    for number, pictures in enumerate(render_demo(demo, [view for view, _ in frames], preset.image_size)):
         rows[number] = stack.push(drawn(pictures)) if number else stack.start(drawn(pictures))
     return rows

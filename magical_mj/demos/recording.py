@@ -1,19 +1,39 @@
-"""Recording: the steps of an engine become a demonstration."""
+"""Recording: the steps of an engine become a demonstration; so do recordings of what was played elsewhere.
+
+A recording, as the page in the browser saves it, is a small JSON object in UTF-8:
+
+| key | value |
+|---|---|
+| `format` | 1 |
+| `protocol` | the `magical_mj.tasks.protocol.PROTOCOL` under which it was played |
+| `task`, `variant` | names, as in `magical_mj.ENVIRONMENTS` |
+| `seed` | an integer: the episode started in `sample_scene(task, variant, seed)` |
+| `actions` | a list of integers in 0..17, one for each step of a whole episode |
+| `final` | the poses that the player saw at the end, in world units and radians; optional |
+
+`final` is `{"robot": [x, y, angle], "fingers": [left, right], "blocks": [[x, y, angle], ...]}`. Other keys are ignored.
+Only task, variant, seed and actions are trusted: the scene is drawn again, the actions are replayed here, and the
+demonstration holds the states and the score of this replay. `final` is compared with its end.
+"""
 
 from __future__ import annotations
 
 from contextlib import closing
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from magical_mj.demos.demonstration import Demonstration, Demonstrator
 from magical_mj.engine import Engine
 from magical_mj.policies.expert import Expert
 from magical_mj.policies.interface import forever, play
+from magical_mj.scene import Scene
 from magical_mj.scene.actions import NOOP, action_number
-from magical_mj.tasks.registry import sample_scene, score, task_name, variant_name
+from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.tasks.registry import environment_axes, sample_scene, score, task_name, task_spec, variant_name
 from magical_mj.utils.errors import DemonstrationError
 from magical_mj.variants import check_seed
 
@@ -24,6 +44,10 @@ REST: Final = 80
 """Steps without an action after which an expert's demonstration ends, if the episode does not end before."""
 STRIDE: Final = 1_000_003
 """The increment of the expert's seed between attempts, so that no two demonstrations use the same one."""
+MAX_BYTES: Final = 100_000
+"""The largest size of a recording: many times that of the longest episode."""
+TOLERANCE: Final = 1e-3
+"""The difference (world units or radians) between the end of a replay and what the player saw that is accepted."""
 
 
 class Recorder:
@@ -127,3 +151,85 @@ def demonstrate(task: str, variant: str, number: int, least_score: float = 1.0) 
     raise DemonstrationError(
         f"{ATTEMPTS} experts tried {task}-{variant_name(variant)} with seed {number}; the best reached {best:.2f}"
     )
+
+
+class Imported(NamedTuple):
+    """A demonstration, and the difference between its end and what the player saw."""
+
+    demonstration: Demonstration
+    deviation: float | None
+    """The largest difference of any coordinate or angle; None if the recording has no `final`."""
+
+    suspect: bool
+    """Whether that is more than `TOLERANCE`: the player saw something different from the demonstration."""
+
+
+Pose = tuple[float, float, float]
+Name = Annotated[str, Meta(pattern=r"^[^\W\d]\w{0,59}\Z")]
+"""No "module:SPEC": a file must not choose code to load."""
+
+
+class _Final(msgspec.Struct):
+    robot: Pose
+    fingers: tuple[float, float]
+    blocks: list[Pose]
+
+
+class _Recording(msgspec.Struct):
+    format: Literal[1]
+    protocol: int
+    task: Name
+    variant: Name
+    seed: Annotated[int, Meta(ge=0, le=2**63 - 1)]
+    actions: list[Annotated[int, Meta(ge=0, le=17)]]
+    final: _Final | None = None
+
+
+def from_recording(text: str | bytes) -> Imported:
+    """Replays a recording, whose keys are listed above, and makes a demonstration of the replay.
+
+    Raises:
+        DemonstrationError: if it is too long, not JSON, of another format or protocol, or not a whole episode.
+        UnknownNameError: if there is no such environment.
+    """
+    if not isinstance(text, str | bytes):
+        raise DemonstrationError(f"a recording is given as its text, not as {type(text).__name__}")
+    if len(text) > MAX_BYTES:
+        raise DemonstrationError(f"a recording has at most {MAX_BYTES:,} bytes; this one is longer")
+    try:
+        recording = msgspec.json.decode(text, type=_Recording)
+    except (ValueError, RecursionError) as error:
+        raise DemonstrationError(f"this is not a whole recording: {error}") from None
+    if recording.protocol != PROTOCOL:
+        raise DemonstrationError(f"recordings of protocol {PROTOCOL} are replayed here, not of {recording.protocol}")
+    environment_axes(recording.task, recording.variant)
+    horizon = task_spec(recording.task).horizon()
+    if len(recording.actions) != horizon:
+        raise DemonstrationError(
+            f"an episode of {recording.task} has {horizon} actions; this recording has {len(recording.actions)}"
+        )
+    return _replayed(recording)
+
+
+def _replayed(recording: _Recording) -> Imported:
+    task, variant, seed, final = recording.task, recording.variant, recording.seed, recording.final
+    with closing(Engine(task, variant, seed=seed)) as env:
+        blocks = len(env.initial_scene.blocks)
+        if final is not None and len(final.blocks) != blocks:
+            raise DemonstrationError(f"final must hold the poses of {blocks} blocks, not of {len(final.blocks)}")
+        recorder = Recorder(env)
+        for _ in play(recorder, recording.actions):
+            pass
+        demonstration = recorder.demonstration(task, variant, seed, "human", seed)
+        end = _row(env.scene)
+    if final is None:
+        return Imported(demonstration, None, suspect=False)
+    expected = np.array([number for pose in (final.robot, final.fingers, *final.blocks) for number in pose])
+    deviation = float(np.abs(end - expected).max())
+    return Imported(demonstration, deviation, deviation > TOLERANCE)
+
+
+def _row(scene: Scene) -> Floats:
+    """The robot's pose, its fingers' angles, and each block's pose."""
+    poses = (scene.robot.pose, scene.robot.fingers, *(block.pose for block in scene.blocks))
+    return np.array([number for pose in poses for number in pose])

@@ -1,9 +1,10 @@
-"""Replaying demonstrations: playing the actions again, or drawing the recorded states."""
+"""Replaying demonstrations: playing the actions again, or drawing the recorded states; and how much they differ."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from typing import Final, NamedTuple
 
@@ -11,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.recording import Recorder
 from magical_mj.engine import Engine
@@ -22,6 +24,9 @@ Picture = NDArray[np.uint8]
 GLANCE: Final = 10  # steps between the pictures that are compared
 SIZE: Final = 96  # pixels
 ROUNDING: Final = 1e-9
+TOUCHED: Final = 0.05  # world units; a block that moved less does not count as moved
+SIDES: Final = 8  # from which a block can be taken
+SAMPLES: Final = 50  # points of a path
 
 
 class Verdict(NamedTuple):
@@ -46,12 +51,12 @@ class Verdict(NamedTuple):
 
 def verify(demo: Demonstration) -> Verdict:
     """Checks a demonstration with this version of the package and of MuJoCo."""
-    drawn = [pictures["allo"] for pictures in itertools.islice(see(demo), 0, None, GLANCE)]
+    drawn = [pictures["allo"] for pictures in itertools.islice(render_demo(demo), 0, None, GLANCE)]
     with _engine(demo) as env:
-        recorder, seen = Recorder(env), [env.render("allo", SIZE)]
+        recorder, replayed = Recorder(env), [env.render("allo", SIZE)]
         for step, _ in enumerate(play(recorder, demo.actions.tolist()), start=1):
             if step % GLANCE == 0:
-                seen.append(env.render("allo", SIZE))
+                replayed.append(env.render("allo", SIZE))
         positions, velocities = recorder.states()
         score = env.score()
     same_scene = sample_scene(demo.task, demo.variant, demo.scene_seed) == demo.scene and all(
@@ -60,11 +65,13 @@ def verify(demo: Demonstration) -> Verdict:
     )
     same_score = score == demo.score and len(positions) == len(demo.qpos)
     same_states = np.array_equal(positions, demo.qpos) and np.array_equal(velocities, demo.qvel)
-    same_pictures = np.array_equal(seen, drawn)
+    same_pictures = np.array_equal(replayed, drawn)
     return Verdict(same_scene, demo.rescored() == demo.score, same_score, same_states, same_pictures)
 
 
-def see(demo: Demonstration, views: Sequence[str] = ("allo",), size: int = SIZE) -> Iterator[dict[str, Picture]]:
+def render_demo(
+    demo: Demonstration, views: Sequence[str] = ("allo",), size: int = SIZE
+) -> Iterator[dict[str, Picture]]:
     """The pictures before the first action and after each action, drawn from the recorded states.
 
     Args:
@@ -93,3 +100,46 @@ def _engine(demo: Demonstration) -> Iterator[Engine]:
     """The engine of a demonstration, at its start."""
     with closing(Engine(demo.task, demo.variant, scene=demo.scene)) as engine:
         yield engine
+
+
+class Diversity(NamedTuple):
+    """What differs in a set of demonstrations."""
+
+    orders: int
+    """Different orders in which blocks were moved."""
+    strategies: int
+    """Different orders, with the side from which each block was moved."""
+    ways: float
+    """Mean distance (world units) between two paths of the robot, at equal fractions of their lengths."""
+
+
+def diversity(demos: Iterable[Demonstration]) -> Diversity:
+    """Compares demonstrations of one environment."""
+    demos = list(demos)
+    plans = [strategy(demo) for demo in demos]
+    orders = {tuple(block for block, _ in plan) for plan in plans}
+    ways = [_way(demo) for demo in demos]
+    gaps = [float(np.hypot(*(first - second).T).mean()) for first, second in itertools.combinations(ways, 2)]
+    return Diversity(len(orders), len(set(plans)), sum(gaps) / len(gaps) if gaps else 0.0)
+
+
+def strategy(demo: Demonstration) -> tuple[tuple[int, int], ...]:
+    """The blocks that were moved, in order, each with the side (0..7, by compass) from which the robot came."""
+    poses = np.array([World(demo.scene).poses(qpos) for qpos in demo.qpos])  # (time, robot and blocks, 3)
+    moves = []
+    for block in range(1, poses.shape[1]):
+        moved = np.hypot(*(poses[:, block, :2] - poses[0, block, :2]).T) > TOUCHED
+        if moved.any():
+            when = int(moved.argmax())
+            dx, dy = poses[when, 0, :2] - poses[when, block, :2]
+            side = round(math.atan2(dy, dx) * SIDES / (2 * math.pi)) % SIDES
+            moves.append((when, block - 1, side))
+    return tuple((block, side) for _, block, side in sorted(moves))
+
+
+def _way(demo: Demonstration) -> NDArray[np.float64]:
+    """Points at equal distances along the robot's path. Shape (SAMPLES, 2)."""
+    places = np.array([World(demo.scene).poses(qpos)[0, :2] for qpos in demo.qpos])
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
+    at = np.linspace(0, length[-1], SAMPLES)
+    return np.stack([np.interp(at, length, places[:, axis]) for axis in (0, 1)], axis=1)
