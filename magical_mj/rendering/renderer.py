@@ -43,10 +43,9 @@ LARGEST: Final = 2048
 OVERSAMPLING: Final = 2
 """Drawn pixels per side of a picture's pixel."""
 
-_LANES: Final = 0x0001_0001_0001_0001
-"""A pixel as a 64-bit word with 16 bits for each of red, green, blue and alpha, lowest first."""
-_ROUND, _LEVELS, _COLOURS = np.uint64(2 * _LANES), np.uint64(0xFF * _LANES), np.uint64(_LANES >> 16)
-_TWO_BITS, _THREE_LANES, _FULL = np.uint64(2), np.uint64(48), np.uint64(0xFF)
+_EACH: Final = np.uint64(0x0001_0001_0001_0001)
+"""One in each quarter of a word: red, green, blue, alpha, lowest first."""
+_EACH_COLOUR: Final = np.uint64(0x0000_0001_0001_0001)
 
 
 def check_size(value: Any, name: str = "image_size") -> int:
@@ -269,6 +268,8 @@ class SolidRenderer(Renderer):
 def on_white(pixels: Picture, out: Picture | None = None) -> Picture:
     """The finished picture of drawn pixels: averaged 2 x 2, on a white background, top row first.
 
+    The four numbers of a pixel are added as one 64-bit word: each has 16 bits, which the sum of four cannot exceed.
+
     Args:
         pixels: red, green, blue (all 0 where nothing was drawn) and alpha (0 there, else 255), bottom row first.
             Shape (2 * height, 2 * width, 4).
@@ -276,16 +277,16 @@ def on_white(pixels: Picture, out: Picture | None = None) -> Picture:
     """
     height, width = pixels.shape[0] // OVERSAMPLING, pixels.shape[1] // OVERSAMPLING
     rows = pixels.reshape(height, OVERSAMPLING, -1)[::-1]
-    sums = np.add(rows[:, 0], rows[:, 1], dtype=np.uint16).view(np.uint64)
-    mixed = sums[:, ::2] + sums[:, 1::2]
-    mixed += _ROUND
-    mixed >>= _TWO_BITS
-    mixed &= _LEVELS  # exact averages, rounded
-    white = mixed >> _THREE_LANES
-    white ^= _FULL  # 255 - alpha: the share of the background; colour + white is at most 255
-    white *= _COLOURS
-    mixed += white
-    levels = mixed.view(np.uint8).reshape(height, width, -1)
+    columns = np.add(rows[:, 0], rows[:, 1], dtype=np.uint16).view(np.uint64)
+    average = columns[:, ::2] + columns[:, 1::2]
+    average += 2 * _EACH  # to round
+    average >>= np.uint64(2)
+    average &= 0xFF * _EACH
+    paper = average >> np.uint64(48)  # alpha
+    paper ^= np.uint64(0xFF)  # 255 - alpha; colour + paper is at most 255
+    paper *= _EACH_COLOUR
+    average += paper
+    levels = average.view(np.uint8).reshape(height, width, -1)
     picture = np.empty((height, width, 3), np.uint8) if out is None else out
     for channel in range(3):  # three strided copies are faster than one of triples
         picture[..., channel] = levels[..., 2 * channel]

@@ -54,30 +54,22 @@ def packed(rgba: Any) -> Any:
 
 
 @njit
-def to_grid(position: float) -> int:
-    """The nearest point of the grid, for a position in steps of the grid."""
-    return math.floor(position + 0.5)
-
-
-@njit
-def transform(points: Any, first: int, last: int, frame: Any, scale: float, middle: float, x: Any, y: Any) -> None:
-    """Corners of a polygon on the picture's grid: R(c, s) (u, v) + (tx, ty), scaled, with the camera in the middle.
+def transform(points: Any, frame: Any, scale: float, middle: float, x: Any, y: Any) -> None:
+    """Writes the corners of a polygon on the picture's grid: scale (R(c, s) (u, v) + (tx, ty)) + middle, rounded.
 
     Args:
-        points: local coordinates u, v (world units).
-        first: the first row of `points`.
-        last: the row after the last one.
+        points: local coordinates u, v (world units), one corner a row.
         frame: tx, ty, c, s, as `relative` computes them.
         scale: steps of the grid per world unit.
-        middle: the picture's middle, in steps of the grid.
+        middle: where the camera looks, in steps of the grid.
         x: where to write x, to the right.
         y: where to write y, upwards.
     """
     tx, ty, c, s = frame
-    for k in range(last - first):
-        u, v = np.float64(points[first + k, 0]), np.float64(points[first + k, 1])
-        x[k] = to_grid(scale * (tx + c * u - s * v) + middle)
-        y[k] = to_grid(scale * (ty + s * u + c * v) + middle)
+    for k in range(len(points)):
+        u, v = np.float64(points[k, 0]), np.float64(points[k, 1])
+        x[k] = math.floor(scale * (tx + c * u - s * v) + middle + 0.5)
+        y[k] = math.floor(scale * (ty + s * u + c * v) + middle + 0.5)
 
 
 @njit
@@ -140,7 +132,7 @@ def follow(xa: int, ya: int, xb: int, yb: int, first: int, last: int, side: int,
 
 
 @njit
-def fill(x: Any, y: Any, count: int, colour: int, side: int, pixels: Any, left: Any, right: Any) -> None:
+def fill(x: Any, y: Any, count: int, colour: int, side: int, scratch: Any) -> None:
     """Colours the samples whose centres a convex polygon covers; on an edge: those of left and lower edges.
 
     Args:
@@ -149,10 +141,10 @@ def fill(x: Any, y: Any, count: int, colour: int, side: int, pixels: Any, left: 
         count: the number of corners.
         colour: what to write.
         side: samples per side of the picture.
-        pixels: row by row from below. Shape (side * side,).
-        left: scratch, for the first sample of each row. Shape (side,).
-        right: likewise, for the sample after the last one.
+        scratch: samples row by row from below, shape (side * side,); for each row, places for the first sample of the
+            polygon and for the one after its last, shapes (side,).
     """
+    samples, left, right = scratch
     first, last = clip(x, y, count, side)
     if first >= last:
         return
@@ -164,50 +156,33 @@ def fill(x: Any, y: Any, count: int, colour: int, side: int, pixels: Any, left: 
             follow(x[after], y[after], x[k], y[k], first, last, side, left)
     for row in range(first, last):
         for place in range(row * side + left[row], row * side + right[row]):
-            pixels[place] = colour
+            samples[place] = colour
 
 
 @njit
-def paint(
-    polygons: Any,
-    corners: Any,
-    skin: Any,
-    colours: Any,
-    poses: Any,
-    camera: Any,
-    visible: float,
-    side: int,
-    pixels: Any,
-    left: Any,
-    right: Any,
-) -> None:
+def paint(scene: Any, colours: Any, poses: Any, view: Any, side: int, scratch: Any) -> None:
     """Paints polygons one over the other, in their order.
 
     Args:
-        polygons: a row of columns `FIRST`..`IS_SKIN` for each.
-        corners: of geoms, in their bodies' frames.
-        skin: of skins, likewise.
+        scene: the table of polygons, whose columns are `FIRST`..`IS_SKIN`; corners of geoms; corners of skins.
         colours: of each polygon.
         poses: positions and rotation matrices of all bodies. Shapes (n, 3) and (n, 9).
-        camera: the same of the camera.
-        visible: the side of the square that it sees (world units).
+        view: position and matrix of a camera, and the side of the square that it sees (world units).
         side: samples per side of the picture.
-        pixels: as in `fill`.
-        left: as in `fill`.
-        right: as in `fill`.
+        scratch: as for `fill`.
     """
-    positions, rotations = poses
+    polygons, corners, skin = scene
     x, y = np.empty(MOST_CORNERS, np.int64), np.empty(MOST_CORNERS, np.int64)
-    scale, middle = GRID * side / visible, 0.5 * GRID * side
-    pixels[: side * side] = 0
+    scale, middle = GRID * side / view[2], 0.5 * GRID * side
+    scratch[0][: side * side] = 0
     for p in range(len(polygons)):
         first, last, body = polygons[p, FIRST], polygons[p, LAST], polygons[p, BODY]
-        frame = relative(positions[body], rotations[body], camera[0], camera[1])
+        frame = relative(poses[0][body], poses[1][body], view[0], view[1])
         if polygons[p, IS_SKIN]:
-            transform(skin, first, last, frame, scale, middle, x, y)
+            transform(skin[first:last], frame, scale, middle, x, y)
         else:
-            transform(corners, first, last, frame, scale, middle, x, y)
-        fill(x, y, last - first, colours[p], side, pixels, left, right)
+            transform(corners[first:last], frame, scale, middle, x, y)
+        fill(x, y, last - first, colours[p], side, scratch)
 
 
 @njit
@@ -245,60 +220,34 @@ def average(pairs: Any, out: Any) -> None:
             line[column, 2] = blue
 
 
-_SCENE = "i4[:, ::1], f8[:, ::1], f4[:, ::1]"
-_WORLD = "f8[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8"
-_SCRATCH = "u4[::1], i8[::1], i8[::1]"
+_WORLD: Final = (
+    "Tuple((i4[:, ::1], f8[:, ::1], f4[:, ::1])), Tuple((f8[:, ::1], f8[:, ::1])), Tuple((f8[::1], f8[::1], f8)), "
+    "Tuple((u4[::1], i8[::1], i8[::1]))"
+)
 
 
-@compiled(f"void({_SCENE}, f4[:, ::1], f4[:, ::1], u4[::1], {_WORLD}, {_SCRATCH}, u8[::1], u1[:, :, :])")
+@compiled(f"void({_WORLD}, f4[:, ::1], f4[:, ::1], u4[::1], u8[::1], u1[:, :, :])")
 def draw_picture(
-    polygons: Any,
-    corners: Any,
-    skin: Any,
-    geom_rgba: Any,
-    skin_rgba: Any,
-    colours: Any,
-    positions: Any,
-    rotations: Any,
-    camera: Any,
-    axes: Any,
-    visible: float,
-    pixels: Any,
-    left: Any,
-    right: Any,
-    pairs: Any,
-    out: Any,
+    scene: Any, poses: Any, view: Any, scratch: Any, geoms: Any, skins: Any, colours: Any, pairs: Any, out: Any
 ) -> None:
-    """Draws polygons in colours, four samples a pixel, into `out`, shape (size, size, 3); `pairs` are the pixels."""
+    """Draws polygons, four samples a pixel, into `out`, shape (size, size, 3).
+
+    The first arguments are those of `paint`; then come red, green and blue of geoms and of skins, scratch for the
+    colours of polygons, and the samples in pairs, for `average`.
+    """
+    polygons, side = scene[0], 2 * len(out)
     for p in range(len(polygons)):
         source = polygons[p, SOURCE]
-        colours[p] = packed(skin_rgba[source]) if polygons[p, IS_SKIN] else packed(geom_rgba[source])
-    side = 2 * len(out)
-    poses, view = (positions, rotations), (camera, axes)
-    paint(polygons, corners, skin, colours, poses, view, visible, side, pixels, left, right)
+        colours[p] = packed(skins[source]) if polygons[p, IS_SKIN] else packed(geoms[source])
+    paint(scene, colours, poses, view, side, scratch)
     average(pairs, out)
 
 
-@compiled(f"void({_SCENE}, u4[::1], {_WORLD}, {_SCRATCH}, u1[:, :])")
-def draw_segments(
-    polygons: Any,
-    corners: Any,
-    skin: Any,
-    segments: Any,
-    positions: Any,
-    rotations: Any,
-    camera: Any,
-    axes: Any,
-    visible: float,
-    pixels: Any,
-    left: Any,
-    right: Any,
-    out: Any,
-) -> None:
-    """Writes the segment of each pixel's centre into `out`, shape (size, size); 0 where no polygon is."""
+@compiled(f"void({_WORLD}, u4[::1], u1[:, :])")
+def draw_segments(scene: Any, poses: Any, view: Any, scratch: Any, segments: Any, out: Any) -> None:
+    """Writes the segment at each pixel's centre into `out`, shape (size, size); 0 where no polygon is."""
     side = len(out)
-    poses, view = (positions, rotations), (camera, axes)
-    paint(polygons, corners, skin, segments, poses, view, visible, side, pixels, left, right)
+    paint(scene, segments, poses, view, side, scratch)
     for row in range(side):
         for column in range(side):
-            out[side - 1 - row, column] = pixels[row * side + column]
+            out[side - 1 - row, column] = scratch[0][row * side + column]

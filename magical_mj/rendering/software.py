@@ -48,14 +48,13 @@ class SoftwareRenderer:
 
         self.model = model
         self._scanlines = scanlines
-        self._polygons, self._corners, segments = polygons_of(model)
-        self._skin = model.skin_vert if model.nskin else np.zeros((0, 3), np.float32)
-        self._rgba = model.geom_rgba, model.skin_rgba if model.nskin else np.zeros((0, 4), np.float32)
-        self._segments = segments
-        self._colours = np.zeros(len(self._polygons), np.uint32)
+        none = np.zeros((0, 4), np.float32)
+        polygons, corners, self._segments = polygons_of(model)
+        self._scene = polygons, corners, model.skin_vert if model.nskin else none
+        self._colours = model.geom_rgba, model.skin_rgba if model.nskin else none, np.zeros(len(polygons), np.uint32)
         self._cameras = {model.camera(index).name: index for index in range(model.ncam)}
         self._data: mujoco.MjData | None = None
-        self._poses: tuple[NDArray[np.float64], NDArray[np.float64]] = (np.zeros((0, 3)), np.zeros((0, 9)))
+        self._poses: tuple[NDArray[np.float64], ...] = ()
         self._views: list[tuple[NDArray[np.float64], NDArray[np.float64], float]] = []
 
     def draw(self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None) -> Picture:
@@ -75,16 +74,14 @@ class SoftwareRenderer:
                 for index in range(self.model.ncam)
             ]
         name = camera.removesuffix(SEGMENTATION)
-        world = (*self._poses, *self._views[self._cameras[name]])
+        world = self._scene, self._poses, self._views[self._cameras[name]]
         if name != camera:
             picture = np.empty((size, size), np.uint8) if out is None else out
-            scene = self._polygons, self._corners, self._skin, self._segments
-            self._scanlines.draw_segments(*scene, *world, *scratch(size), picture)
+            self._scanlines.draw_segments(*world, scratch(size), self._segments, picture)
             return picture
         picture = np.empty((size, size, 3), np.uint8) if out is None else out
-        scene = self._polygons, self._corners, self._skin, *self._rgba, self._colours
         samples = scratch(2 * size)
-        self._scanlines.draw_picture(*scene, *world, *samples, samples[0].view(np.uint64), picture)
+        self._scanlines.draw_picture(*world, samples, *self._colours, samples[0].view(np.uint64), picture)
         return picture
 
     def close(self) -> None:
