@@ -185,7 +185,7 @@ def play_in(window: Window, env: Engine, pair: Pair, seed: int, size: int, episo
             episode = Episode(env, pair, seed, episodes)
         elif wish == "discard":
             episode.discard()
-        else:
+        elif wish is None:
             episode.act(window.action())
 
 

@@ -44,12 +44,12 @@ def test_help_and_version(shell: Shell) -> None:
 
 def test_both_ways_to_start_it() -> None:
     script = Path(sys.executable).with_name("magical-mj")
-    for command in ([str(script)], [sys.executable, "-m", "magical_mj"]):
+    for command in ([sys.executable, script], [sys.executable, "-m", "magical_mj"]):
         result = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True)
         assert result.stdout == f"magical-mj {magical_mj.__version__}\n"
 
 
-@pytest.mark.parametrize(("command", "code"), [("list --ids", 0), ("--help", 141), ("demos", 141)])
+@pytest.mark.parametrize(("command", "code"), [("list --ids", 0), ("--help", 141)])
 def test_a_closed_pipe_ends_quietly(command: str, code: int) -> None:
     """The reader has gone before anything is written."""
     reading, writing = os.pipe()

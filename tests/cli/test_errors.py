@@ -155,8 +155,6 @@ def test_no_opengl_is_one_line(backend: str, tmp_path: Path) -> None:
     assert result.returncode == 1
     assert "MUJOCO_GL" in result.stderr
     assert result.stderr.count("\n") == 1
-    assert process("list", **variables).stderr == ""
-    assert process("evaluate", "--help", **variables).stderr == ""
 
 
 def test_mujoco_may_be_imported_first(tmp_path: Path) -> None:

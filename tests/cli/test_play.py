@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +15,7 @@ from magical_mj.cli import main
 from magical_mj.cli.play import Episodes, Window, play_in
 from magical_mj.demos import load, verify
 from magical_mj.scene.actions import ACTIONS, Action, Drive, Gripper, Turn
+from tests.helpers.commands import Shell
 
 pygame = pytest.importorskip("pygame")
 
@@ -163,32 +162,22 @@ OWN = (
 
 
 @pytest.mark.parametrize(("task", "driver"), [("FindDupe", "no such driver"), ("FindDupe", None), ("mine:SPEC", None)])
-def test_without_a_display_it_says_so_and_makes_nothing(task: str, driver: str | None, tmp_path: Path) -> None:
+def test_without_a_display_it_says_so_and_makes_nothing(
+    task: str, driver: str | None, shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """And advises to play in a browser, where only tasks of the benchmark can be played."""
     (tmp_path / "mine.py").write_text(OWN)
-    hidden = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
-    variables = {name: value for name, value in os.environ.items() if name not in hidden}
-    command = [sys.executable, "-m", "magical_mj", "play", task, "--record", str(tmp_path / "kept")]
-    result = subprocess.run(
-        command,
-        cwd=tmp_path,
-        env=variables | ({} if driver is None else {"SDL_VIDEODRIVER": driver}),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
-    assert (result.returncode, result.stdout) == (1, "")
-    assert "A window needs a display" in result.stderr
-    assert ("play --web" in result.stderr) == (task == "FindDupe")
-    assert result.stderr.count("\n") == 1
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    if driver is not None:
+        monkeypatch.setenv("SDL_VIDEODRIVER", driver)
+    error = shell.fails(1, "play", task, "--record", "kept")
+    assert "A window needs a display" in error
+    assert ("play --web" in error) == (task == "FindDupe")
     assert not (tmp_path / "kept").exists()
 
 
-def test_without_its_extra_no_folder_is_made(tmp_path: Path) -> None:
-    hide = "import sys; sys.modules['pygame'] = None; from magical_mj.cli import main; sys.exit(main(sys.argv[1:]))"
-    command = [sys.executable, "-c", hide, "play", "FindDupe", "--record", str(tmp_path / "mine")]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert result.returncode == 1
-    assert '[window]"' in result.stderr
+def test_without_its_extra_no_folder_is_made(shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    assert '[window]"' in shell.fails(1, "play", "FindDupe", "--record", "mine")
     assert list(tmp_path.iterdir()) == []

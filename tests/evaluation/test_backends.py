@@ -50,7 +50,7 @@ def test_dask_cluster_that_loses_a_worker(tmp_path: Path) -> None:
                 os.kill(killed[0], signal.SIGKILL)
 
         magical_mj.evaluate(
-            "random,agents:Slow",
+            "random,tests.helpers.agents:Slow",
             out=tmp_path / "there",
             jobs=None,
             backend="dask",

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from magical_mj.utils.errors import UnknownNameError, WorkerError
-from magical_mj.utils.parallel import kept_workers, map_unordered
+from magical_mj.utils.parallel import map_unordered
 from magical_mj.utils.parallel.local import Pool
 
 
@@ -227,19 +227,6 @@ def test_a_pool_that_is_forgotten_is_closed(tmp_path: Path) -> None:
     assert running(tmp_path)
     del pool
     wait_for(lambda: not running(tmp_path))
-
-
-def test_workers_are_kept_for_the_next_call_unless_a_piece_fails() -> None:
-    def work(number: int) -> int:
-        return os.getpid() // (number != 0)
-
-    with kept_workers():
-        first, second = (set(map_unordered(work, [1], jobs=1)) for _ in range(2))
-        with pytest.raises(ZeroDivisionError):
-            list(map_unordered(work, [0], jobs=1))
-        third = set(map_unordered(work, [1], jobs=1))
-    assert first == second != third
-    assert first != set(map_unordered(work, [1], jobs=1))
 
 
 class Unreadable:

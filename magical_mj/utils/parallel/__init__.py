@@ -10,7 +10,7 @@ from typing import Any, Final, Literal, TypeVar, get_args
 
 from magical_mj.utils.errors import SettingsError, WorkerError, check_name, shown
 from magical_mj.utils.extras import missing_extra
-from magical_mj.utils.parallel.local import kept_workers, map_locally
+from magical_mj.utils.parallel.local import map_locally
 
 Backend = Literal["local", "dask"]
 BACKENDS: Final[tuple[str, ...]] = get_args(Backend)
@@ -22,7 +22,7 @@ PATIENCE: Final = 10
 """Seconds within which a dask cluster must have a worker."""
 _ADDRESS: Final = re.compile(r"(\w+://)?[^/]+:\d+|inproc://.+")
 
-__all__ = ["BACKENDS", "Backend", "check_backend", "cores", "kept_workers", "map_unordered"]
+__all__ = ["BACKENDS", "Backend", "check_backend", "cores", "map_unordered"]
 
 
 def cores() -> int:

@@ -21,7 +21,7 @@ import traceback
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import IO, Any, Final, TypeVar
 
 import cloudpickle
@@ -39,39 +39,16 @@ GRACE: Final = 10.0
 """Seconds that a worker has to close its files."""
 ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """One thread per worker: sums depend on how they are split, and workers share the cores."""
-_KEPT: Final[list[dict[int, Pool]]] = []
-"""Of each `kept_workers` that is entered: by their sizes, the pools that are not in use."""
-
-
-@contextmanager
-def kept_workers() -> Iterator[None]:
-    """Within it, successive calls of `map_unordered` use the same worker processes, which take a while to start."""
-    pools: dict[int, Pool] = {}
-    _KEPT.append(pools)
-    try:
-        yield
-        for pool in pools.values():
-            pool.finish()
-    finally:
-        _KEPT.remove(pools)
-        for pool in pools.values():
-            pool.close()
 
 
 def map_locally(function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int) -> Iterator[Result]:
     """See `magical_mj.utils.parallel.map_unordered`."""
-    kept = _KEPT[-1] if _KEPT else None
-    pool = (kept.pop(jobs, None) if kept is not None else None) or Pool(jobs)
+    pool = Pool(jobs)
     try:
         for future in as_completed([pool.submit(function, piece) for piece in pieces]):
             yield future.result()
-    except BaseException:
-        pool.close()
-        raise
-    if kept is not None and kept in _KEPT:
-        kept[jobs] = pool
-    else:
         pool.finish()
+    finally:
         pool.close()
 
 
