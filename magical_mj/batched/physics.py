@@ -89,8 +89,7 @@ class Physics:
         self._overflow = wp.to_torch(self.data.overflow)
         self._controls = torch.from_numpy(controls()).float().to(device)
         self._planar = torch.from_numpy(planar(self.blocks)).to(device)
-        fingers = [int(self.model.joint(name).qposadr[0]) for name in ("left_finger", "right_finger")]
-        self._fingers = torch.tensor(fingers, device=device)
+        self._fingers = torch.tensor(self._slots.fingers, device=device)
         self._graph: Any = None
         self.reset(scenes, torch.arange(self.worlds, device=device))
 

@@ -2,7 +2,8 @@
 
 MuJoCo Warp gives worlds their own sizes and poses of geoms, but not their own types. So a slot holds as many geoms of
 each kind as the shape with most of them needs; those that a world's shape does not use are parked far above the plane,
-and slots without a block far outside the arena.
+and slots without a block far outside the arena. What a block or a force cap is in a model, `magical_mj.assets` says:
+blocks are copied from models with one block of each shape.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.assets.contacts import PRESS
-from magical_mj.assets.robot import MOTORS, ROTORS, WHEELS
+from magical_mj.assets.contacts import foot_friction
+from magical_mj.assets.robot import torque_caps, wheel_caps
 from magical_mj.assets.world import planar, world_mjcf
 from magical_mj.batched.scenes import WorldScenes
-from magical_mj.scene import Block, Dynamics, Robot, Scene
+from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene.arrays import ABSENT
 from magical_mj.scene.constants import SHAPES, Shape
 
@@ -40,45 +41,62 @@ OUTSIDE: Final = 10.0  # world units from the centre, where slots without a bloc
 
 Kind = tuple[int, int, int]
 """Type, contype and conaffinity of a geom."""
+Fields = dict[str, NDArray[np.float64]]
+"""Arrays by the names of MuJoCo's model."""
 
 
-class BlockGeoms(NamedTuple):
-    """A shape's collision geoms and inertia, as compiled."""
+class BlockParts(NamedTuple):
+    """What MuJoCo makes of a block of one shape."""
 
+    classes: list[tuple[str, int]]
+    """Default class and type of each of its collision geoms."""
     kinds: list[Kind]
-    geoms: dict[str, NDArray[np.float64]]
-    """By field, a row for each geom."""
-    bodies: dict[str, NDArray[np.float64]]
-    """By field, rows for the block's body and for the body of its geoms."""
+    """Of each collision geom."""
+    geoms: Fields
+    """A row for each collision geom."""
+    bodies: Fields
+    """Rows for the block's body and for the body of its geoms."""
     dof_invweight0: NDArray[np.float64]
 
 
-def _solid_body(model: mujoco.MjModel, slot: int) -> int:
-    """The body that holds the collision geoms of a block."""
-    return model.body(f"block{slot}").id + 1
+class Slot(NamedTuple):
+    """Where a block is in a model."""
 
+    bodies: list[int]
+    """The block's body, and the body that holds its collision geoms."""
+    geoms: NDArray[np.int64]
+    """The collision geoms."""
+    joints: NDArray[np.int64]
+    """The degrees of freedom x, y and angle."""
 
-def _collision_geoms(model: mujoco.MjModel, slot: int) -> NDArray[np.int64]:
-    body = _solid_body(model, slot)
-    return model.body_geomadr[body] + np.arange(model.body_geomnum[body])
+    @classmethod
+    def of(cls, model: mujoco.MjModel, number: int) -> Slot:
+        """Where this block is."""
+        body = model.body(f"block{number}").id
+        solid = body + 1
+        geoms = model.body_geomadr[solid] + np.arange(model.body_geomnum[solid])
+        return cls([body, solid], geoms, model.body_dofadr[body] + np.arange(3))
 
 
 @cache
-def block_geoms(shape: Shape) -> BlockGeoms:
+def block_parts(shape: Shape) -> BlockParts:
     """What MuJoCo makes of a block of this shape."""
     scene = Scene(Robot(0.0, -0.5, 0.0), (Block(shape, "red", 0.0, 0.5, 0.0),))
-    model = mujoco.MjModel.from_xml_string(world_mjcf(scene, regions=""))
-    geoms = _collision_geoms(model, 0)
-    bodies = [model.body("block0").id, _solid_body(model, 0)]
-    columns = (model.geom_type, model.geom_contype, model.geom_conaffinity)
-    kinds = [tuple(int(column[geom]) for column in columns) for geom in geoms]
-    first = model.body_dofadr[bodies[0]]
-    return BlockGeoms(
-        kinds=kinds,  # type: ignore[arg-type]
-        geoms={name: getattr(model, name)[geoms].copy() for name in GEOM_FIELDS},
-        bodies={name: getattr(model, name)[bodies].copy() for name in BODY_FIELDS},
-        dof_invweight0=model.dof_invweight0[first : first + 3].copy(),
+    spec = mujoco.MjSpec.from_string(world_mjcf(scene, regions=""))
+    model = spec.compile()
+    slot = Slot.of(model, 0)
+    solid = spec.body("block0").first_body()
+    return BlockParts(
+        classes=[(geom.classname.name, int(geom.type)) for geom in solid.geoms],
+        kinds=[_kind(model, geom) for geom in slot.geoms],
+        geoms={name: getattr(model, name)[slot.geoms].copy() for name in GEOM_FIELDS},
+        bodies={name: getattr(model, name)[slot.bodies].copy() for name in BODY_FIELDS},
+        dof_invweight0=model.dof_invweight0[slot.joints].copy(),
     )
+
+
+def _kind(model: mujoco.MjModel, geom: int) -> Kind:
+    return int(model.geom_type[geom]), int(model.geom_contype[geom]), int(model.geom_conaffinity[geom])
 
 
 def slotted_model(blocks: int) -> mujoco.MjModel:
@@ -87,10 +105,9 @@ def slotted_model(blocks: int) -> mujoco.MjModel:
     spec = mujoco.MjSpec.from_string(world_mjcf(Scene(Robot(0.0, 0.0, 0.0), apart), regions=""))
     needed: Counter[tuple[str, int]] = Counter()
     for shape in SHAPES:
-        for one, count in Counter(_classes(shape)).items():
-            needed[one] = max(needed[one], count)
-    unseen = [geom for geom in spec.geoms if geom.classname.name == "visual"]
-    for element in (*unseen, *spec.lights, *spec.cameras):  # each kind would cost a launch in every substep
+        needed |= Counter(block_parts(shape).classes)  # the greater number of each
+    drawn = [geom for geom in spec.geoms if geom.classname.name == "visual"]
+    for element in (*drawn, *spec.lights, *spec.cameras):  # each kind would cost a launch in every substep
         spec.delete(element)
     for index in range(blocks):
         body = spec.body(f"block{index}").first_body()
@@ -106,85 +123,68 @@ def slotted_model(blocks: int) -> mujoco.MjModel:
     return model
 
 
-@cache
-def _classes(shape: Shape) -> tuple[tuple[str, int], ...]:
-    """Default class and type of each collision geom of a shape."""
-    spec = mujoco.MjSpec.from_string(
-        world_mjcf(Scene(Robot(0.0, -0.5, 0.0), (Block(shape, "red", 0.0, 0.5, 0.0),)), regions="")
-    )
-    return tuple((geom.classname.name, int(geom.type)) for geom in spec.body("block0").first_body().geoms)
-
-
 class Slots:
     """Turns scenes into what differs between worlds of one slotted model.
 
     Args:
         model: see `slotted_model`.
         blocks: its number of slots.
+
+    Attributes:
+        fingers: where the angles of the left and the right finger are in `qpos`.
     """
 
     def __init__(self, model: mujoco.MjModel, blocks: int) -> None:
-        self._model, self._blocks = model, blocks
-        self._geoms = [_collision_geoms(model, slot) for slot in range(blocks)]
-        self._bodies = [(model.body(f"block{slot}").id, _solid_body(model, slot)) for slot in range(blocks)]
-        self._joints = 3 * np.arange(blocks)
+        self._model = model
+        self._slots = [Slot.of(model, number) for number in range(blocks)]
+        self.fingers = [int(model.joint(name).qposadr[0]) for name in ("left_finger", "right_finger")]
 
-    def fields(self, scenes: WorldScenes) -> dict[str, NDArray[np.float64]]:
+    def fields(self, scenes: WorldScenes) -> Fields:
         """The values of all `FIELDS`, a row for each world."""
         worlds = len(scenes.shapes)
-        made = {name: np.repeat(getattr(self._model, name)[None], worlds, axis=0) for name in FIELDS}
-        for slot in range(self._blocks):
-            geoms = self._geoms[slot]
-            made["geom_pos"][:, geoms] = np.stack([0 * geoms, 0 * geoms, PARKED + 7.0 * geoms], axis=-1)
-            for number, shape in enumerate(SHAPES):
-                which = np.flatnonzero(scenes.shapes[:, slot] == number)
-                if len(which):
-                    self._become(made, which, slot, block_geoms(shape))
-        self._drive(made, scenes.dynamics)
-        return made
+        fields = {name: np.repeat(getattr(self._model, name)[None], worlds, axis=0) for name in FIELDS}
+        for number, slot in enumerate(self._slots):
+            heights = PARKED + 7.0 * slot.geoms
+            fields["geom_pos"][:, slot.geoms] = np.stack([0 * heights, 0 * heights, heights], axis=-1)
+            for index, shape in enumerate(SHAPES):
+                where = np.flatnonzero(scenes.shapes[:, number] == index)
+                if len(where):
+                    self._write_block(fields, where, slot, block_parts(shape))
+        self._write_dynamics(fields, scenes.dynamics)
+        return fields
 
-    def _become(
-        self, made: dict[str, NDArray[np.float64]], worlds: NDArray[np.int64], slot: int, one: BlockGeoms
-    ) -> None:
-        """In these worlds, the slot holds this shape."""
-        free = self._free(slot)
-        places = np.array([free[kind].pop(0) for kind in one.kinds])
-        for name, values in one.geoms.items():
-            made[name][worlds[:, None], places] = values.reshape(len(places), *made[name].shape[2:])
-        for name, values in one.bodies.items():
-            made[name][worlds[:, None], list(self._bodies[slot])] = values
-        made["dof_invweight0"][worlds[:, None], self._joints[slot] + np.arange(3)] = one.dof_invweight0
+    def _write_block(self, fields: Fields, worlds: NDArray[np.int64], slot: Slot, block: BlockParts) -> None:
+        """In these worlds, the slot holds this block."""
+        free: dict[Kind, list[int]] = {}
+        for geom in slot.geoms.tolist():
+            free.setdefault(_kind(self._model, geom), []).append(geom)
+        geoms = np.array([free[kind].pop(0) for kind in block.kinds])
+        rows = worlds[:, None]
+        for name, values in block.geoms.items():
+            fields[name][rows, geoms] = values.reshape(len(geoms), *fields[name].shape[2:])
+        for name, values in block.bodies.items():
+            fields[name][rows, slot.bodies] = values
+        fields["dof_invweight0"][rows, slot.joints] = block.dof_invweight0
 
-    def _free(self, slot: int) -> dict[Kind, list[int]]:
-        model, found = self._model, {}
-        for geom in self._geoms[slot].tolist():
-            kind = int(model.geom_type[geom]), int(model.geom_contype[geom]), int(model.geom_conaffinity[geom])
-            found.setdefault(kind, []).append(geom)
-        return found
-
-    def _drive(self, made: dict[str, NDArray[np.float64]], dynamics: NDArray[np.float64]) -> None:
-        """The force caps of each world: all of them are in proportion to a friction of the model."""
+    def _write_dynamics(self, fields: Fields, dynamics: NDArray[np.float64]) -> None:
+        """The force caps of each world."""
         model = self._model
-        usual = Dynamics()
         drive, turn, finger, force, torque = dynamics.T
-        for wheel in WHEELS:
-            pair = model.pair(wheel).id
-            made["pair_friction"][:, pair, :2] *= (drive / usual.drive_force)[:, None]
-        for names, share in ((ROTORS, turn / usual.turn_torque), (MOTORS.values(), finger / usual.finger_torque)):
-            for name in names:
-                made["tendon_frictionloss"][:, model.tendon(name).id] *= share
-        for slot in range(self._blocks):
-            made["pair_friction"][:, model.pair(f"block{slot}_foot").id, :2] = (force / PRESS)[:, None]
-            made["dof_frictionloss"][:, self._joints[slot] + 2] = torque
+        feet = {f"block{number}_foot": force for number in range(len(self._slots))}
+        for name, forces in (wheel_caps(drive) | feet).items():
+            fields["pair_friction"][:, model.pair(name).id, :2] = foot_friction(forces)[:, None]
+        for name, torques in torque_caps(turn, finger).items():
+            fields["tendon_frictionloss"][:, model.tendon(name).id] = torques
+        for slot in self._slots:
+            fields["dof_frictionloss"][:, slot.joints[2]] = torque
 
     def positions(self, scenes: WorldScenes) -> NDArray[np.float64]:
         """MuJoCo's `qpos` of the scenes, a row for each world."""
-        model, slots = self._model, np.arange(self._blocks)
-        qpos = np.repeat(model.qpos0[None], len(scenes.shapes), axis=0)
-        waiting = np.stack([OUTSIDE + 2.0 * slots, np.full(len(slots), OUTSIDE), np.zeros(len(slots))], axis=-1)
+        numbers = np.arange(len(self._slots))
+        qpos = np.repeat(self._model.qpos0[None], len(scenes.shapes), axis=0)
+        waiting = np.stack([OUTSIDE + 2.0 * numbers, np.full(len(numbers), OUTSIDE), 0.0 * numbers], axis=-1)
         poses = scenes.poses.copy()
         poses[:, 1:] = np.where((scenes.shapes == ABSENT)[..., None], waiting, poses[:, 1:])
-        qpos[:, planar(self._blocks)] = poses
-        fingers = [model.joint(name).qposadr[0] for name in ("left_finger", "right_finger")]
-        qpos[:, fingers] = scenes.fingers
+        qpos[:, planar(len(numbers))] = poses
+        qpos[:, self.fingers] = scenes.fingers
         return qpos

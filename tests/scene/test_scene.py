@@ -36,7 +36,10 @@ def test_a_scene_is_an_immutable_hashable_value() -> None:
         SCENE.robot.x = 0.0  # type: ignore[misc]
 
 
-@pytest.mark.parametrize("scene", [SCENE, Scene(Robot(0, 0, 0)), *(sample_scene(task, "All", 3) for task in TASKS)])
+@pytest.mark.parametrize(
+    "scene",
+    [SCENE, Scene(Robot(0, 0, 0)), Scene(Robot(1e-320, 0, 0)), *(sample_scene(task, "All", 3) for task in TASKS)],
+)
 def test_json_and_pickle_give_the_same_scene_bit_for_bit(scene: Scene) -> None:
     for copy in (Scene.from_json(scene.to_json()), Scene.from_json(scene.to_json().encode())):
         assert copy == scene

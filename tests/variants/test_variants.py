@@ -24,7 +24,7 @@ from magical_mj.tasks.registry import (
     variant_name,
 )
 from magical_mj.utils.errors import InvalidSeedError, PlacementError, UnknownNameError
-from magical_mj.variants import vary
+from magical_mj.variants import placement, vary
 
 TABLE = """
 MoveToCorner    Demo Jitter -      Colour Shape -         Dynamics All
@@ -154,7 +154,8 @@ def test_what_does_not_exist_is_refused_with_what_does(task: str, variant: Any, 
         sample_scene(task, variant, 0)
 
 
-def test_a_placement_that_cannot_be_gives_up_and_names_remedies() -> None:
+def test_a_placement_that_cannot_be_gives_up_and_names_remedies(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(placement, "MAX_TRIES", 100)
     crowded = replace(task_spec("FixColour"), region_size=(0.4, 1.9))
     with pytest.raises(PlacementError, match="no room for GoalRegion"):
         vary(crowded, "Layout", 0)
