@@ -254,7 +254,7 @@ def video(
     check_suffix(out, ".mp4")
     demos = read_chosen(paths, tasks, variants)[:count]
     check_writable(out, force)
-    with film(out, size, speed, overwrite=force) as made:
+    with film(out, size, speed, overwrite=force) as movie:
         for demo in demos:
             title = f"{demo.task} {demo.variant}, seed {demo.scene_seed}: {demo.demonstrator}"
             frames = magical_mj.demos.render_demo(demo, ("allo", "ego"), size)
@@ -262,10 +262,10 @@ def video(
                 views = np.concatenate([pictures["allo"], pictures["ego"]], axis=1)
                 reached = score(demo.task, demo.scene, scene)
                 if step == 0:
-                    made.begin(title, views, reached)
+                    movie.begin(title, views, reached)
                 else:
-                    made.add(views, step, int(demo.actions[step - 1]), reached)
-            made.end()
+                    movie.add(views, step, int(demo.actions[step - 1]), reached)
+            movie.end()
     console().print(out, soft_wrap=True)
 
 
@@ -287,12 +287,12 @@ def export(
     from magical_mj.demos.export import EXPORTERS
 
     exporter = EXPORTERS[to]
-    given = {"drop_noop": drop_noop, "video": video, "fingers": fingers}
-    for option in given:
+    settings = {"drop_noop": drop_noop, "video": video, "fingers": fingers}
+    for option in settings:
         takers = [name for name, other in EXPORTERS.items() if option in other.options]
         check_fits(context, to in takers, f"with --to {' or '.join(takers)}", option)
     check_fits(context, exporter.replaces, "with other data sets: these are written into new folders only", "force")
-    options = {option: given[option] for option in exporter.options}
+    options = {option: settings[option] for option in exporter.options}
     demos = read_chosen(paths, tasks, variants)
     preset = exporter.preset if preset is None else preset
     names = list(dict.fromkeys(demo.name for demo in demos))

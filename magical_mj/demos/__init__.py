@@ -18,6 +18,7 @@ from magical_mj.demos.learning import Transitions, observations, stream, transit
 from magical_mj.demos.recording import MAX_BYTES, Imported, Recorder, demonstrate, from_recording
 from magical_mj.demos.replay import Diversity, Verdict, diversity, render_demo, verify
 from magical_mj.tasks.registry import TASKS, task_name, task_spec
+from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError
 
 __all__ = [
@@ -71,16 +72,12 @@ def paths_of(task: str, folder: Path | str | None = None) -> list[Path]:
         DemonstrationError: if there are none.
     """
     task, spec = task_name(task), task_spec(task)
-    folder = Path(spec.demonstrations or SHIPPED) if folder is None else Path(folder)
+    folder = files.to_path(spec.demonstrations or SHIPPED if folder is None else folder)
     paths = files_in_or_below(folder, f"{spec.name}-")
-    make = (
-        f"magical-mj play {task} --record" if spec.plan is None else f"magical-mj demos generate --tasks {task} --out"
-    )
-    if not paths and spec.demonstrations is None and spec.name not in TASKS and folder == SHIPPED:
-        raise DemonstrationError(
-            f"{task} comes without demonstrations: name a folder in its TaskSpec (demonstrations=...), and fill it: "
-            f"{make} FOLDER"
-        )
-    if not paths:
-        raise DemonstrationError(f"there are no demonstrations of {task} in {folder}; to make some: {make} {folder}")
-    return paths
+    if paths:
+        return paths
+    command = f"play {task} --record" if spec.plan is None else f"demos generate --tasks {task} --out"
+    where = f"in {folder}; to make some: magical-mj {command} {folder}"
+    if folder == SHIPPED and spec.name not in TASKS:
+        where = f"here: name a folder in its TaskSpec (demonstrations=...), and fill it: magical-mj {command} FOLDER"
+    raise DemonstrationError(f"there are no demonstrations of {task} {where}")

@@ -108,8 +108,8 @@ def only_environment(demos: Sequence[Demonstration]) -> str:
     """
     names = sorted({demo.name for demo in demos})
     if len(names) != 1:
-        found = f"these are of {', '.join(names)}" if names else "there are none"
-        raise DemonstrationError(f"a data set holds demonstrations of one environment, and {found}")
+        these = f"these are of {', '.join(names)}" if names else "there are none"
+        raise DemonstrationError(f"a data set holds demonstrations of one environment, and {these}")
     return names[0]
 
 

@@ -15,8 +15,7 @@ UNTIDY = "import tempfile\ndef test_untidy(): open(tempfile.mkdtemp(prefix='mine
 FAILING = "def test_failing(tmp_path): assert not (tmp_path / 'a').mkdir() and False"
 
 
-@pytest.mark.parametrize("processes", [0, 1])
-@pytest.mark.parametrize(("test", "code"), [(TIDY, 0), (UNTIDY, 1), (FAILING, 1)])
+@pytest.mark.parametrize(("test", "code", "processes"), [(TIDY, 0, 1), (UNTIDY, 1, 0), (UNTIDY, 1, 1), (FAILING, 1, 0)])
 def test_what_stays_makes_the_tests_fail(test: str, code: int, processes: int, tmp_path: Path) -> None:
     system, tests = tmp_path / "system", tmp_path / "tests"
     system.mkdir()
