@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterable, Iterator
 from typing import Final
 from xml.etree.ElementTree import Comment, Element, TreeBuilder, XMLParser, fromstring
@@ -21,13 +22,22 @@ GROUPS: Final = {"vertex": 3, "face": 3}
 
 
 def numbers(*values: float) -> str:
-    """Numbers as an MJCF attribute, with the fewest digits that parse to the same doubles."""
-    return " ".join(repr(float(value)).removesuffix(".0") for value in values)
+    """Numbers as an MJCF attribute, with the fewest digits that parse to the same doubles.
+
+    Numbers below the smallest normal one become 0: MuJoCo's reader refuses them.
+    """
+    return " ".join(repr(_readable(float(value), sys.float_info.min)).removesuffix(".0") for value in values)
 
 
 def single(values: Iterable[float]) -> str:
     """The same for numbers that MuJoCo stores in single precision."""
-    return " ".join(str(np.float32(value)).removesuffix(".0") for value in values)
+    smallest = float(np.finfo(np.float32).tiny)
+    with np.errstate(all="ignore"):  # values may be too small for it
+        return " ".join(str(np.float32(_readable(float(value), smallest))).removesuffix(".0") for value in values)
+
+
+def _readable(value: float, smallest: float) -> float:
+    return 0.0 if 0 < abs(value) < smallest else value
 
 
 def quaternion(angle: float) -> tuple[float, float, float, float]:

@@ -12,5 +12,8 @@ from typing import Final
 PROTOCOL: Final = 1
 """The protocol of the current environments; a test fails if they change without a new number."""
 
+MUJOCO: Final = ("3", "4")
+"""The series of MuJoCo that compute the same: ten actions differ by rounding, and 200 demonstrations score alike."""
+
 DEMONSTRATIONS: Final = 2
 """The number of the shipped set of demonstrations, which policies learn from."""

@@ -38,39 +38,40 @@ ARRAYS = ("qpos", "qvel", "act", "qacc_warmstart", "xpos", "xmat", "tree_asleep"
 
 
 def test_trajectories_states_and_scores_equal_an_engines_in_all_environments() -> None:
-    for number, (task, variant) in enumerate(magical_mj.ENVIRONMENTS):
-        env, engine = magical_mj.load(task, variant, seed=number, observations=()), Engine(task, variant, seed=number)
-        rng = np.random.default_rng(number)
-        env.reset()
-        for _ in range(20):
-            action = int(rng.integers(len(ACTIONS)))
-            env.step(action)
-            engine.step(action)
-        for name in ARRAYS:
-            ours, theirs = getattr(engine.data, name), getattr(env.physics.data.ptr, name)
-            np.testing.assert_array_equal(theirs, ours, err_msg=f"{task}-{variant} {name}")
-        assert env.get_state() == engine.get_state()
-        assert (env.scene, env.score(), env.seed) == (engine.scene, engine.score(), number)
+    for task in magical_mj.TASKS:
+        env = magical_mj.load(task, seed=0, observations=())
+        for number, (_, variant) in enumerate(pair for pair in magical_mj.ENVIRONMENTS if pair[0] == task):
+            engine, rng = Engine(task, variant, seed=number), np.random.default_rng(number)
+            env.reset(scene=engine.initial_scene)
+            for action in rng.integers(len(ACTIONS), size=20).tolist():
+                env.step(action)
+                engine.step(action)
+            for name in ARRAYS:
+                ours, theirs = getattr(engine.data, name), getattr(env.physics.data.ptr, name)
+                np.testing.assert_array_equal(theirs, ours, err_msg=f"{task}-{variant} {name}")
+            assert env.get_state() == engine.get_state()
+            assert (env.scene, env.score()) == (engine.scene, engine.score())
         env.close()
 
 
 def test_later_episodes_and_pictures_equal_an_engines_too() -> None:
     """Whether the model is rewritten, for the same blocks, or compiled, for others."""
-    env, engine = magical_mj.load("FindDupe", "All", seed=0, observations=("ego", "allo", "state")), Engine("FindDupe")
-    for seed in (0, 4, 5):
-        for scene in (magical_mj.sample_scene("FindDupe", "All", seed), magical_mj.sample_scene("FindDupe", "Demo", 0)):
-            for _ in range(2):
-                first = env.reset(scene=scene)
-                engine.reset(scene=scene)
-                for timestep in (first, env.step(10), env.step(4)):
-                    if not timestep.first():
-                        engine.step(10 if timestep is not first and engine.steps == 0 else 4)
-                seen = env.step(13).observation
-                engine.step(13)
-                np.testing.assert_array_equal(seen["state"], engine.state_vector())
-                np.testing.assert_array_equal(seen["ego"], engine.render("ego", 96))
-                np.testing.assert_array_equal(seen["allo"], engine.render("allo", 96))
-                assert env.get_state() == engine.get_state()
+    env, engine = magical_mj.load("FindDupe", seed=0, observations=("ego", "allo", "state")), Engine("FindDupe")
+    demo = magical_mj.sample_scene("FindDupe", "Demo", 0)
+    for scene in (
+        demo,
+        magical_mj.sample_scene("FindDupe", "Jitter", 1),
+        magical_mj.sample_scene("FindDupe", "All", 4),
+    ):
+        env.reset(scene=scene)
+        engine.reset(scene=scene)
+        for action in (10, 4, 13):
+            observation = env.step(action).observation
+            engine.step(action)
+        np.testing.assert_array_equal(observation["state"], engine.state_vector())
+        np.testing.assert_array_equal(observation["ego"], engine.render("ego", 96))
+        np.testing.assert_array_equal(observation["allo"], engine.render("allo", 96))
+        assert env.get_state() == engine.get_state()
     np.testing.assert_array_equal(env.render("scene", 64), engine.render("scene", 64))
 
 
@@ -202,6 +203,16 @@ def test_a_variation_of_the_users_own() -> None:
     for _ in range(3):
         env.reset(scene=env.initial_scene)
         assert env.physics.named.model.pair_friction["block0_foot", 0] == pytest.approx(drawn[-1] * usual)
+
+
+def test_an_adapter_may_seed_the_generator_before_the_first_reset() -> None:
+    scenes = []
+    for _ in range(2):
+        env = magical_mj.load("MoveToRegion", "Layout", observations=())
+        env.random_state.seed(3)
+        env.reset()
+        scenes.append(env.initial_scene)
+    assert scenes[0] == scenes[1]
 
 
 def test_states_go_from_here_to_engines_and_back() -> None:

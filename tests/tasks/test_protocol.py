@@ -14,7 +14,7 @@ import mujoco
 import pytest
 
 import magical_mj
-from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
+from magical_mj.tasks.protocol import DEMONSTRATIONS, MUJOCO, PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS
 from tests.helpers import regenerate_protocol as fingerprints
 
@@ -46,7 +46,7 @@ def test_horizons_scores_and_physics_are_the_same(part: Callable[[str], object],
 
 
 def test_mujoco_is_of_the_same_series() -> None:
-    assert mujoco.__version__.partition(".")[0] == GOLDEN["mujoco"]
+    assert mujoco.__version__.partition(".")[0] in MUJOCO
 
 
 @pytest.mark.parametrize("task", TASKS)

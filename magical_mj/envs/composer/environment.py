@@ -5,7 +5,6 @@ It uses composer's public interface only, and steps the same physics as an engin
 
 from __future__ import annotations
 
-import secrets
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
@@ -202,18 +201,19 @@ class Environment(composer.Environment):
 
     task: SceneTask
 
-    def __init__(self, task: SceneTask, seed: int, *, fixed: bool, recompile: bool) -> None:
+    def __init__(self, task: SceneTask, seed: int | None, *, fixed: bool, recompile: bool) -> None:
         """Compiles the first scene.
 
         Args:
             task: runs the scenes.
             seed: the seed of the first scene unless that is fixed, and of the generator of the seeds of later ones.
+                None: the generator draws the first one, too, so that adapters may seed it before the first reset.
             fixed: whether every episode starts in the same scene.
             recompile: composer's `recompile_mjcf_every_episode`.
         """
         self._fixed, self._recompile, self._hooks_added = fixed, recompile, list[tuple[str, Callable[..., Any]]]()
         self._first_seed: int | None = None if fixed else seed
-        self._over, self._closed = True, False
+        self._begun, self._over, self._closed = False, True, False
         self.seed = self._first_seed
         """The seed of the present scene; None if it came from elsewhere."""
         self._compile(task, np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed))))
@@ -302,7 +302,7 @@ class Environment(composer.Environment):
         task = self.task
         task.setup.check(scene)
         task.start(scene, state)
-        self.seed, self._first_seed, self._over = seed, None, True  # until it has succeeded
+        self.seed, self._first_seed, self._begun, self._over = seed, None, True, True  # over until it has succeeded
         if not self._recompile and task.world.structure != self._structure:
             self._compile(task, self.random_state)
         timestep = super().reset()
@@ -373,8 +373,7 @@ class Environment(composer.Environment):
             )
         loaded = task.setup, self.initial_scene, task.observations, task.image_size, task.reward
         seeds = self.random_state.get_state(legacy=False), self.seed, self._first_seed
-        begun = None if self._first_seed is not None or self._over else self.get_state()
-        return _copied, (loaded, seeds, self._fixed, self._recompile, begun)
+        return _copied, (loaded, seeds, self._fixed, self._recompile, self.get_state() if self._begun else None)
 
     def close(self) -> None:
         """Frees the simulation. Closing twice is fine."""
@@ -477,8 +476,8 @@ def _loaded(
         )
     for name in observations:
         check_name("observation", name, OBSERVATIONS)
-    seed = secrets.randbits(63) if seed is None else check_seed(seed)
-    first = setup.sample(seed) if scene is None else scene
+    seed = None if seed is None else check_seed(seed)
+    first = setup.sample(seed or 0) if scene is None else scene
     setup.check(first)
     task = SceneTask(setup, first, observations, check_size(image_size), reward)
     return Environment(task, seed, fixed=scene is not None, recompile=recompile)
