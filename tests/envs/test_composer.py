@@ -122,7 +122,8 @@ def test_the_tree_is_one_of_entities_and_compiles_to_the_engines_model() -> None
     model, ours = mjcf.Physics.from_mjcf_model(arena.mjcf_model).model.ptr, Engine.of_scene(scene).model
     for name in ("body_pos", "geom_size", "dof_invweight0", "pair_friction", "tendon_frictionloss", "skin_vert"):
         np.testing.assert_array_equal(getattr(model, name), getattr(ours, name), err_msg=name)
-    joint = mjcf.get_attachment_frame(arena.blocks[1].mjcf_model).joint["block1_x"]
+    frame = mjcf.get_attachment_frame(arena.blocks[1].mjcf_model)
+    (joint,) = (child for child in frame.all_children() if getattr(child, "name", None) == "block1_x")
     env.reset()
     np.testing.assert_allclose(env.physics.bind(joint).qpos, scene.blocks[1].x)
     assert env.physics.named.data.qpos["robot/robot_x/"] == scene.robot.x

@@ -89,7 +89,7 @@ class Thing(composer.Entity):
 class Arena(composer.Entity):
     """The root entity: ground, walls, lights, the camera "allo", and the goal regions. Robot and blocks are attached.
 
-    What users add to its tree and to the robot's stays there. Blocks are new when an episode has other shapes.
+    What users add to the trees stays there. A block has a tree of its own for each shape that it has had.
 
     Attributes:
         robot: the robot.
@@ -101,6 +101,7 @@ class Arena(composer.Entity):
         more = f"<actuator>{actuators_mjcf()}</actuator><contact>{APART}</contact>"
         self.robot = Thing("robot", _robot, scene, more)
         self.blocks: list[Thing] = []
+        self._things: dict[tuple[str, str], Thing] = {}  # all blocks so far: parsing one takes 40 ms
         self._pairs: list[Any] = []
         self._skins: list[Any] = []
         self._shapes: list[str] | None = None
@@ -137,7 +138,10 @@ class Arena(composer.Entity):
         for pair in self._pairs:
             pair.remove()
         names = [f"block{index}" for index in range(len(scene.blocks))]
-        self.blocks = [Thing(name, partial(_block, index), scene) for index, name in enumerate(names)]
+        for index, (name, block) in enumerate(zip(names, scene.blocks, strict=True)):
+            if (name, block.shape) not in self._things:
+                self._things[name, block.shape] = Thing(name, partial(_block, index), scene)
+        self.blocks = [self._things[name, block.shape] for name, block in zip(names, scene.blocks, strict=True)]
         for thing in (*self.blocks, self.robot):
             thing.attach_to(self, scene)
         feet = dict(zip(names, self.blocks, strict=True))
