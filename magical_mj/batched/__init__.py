@@ -18,7 +18,7 @@ from gymnasium.vector import AutoresetMode
 
 from magical_mj.tasks.registry import environments
 from magical_mj.tasks.spec import Reward, Rules
-from magical_mj.utils.errors import SettingsError, shown
+from magical_mj.utils.errors import SettingsError, short_repr
 from magical_mj.utils.extras import check_extra
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def make(
 
     for name, value, least in (("num_envs", num_envs, 1), ("workers", workers, 0)):
         if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
-            raise SettingsError(f"{name} must be an integer of at least {least}, not {shown(value)}")
+            raise SettingsError(f"{name} must be an integer of at least {least}, not {short_repr(value)}")
     pairs = environments(task, variant)
     if num_envs < len(pairs):
         raise SettingsError(f"these are {len(pairs)} environments, for which num_envs={num_envs} is too few")

@@ -25,7 +25,7 @@ from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.arrays import SceneArrays
 from magical_mj.tasks.registry import Pair, check_rules, task_spec
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
-from magical_mj.utils.errors import ClosedError, InvalidActionError, SettingsError, StateError, check_name, shown
+from magical_mj.utils.errors import ClosedError, InvalidActionError, SettingsError, StateError, check_name, short_repr
 from magical_mj.variants import check_seed
 
 MODES: Final = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
@@ -68,7 +68,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     ) -> None:
         if autoreset_mode not in MODES:
             names = " or ".join(f"gymnasium.vector.{mode}" for mode in MODES)
-            raise SettingsError(f"autoreset_mode must be {names}, not {shown(autoreset_mode)}")
+            raise SettingsError(f"autoreset_mode must be {names}, not {short_repr(autoreset_mode)}")
         check_name("reward", reward, REWARDS)
         seed = check_seed(seed)
         self._rules: Rules = check_rules(rules)
@@ -311,7 +311,7 @@ def masked(mask: Any, worlds: int) -> list[int]:
         return list(range(worlds))
     entries = _tensor(mask)
     if entries is None or entries.dtype != torch.bool or entries.shape != (worlds,):
-        raise SettingsError(f"reset_mask must hold {worlds} bools, one for each world, not {shown(mask)}")
+        raise SettingsError(f"reset_mask must hold {worlds} bools, one for each world, not {short_repr(mask)}")
     return entries.nonzero()[:, 0].tolist()
 
 
@@ -331,7 +331,7 @@ def check_actions(actions: Any, worlds: int, device: str) -> Tensor:
         or bool(((numbers.long() < 0) | (numbers.long() >= len(ACTIONS))).any())
     ):
         raise InvalidActionError(
-            f"actions must be {worlds} integers in 0..{len(ACTIONS) - 1}, one for each world, not {shown(actions)}"
+            f"actions must be {worlds} integers in 0..{len(ACTIONS) - 1}, one for each world, not {short_repr(actions)}"
         )
     return numbers.long()
 
@@ -353,10 +353,10 @@ def check_state(state: Any, own: Mapping[str, Any]) -> None:
     """
     kind = state.get("kind") if isinstance(state, Mapping) else None
     if not isinstance(kind, Mapping) or state.keys() != own.keys() or kind.keys() != own["kind"].keys():
-        raise StateError(f"set_state() takes what get_state() gave, not {shown(state)}")
+        raise StateError(f"set_state() takes what get_state() gave, not {short_repr(state)}")
     for name, value in own["kind"].items():
         if kind[name] != value:
-            raise StateError(f"the state has {name} {shown(kind[name])}, and these worlds {shown(value)}")
+            raise StateError(f"the state has {name} {short_repr(kind[name])}, and these worlds {short_repr(value)}")
     for name in own.keys() - {"kind"}:
         if _layout(state[name]) != _layout(own[name]):
             raise StateError(

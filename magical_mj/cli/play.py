@@ -21,7 +21,7 @@ from magical_mj.cli.film import INK, PAPER, side_by_side
 from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair, environments, task_name, task_spec, variant_name
-from magical_mj.utils.errors import MagicalError, SettingsError, shown
+from magical_mj.utils.errors import MagicalError, SettingsError, short_repr
 from magical_mj.utils.extras import missing_extra
 
 if TYPE_CHECKING:
@@ -330,7 +330,7 @@ def _check_page(first: tuple[str, str, int] | None, environments: Sequence[Pair]
     if (task, variant) not in environments:
         raise SettingsError(f"{task}-{variant} is not among --tasks and --variants")
     if seed > LARGEST_SEED:
-        raise SettingsError(f"seeds in a browser are at most {LARGEST_SEED}, not {shown(seed)}")
+        raise SettingsError(f"seeds in a browser are at most {LARGEST_SEED}, not {short_repr(seed)}")
 
 
 def _checked_origin(origin: str) -> str:

@@ -16,7 +16,7 @@ from magical_mj.assets.world import World
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.tasks.registry import environment_axes, score, task_spec
-from magical_mj.utils.errors import DemonstrationError, shown
+from magical_mj.utils.errors import DemonstrationError, short_repr
 
 Demonstrator = Literal["expert", "human"]
 DEMONSTRATORS: Final[tuple[Demonstrator, ...]] = get_args(Demonstrator)
@@ -77,9 +77,9 @@ def _claims(demo: Demonstration) -> Iterator[tuple[bool, str]]:
     """What must be true, and what is said if it is not. Each may rely on those before it."""
     for seed in (demo.scene_seed, demo.seed):
         is_seed = isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0
-        yield is_seed, f"seeds must be integers of at least 0, not {shown(seed)}"
+        yield is_seed, f"seeds must be integers of at least 0, not {short_repr(seed)}"
     is_score = isinstance(demo.score, int | float) and not isinstance(demo.score, bool) and 0 <= demo.score <= 1
-    yield is_score, f"the score must be a number in [0, 1], not {shown(demo.score)}"
+    yield is_score, f"the score must be a number in [0, 1], not {short_repr(demo.score)}"
     are_texts = isinstance(demo.package, str) and isinstance(demo.mujoco, str)
     yield are_texts, "the versions of package and mujoco must be texts"
     yield demo.demonstrator in DEMONSTRATORS, f"demonstrator must be one of {DEMONSTRATORS}"
@@ -122,8 +122,8 @@ def check_seeds(demos: Sequence[Demonstration]) -> None:
     for demo in demos:
         if demo.scene_seed >= 2**63:
             raise DemonstrationError(
-                f"the scene's seed {shown(demo.scene_seed)} does not fit the 64-bit integers of this format: choose "
-                "demonstrations whose seeds are below 2**63"
+                f"the scene's seed {short_repr(demo.scene_seed)} does not fit the 64-bit integers of this format: "
+                "choose demonstrations whose seeds are below 2**63"
             )
 
 

@@ -26,7 +26,7 @@ from magical_mj.scene import Scene
 from magical_mj.scene.geometry import check_scene
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.utils import files
-from magical_mj.utils.errors import InvalidSceneError, shown
+from magical_mj.utils.errors import InvalidSceneError, short_repr
 
 HEADER: Final = """<!--
   {what}, as a MuJoCo model. Written by magical-mj {version}.
@@ -88,7 +88,7 @@ def mjcf_text(source: Scene | Engine) -> str:
         scene, data = source, mujoco.MjData(mujoco.MjModel.from_xml_string(world_mjcf(source)))
     elif not isinstance(source, Engine):
         raise InvalidSceneError(
-            f"a file is made of a Scene or a magical_mj.Engine, not of {shown(source)}; "
+            f"a file is made of a Scene or a magical_mj.Engine, not of {short_repr(source)}; "
             "in Gymnasium's environments that is env.unwrapped.engine"
         )
     else:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.scene import Scene
-from magical_mj.utils.errors import StateError, shown
+from magical_mj.utils.errors import StateError, short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +53,8 @@ def check_state(state: object) -> None:
     if not isinstance(state, State):
         raise StateError(f"set_state() takes what get_state() gave, not {type(state).__name__}")
     if isinstance(state.steps, bool) or not isinstance(state.steps, int | np.integer) or state.steps < 0:
-        raise StateError(f"the steps of a state are an integer from 0 up, not {shown(state.steps)}")
+        raise StateError(f"the steps of a state are an integer from 0 up, not {short_repr(state.steps)}")
     if not isinstance(state.scene, Scene):
-        raise StateError(f"the scene of a state is a magical_mj.Scene, not {shown(state.scene)}")
+        raise StateError(f"the scene of a state is a magical_mj.Scene, not {short_repr(state.scene)}")
     if not isinstance(state.frames, Mapping):
-        raise StateError(f"the frames of a state are a mapping of names to pictures, not {shown(state.frames)}")
+        raise StateError(f"the frames of a state are a mapping of names to pictures, not {short_repr(state.frames)}")

@@ -23,7 +23,7 @@ from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS, to_discrete
 from magical_mj.scene.state_vector import CAMERAS, VIEWS, StateEncoder
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
-from magical_mj.utils.errors import InvalidSceneError, SettingsError, check_name, shown
+from magical_mj.utils.errors import InvalidSceneError, SettingsError, check_name, short_repr
 from magical_mj.variants import check_seed
 
 ActionForm = Literal["discrete", "continuous"]
@@ -268,7 +268,7 @@ class ResetOptions:
         if options is None:
             return {}
         if not isinstance(options, Mapping):
-            raise SettingsError(f"options are a dict with {names} for keys, not {shown(options)}")
+            raise SettingsError(f"options are a dict with {names} for keys, not {short_repr(options)}")
         if others := options.keys() - self._warned - set(self._known):
             self._warned |= others
             ignored = ", ".join(sorted(map(repr, others)))

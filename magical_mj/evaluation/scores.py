@@ -24,7 +24,7 @@ from magical_mj.policies.interface import Episode, letters_of
 from magical_mj.policies.loading import loader_in
 from magical_mj.rendering.backend import chosen_backend
 from magical_mj.utils import files
-from magical_mj.utils.errors import EvaluationError, SettingsError, shown
+from magical_mj.utils.errors import EvaluationError, SettingsError, short_repr
 from magical_mj.utils.settings import check_unchanged
 
 SCORES: Final = "scores.jsonl"
@@ -135,7 +135,7 @@ def parse(line: str | bytes) -> EpisodeResult:
         raise ValueError(str(error)) from None
     for name, value in values.items():
         if isinstance(value, str) and name != "failure" and not value.isprintable():
-            raise ValueError(f"{name} must be a text of printable characters, not {shown(value)}")
+            raise ValueError(f"{name} must be a text of printable characters, not {short_repr(value)}")
     return result
 
 
@@ -300,5 +300,5 @@ def read_settings(folder: Path) -> dict[str, Any]:
 def folders_of(folders: Iterable[Path | str]) -> list[Path]:
     """The folders as a list; raises a `SettingsError` for a single one, since a text is a sequence of letters."""
     if isinstance(folders, str | bytes | PathLike):
-        raise SettingsError(f"give a list of folders, such as [{str(folders)!r}], not {shown(folders)}")
+        raise SettingsError(f"give a list of folders, such as [{str(folders)!r}], not {short_repr(folders)}")
     return [Path(folder) for folder in folders]

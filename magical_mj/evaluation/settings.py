@@ -16,7 +16,7 @@ from magical_mj.tasks.plugins import code_digest
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import TASKS, Pair, environments
 from magical_mj.tasks.spec import Rules
-from magical_mj.utils.errors import SettingsError, shown
+from magical_mj.utils.errors import SettingsError, short_repr
 from magical_mj.utils.parallel import Backend, check_backend
 from magical_mj.utils.settings import LARGEST_SETTING, Count, Names, Natural, Settings
 
@@ -82,7 +82,7 @@ class EvaluationSettings(Settings):
         preset_named(self.preset)
         check_backend(self.backend, self.address)
         if self.device != DEVICE and not self.batched:
-            raise SettingsError(f"device is that of MuJoCo Warp, not {shown(self.device)}: give --simulator warp")
+            raise SettingsError(f"device is that of MuJoCo Warp, not {short_repr(self.device)}: give --simulator warp")
 
     @property
     def batched(self) -> bool:

@@ -21,7 +21,7 @@ from magical_mj.leaderboard.entry import SEEDS, Entry, name_of
 from magical_mj.policies.interface import LETTERS, actions_of
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, check_rules, task_spec
-from magical_mj.utils.errors import EvaluationError, shown
+from magical_mj.utils.errors import EvaluationError, short_repr
 from magical_mj.utils.parallel import map_unordered
 from magical_mj.variants import check_seed
 
@@ -163,7 +163,7 @@ def _contradictions(
     for episode in episodes:
         pair, count = (episode.task, episode.variant), len(episode.actions)
         texts = {
-            what: f"it was played with {said!r}, and {SETTINGS} says {shown(settings.get(what))}"
+            what: f"it was played with {said!r}, and {SETTINGS} says {short_repr(settings.get(what))}"
             for what in ("preset", "version", "mujoco")  # workers of a cluster choose the OpenGL backend themselves
             if (said := getattr(episode, what)) not in (settings.get(what), None)  # who looks at nothing has no preset
         }

@@ -20,7 +20,7 @@ from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils import files
-from magical_mj.utils.errors import EvaluationError, shown
+from magical_mj.utils.errors import EvaluationError, short_repr
 
 FORMAT: Final = 2
 SUFFIX: Final = ".json.xz"
@@ -239,7 +239,7 @@ def _episodes(content: Content, name: object) -> list[EpisodeResult]:
     for environment in sorted({environment for column in columns for environment in column}):
         task, _, variant = environment.partition("-")
         if (task, variant) not in ENVIRONMENTS:
-            raise EvaluationError(f"{name} has results in {shown(environment)}, which is no environment")
+            raise EvaluationError(f"{name} has results in {short_repr(environment)}, which is no environment")
         lengths = [len(column.get(environment, ())) for column in columns]
         if len(set(lengths)) > 1 or not lengths[0]:
             fields = zip(Columns.__struct_fields__, lengths, strict=True)

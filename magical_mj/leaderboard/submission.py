@@ -28,7 +28,7 @@ from magical_mj.leaderboard.entry import (
 )
 from magical_mj.tasks.registry import ENVIRONMENTS, check_rules
 from magical_mj.utils import files
-from magical_mj.utils.errors import EvaluationError, SettingsError, check_name, shown
+from magical_mj.utils.errors import EvaluationError, SettingsError, check_name, short_repr
 
 Source = tuple[EpisodeResult, Path]
 """An episode and the folder that holds it."""
@@ -113,8 +113,8 @@ def _entry(card: Card, sources: Sequence[Source], folders: Sequence[Path]) -> En
             raise EvaluationError(f"{folder} was played in batched worlds, and cannot be an entry: {UNOFFICIAL}")
         if (episode.task, episode.variant) not in ENVIRONMENTS:
             raise EvaluationError(
-                f"an entry has results in the benchmark's environments, not in {shown(episode.task)} "
-                f"{shown(episode.variant)}, as {folder} has"
+                f"an entry has results in the benchmark's environments, not in {short_repr(episode.task)} "
+                f"{short_repr(episode.variant)}, as {folder} has"
             )
     rules = _common("rules", {episode.rules: folder for episode, folder in sources})
     preset = _common("preset", {episode.preset: folder for episode, folder in sources})
@@ -143,7 +143,8 @@ def _protocol(folder: Path) -> int | None:
     number = recorded_settings(folder).get("protocol")
     if number is not None and (type(number) is not int or number < 1):
         raise EvaluationError(
-            f"the protocol in {folder / SETTINGS} must be a number such as 1, and is {shown(number)}: evaluate again"
+            f"the protocol in {folder / SETTINGS} must be a number such as 1, and is {short_repr(number)}: "
+            "evaluate again"
         )
     return number
 

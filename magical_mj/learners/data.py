@@ -18,7 +18,7 @@ from magical_mj.learners.settings import TrainingSettings
 from magical_mj.learners.state_features import histories
 from magical_mj.scene.actions import ACTIONS, NOOP
 from magical_mj.scene.state_vector import STATE_NAMES
-from magical_mj.utils.errors import DemonstrationError, shown
+from magical_mj.utils.errors import DemonstrationError, short_repr
 
 Demonstrations = Mapping[str, Sequence[Demonstration | Transitions]]
 """Task -> the transitions of each demonstration, no-ops included, with the observations of the run's preset."""
@@ -74,7 +74,9 @@ def _found(task: str, demonstrations: Demonstrations | None) -> Sequence[Demonst
     if demonstrations is None:
         return shipped(task)
     if not isinstance(demonstrations, Mapping):
-        raise DemonstrationError(f"give demonstrations by task, as {{{task!r}: [...]}}, not {shown(demonstrations)}")
+        raise DemonstrationError(
+            f"give demonstrations by task, as {{{task!r}: [...]}}, not {short_repr(demonstrations)}"
+        )
     if task not in demonstrations:
         raise DemonstrationError(
             f"no demonstrations of {task} are given, but of: {', '.join(demonstrations) or 'none'}"

@@ -18,7 +18,7 @@ from magical_mj.learners.state_features import History
 from magical_mj.policies.interface import Episode
 from magical_mj.policies.models import torch_threads
 from magical_mj.scene.state_vector import STATE_NAMES
-from magical_mj.utils.errors import SettingsError, TrainingError, check_name, shown
+from magical_mj.utils.errors import SettingsError, TrainingError, check_name, short_repr
 from magical_mj.utils.settings import changed
 
 POLICY: Final = "policy.safetensors"
@@ -105,7 +105,7 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
     try:
         tasks, preset = contents["tasks"], contents["preset"]
         if not tasks or not all(isinstance(task, str) for task in tasks):
-            raise TypeError(f"tasks are names, not {shown(tasks)}")
+            raise TypeError(f"tasks are names, not {short_repr(tasks)}")
         check_name("preset", preset, LEARNABLE)
         network = changed(NetworkSettings(), contents["network"])
         actor = Actor(network, len(tasks), states=preset == STATE, batch_norm=contents["batch_norm"])

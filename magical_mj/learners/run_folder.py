@@ -27,7 +27,7 @@ from magical_mj.policies.interface import Policy
 from magical_mj.policies.loading import loader_in, sources
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.utils import files
-from magical_mj.utils.errors import SettingsError, TrainingError, shown
+from magical_mj.utils.errors import SettingsError, TrainingError, short_repr
 from magical_mj.utils.files import read_toml
 from magical_mj.utils.imports import trust
 from magical_mj.utils.settings import check_unchanged
@@ -112,8 +112,8 @@ class RunFolder:
             value = getattr(policy, name, wanted)
             if value != wanted:
                 raise TrainingError(
-                    f"the policy in {self.path} is of another training ({name}: {shown(value)}, and here "
-                    f"{shown(wanted)}): move it away, and --resume writes this training's own again"
+                    f"the policy in {self.path} is of another training ({name}: {short_repr(value)}, and here "
+                    f"{short_repr(wanted)}): move it away, and --resume writes this training's own again"
                 )
         return policy
 
@@ -149,17 +149,17 @@ class RunFolder:
             update, seconds, updates = contents["update"], contents["seconds"], contents.get("updates")
             before = json.loads(contents.get("settings", "{}"))  # checkpoints of early versions do not tell
             if type(update) is not int or not 0 <= update <= (update if updates is None else updates):
-                raise ValueError(f"update {shown(update)} of {shown(updates)}")
+                raise ValueError(f"update {short_repr(update)} of {short_repr(updates)}")
             if not 0 <= seconds < math.inf:
-                raise ValueError(f"{shown(seconds)} seconds")
+                raise ValueError(f"{short_repr(seconds)} seconds")
             last = Checkpoint(update, updates, seconds, contents.get("device"), contents["learner"])
             others = [name for name, value in recorded(self._settings).items() if before.get(name, value) != value]
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise self.unusable_checkpoint(error) from error
         if others:
             raise TrainingError(
-                f"{path} is of another training ({others[0]}: {shown(before[others[0]])}): put back this training's "
-                "own, or train anew in another folder"
+                f"{path} is of another training ({others[0]}: {short_repr(before[others[0]])}): put back this "
+                "training's own, or train anew in another folder"
             )
         return last
 
@@ -195,7 +195,7 @@ class RunFolder:
         threads = start.get("threads")
         if threads is not None and (type(threads) is not int or not 1 <= threads <= MOST_THREADS):
             raise SettingsError(
-                f"threads in {config} must be an integer from 1 to {MOST_THREADS}, not {shown(threads)}"
+                f"threads in {config} must be an integer from 1 to {MOST_THREADS}, not {short_repr(threads)}"
             )
         return threads
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar, runtime_checkab
 
 import numpy as np
 
-from magical_mj.utils.errors import InvalidActionError, PhysicsError, RenderingError, TaskError, shown
+from magical_mj.utils.errors import InvalidActionError, PhysicsError, RenderingError, TaskError, short_repr
 from magical_mj.utils.imports import place
 
 if TYPE_CHECKING:
@@ -136,7 +136,9 @@ def letters_of(actions: Iterable[int]) -> str:
 def actions_of(letters: str) -> list[int]:
     """The actions of a string that `letters_of` made; raises an `InvalidActionError` for any other string."""
     if not set(letters) <= set(LETTERS):
-        raise InvalidActionError(f"stored actions are letters from {LETTERS[0]} to {LETTERS[-1]}, not {shown(letters)}")
+        raise InvalidActionError(
+            f"stored actions are letters from {LETTERS[0]} to {LETTERS[-1]}, not {short_repr(letters)}"
+        )
     return [LETTERS.index(letter) for letter in letters]
 
 

@@ -17,7 +17,7 @@ from magical_mj.policies.agents import AGENTS
 from magical_mj.policies.interface import Act, policy_name, reason, uses_simulation
 from magical_mj.policies.models import LOADERS, Shape
 from magical_mj.tasks.registry import Pair, task_spec
-from magical_mj.utils.errors import SettingsError, UntrustedNameError, shown, unknown_name
+from magical_mj.utils.errors import SettingsError, UntrustedNameError, short_repr, unknown_name
 from magical_mj.utils.imports import resolve, source_of
 
 ACCEPTED_POLICIES: Final = (
@@ -119,7 +119,9 @@ def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
     runs: Counter[str] = Counter()
     for source in _parse_policies(policies):
         if not isinstance(source.name, str) or not source.name.strip() or not source.name.isprintable():
-            raise SettingsError(f"the name of a method is a text of printable characters, not {shown(source.name)}")
+            raise SettingsError(
+                f"the name of a method is a text of printable characters, not {short_repr(source.name)}"
+            )
         listed.append(replace(source, run=run + runs[source.name], trust=trust))
         runs[source.name] += 1
     if not listed:
@@ -139,7 +141,9 @@ def _parse_policies(policies: Any) -> Iterator[Source]:
     else:
         policy = _instantiate(policies, policies.__name__) if isinstance(policies, type) else policies
         if not callable(policy):
-            raise SettingsError(f"{shown(policy)} is not a policy: it must be callable, or one of {ACCEPTED_POLICIES}")
+            raise SettingsError(
+                f"{short_repr(policy)} is not a policy: it must be callable, or one of {ACCEPTED_POLICIES}"
+            )
         yield Source(policy_name(policies), 0, policy)
 
 

@@ -23,7 +23,7 @@ from magical_mj.rendering import gl
 from magical_mj.rendering.backend import chosen_backend, problem_of
 from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS, FORKED, Context, Picture
 from magical_mj.scene.state_vector import SEGMENTATIONS, SOLID_VIEW
-from magical_mj.utils.errors import RenderingError, SettingsError, check_name, shown
+from magical_mj.utils.errors import RenderingError, SettingsError, check_name, short_repr
 
 if TYPE_CHECKING:
     from magical_mj.rendering.software import SoftwareRenderer
@@ -59,7 +59,7 @@ def check_size(value: Any, name: str = "image_size") -> int:
     except TypeError:
         size = 0
     if not 1 <= size <= LARGEST:
-        raise SettingsError(f"{name} must be an integer in 1..{LARGEST} (pixels per side), not {shown(value)}")
+        raise SettingsError(f"{name} must be an integer in 1..{LARGEST} (pixels per side), not {short_repr(value)}")
     return size
 
 
@@ -69,7 +69,7 @@ def check_out(out: Any, size: int, channels: tuple[int, ...] = (3,)) -> None:
         return
     shape = (size, size, *channels)
     if not isinstance(out, np.ndarray):
-        raise SettingsError(f"out must be an array of shape {shape}, uint8, not {shown(out)}")
+        raise SettingsError(f"out must be an array of shape {shape}, uint8, not {short_repr(out)}")
     if out.shape != shape or out.dtype != np.uint8:
         raise SettingsError(f"out must be of shape {shape}, uint8, not {out.shape}, {out.dtype}")
     if not out.flags.writeable:

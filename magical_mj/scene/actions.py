@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from magical_mj.utils.errors import InvalidActionError, shown
+from magical_mj.utils.errors import InvalidActionError, short_repr
 
 
 class Gripper(IntEnum):
@@ -84,7 +84,7 @@ def action_number(action: Any) -> int:
         number = -1
     if isinstance(action, bool | np.bool_) or not 0 <= number < len(ACTIONS):
         raise InvalidActionError(
-            f"{shown(action)} is not an action: actions are the integers 0..{len(ACTIONS) - 1} "
+            f"{short_repr(action)} is not an action: actions are the integers 0..{len(ACTIONS) - 1} "
             "(9 * gripper + 3 * turn + drive; see magical_mj.scene.actions.ACTIONS)"
         )
     return number
@@ -121,7 +121,7 @@ def to_vector(numbers: ArrayLike) -> NDArray[np.float32]:
     except (TypeError, ValueError):  # lists of different lengths
         array = np.empty(0)
     if array.dtype.kind not in "iu" or (array.size and not (array.min() >= 0 and array.max() < len(ACTIONS))):
-        raise InvalidActionError(f"actions are the integers 0..{len(ACTIONS) - 1}, not {shown(numbers)}")
+        raise InvalidActionError(f"actions are the integers 0..{len(ACTIONS) - 1}, not {short_repr(numbers)}")
     return _VECTORS[array]
 
 
@@ -143,7 +143,8 @@ def to_discrete(vector: ArrayLike) -> int:
         entries = np.empty(0)
     if entries.shape != (3,) or not np.isfinite(entries).all():
         raise InvalidActionError(
-            f"{shown(vector)} is not a continuous action: those are three finite numbers in [-1, 1] (drive, turn, grip)"
+            f"{short_repr(vector)} is not a continuous action: those are three finite numbers in [-1, 1] "
+            "(drive, turn, grip)"
         )
     drive, turn = (1 if entry > THRESHOLD else 2 if entry < -THRESHOLD else 0 for entry in entries[:2])
     return Action(Gripper(int(entries[2] > 0)), Turn(turn), Drive(drive)).number

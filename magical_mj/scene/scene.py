@@ -16,7 +16,7 @@ from typing import Any, Final, TypeVar
 
 from magical_mj.scene import constants as c
 from magical_mj.scene.constants import COLOURS, SHAPES, Colour, Shape
-from magical_mj.utils.errors import InvalidSceneError, shown
+from magical_mj.utils.errors import InvalidSceneError, short_repr
 
 SCENE_FORMAT: Final = 1
 """Version of the JSON form, stored in it as ``"format"``."""
@@ -153,7 +153,7 @@ class Scene:
         ):
             for part in parts:
                 if not isinstance(part, kind):
-                    raise InvalidSceneError(f"a scene needs a {kind.__name__} here, not {shown(part)}")
+                    raise InvalidSceneError(f"a scene needs a {kind.__name__} here, not {short_repr(part)}")
 
     def moved(self, robot: Sequence[float] | None = None, blocks: Sequence[Sequence[float]] | None = None) -> Scene:
         """The same scene with other poses (x, y, angle). None leaves poses as they are; the fingers never change.
@@ -183,14 +183,14 @@ class Scene:
         except (ValueError, TypeError, RecursionError) as error:
             raise InvalidSceneError(f"a scene must be JSON as Scene.to_json writes it: {error}") from None
         if not isinstance(data, dict):
-            raise InvalidSceneError(f"a scene must be a JSON object, not {shown(data)}")
+            raise InvalidSceneError(f"a scene must be a JSON object, not {short_repr(data)}")
         version = data.pop("format", None)
         if type(version) is not int or version != SCENE_FORMAT:
             raise InvalidSceneError(f'a scene must have "format": {SCENE_FORMAT}; write it with Scene.to_json')
         _check_fields(cls, data)
         for name in ("blocks", "regions"):
             if not isinstance(data.get(name, []), list):
-                raise InvalidSceneError(f"Scene.{name} must be a list, not {shown(data[name])}")
+                raise InvalidSceneError(f"Scene.{name} must be a list, not {short_repr(data[name])}")
         return cls(
             robot=_part(Robot, data["robot"]),
             blocks=tuple(_part(Block, item) for item in data.get("blocks", ())),
@@ -224,7 +224,7 @@ def _not_default(value: Any) -> Any:
 def check_scene_type(scene: object) -> Scene:
     """The scene; raises `InvalidSceneError` if it is anything else."""
     if not isinstance(scene, Scene):
-        raise InvalidSceneError(f"{shown(scene)} is not a magical_mj.Scene; Scene.from_json reads one from JSON")
+        raise InvalidSceneError(f"{short_repr(scene)} is not a magical_mj.Scene; Scene.from_json reads one from JSON")
     return scene
 
 
@@ -262,7 +262,7 @@ def _check_fields(kind: type, data: dict[str, Any]) -> None:
 
 def _part(kind: type[_Part], data: Any) -> _Part:
     if not isinstance(data, dict):
-        raise InvalidSceneError(f"{kind.__name__} must be a JSON object, not {shown(data)}")
+        raise InvalidSceneError(f"{kind.__name__} must be a JSON object, not {short_repr(data)}")
     _check_fields(kind, data)
     return kind(**data)
 
@@ -287,11 +287,11 @@ def _as_number(name: str, value: Any) -> float:
             raise TypeError
         number = float(value)
     except (TypeError, ValueError):
-        raise InvalidSceneError(f"{name} must be a number, not {shown(value)}") from None
+        raise InvalidSceneError(f"{name} must be a number, not {short_repr(value)}") from None
     except OverflowError:
         number = math.inf
     if not abs(number) <= MAX_NUMBER:
-        raise InvalidSceneError(f"{name} must be finite and at most {MAX_NUMBER:g}, not {shown(value)}")
+        raise InvalidSceneError(f"{name} must be finite and at most {MAX_NUMBER:g}, not {short_repr(value)}")
     return number + 0.0  # -0.0 becomes 0.0: equal scenes have equal digests
 
 
@@ -300,7 +300,7 @@ def _set_choice(owner: object, name: str, allowed: Sequence[str]) -> None:
     value = getattr(owner, name)
     if not isinstance(value, str) or value not in allowed:
         raise InvalidSceneError(
-            f"{type(owner).__name__}.{name} is {shown(value)}; it must be one of {', '.join(allowed)}"
+            f"{type(owner).__name__}.{name} is {short_repr(value)}; it must be one of {', '.join(allowed)}"
         )
     if type(value) is not str:  # a numpy string or an enum member
         object.__setattr__(owner, name, allowed[allowed.index(value)])
@@ -316,5 +316,5 @@ def _as_tuple(value: Any, need: str, count: int | None = None) -> tuple[Any, ...
     except TypeError:  # also raised by 0-d arrays, which look like sequences
         items = None
     if items is None or count not in (None, len(items)):
-        raise InvalidSceneError(f"{need}, not {shown(value)}")
+        raise InvalidSceneError(f"{need}, not {short_repr(value)}")
     return items

@@ -20,7 +20,7 @@ from magical_mj.utils.errors import (
     TaskError,
     UnknownNameError,
     UntrustedNameError,
-    shown,
+    short_repr,
 )
 from magical_mj.utils.imports import is_reference, place, resolve, resolve_installed, source_of, with_place
 from magical_mj.variants import variants_of, vary
@@ -79,9 +79,9 @@ def load_spec(task: str) -> TaskSpec:
     except UntrustedNameError:
         raise
     except ImportError as error:
-        raise UnknownNameError(f"the task {shown(task)} cannot be imported: {error}") from error
+        raise UnknownNameError(f"the task {short_repr(task)} cannot be imported: {error}") from error
     except (Exception, SystemExit) as error:
-        raise TaskError(f"the task {shown(task)} cannot be imported: {with_place(error)}") from error
+        raise TaskError(f"the task {short_repr(task)} cannot be imported: {with_place(error)}") from error
     if _CHECKED.get(task) is spec:
         return spec
     check_spec(spec, task)
@@ -110,12 +110,12 @@ def check_spec(spec: Any, task: str) -> None:
         task: the name or reference by which the user asked for it.
     """
     if not isinstance(spec, TaskSpec):
-        raise TaskError(f"{task} is not a magical_mj.tasks.TaskSpec but {shown(spec)}")
+        raise TaskError(f"{task} is not a magical_mj.tasks.TaskSpec but {short_repr(spec)}")
     try:
         check_drawn(spec, "Demo", 0, spec.demo)
         checked: Any = spec.check(spec.demo)
         if checked is not None:
-            raise TaskError(f"{spec.name}.check must raise InvalidSceneError or return None, not {shown(checked)}")
+            raise TaskError(f"{spec.name}.check must raise InvalidSceneError or return None, not {short_repr(checked)}")
         for rules in RULES:
             spec.checked_score(spec.demo, spec.demo, rules)
         for variant in variants_of(spec):

@@ -10,7 +10,7 @@ import numpy as np
 from magical_mj.scene import Scene, check_scene_type
 from magical_mj.tasks import RULES, SPECS, Rules, TaskSpec
 from magical_mj.tasks.plugins import check_drawn, load_spec, task_plugins
-from magical_mj.utils.errors import InvalidSceneError, SettingsError, check_name, shown, unknown_name
+from magical_mj.utils.errors import InvalidSceneError, SettingsError, check_name, short_repr, unknown_name
 from magical_mj.utils.imports import errors_of_task, is_reference
 from magical_mj.variants import VARIANTS as _VARIANTS
 from magical_mj.variants import Axis, variants_of, varied_axes, vary
@@ -127,7 +127,7 @@ def listed(names: Names, every: Iterable[str]) -> list[str]:
         entries = []
     entries = [name for name in entries if not isinstance(name, str) or name]  # "" is from a comma at the end
     if not entries:
-        raise SettingsError(f"give at least one of {', '.join(every)}, or all; not {shown(names)}")
+        raise SettingsError(f"give at least one of {', '.join(every)}, or all; not {short_repr(names)}")
     return list(every) if isinstance(entries[0], str) and entries == ["all"] else entries
 
 
@@ -155,7 +155,7 @@ def sample_scene(task: str, variant: str, seed: int) -> Scene:
     spec, variant = task_spec(task), variant_name(variant)
     if spec.name in SPECS:
         return vary(spec, variant, seed)  # known to be right
-    with errors_of_task(f"{spec.name}-{variant} cannot be drawn from seed {shown(seed)}"):
+    with errors_of_task(f"{spec.name}-{variant} cannot be drawn from seed {short_repr(seed)}"):
         scene = vary(spec, variant, seed)
         check_drawn(spec, variant, seed, scene)
     return scene

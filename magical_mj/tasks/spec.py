@@ -13,7 +13,7 @@ import numpy as np
 from magical_mj.scene import Scene
 from magical_mj.scene.arrays import Array, SceneArrays
 from magical_mj.tasks.planning import Noise, Subgoal
-from magical_mj.utils.errors import TaskError, shown
+from magical_mj.utils.errors import TaskError, short_repr
 from magical_mj.utils.imports import errors_of_task
 from magical_mj.variants import VariationRules
 
@@ -80,7 +80,7 @@ class TaskSpec(VariationRules):
         self._require_function("plan", optional=True)
         for steps in (self.steps, self.steps if self.released_steps is None else self.released_steps):
             if type(steps) is not int or steps < 1:
-                raise TaskError(f"the steps of {self.name} must be an integer above 0, not {shown(steps)}")
+                raise TaskError(f"the steps of {self.name} must be an integer above 0, not {short_repr(steps)}")
 
     def horizon(self, rules: Rules = "paper") -> int:
         """The number of control steps of an episode."""
@@ -97,7 +97,7 @@ class TaskSpec(VariationRules):
         with errors_of_task(f"{self.name}.score failed"):
             score: Any = self.score(initial, final, rules)
         if not isinstance(score, int | float | np.number) or not -_ROUNDING <= score <= 1.0 + _ROUNDING:
-            raise TaskError(f"{self.name}.score must return a number in [0, 1], and returned {shown(score)}")
+            raise TaskError(f"{self.name}.score must return a number in [0, 1], and returned {short_repr(score)}")
         return min(max(float(score), 0.0), 1.0)
 
     def score_formula(self) -> ScoreFormula:
@@ -127,10 +127,10 @@ class TaskSpec(VariationRules):
             if not isinstance(subgoal, Subgoal) or subgoal.block not in (None, *range(len(now.blocks))):
                 raise TaskError(
                     f"{self.name}.plan must return Subgoals of the robot (None) or of blocks 0 to "
-                    f"{len(now.blocks) - 1}, and returned {shown(subgoal)}"
+                    f"{len(now.blocks) - 1}, and returned {short_repr(subgoal)}"
                 )
             if not _is_point(subgoal.target):
-                raise TaskError(f"targets are points (x, y), and {self.name}.plan returned {shown(subgoal)}")
+                raise TaskError(f"targets are points (x, y), and {self.name}.plan returned {short_repr(subgoal)}")
         return todo
 
     def check_plan(self) -> Plan:

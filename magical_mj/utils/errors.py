@@ -99,10 +99,10 @@ def unknown_name(kind: str, name: object, allowed: Iterable[str]) -> UnknownName
     allowed = tuple(allowed)
     near = difflib.get_close_matches(name[:_SHOWN], allowed, n=1, cutoff=0.5) if isinstance(name, str) else []
     hint = f" Did you mean {near[0]!r}?" if near else ""
-    return UnknownNameError(f"unknown {kind} {shown(name)}.{hint} There are: {', '.join(allowed)}")
+    return UnknownNameError(f"unknown {kind} {short_repr(name)}.{hint} There are: {', '.join(allowed)}")
 
 
-def shown(value: object) -> str:
+def short_repr(value: object) -> str:
     """`value` as text for a message, shortened; works for any value."""
     try:
         text = repr(value)

@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from filelock import FileLock, Timeout
 
-from magical_mj.utils.errors import MagicalError, SettingsError, shown
+from magical_mj.utils.errors import MagicalError, SettingsError, short_repr
 
 _UNFINISHED: Final = re.compile(r"\..*\.[0-9a-f]{8}-[0-9a-f]{8}\.(part(\.[^.]*)?|lock)|\.(.*\.)?lock")
 """The names of the temporary files and locks of this module."""
@@ -33,7 +33,7 @@ def to_path(path: Path | str) -> Path:
         SettingsError: if it is of another type, such as bytes.
     """
     if not isinstance(path, str | os.PathLike):
-        raise SettingsError(f"a path must be a text or a pathlib.Path, not {shown(path)}")
+        raise SettingsError(f"a path must be a text or a pathlib.Path, not {short_repr(path)}")
     return Path(path)
 
 

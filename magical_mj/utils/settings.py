@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta, inspect
 
-from magical_mj.utils.errors import SettingsError, check_name, shown
+from magical_mj.utils.errors import SettingsError, check_name, short_repr
 
 T = TypeVar("T")
 
@@ -90,7 +90,7 @@ def fitting(name: str, value: Any, kind: Any, *, text: bool = False) -> Any:
     plain = _plain(kind)
     if is_dataclass(plain):
         if not isinstance(value, plain):  # pyright: ignore[reportArgumentType]
-            raise SettingsError(f"{name} must be of the type {plain.__name__}, not {shown(value)}")  # pyright: ignore[reportAttributeAccessIssue]
+            raise SettingsError(f"{name} must be of the type {plain.__name__}, not {short_repr(value)}")  # pyright: ignore[reportAttributeAccessIssue]
         return value
     if get_origin(plain) is Literal:
         check_name(name, value, get_args(plain))
@@ -102,7 +102,7 @@ def fitting(name: str, value: Any, kind: Any, *, text: bool = False) -> Any:
             value = value if isinstance(value, str) else tuple(value)
         return msgspec.convert(value, kind, strict=not text, dec_hook=lambda cls, given: cls(given))
     except (msgspec.ValidationError, TypeError):  # the latter of what is not iterable
-        raise SettingsError(f"{name} must be {_wanted(plain, kind, value)}, not {shown(value)}") from None
+        raise SettingsError(f"{name} must be {_wanted(plain, kind, value)}, not {short_repr(value)}") from None
 
 
 def described(settings: type, prefix: str = "") -> dict[str, Setting]:

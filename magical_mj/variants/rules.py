@@ -11,7 +11,7 @@ import numpy as np
 
 from magical_mj.scene import Scene
 from magical_mj.scene.constants import ARENA_HALF_WIDTH
-from magical_mj.utils.errors import TaskError, UnknownNameError, check_name, shown
+from magical_mj.utils.errors import TaskError, UnknownNameError, check_name, short_repr
 
 Axis = Literal["jitter", "layout", "colour", "shape", "count", "dynamics"]
 AXES: Final[tuple[Axis, ...]] = get_args(Axis)
@@ -69,7 +69,7 @@ class VariationRules:
     def __post_init__(self) -> None:
         """Raises `TaskError` if a field has a wrong type or is out of its range."""
         if not is_task_name(self.name):
-            raise TaskError(f"the name of a task must be made of letters and digits, not {shown(self.name)}")
+            raise TaskError(f"the name of a task must be made of letters and digits, not {short_repr(self.name)}")
         self._require_type("demo", Scene)
         self._require_type("layout", bool)
         self._require_function("check")
@@ -83,7 +83,7 @@ class VariationRules:
         """Raise `TaskError` unless this field is of a type, or of one of a union of types."""
         value = getattr(self, part)
         if not isinstance(value, kind):
-            raise TaskError(f"{self.name}.{part} must be a {getattr(kind, '__name__', kind)}, not {shown(value)}")
+            raise TaskError(f"{self.name}.{part} must be a {getattr(kind, '__name__', kind)}, not {short_repr(value)}")
 
     def _require_function(self, part: str, *, optional: bool = False) -> None:
         """Raise `TaskError` unless this field is a function, or None if it is optional."""
@@ -98,7 +98,7 @@ class VariationRules:
         if not _are_sizes(sizes) or (sides and not sizes[0]):
             raise TaskError(
                 f"{self.name}.region_size must be the least and greatest side of its goal regions, above 0, not "
-                f"{shown(sizes)}"
+                f"{short_repr(sizes)}"
             )
         low, high = sizes
         if not all(low - _ROUNDING <= side <= high + _ROUNDING for side in sides):

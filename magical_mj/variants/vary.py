@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from magical_mj.scene import Dynamics, Scene
-from magical_mj.utils.errors import InvalidSeedError, PlacementError, TaskError, shown
+from magical_mj.utils.errors import InvalidSeedError, PlacementError, TaskError, short_repr
 from magical_mj.variants.placement import contact, jitter, layout
 from magical_mj.variants.rules import AXES, Axis, VariationRules, varied_axes
 
@@ -73,7 +73,7 @@ def _draw(rules: VariationRules, axis: Axis, rng: np.random.Generator, scene: Sc
     """The scene with what the task's rule for this axis draws."""
     drawn: Any = getattr(rules, axis)(rng, scene)
     if not isinstance(drawn, Scene):
-        raise TaskError(f"{rules.name}.{axis} must return a magical_mj.Scene, not {shown(drawn)}")
+        raise TaskError(f"{rules.name}.{axis} must return a magical_mj.Scene, not {short_repr(drawn)}")
     return drawn
 
 
@@ -106,7 +106,7 @@ def check_seed(seed: Any) -> int:
     except TypeError:
         number = -1
     if number < 0:
-        raise InvalidSeedError(f"{shown(seed)} is not a seed: seeds are integers from 0, of any size")
+        raise InvalidSeedError(f"{short_repr(seed)} is not a seed: seeds are integers from 0, of any size")
     return number
 
 

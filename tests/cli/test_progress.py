@@ -11,7 +11,7 @@ from rich.progress import MofNCompleteColumn
 from magical_mj.cli.console import Bars
 
 
-def shown(total: int | None, terminal: bool) -> list[str]:
+def short_repr(total: int | None, terminal: bool) -> list[str]:
     """The lines that are printed while 20 results arrive, one every seven seconds."""
     seconds, written = 0.0, io.StringIO()
     screen = Console(file=written, force_terminal=terminal)
@@ -29,7 +29,7 @@ def test_a_line_after_some_seconds_then_one_a_minute(
 ) -> None:
     """In files and pipes, and on terminals that cannot move the cursor."""
     monkeypatch.setenv("TERM", kind)
-    assert shown(20, terminal) == [
+    assert short_repr(20, terminal) == [
         "[files]  2/20 0:02:06 left",  # after 14 s
         "[files] 11/20 0:01:03 left",  # after 77 s
         "[files] 20/20 0:00:00 left",  # after 140 s
@@ -37,9 +37,9 @@ def test_a_line_after_some_seconds_then_one_a_minute(
 
 
 def test_the_amount_may_be_unknown() -> None:
-    assert shown(None, terminal=False)[0] == "[files] 2/?"
+    assert short_repr(None, terminal=False)[0] == "[files] 2/?"
 
 
 def test_terminals_show_the_bar_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "xterm")
-    assert shown(20, terminal=True) == []
+    assert short_repr(20, terminal=True) == []

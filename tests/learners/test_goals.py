@@ -92,7 +92,7 @@ def scene_of(*kinds: str, regions: tuple[GoalRegion, ...] = ()) -> Scene:
     return Scene(ROBOT, blocks, regions)
 
 
-def shown(scene: Scene, places: dict[int, tuple[float, float]], count: int = 10) -> list[Example]:
+def short_repr(scene: Scene, places: dict[int, tuple[float, float]], count: int = 10) -> list[Example]:
     """Demonstrations that bring some blocks near to these places, each a little elsewhere."""
     rng = np.random.default_rng(0)
     ends = []
@@ -107,25 +107,25 @@ def shown(scene: Scene, places: dict[int, tuple[float, float]], count: int = 10)
 
 def test_what_relates_things_is_preferred_to_colours_and_shapes_as_such() -> None:
     scene = scene_of("red star", "green circle", "blue square", regions=(LEFT,))
-    goal = infer(shown(scene, {0: IN_LEFT}))[0]  # it is red, it is a star, and it has the region's colour
+    goal = infer(short_repr(scene, {0: IN_LEFT}))[0]  # it is red, it is a star, and it has the region's colour
     assert goal.relation == Belonging(((COLOUR, True),))
 
 
 def test_what_the_relation_cannot_explain_is_told_by_colours_and_shapes() -> None:
     scene = scene_of("red star", "green circle", "blue square", regions=(LEFT,))
     other = replace(scene, regions=(replace(LEFT, colour="blue"),))
-    found = infer([*shown(scene, {0: IN_LEFT}, 5), *shown(other, {0: IN_LEFT}, 5)])
+    found = infer([*short_repr(scene, {0: IN_LEFT}, 5), *short_repr(other, {0: IN_LEFT}, 5)])
     assert found[0].relation in (Belonging((("is red", True),)), Belonging((("is a star", True),)))
 
 
 def test_each_block_in_the_region_of_its_colour() -> None:
     scene = scene_of("red star", "blue star", "green star", regions=(LEFT, RIGHT))
-    assert infer(shown(scene, {0: IN_LEFT, 1: IN_RIGHT}))[0].relation == Belonging(((COLOUR, True),))
+    assert infer(short_repr(scene, {0: IN_LEFT, 1: IN_RIGHT}))[0].relation == Belonging(((COLOUR, True),))
 
 
 def test_limits_are_as_strict_as_the_demonstrations() -> None:
     scene = scene_of("red star", "blue star", "red circle")
-    found = shown(scene, {0: (-0.6, -0.6), 1: (-0.6, -0.6), 2: (-0.6, -0.6)})
+    found = short_repr(scene, {0: (-0.6, -0.6), 1: (-0.6, -0.6), 2: (-0.6, -0.6)})
     goal = infer(found)[0]
     assert goal.relation == Near("every block", "bottom left corner")
     farthest = max(np.hypot(block.x + 1, block.y + 1) for _, end in found for block in end.blocks)

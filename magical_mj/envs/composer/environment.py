@@ -34,7 +34,7 @@ from magical_mj.scene.state_vector import CAMERAS, OBSERVATIONS, SOLID_VIEW, STA
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
 from magical_mj.utils import errors
-from magical_mj.utils.errors import ClosedError, SettingsError, StateError, check_name, shown
+from magical_mj.utils.errors import ClosedError, SettingsError, StateError, check_name, short_repr
 from magical_mj.variants import check_seed
 
 CAMERA_NAMES: Final = {"ego": "robot/ego"}
@@ -472,7 +472,7 @@ def _loaded(
     if not isinstance(observations, list | tuple):
         example = observations if isinstance(observations, str) and observations in OBSERVATIONS else "ego"
         raise SettingsError(
-            f'observations must be a list or a tuple of names, such as ("{example}",), not {shown(observations)}'
+            f'observations must be a list or a tuple of names, such as ("{example}",), not {short_repr(observations)}'
         )
     for name in observations:
         check_name("observation", name, OBSERVATIONS)

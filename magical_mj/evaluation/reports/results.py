@@ -23,7 +23,7 @@ from magical_mj.evaluation.reports.statistics import (
 )
 from magical_mj.evaluation.scores import episodes_in
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, in_order
-from magical_mj.utils.errors import EvaluationError, SettingsError, shown
+from magical_mj.utils.errors import EvaluationError, SettingsError, short_repr
 from magical_mj.utils.extras import check_extra
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False) -> pd.DataFrame
         if name not in VARIANTS:
             folder = scores[scores["variant"] == name]["folder"].iloc[0]
             raise EvaluationError(
-                f"{folder} holds results in the variant {shown(name)}; there are: {', '.join(VARIANTS)}"
+                f"{folder} holds results in the variant {short_repr(name)}; there are: {', '.join(VARIANTS)}"
             )
     twice = scores[scores.duplicated(KEY, keep=False)]
     if len(twice):

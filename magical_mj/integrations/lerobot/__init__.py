@@ -41,7 +41,7 @@ from magical_mj.scene.actions import to_discrete
 from magical_mj.scene.state_vector import FINGERS as WHERE_FINGERS
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.tasks.registry import environments, task_spec
-from magical_mj.utils.errors import SettingsError, check_name, shown
+from magical_mj.utils.errors import SettingsError, check_name, short_repr
 
 try:
     import torch
@@ -146,7 +146,7 @@ class MagicalConfig(EnvConfig):
             SettingsError: if `n_envs` is less than 1.
         """
         if n_envs < 1:
-            raise SettingsError(f"n_envs must be at least 1, not {shown(n_envs)}")
+            raise SettingsError(f"n_envs must be at least 1, not {short_repr(n_envs)}")
         mode = gymnasium.vector.AutoresetMode.SAME_STEP
         suites: dict[str, dict[int, gymnasium.vector.VectorEnv[Any, Any, Any]]] = {}
         for task, variant in environments(self.task or "all", self.variant):

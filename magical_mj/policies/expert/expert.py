@@ -13,7 +13,7 @@ from magical_mj.policies.expert.lookahead import Lookahead, state_of
 from magical_mj.policies.expert.planner import Plan, Planner
 from magical_mj.scene.actions import NOOP
 from magical_mj.tasks.registry import task_spec
-from magical_mj.utils.errors import SettingsError, shown
+from magical_mj.utils.errors import SettingsError, short_repr
 from magical_mj.variants import check_seed
 
 BUDGET: Final = 300  # simulated steps per step of the episode; once they are used, no new plan is started
@@ -76,7 +76,7 @@ class Expert(PlanFollower):
     def __init__(self, env: Engine, task: str, seed: int = 0) -> None:
         if not isinstance(env, Engine):
             raise SettingsError(
-                f"an expert drives a magical_mj.Engine, not {shown(env)}; "
+                f"an expert drives a magical_mj.Engine, not {short_repr(env)}; "
                 "in Gymnasium's environments that is env.unwrapped.engine"
             )
         spec = task_spec(task)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
 from typing import Any, Final, Literal, TypeVar, get_args
 
-from magical_mj.utils.errors import SettingsError, WorkerError, check_name, shown
+from magical_mj.utils.errors import SettingsError, WorkerError, check_name, short_repr
 from magical_mj.utils.extras import missing_extra
 from magical_mj.utils.parallel.local import map_locally
 
@@ -35,7 +35,7 @@ def check_backend(backend: str, address: str | None) -> None:
     check_name("backend", backend, BACKENDS)
     if backend == "dask" and not _ADDRESS.fullmatch(address or ""):
         raise SettingsError(
-            f"the dask backend needs the scheduler's address, such as tcp://host:8786; not {shown(address)}"
+            f"the dask backend needs the scheduler's address, such as tcp://host:8786; not {short_repr(address)}"
         )
     if backend == "local" and address:
         raise SettingsError("only clusters have an address: choose the dask backend")
