@@ -41,6 +41,7 @@ from magical_mj.utils.errors import (
     EvaluationError,
     InvalidActionError,
     InvalidSceneError,
+    PhysicsError,
     PlacementError,
     SettingsError,
     TaskError,
@@ -119,7 +120,7 @@ def _check_fits(env: gymnasium.Env[Any, Any] | Envs, episodes: Sequence[Episode]
         task, variant, rules = arguments.get("task"), arguments.get("variant"), arguments.get("rules", "paper")
     else:
         space, engine = env.action_space, simulation(env)
-        task, variant, rules = engine.task, engine.variant, engine.rules
+        task, variant, rules = engine.task, engine.variant, engine.setup.rules
     if not isinstance(space, Discrete):
         raise EvaluationError(
             f"policies give one of the 18 actions, and the environment takes {space}: make it without continuous "
@@ -250,7 +251,7 @@ def _scores(ended: NDArray[np.bool_], info: Any) -> Any:
         raise EvaluationError(f"infos must be a dict, not {type(info).__name__}: leave out the wrapper")
     info = info.get("final_info", info)  # the former if the next episodes have begun
     if np.any(info.get("broken", False)):  # of batched worlds
-        raise FloatingPointError("the state of a simulation is not finite any more")
+        raise PhysicsError("the state of a simulation is not finite any more")
     if ended.any() and not ended.all():
         raise EvaluationError("the vector holds environments whose episodes differ in length")
     if "eval_score" not in info:

@@ -159,7 +159,7 @@ def policy_errors() -> Iterator[None]:
 
 def simulation_failure(error: Exception) -> str:
     """One line about a simulation that a policy's actions made unstable; raises any other error again."""
-    if not isinstance(error, PhysicsError | FloatingPointError):
+    if not isinstance(error, PhysicsError):
         raise error
     return reason(error)
 

@@ -88,7 +88,7 @@ def test_a_world_that_breaks_is_a_failure() -> None:
 
     outcomes = list(rollouts(Arrays(env), breaking, [Episode("MoveToRegion", "Demo", seed, 0) for seed in (0, 1)]))
     assert [outcome.failure for outcome in outcomes] == 2 * [
-        "FloatingPointError: the state of a simulation is not finite any more"
+        "PhysicsError: the state of a simulation is not finite any more"
     ]
     assert [outcome.score for outcome in outcomes] == [0.0, 0.0]
     env.close()

@@ -12,8 +12,7 @@ import magical_mj
 from magical_mj import ENVIRONMENTS, TASKS, Block, Robot, Scene
 from magical_mj.policies.expert import Expert
 from magical_mj.policies.expert.driving import drive, steer
-from magical_mj.policies.expert.hand import Hand
-from magical_mj.policies.expert.lookahead import Lookahead, state_of
+from magical_mj.policies.expert.lookahead import HumanExecution, Lookahead, state_of
 from magical_mj.policies.expert.manoeuvres import manoeuvres, obstacles, simplified
 from magical_mj.policies.expert.navigation import EMPTY, SearchTree, cell_costs, cells, explore
 from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
@@ -110,14 +109,14 @@ def test_steering_depends_on_where_the_point_is(point: tuple[float, float], turn
     assert steer(Lookahead(env), point, 0.0, Gripper.OPEN, reverse=False) == (Gripper.OPEN, turn, motion)
 
 
-def test_a_hand_is_late_now_and_then() -> None:
-    hand = Hand(np.random.default_rng(0))
+def test_a_person_is_late_now_and_then() -> None:
+    execution = HumanExecution(np.random.default_rng(0))
     ahead, back = Action(drive=Drive.FORWARD), Action(drive=Drive.BACK)
-    assert hand(None, back) == back
-    done = [hand(ahead, back) for _ in range(400)]
+    assert execution(None, back) == back
+    done = [execution(ahead, back) for _ in range(400)]
     assert 70 < done.count(ahead) < 130
     assert done.count(ahead) + done.count(back) == 400
-    assert {hand.pause() for _ in range(50)} == {0, 1, 2, 3}
+    assert {execution.pause() for _ in range(50)} == {0, 1, 2, 3}
 
 
 # lookahead

@@ -85,7 +85,7 @@ class Expert(PlanFollower):
         seed = check_seed(seed)
 
         def planner() -> Planner:
-            initial, rules = env.initial_scene, env.rules
+            initial, rules = env.initial_scene, env.setup.rules
             return Planner(
                 lambda scene: spec.checked_score(initial, scene, rules),
                 lambda scene, noise, _: spec.subgoals(initial, scene, noise, rules),

@@ -1,20 +1,48 @@
-"""Lookahead on a copy of the simulation, in which actions have exactly the same results as in the environment."""
+"""Lookahead on a copy of the simulation, where actions have the same results, and how a person executes them."""
 
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.engine import Engine
-from magical_mj.policies.expert.hand import Hand
 from magical_mj.scene import Pose, Scene
 from magical_mj.scene.actions import ACTIONS, Action, Drive, Gripper, Turn
 
 SavedState = NDArray[np.float64]
 """A saved state: the array that `magical_mj.engine.simulation.Simulation.save` returns."""
 Point = tuple[float, float]
+
+DELAY_PROBABILITY: Final = 0.25  # of a delay by one action
+HESITATION: Final = 4  # actions: pauses are shorter than this
+
+
+class HumanExecution:
+    """A model of a person at the keyboard, who pauses, and changes the pressed keys late.
+
+    Args:
+        rng: the random generator.
+        delay_probability: that the last action is repeated once when another one is due.
+        hesitation: pauses are shorter than this number of actions.
+    """
+
+    def __init__(
+        self, rng: np.random.Generator, delay_probability: float = DELAY_PROBABILITY, hesitation: int = HESITATION
+    ) -> None:
+        self._rng, self._delay_probability, self._hesitation = rng, delay_probability, hesitation
+
+    def __call__(self, last: Action | None, wanted: Action) -> Action:
+        """The executed action, given the last one and the wanted one."""
+        if last is None or self._rng.random() >= self._delay_probability:
+            return wanted
+        return last
+
+    def pause(self) -> int:
+        """The number of actions to wait before starting something new."""
+        return int(self._rng.integers(self._hesitation))
 
 
 class Lookahead:
@@ -32,7 +60,7 @@ class Lookahead:
         """The actions since the last `restore`."""
         self.states: list[SavedState] = []
         """The state after each of them."""
-        self.hand: Hand | None = None
+        self.execution: HumanExecution | None = None
         """Modifies the actions; None: they are executed as wanted."""
         self.count = 0
         """The total number of simulated steps."""
@@ -45,8 +73,8 @@ class Lookahead:
     def act(self, gripper: Gripper, turn: Turn = Turn.NONE, drive: Drive = Drive.NONE) -> None:
         """One control step."""
         action = Action(gripper, turn, drive)
-        if self.hand is not None:
-            action = self.hand(ACTIONS[self.trace[-1]] if self.trace else None, action)
+        if self.execution is not None:
+            action = self.execution(ACTIONS[self.trace[-1]] if self.trace else None, action)
         self._simulation.act(action.number)
         self.trace.append(action.number)
         self.states.append(self.state)
@@ -82,7 +110,7 @@ class Lookahead:
         cosine, sine = math.cos(angle), math.sin(angle)
         return cosine * dx + sine * dy, cosine * dy - sine * dx
 
-    def seen(self, index: int) -> Point:
+    def relative_block(self, index: int) -> Point:
         """A block's centre in the robot's frame: its distance to the right and ahead (world units)."""
         return self.relative(self.block(index))
 

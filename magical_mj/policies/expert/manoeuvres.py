@@ -60,8 +60,8 @@ class Manoeuvre:
 
 def obstacles(scene: Scene, without: int | None = None) -> NDArray[np.float64]:
     """x, y, radius of each block except the block `without`. Shape (n, 3)."""
-    found = [(b.x, b.y, BLOCK_RADIUS[b.shape]) for number, b in enumerate(scene.blocks) if number != without]
-    return np.array(found).reshape(-1, 3)
+    discs = [(b.x, b.y, BLOCK_RADIUS[b.shape]) for number, b in enumerate(scene.blocks) if number != without]
+    return np.array(discs).reshape(-1, 3)
 
 
 def manoeuvres(tree: SearchTree, costs: Ints, scene: Scene, subgoal: Subgoal, noise: Noise) -> list[Manoeuvre]:
@@ -88,7 +88,7 @@ def manoeuvres(tree: SearchTree, costs: Ints, scene: Scene, subgoal: Subgoal, no
     ahead = np.cos(angle) * (block.y - y) - np.sin(angle) * (block.x - x)
     near = np.flatnonzero((np.abs(right) < ASIDE) & (BEFORE[0] < ahead) & (ahead < BEFORE[1]))
     sides = np.round(angle[near] * SIDES / (2 * math.pi)).astype(int) % SIDES
-    found = []
+    candidates = []
     for side in np.unique(sides).tolist():
         nodes = near[sides == side]
         node = int(nodes[(tree.steps[nodes] + noise(DETOUR, nodes.shape)).argmin()])
@@ -99,8 +99,8 @@ def manoeuvres(tree: SearchTree, costs: Ints, scene: Scene, subgoal: Subgoal, no
         route = simplified(tree.path_to(node), costs)
         estimate = tree.steps[node] + TIGHT * tight.sum() + _carrying(block.x, block.y, heading, subgoal)
         estimate += CORNER_COST * len(route)
-        found += [Manoeuvre(subgoal, route, reverse, float(estimate)) for reverse in (True, False)]
-    return found
+        candidates += [Manoeuvre(subgoal, route, reverse, float(estimate)) for reverse in (True, False)]
+    return candidates
 
 
 def simplified(path: Sequence[Pose], costs: Ints) -> list[Point]:
@@ -152,7 +152,7 @@ def _take(lookahead: Lookahead, block: int, limit: int) -> bool:
     """Drives until the block is between the fingers, and closes them; returns whether it is held."""
     patience = Patience()
     while len(lookahead.trace) < limit and not _within(lookahead, block, REACHED):
-        right, ahead = lookahead.seen(block)
+        right, ahead = lookahead.relative_block(block)
         if patience.ends(ahead + 0.3 * abs(math.atan2(-right, ahead))):
             return False
         lookahead.act(*steer(lookahead, lookahead.block(block), GRIP, Gripper.OPEN, reverse=False))
@@ -163,7 +163,7 @@ def _take(lookahead: Lookahead, block: int, limit: int) -> bool:
 
 def _within(lookahead: Lookahead, block: int, box: Point) -> bool:
     """Whether a block is at most box[0] ahead of the robot and at most box[1] to the side."""
-    right, ahead = lookahead.seen(block)
+    right, ahead = lookahead.relative_block(block)
     return 0 < ahead < box[0] and abs(right) < box[1]
 
 
@@ -174,7 +174,7 @@ def _carry(lookahead: Lookahead, block: int, manoeuvre: Manoeuvre, limit: int) -
         left = limit - len(lookahead.trace)
         if left <= 0 or not _within(lookahead, block, LOST):
             return False
-        ahead = lookahead.seen(block)[1]
+        ahead = lookahead.relative_block(block)[1]
         goal = Goal(ahead, *subgoal.target, subgoal.tolerance / 2)
         route = _route(lookahead.scene(), block, goal, min(left, REACH))
         drive(
@@ -212,6 +212,6 @@ def _route(scene: Scene, block: int, goal: Goal, limit: int) -> list[Point]:
 def _let_go(lookahead: Lookahead, block: int, limit: int, distance: float) -> None:
     """Opens the fingers, waits for them, and drives back until the block is at least `distance` ahead."""
     for number in range(min(BACKING, limit - len(lookahead.trace))):
-        if lookahead.seen(block)[1] > distance:
+        if lookahead.relative_block(block)[1] > distance:
             return
         lookahead.act(Gripper.OPEN, Turn.NONE, Drive.NONE if number == 1 else Drive.BACK)

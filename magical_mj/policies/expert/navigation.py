@@ -154,7 +154,7 @@ def explore(start: Pose, costs: Ints, limit: int, goal: Goal | None = None) -> S
         limit: number of actions, the cells' costs included.
         goal: once it is reached, only a few more actions are explored.
     """
-    seen = np.zeros(2 * len(costs), bool)  # two slots per cell: reached forwards and reached backwards
+    visited = np.zeros(2 * len(costs), bool)  # two slots per cell: reached forwards and reached backwards
     owner = np.empty(2 * len(costs), np.int64)
     waiting: list[list[tuple[Floats, Ints, Ints]]] = [[] for _ in range(limit + 1)]
     waiting[0] = [(np.array([start]), np.array([-1]), cells(np.array([start])))]
@@ -165,11 +165,11 @@ def explore(start: Pose, costs: Ints, limit: int, goal: Goal | None = None) -> S
         if not waiting[level]:
             continue
         here, above, slots = (np.concatenate(part) for part in zip(*waiting[level], strict=True))
-        new = np.flatnonzero(~seen[slots])
+        new = np.flatnonzero(~visited[slots])
         owner[slots[new]] = new
         new = new[owner[slots[new]] == new]  # one for each cell
         here, above, slots = here[new], above[new], slots[new]
-        seen[slots] = True
+        visited[slots] = True
         if goal is not None and goal.reached(here).any():
             limit, goal = min(limit, level + AFTERWARDS), None
         poses.append(here)
@@ -184,7 +184,7 @@ def explore(start: Pose, costs: Ints, limit: int, goal: Goal | None = None) -> S
         gears = np.where(_GEAR[motion] < 0, before, _GEAR[motion])
         arrival = level + 1 + costs[entered[inside]] + SWITCH_COST * (gears != before)
         then = gears * len(costs) + entered[inside]
-        allowed = (arrival <= limit) & ~seen[then]
+        allowed = (arrival <= limit) & ~visited[then]
         for time in range(level + 1, min(limit, int(arrival.max(initial=0))) + 1):
             at = np.flatnonzero(allowed & (arrival == time))
             if len(at):

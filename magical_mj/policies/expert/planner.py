@@ -9,8 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from magical_mj.policies.expert.hand import LATE, Hand
-from magical_mj.policies.expert.lookahead import Lookahead, SavedState
+from magical_mj.policies.expert.lookahead import DELAY_PROBABILITY, HumanExecution, Lookahead, SavedState
 from magical_mj.policies.expert.manoeuvres import Manoeuvre, manoeuvres, obstacles, perform
 from magical_mj.policies.expert.navigation import cell_costs, explore
 from magical_mj.scene import Scene
@@ -20,14 +19,14 @@ from magical_mj.tasks.planning.subgoals import Subgoals
 
 TRIES: Final = 8  # manoeuvres tried in one situation
 SPREAD: Final = 4.0  # actions: the largest change by noise of a manoeuvre's estimated cost
-TASTE: Final = 5.0  # the same for its cost after it was tried
-BOLDER, CALMER = 1.5, 0.7  # factors of noise and of lateness after each failed plan
+COST_NOISE: Final = 5.0  # the same for its cost after it was tried
+NOISE_GROWTH, DELAY_DECAY = 1.5, 0.7  # factors of noise and of delays after each failed plan
 ROUND: Final = 3  # plans, after which the noise starts from 1 again: with much more of it every choice is a bad one
 LOSS: Final = 300.0  # the cost, in actions, of losing a score of 1
 FAILURE: Final = 60.0  # the cost, in actions, of a subgoal that was attempted and not reached
 REACH: Final = 90  # actions: the longest path
 ATTEMPTS: Final = 40  # the number of plans for an episode
-SECOND_THOUGHTS: Final = 2  # additional plans to find one that is done early
+EXTRA_PLANS: Final = 2  # additional plans to find one that is done early
 PAUSE: Final = 4  # actions of waiting when there is nothing to do
 # actions of waiting with closed fingers: not no-ops, so that learners that leave out no-ops see them
 SETTLING: Final = 8
@@ -80,28 +79,31 @@ class Planner:
             rng: varies the plans. Execution becomes more precise with each failure, noise increases for `ROUND` plans.
         """
         start, end = self._lookahead.state, self._lookahead.count + budget
-        best = self._attempt(start, steps, Noise(rng, 1.0), self._hand(rng, LATE))
+        best = self._attempt(start, steps, Noise(rng, 1.0), self._execution(rng, DELAY_PROBABILITY))
         for failed in range(1, ATTEMPTS):
-            good = best.score == 1.0 and (best.rest or failed > SECOND_THOUGHTS)
+            good = best.score == 1.0 and (best.rest or failed > EXTRA_PLANS)
             if good or self._lookahead.count > end:
                 break
             plan = self._attempt(
-                start, steps, Noise(rng, BOLDER ** (failed % ROUND)), self._hand(rng, LATE * CALMER**failed)
+                start,
+                steps,
+                Noise(rng, NOISE_GROWTH ** (failed % ROUND)),
+                self._execution(rng, DELAY_PROBABILITY * DELAY_DECAY**failed),
             )
             best = max(best, plan, key=lambda plan: (plan.score, plan.rest))
         return best
 
-    def _hand(self, rng: np.random.Generator, lateness: float) -> Hand:
-        return Hand(rng, 0.0, 1) if self._steady else Hand(rng, lateness)
+    def _execution(self, rng: np.random.Generator, delay_probability: float) -> HumanExecution:
+        return HumanExecution(rng, 0.0, 1) if self._steady else HumanExecution(rng, delay_probability)
 
-    def _attempt(self, start: SavedState, steps: int, noise: Noise, hand: Hand) -> Plan:
+    def _attempt(self, start: SavedState, steps: int, noise: Noise, execution: HumanExecution) -> Plan:
         lookahead, todo = self._lookahead, ()
         lookahead.restore(start)
         actions: list[int] = []
         states = [lookahead.state]
         failures: Counter[int | None] = Counter()
         stuck: set[int] = set()
-        waited, settling = 0, SETTLING + hand.pause()
+        waited, settling = 0, SETTLING + execution.pause()
         while len(actions) < steps:
             scene, left, here = lookahead.scene(), steps - len(actions), lookahead.state
             todo = tuple(subgoal for subgoal in todo if subgoal.left(scene))
@@ -115,11 +117,11 @@ class Planner:
                     waited += 1
             else:
                 waited = 0
-                for _ in range(min(hand.pause(), left)):
+                for _ in range(min(execution.pause(), left)):
                     lookahead.act(Gripper.OPEN)
-                lookahead.hand = hand
+                lookahead.execution = execution
                 perform(lookahead, option, left)
-                lookahead.hand = None
+                lookahead.execution = None
                 block = option.subgoal.block
                 failures[block] += option.subgoal.left(lookahead.scene()) > 0
                 if block is not None and block not in stuck and failures[block] >= self._patience:
@@ -140,7 +142,7 @@ class Planner:
         options.sort(key=lambda option: option.estimate - option.subgoal.cost(scene) + noise(SPREAD))
         best, best_cost = None, math.inf
         for option in options[: self._tries]:
-            handicap = noise(TASTE)
+            handicap = noise(COST_NOISE)
             lookahead.restore(here)
             perform(lookahead, option, int(min(left, best_cost - handicap)))
             failed = option.subgoal.left(lookahead.scene()) > 0
