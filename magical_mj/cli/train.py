@@ -18,11 +18,12 @@ from rich.text import Text
 
 from magical_mj import learners
 from magical_mj.cli.console import Bars, Trust, check_fits, console
-from magical_mj.learners.settings import check_changes, check_used, users, uses
+from magical_mj.learners.settings import PPOSettings, TrainingSettings, check_changes, check_used, users, uses
 from magical_mj.policies.agents import AGENTS
 from magical_mj.utils.errors import MagicalError, SettingsError, check_name
 from magical_mj.utils.extras import check_extra
 from magical_mj.utils.parallel import Backend
+from magical_mj.utils.settings import described
 
 if TYPE_CHECKING:
     from magical_mj.learners import Progress
@@ -35,14 +36,13 @@ PAUSE: Final = 10.0
 Method = Annotated[str, typer.Argument(help="bc, gail, wgail-gp, al, or another package's.", show_default=False)]
 Tasks = Annotated[str, typer.Option(help="A task; with --multi-task several, separated by commas, or all.")]
 Out = Annotated[Path, typer.Option(help="The run's folder.", show_default=False)]
-Seed = Annotated[int, typer.Option(min=0, help="Decides which demonstrations are learnt from, and all else.")]
+SETTINGS = described(TrainingSettings)
+Seed = Annotated[int, typer.Option(min=0, help=SETTINGS["seed"].description)]
 MultiTask = Annotated[bool, typer.Option("--multi-task", help="One policy for all the tasks.")]
-Augment = Annotated[str, typer.Option(help="all, none, or no-trans-rot.")]
-Preset = Annotated[str, typer.Option(help="What is looked at, such as LoRes4A.")]
-Device = Annotated[str, typer.Option(help="auto, cpu, cuda, ...")]
-Worlds = Annotated[
-    str, typer.Option(help="What gail, wgail-gp and al play in: single, or batched on DEVICE (extra gpu).")
-]
+Augment = Annotated[str, typer.Option(help=SETTINGS["augment"].description)]
+Preset = Annotated[str, typer.Option(help=SETTINGS["preset"].description)]
+Device = Annotated[str, typer.Option(help=SETTINGS["device"].description)]
+Worlds = Annotated[str, typer.Option(help=SETTINGS["ppo.worlds"].description)]
 Quick = Annotated[bool, typer.Option("--quick", help="Use a smaller network and a shorter training, for two cores.")]
 Change = Annotated[
     list[str] | None, typer.Option("--set", help="Any setting, such as ppo.clip=0.02.", show_default=False)
@@ -69,7 +69,7 @@ def experiment(
 ) -> None:
     """Train and evaluate methods x tasks x seeds. Called again, it continues."""
     del trust  # see magical_mj.utils.imports.command_line
-    planned = learners.runs(file, out)
+    planned = learners.plan_experiment(file, out)
     screen, began = console(), time.time()
     views: dict[str, TrainingView] = {}
     with how_to_continue(screen, "the same command continues"), bars(screen) as progress:
@@ -87,7 +87,7 @@ def experiment(
                 news = filter(None, (run.standing(began) for run in planned))
                 progress.update(bar, latest=", ".join(news))
 
-        lines = learners.conduct(planned, out, jobs=jobs, backend=backend, address=address, watch=watch)
+        lines = learners.run_experiment(planned, out, jobs=jobs, backend=backend, address=address, watch=watch)
         with repeating(poll):
             for number, line in enumerate(lines, 1):
                 screen.print(line, soft_wrap=True)
@@ -100,12 +100,12 @@ def train(
     method: Method,
     tasks: Tasks,
     out: Out,
-    seed: Seed = 0,
+    seed: Seed = TrainingSettings.seed,
     multi_task: MultiTask = False,
-    augment: Augment = "all",
-    preset: Preset = "LoRes4E",
-    device: Device = "auto",
-    worlds: Worlds = "single",
+    augment: Augment = TrainingSettings.augment,
+    preset: Preset = TrainingSettings.preset,
+    device: Device = TrainingSettings.device,
+    worlds: Worlds = PPOSettings.worlds,
     quick: Quick = False,
     change: Change = None,
     resume: Resume = False,
@@ -116,12 +116,12 @@ def train(
     from magical_mj.learners.training import METHODS
 
     check_name("method", method, METHODS)
-    given = {"seed": seed, "augment": augment, "preset": preset, "device": device, "ppo.worlds": worlds}
+    options = {"seed": seed, "augment": augment, "preset": preset, "device": device, "ppo.worlds": worlds}
     others = dict(_change(text) for text in change or [])
-    check_changes(others, ("method", "tasks", "quick", *given))
+    check_changes(others, ("method", "tasks", "quick", *options))
     check_used({"preset": preset, **others}, [method])
     check_fits(context, uses(method, "augment"), f"with {', '.join(users('augment'))}", "augment")
-    settings = learners.load_settings(method, tasks, quick=quick, **given, **others)
+    settings = learners.load_settings(method, tasks, quick=quick, **options, **others)
     if len(settings.tasks) > 1 and not multi_task:
         raise SettingsError(
             "one policy for several tasks needs --multi-task; magical-mj experiment trains one for each"

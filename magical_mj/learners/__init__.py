@@ -17,7 +17,7 @@ from magical_mj.utils.extras import check_extra
 
 if TYPE_CHECKING:
     from magical_mj.learners.bc import clone
-    from magical_mj.learners.experiment import conduct, runs
+    from magical_mj.learners.experiment import plan_experiment, run_experiment
     from magical_mj.learners.learner import Learner
     from magical_mj.learners.policy import TrainedPolicy, load_policy
     from magical_mj.learners.training import METHODS, Progress, train
@@ -29,9 +29,9 @@ _LAZY = {  # loaded at first use: the command line knows these commands before a
     "Progress": "training",
     "TrainedPolicy": "policy",
     "clone": "bc",
-    "conduct": "experiment",
+    "run_experiment": "experiment",
     "load_policy": "policy",
-    "runs": "experiment",
+    "plan_experiment": "experiment",
     "train": "training",
 }
 
@@ -42,10 +42,10 @@ __all__ = [
     "TrainedPolicy",
     "TrainingSettings",
     "clone",
-    "conduct",
     "load_policy",
     "load_settings",
-    "runs",
+    "plan_experiment",
+    "run_experiment",
     "train",
 ]
 

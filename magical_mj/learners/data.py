@@ -47,10 +47,10 @@ def drawn(task: str, seed: int, count: int, of: int) -> list[int]:
 
 def shares(size: int, tasks: int, generator: torch.Generator) -> list[int]:
     """The number of samples of each task in a batch. They differ by at most one; which tasks get one more is random."""
-    found = [size // tasks] * tasks
+    counts = [size // tasks] * tasks
     for extra in torch.randperm(tasks, generator=generator)[: size % tasks].tolist():
-        found[extra] += 1
-    return found
+        counts[extra] += 1
+    return counts
 
 
 def shipped(task: str) -> list[Demonstration]:
@@ -59,17 +59,17 @@ def shipped(task: str) -> list[Demonstration]:
     Raises:
         DemonstrationError: if there are none.
     """
-    found = demos.load(task)
-    chosen = [demo for demo in found if demo.variant == "Demo"]
+    demonstrations = demos.load(task)
+    chosen = [demo for demo in demonstrations if demo.variant == "Demo"]
     if not chosen:
         raise DemonstrationError(
             f"policies learn from the demo scene, and all demonstrations that come with {task} are of others: "
-            f"{', '.join(sorted({demo.name for demo in found}))}"
+            f"{', '.join(sorted({demo.name for demo in demonstrations}))}"
         )
     return chosen
 
 
-def _found(task: str, demonstrations: Demonstrations | None) -> Sequence[Demonstration | Transitions]:
+def _demonstrations_of(task: str, demonstrations: Demonstrations | None) -> Sequence[Demonstration | Transitions]:
     """The demonstrations of a task to choose from."""
     if demonstrations is None:
         return shipped(task)
@@ -93,19 +93,21 @@ def _episode(
         if demonstration.task != task:
             raise DemonstrationError(f"one of the demonstrations given for {task} is of {demonstration.task}")
         demonstration = demos.transitions([demonstration], settings.preset, drop_noop=False)
-    seen, actions = np.asarray(demonstration.observations), np.asarray(demonstration.actions)
+    observations, actions = np.asarray(demonstration.observations), np.asarray(demonstration.actions)
     needed = (len(actions), len(STATE_NAMES)) if settings.states else (len(actions), *SHAPE)
-    if actions.ndim != 1 or seen.shape != needed:
+    if actions.ndim != 1 or observations.shape != needed:
         raise DemonstrationError(
             f"a demonstration of {task} for the preset {settings.preset} needs the observation before each action, "
-            f"{needed}, and it has observations {seen.shape} and actions {actions.shape}"
+            f"{needed}, and it has observations {observations.shape} and actions {actions.shape}"
         )
     if actions.dtype.kind not in "iu" or not np.isin(actions, range(len(ACTIONS))).all():
         raise DemonstrationError(
             f"actions are integers from 0 to {len(ACTIONS) - 1}; a demonstration of {task} has others"
         )
-    seen = histories(seen) if settings.states else seen
-    return (seen[actions != NOOP], actions[actions != NOOP]) if drop_noop else (seen, actions)
+    if settings.states:
+        observations = histories(observations)
+    kept = actions != NOOP if drop_noop else np.full(len(actions), True)
+    return observations[kept], actions[kept]
 
 
 class Dataset:
@@ -126,10 +128,11 @@ class Dataset:
         self._observations: list[NDArray[Any]] = []
         self._actions: list[Tensor] = []
         for task in settings.tasks:
-            found = _found(task, demonstrations)
-            chosen = [found[number] for number in drawn(task, settings.seed, settings.demonstrations, len(found))]
-            seen, actions = zip(*[_episode(task, one, settings, drop_noop) for one in chosen], strict=True)
-            self._observations.append(np.concatenate(seen))
+            all_of_task = _demonstrations_of(task, demonstrations)
+            numbers = drawn(task, settings.seed, settings.demonstrations, len(all_of_task))
+            episodes = [_episode(task, all_of_task[number], settings, drop_noop) for number in numbers]
+            observations, actions = zip(*episodes, strict=True)
+            self._observations.append(np.concatenate(observations))
             self._actions.append(torch.as_tensor(np.concatenate(actions).astype(np.int64)))
             if not self.sizes[-1]:
                 raise DemonstrationError(f"the demonstrations of {task} hold nothing to learn from, at most no-ops")
@@ -153,7 +156,7 @@ class Dataset:
     def rows(self, numbers: Sequence[Tensor]) -> Batch:
         """The rows with these numbers, given for each task; one task after the other."""
         return Batch(
-            np.concatenate([seen[rows.numpy()] for seen, rows in zip(self._observations, numbers, strict=True)]),
+            np.concatenate([values[rows.numpy()] for values, rows in zip(self._observations, numbers, strict=True)]),
             torch.cat([actions[rows] for actions, rows in zip(self._actions, numbers, strict=True)]),
             torch.cat([torch.full_like(rows, task) for task, rows in enumerate(numbers)]),
         )
@@ -191,5 +194,5 @@ def joined(rollouts: Sequence[Rollout]) -> Rollout:
     """Rollouts of the same environments, one after the other."""
     if len(rollouts) == 1:
         return rollouts[0]
-    seen, actions = (np.concatenate(parts) for parts in zip(*[rollout[:2] for rollout in rollouts], strict=True))
-    return Rollout(seen, actions, rollouts[0].tasks)
+    observations = np.concatenate([rollout.observations for rollout in rollouts])
+    return Rollout(observations, np.concatenate([rollout.actions for rollout in rollouts]), rollouts[0].tasks)

@@ -144,8 +144,8 @@ class Run:
             **self.played,
         )
         means = frame.groupby("variant", sort=False)["score"].mean()
-        shown = ", ".join(f"{variant} {mean:.2f}" for variant, mean in means.items())
-        return f"{self.name}: {'trained' if updates else 'was trained before'}; {shown}"
+        scores = ", ".join(f"{variant} {mean:.2f}" for variant, mean in means.items())
+        return f"{self.name}: {'trained' if updates else 'was trained before'}; {scores}"
 
     def standing(self, since: float) -> str:
         """How far it has come, as its files tell; empty if none has changed since a time, or it is finished."""
@@ -160,7 +160,7 @@ class Run:
         return f"{self.name}: {done} of {of} episodes evaluated" if done < of else ""
 
 
-def runs(file: Path | str, out: Path | str) -> list[Run]:
+def plan_experiment(file: Path | str, out: Path | str) -> list[Run]:
     """The runs of an experiment.
 
     Args:
@@ -197,7 +197,7 @@ def runs(file: Path | str, out: Path | str) -> list[Run]:
     return planned
 
 
-def conduct(
+def run_experiment(
     planned: list[Run],
     out: Path | str,
     *,
@@ -209,7 +209,7 @@ def conduct(
     """Trains and evaluates what is not done yet. Yields a line for each run, then `agreement` and the report's path.
 
     Args:
-        planned: the `runs`.
+        planned: of `plan_experiment`.
         out: the folder of the experiment.
         jobs: the number of simultaneous runs, each on one thread; a single run uses all cores. None: one here, or as
             many as the cluster can do.

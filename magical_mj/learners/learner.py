@@ -118,17 +118,17 @@ def device(name: str) -> torch.device:
         SettingsError: if PyTorch has no such device here.
     """
     if name == "auto":
-        found = torch.accelerator.current_accelerator(check_available=True)
-        return torch.device("cpu") if found is None or found.type in UNUSABLE else found
+        accelerator = torch.accelerator.current_accelerator(check_available=True)
+        return torch.device("cpu") if accelerator is None or accelerator.type in UNUSABLE else accelerator
     try:
-        found = torch.zeros(1, device=name).device
+        named = torch.zeros(1, device=name).device
     except (RuntimeError, AssertionError) as error:
         raise SettingsError(
             f"there is no device {name!r} here: {str(error).splitlines()[0]}; cpu always works"
         ) from error
-    if found.type in UNUSABLE:
-        raise SettingsError(f"{name!r} {UNUSABLE[found.type]}; cpu always works")
-    return found
+    if named.type in UNUSABLE:
+        raise SettingsError(f"{name!r} {UNUSABLE[named.type]}; cpu always works")
+    return named
 
 
 def keep_freed_memory() -> None:

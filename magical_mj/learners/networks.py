@@ -176,8 +176,8 @@ class Heads(nn.Module):
         self.weight = nn.Parameter(torch.empty(tasks, outputs, inputs))
         self.bias = nn.Parameter(torch.empty(tasks, outputs))
         bound = 1 / math.sqrt(inputs)
-        for drawn in (self.weight, self.bias):
-            nn.init.normal_(drawn) if normal else nn.init.uniform_(drawn, -bound, bound)
+        for values in (self.weight, self.bias):
+            nn.init.normal_(values) if normal else nn.init.uniform_(values, -bound, bound)
 
     def forward(self, features: Tensor, tasks: Tensor) -> Tensor:
         """Shape (n, outputs), for features (n, inputs) and the numbers of their tasks (n,)."""

@@ -105,7 +105,8 @@ class PPOSettings(Settings):
 
     total_steps: Annotated[Amount, Meta(description="environment steps of the training")] = 1_000_000
     worlds: Annotated[
-        Literal["single", "batched"], Meta(description="each in MuJoCo by itself, or all on an accelerator")
+        Literal["single", "batched"],
+        Meta(description="What gail, wgail-gp and al play in: single, or batched on DEVICE (extra gpu)."),
     ] = "single"
     environments: Count = 32
     steps: Annotated[Count, Meta(description="in each environment, between two updates")] = 8
@@ -170,14 +171,15 @@ class TrainingSettings(Settings):
     tasks: Annotated[tuple[str, ...], Meta(description="more than one is multi-task learning")]
     seed: Annotated[
         Annotated[int, Meta(ge=0, le=2**63 - 1)],
-        Meta(description="Decides everything that is drawn: the demonstrations, the weights, the batches."),
+        Meta(description="Decides which demonstrations are learnt from, and all else that is drawn."),
     ] = 0
     demonstrations: Annotated[Count, Meta(description="how many of each task's are drawn")] = 10
-    preset: Annotated[str, Meta(description="what is looked at, one of `LEARNABLE`")] = "LoRes4E"
+    preset: Annotated[str, Meta(description="What is looked at, such as LoRes4A.")] = "LoRes4E"
     augment: Annotated[
-        Literal["all", "none", "no-trans-rot"], Meta(description="for BC's policy and the discriminator")
+        Literal["all", "none", "no-trans-rot"],
+        Meta(description="all, none, or no-trans-rot."),
     ] = "all"
-    device: Annotated[str, Meta(description='"auto", "cpu", or another name of a device in PyTorch')] = "auto"
+    device: Annotated[str, Meta(description="auto, cpu, cuda, ...")] = "auto"
     evaluations: Annotated[
         Natural, Meta(description="how often the policy is evaluated on the demo variant during the training")
     ] = 10
@@ -347,10 +349,10 @@ def load_settings(
     return changed(settings, {**short, **changes})
 
 
-def check_changes(changes: Iterable[str], given: Collection[str]) -> None:
+def check_changes(changes: Iterable[str], elsewhere: Collection[str]) -> None:
     """Raises a `SettingsError` if one of the changes is among what is given in another place."""
     for name in changes:
-        if name in given:
+        if name in elsewhere:
             raise SettingsError(f"{name} is given by itself, and not among the settings that are changed")
 
 
@@ -396,8 +398,8 @@ def check_used(changes: Mapping[str, Any], methods: Collection[str]) -> None:
     preset = changes.get("preset", TrainingSettings.preset)
     for name in changes:
         if name in (_OF_PICTURES if preset == STATE else _OF_STATES):
-            seen = "pictures" if preset == STATE else "states"
-            raise SettingsError(f"{name} is for {seen}, and of no use with the preset {preset}")
+            kind = "pictures" if preset == STATE else "states"
+            raise SettingsError(f"{name} is for {kind}, and of no use with the preset {preset}")
         if users(name) and not any(uses(method, name) for method in methods):
             raise SettingsError(f"{name} is for {', '.join(users(name))}, and of no use to {' or '.join(methods)}")
 
@@ -442,7 +444,7 @@ def flattened(table: dict[str, Any]) -> dict[str, Any]:
     """Name -> value; names in sub-tables contain dots."""
     flat = {}
     for name, value in table.items():
-        flat |= {f"{name}.{inner}": kept for inner, kept in value.items()} if isinstance(value, dict) else {name: value}
+        flat |= {f"{name}.{inner}": item for inner, item in value.items()} if isinstance(value, dict) else {name: value}
     return flat
 
 

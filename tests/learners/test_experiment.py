@@ -18,7 +18,7 @@ from magical_mj.cli import console
 from magical_mj.cli.app import run
 from magical_mj.evaluation.reports.results import published_results
 from magical_mj.evaluation.scores import SCORES
-from magical_mj.learners import conduct, runs
+from magical_mj.learners import plan_experiment, run_experiment
 from magical_mj.learners.experiment import agreement
 from magical_mj.learners.policy import POLICY
 from magical_mj.learners.run_folder import METRICS
@@ -50,7 +50,7 @@ def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
     file = tmp_path / "experiment.toml"
     file.write_text(EXPERIMENT)
     out = tmp_path / "lr=0.1, twice"
-    lines = list(conduct(runs(str(file), str(out)), str(out), jobs=2))
+    lines = list(run_experiment(plan_experiment(str(file), str(out)), str(out), jobs=2))
     assert len(lines) == 5
     assert sorted(line.partition(":")[0] for line in lines[:4]) == [
         f"bc-{task}-{seed}" for task in ("FixColour", "MoveToRegion") for seed in (0, 1)
@@ -62,16 +62,20 @@ def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
     for path in (out / "runs" / "bc-FixColour-1").glob("*.safetensors"):
         path.unlink()
     seen: list[tuple[str, int]] = []
-    again = list(conduct(runs(file, out), out, watch=lambda name, progress: seen.append((name, progress.update))))
+    again = list(
+        run_experiment(
+            plan_experiment(file, out), out, watch=lambda name, progress: seen.append((name, progress.update))
+        )
+    )
     assert seen == [("bc-FixColour-1", update) for update in range(1, 5)]
     assert [line.split(":")[0] for line in again[:4] if ": trained;" in line] == ["bc-FixColour-1"]
     assert sum("was trained before" in line for line in again) == 3
     assert (out / "runs" / "bc-FixColour-1" / POLICY).read_bytes() == before  # in another process
     moved = out.rename(tmp_path / "moved")
-    assert sum("was trained before" in line for line in conduct(runs(file, moved), moved)) == 4
+    assert sum("was trained before" in line for line in run_experiment(plan_experiment(file, moved), moved)) == 4
     file.write_text(EXPERIMENT.replace("[0, 1]", "[2, 0, 1]").replace("episodes = 2", "episodes = 3"))
     with pytest.raises(SettingsError, match="episodes was 2 and is 3"):
-        next(conduct(runs(file, moved), moved))
+        next(run_experiment(plan_experiment(file, moved), moved))
     assert not (moved / "runs" / "bc-MoveToRegion-2").exists()
 
 
@@ -106,9 +110,9 @@ def test_wrong_experiments_are_refused(old: str, new: str, says: str, tmp_path: 
     file = tmp_path / "experiment.toml"
     file.write_text(EXPERIMENT.replace(old, new))
     with pytest.raises((SettingsError, UnknownNameError), match=says):
-        runs(file, tmp_path / "out")
+        plan_experiment(file, tmp_path / "out")
     with pytest.raises(SettingsError, match="cannot be read"):
-        runs(tmp_path / "none.toml", tmp_path / "out")
+        plan_experiment(tmp_path / "none.toml", tmp_path / "out")
 
 
 @pytest.mark.parametrize(
@@ -129,7 +133,7 @@ def test_what_cannot_be_is_told_before_the_first_run(change: dict[str, str], say
         (out / "report").mkdir(parents=True)
         (out / "report" / "report.md").write_text("mine")
     with pytest.raises(MagicalError, match=says):
-        next(conduct(runs(tmp_path / "e.toml", out), out))
+        next(run_experiment(plan_experiment(tmp_path / "e.toml", out), out))
     assert not (out / "runs").exists()
 
 
@@ -150,7 +154,7 @@ def test_an_experiment_tells_how_far_its_runs_are(
 
 def test_how_far_a_run_is_is_read_from_its_files(tmp_path: Path) -> None:
     (tmp_path / "e.toml").write_text(EXPERIMENT)
-    one = runs(tmp_path / "e.toml", tmp_path / "out")[0]
+    one = plan_experiment(tmp_path / "e.toml", tmp_path / "out")[0]
     assert one.standing(since=0) == ""  # nothing has begun
     one.trained.mkdir(parents=True)
     (one.trained / METRICS).write_text("update,seconds\n")
@@ -185,7 +189,7 @@ def test_an_experiment_that_is_stopped_says_how_to_continue(tmp_path: Path) -> N
 def test_the_order_of_environments_is_compared_with_the_papers(tmp_path: Path) -> None:
     """Scores that are the paper's own have the rank correlation 1; scores that are all alike have none."""
     (tmp_path / "e.toml").write_text('methods = ["bc"]\ntasks = ["FindDupe"]\nseeds = [0]')
-    planned = runs(tmp_path / "e.toml", tmp_path / "out")
+    planned = plan_experiment(tmp_path / "e.toml", tmp_path / "out")
     out = planned[0].scores
     magical_mj.evaluate({planned[0].method: "noop"}, tasks="FindDupe", episodes=1, jobs=1, out=out)
     assert list(agreement(planned)) == []
@@ -203,14 +207,14 @@ def test_changed_settings_show_in_the_methods_name(tmp_path: Path) -> None:
     file = tmp_path / "experiment.toml"
     file.write_text(EXPERIMENT)
     changed = "demonstrations 2, bc.batches 4, bc.batch_size 4, network.first_stride 4, network.channels 4"
-    assert {run.method for run in runs(file, tmp_path)} == {f"BC (ST), ours, quick, {changed}"}
+    assert {run.method for run in plan_experiment(file, tmp_path)} == {f"BC (ST), ours, quick, {changed}"}
 
 
 @pytest.mark.parametrize("file", sorted(EXPERIMENTS.glob("*.toml")), ids=lambda file: file.stem)
 def test_the_packages_experiments_can_be_run(file: Path, tmp_path: Path) -> None:
     """Each says how, and plans as many runs as it has methods, groups of tasks and seeds."""
     assert f"magical-mj experiment experiments/{file.name} --out runs/{file.stem}" in file.read_text()
-    planned, table = runs(file, tmp_path), read_toml(file)
+    planned, table = plan_experiment(file, tmp_path), read_toml(file)
     tasks = magical_mj.TASKS if table["tasks"] == "all" else table["tasks"]
     groups = 1 if table.get("multi_task") else len(tasks)
     assert len({run.name for run in planned}) == len(planned) == len(table["methods"]) * groups * len(table["seeds"])

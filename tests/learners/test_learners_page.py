@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from magical_mj.learners import runs
+from magical_mj.learners import plan_experiment
 from tests.helpers.learners import is_done
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -39,7 +39,7 @@ def test_demonstrations_at_hand_are_cloned() -> None:
 def test_the_experiment_can_be_read(tmp_path: Path) -> None:
     file = tmp_path / "experiment.toml"
     file.write_text(block("learners.md", "toml"))
-    planned = runs(file, tmp_path)
+    planned = plan_experiment(file, tmp_path)
     assert len({run.name for run in planned}) == len(planned) == 2 * 2 * 5
     assert {run.method for run in planned} == {
         "BC (ST), ours, quick",

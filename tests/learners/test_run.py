@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import re
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +18,10 @@ import pytest
 import torch
 
 import magical_mj
-from magical_mj.learners import checkpoint, train
+from magical_mj.learners import METHODS, TrainingSettings, checkpoint, load_policy, train
 from magical_mj.learners.bc import CALIBRATION
 from magical_mj.learners.policy import POLICY, TrainedPolicy
-from magical_mj.learners.run_folder import CHECKPOINT, CONFIG, read_metrics
+from magical_mj.learners.run_folder import CHECKPOINT, CONFIG, METRICS, read_metrics
 from magical_mj.learners.settings import from_toml, recorded
 from magical_mj.learners.training import Progress
 from magical_mj.tasks.protocol import PROTOCOL
@@ -28,6 +30,13 @@ from magical_mj.utils.files import read_toml
 from tests.helpers.learners import is_done, playing, stopped, tiny
 
 ROOT = str(Path(__file__).parents[2])
+
+
+def state(**changes: Any) -> TrainingSettings:
+    """A tiny training from states."""
+    return tiny(preset="State", **changes)
+
+
 START = (
     f"import sys; sys.path.insert(0, {ROOT!r}); "
     "from tests.helpers.learners import tiny; from magical_mj.learners import train; "
@@ -35,7 +44,7 @@ START = (
 
 
 def test_a_folder_holds_everything(tmp_path: Path) -> None:
-    settings = tiny(evaluations=2, episodes=2)
+    settings = state(evaluations=2, episodes=2)
     seen = []
     train(settings, tmp_path / "run", watch=seen.append)
     names = {path.name for path in (tmp_path / "run").iterdir()}
@@ -56,17 +65,17 @@ def test_a_folder_holds_everything(tmp_path: Path) -> None:
 
 def test_a_folder_belongs_to_one_training_at_a_time(tmp_path: Path) -> None:
     """A second one is refused while the first goes on, and leaves everything as it is."""
-    settings, run, errors = tiny(), tmp_path / "run", list[str]()
+    run = tmp_path / "run"
 
-    def second(_: Progress) -> None:
-        if not errors:
-            held = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
-            command = [sys.executable, "-c", f"{START}train(tiny(), {str(run)!r}, resume=True)"]
-            errors.append(subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False).stderr)
-            assert held == {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    def second(progress: Progress) -> None:
+        if progress.update > 1:
+            return
+        before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+        with pytest.raises(TrainingError, match="another process is training"):
+            train(state(), run, resume=True)
+        assert before == {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
 
-    train(settings, run, watch=second)
-    assert f"another process is training in {run}" in errors[0]
+    train(state(), run, watch=second)
     assert is_done(run)
 
 
@@ -78,8 +87,8 @@ def test_what_a_training_forked_does_not_keep_its_folder_locked(tmp_path: Path) 
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(tiny(), tmp_path / "run", watch=stop)
-    train(tiny(), tmp_path / "run", resume=True)
+        train(state(), tmp_path / "run", watch=stop)
+    train(state(), tmp_path / "run", resume=True)
     assert child.is_alive()
     assert is_done(tmp_path / "run")
     child.kill()
@@ -108,6 +117,32 @@ def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
     assert rows[0] == rows[1]
 
 
+@pytest.mark.parametrize("method", ["bc", "gail"])
+def test_ctrl_c_saves_a_checkpoint_after_the_present_update(method: str, tmp_path: Path) -> None:
+    """Pressed in the middle of an update, whose end is waited for; then all goes on as if it had not been."""
+    settings = playing(method, preset="State", checkpoints=1, **{"ppo.total_steps": 128})
+
+    class Interrupted(METHODS[method]):  # type: ignore[misc]
+        done = 0
+
+        def update(self) -> Mapping[str, float]:
+            self.done += 1
+            if self.done == 3:
+                os.kill(os.getpid(), signal.SIGINT)
+            return super().update()
+
+    train(settings, tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        train(settings, tmp_path / "cut", learner=Interrupted)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert checkpoint.read(tmp_path / "cut" / CHECKPOINT)["update"] == 3
+    load_policy(tmp_path / "cut")
+    train(settings, tmp_path / "cut", resume=True)
+    whole, cut = (checkpoint.read(tmp_path / name / CHECKPOINT) for name in ("whole", "cut"))
+    assert repr({**whole, "seconds": 0}) == repr({**cut, "seconds": 0})
+    assert (tmp_path / "whole" / POLICY).read_bytes() == (tmp_path / "cut" / POLICY).read_bytes()
+
+
 def test_a_run_that_ends_between_its_files_is_finished_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     original, written = checkpoint.write, list[Path]()
 
@@ -119,9 +154,9 @@ def test_a_run_that_ends_between_its_files_is_finished_later(tmp_path: Path, mon
 
     monkeypatch.setattr(checkpoint, "write", write)
     with pytest.raises(KeyboardInterrupt):
-        train(tiny(preset="State"), tmp_path / "run")
+        train(state(), tmp_path / "run")
     monkeypatch.undo()
-    train(tiny(preset="State"), tmp_path / "run", resume=True)
+    train(state(), tmp_path / "run", resume=True)
     assert is_done(tmp_path / "run")
 
 
@@ -141,25 +176,25 @@ def test_a_finished_run_resumes_to_itself(tmp_path: Path) -> None:
 
 def test_on_another_kind_of_device_a_run_does_not_go_on(tmp_path: Path) -> None:
     """It would end otherwise than without the interruption. Its policy is at hand everywhere, once it is finished."""
-    stopped(tmp_path / "begun")
-    train(tiny(), tmp_path / "finished")
+    stopped(tmp_path / "begun", state())
+    train(state(), tmp_path / "finished")
     for name in ("begun", "finished"):
         kept = checkpoint.read(tmp_path / name / CHECKPOINT)
         checkpoint.write(tmp_path / name / CHECKPOINT, {**kept, "device": "cuda"})
     with pytest.raises(TrainingError, match="was trained on cuda, and this is cpu: continue where there is cuda"):
-        train(tiny(), tmp_path / "begun", resume=True)
-    assert isinstance(train(tiny(), tmp_path / "finished", resume=True), TrainedPolicy)
+        train(state(), tmp_path / "begun", resume=True)
+    assert isinstance(train(state(), tmp_path / "finished", resume=True), TrainedPolicy)
 
 
 def test_runs_of_earlier_versions_stay_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Their policies held more, and their checkpoints less. The folder's name is that of an agent."""
     monkeypatch.chdir(tmp_path)
-    train(tiny(), "noop")
+    train(state(), "noop")
     kept, policy = checkpoint.read(Path("noop", CHECKPOINT)), checkpoint.read(Path("noop", POLICY))
     checkpoint.write(Path("noop", CHECKPOINT), {name: kept[name] for name in ("update", "seconds", "learner")})
     checkpoint.write(Path("noop", POLICY), {**policy, "progress": [12, 12]})
     before = Path("noop", POLICY).read_bytes()
-    assert isinstance(train(tiny(), "noop", resume=True), TrainedPolicy)
+    assert isinstance(train(state(), "noop", resume=True), TrainedPolicy)
     assert Path("noop", POLICY).read_bytes() == before
 
 
@@ -171,15 +206,14 @@ def test_a_policy_that_is_saved_on_the_way_is_as_it_would_be_evaluated(tmp_path:
     assert batches == [CALIBRATION] * 5
 
 
-@pytest.mark.parametrize(
-    "text", ["update,loss\n,1", "update,loss\n1", "loss\n1", "update\n1,2,3", "update\n\xff", "update\n\0"]
-)
-def test_damaged_figures_are_refused_and_kept(text: str, tmp_path: Path) -> None:
-    stopped(tmp_path / "run")
-    (tmp_path / "run" / "metrics.csv").write_text(text, "latin-1")
-    with pytest.raises(TrainingError, match=r"metrics\.csv is damaged: .*; delete it"):
-        train(tiny(), tmp_path / "run", resume=True)
-    assert (tmp_path / "run" / "metrics.csv").read_text("latin-1") == text
+def test_damaged_figures_are_refused_and_kept(tmp_path: Path) -> None:
+    stopped(tmp_path / "run", state())
+    path = tmp_path / "run" / METRICS
+    for text in ("", "seconds,update\n1,2\n", "update,loss\n,1", "update\n1,2,3", "update\n\xff", "update\n\0"):
+        path.write_text(text, "latin-1")
+        with pytest.raises(TrainingError, match=r"metrics\.csv is damaged"):
+            train(state(), tmp_path / "run", resume=True)
+        assert path.read_text("latin-1") == text
 
 
 def test_a_checkpoint_of_another_version_is_refused_and_kept(tmp_path: Path) -> None:
@@ -197,30 +231,31 @@ def test_a_checkpoint_of_another_version_is_refused_and_kept(tmp_path: Path) -> 
         train(settings, tmp_path / "run", resume=True)
 
 
-@pytest.mark.parametrize("what", ["protocol", "demonstrations"])
-def test_a_training_with_other_demonstrations_or_worlds_is_not_continued(what: str, tmp_path: Path) -> None:
-    train(tiny(), tmp_path / "run")
+def test_a_training_with_other_demonstrations_or_worlds_is_not_continued(tmp_path: Path) -> None:
+    train(state(), tmp_path / "run")
     config = tmp_path / "run" / CONFIG
-    settings, made = config.read_text().split("[made]")
-    config.write_text(f"{settings}[made]{re.sub(f'{what} = .*', f'{what} = 99', made)}")
-    with pytest.raises(TrainingError, match=f"the {what} of number 99"):
-        train(tiny(), tmp_path / "run", resume=True)
+    text = config.read_text()
+    for what in ("protocol", "demonstrations"):
+        settings, start = text.split("[made]")
+        config.write_text(f"{settings}[made]{re.sub(f'{what} = .*', f'{what} = 99', start)}")
+        with pytest.raises(TrainingError, match=f"{what} of number 99"):
+            train(state(), tmp_path / "run", resume=True)
 
 
 def test_what_is_there_is_never_overwritten(tmp_path: Path) -> None:
-    train(tiny(), tmp_path / "run")
+    train(state(), tmp_path / "run")
     with pytest.raises(TrainingError, match="holds a training already; --resume"):
-        train(tiny(), tmp_path / "run")
+        train(state(), tmp_path / "run")
     with pytest.raises(SettingsError, match="seed was 0 and is 1"):
-        train(tiny(seed=1), tmp_path / "run", resume=True)
+        train(state(seed=1), tmp_path / "run", resume=True)
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").touch()
     with pytest.raises(TrainingError, match="something else"):
-        train(tiny(), tmp_path / "mine")
+        train(state(), tmp_path / "mine")
     with pytest.raises(TrainingError, match="something else"):
-        train(tiny(), tmp_path / "mine" / "thesis.tex")
+        train(state(), tmp_path / "mine" / "thesis.tex")
     with pytest.raises(TrainingError, match="cannot write into"):
-        train(tiny(), tmp_path / "mine" / "thesis.tex" / "run")
+        train(state(), tmp_path / "mine" / "thesis.tex" / "run")
 
 
 def test_what_cannot_be_leaves_no_folder(tmp_path: Path) -> None:
@@ -234,7 +269,7 @@ def test_what_cannot_be_leaves_no_folder(tmp_path: Path) -> None:
 def test_a_loss_that_is_no_number_stops_and_keeps_the_checkpoint(tmp_path: Path) -> None:
     wild = {"bc.optimizer": "sgd", "bc.learning_rate": 1e6, "bc.final_learning_rate": 1e6}
     with pytest.raises(TrainingError, match=r"at update 2; the checkpoint of update 1 is kept .*lower learning rate"):
-        train(tiny(**wild, checkpoints=12), tmp_path / "run")
+        train(state(**wild, checkpoints=12), tmp_path / "run")
     assert checkpoint.read(tmp_path / "run" / CHECKPOINT)["update"] == 1
     kept = checkpoint.read(tmp_path / "run" / POLICY)
     assert all(tensor.isfinite().all() for tensor in kept["weights"].values())

@@ -29,7 +29,7 @@ RELATIONS: Final[Mapping[str, type[Relation]]] = MappingProxyType(
 """By name in the file."""
 
 
-def to_json(found: Mapping[str, Sequence[InferredGoal]]) -> str:
+def to_json(goals_of: Mapping[str, Sequence[InferredGoal]]) -> str:
     """The goals of each task, the best first. Only the best one is read again."""
     table = {
         task: {
@@ -39,7 +39,7 @@ def to_json(found: Mapping[str, Sequence[InferredGoal]]) -> str:
             "saved_bits": goals[0].saved,
             "instead": {str(goal): round(goal.saved, 1) for goal in goals[1 : 1 + SHOWN]},
         }
-        for task, goals in found.items()
+        for task, goals in goals_of.items()
     }
     return json.dumps(table, indent=2) + "\n"
 

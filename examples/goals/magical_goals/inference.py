@@ -94,15 +94,15 @@ def infer(examples: Sequence[Example]) -> list[InferredGoal]:
 
 def _fitted(relation: Relation, examples: Sequence[Example], chance: dict[Scene, Layouts]) -> InferredGoal:
     """The relation with the limits that save most: they hold at all ends, or at all but the worst few."""
-    found = [relation.deviations(layouts_of(initial, [initial, final])) for initial, final in examples]
-    worst = np.array([off[1].max(axis=0) for off in found])  # (demonstrations, measures)
+    deviations = [relation.deviations(layouts_of(initial, [initial, final])) for initial, final in examples]
+    worst = np.array([off[1].max(axis=0) for off in deviations])  # (demonstrations, measures)
     order = (worst / np.maximum(worst.max(axis=0), 1e-9)).max(axis=1).argsort(kind="stable")
     by_chance = {initial: relation.deviations(layouts).max(axis=1) for initial, layouts in chance.items()}
     options = []
     for missed in range(int(UNTRUE * len(examples)) + 1):
         limits = worst[order[: len(order) - missed]].max(axis=0)
         share = {initial: _share(off, limits) for initial, off in by_chance.items()}
-        saved = sum(_saved(off, limits, share[initial]) for off, (initial, _) in zip(found, examples, strict=True))
+        saved = sum(_saved(off, limits, share[initial]) for off, (initial, _) in zip(deviations, examples, strict=True))
         options.append(InferredGoal(relation, tuple(limits.tolist()), saved - relation.bits))
     return max(options, key=lambda goal: goal.saved)
 

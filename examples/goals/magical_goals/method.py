@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from magical_goals.files import from_json, save_goals, to_json
-from magical_goals.inference import infer
+from magical_goals.inference import InferredGoal, infer
 from magical_goals.policy import GoalPolicy
 from magical_mj.demos import Demonstration
 from magical_mj.learners.data import drawn, shipped
@@ -37,13 +37,13 @@ class GoalInference(Method):
 
     def update(self) -> Mapping[str, float]:
         """Infers all goals. Returns the fewest bits saved by any, and the smallest lead over an alternative."""
-        found = {}
+        goals_of: dict[str, list[InferredGoal]] = {}
         for task in self.settings.tasks:
             known = shipped(task)
             chosen = drawn(task, self.settings.seed, self.settings.demonstrations, len(known))
-            found[task] = infer([ends(known[number]) for number in chosen])
-        self._pursue(to_json(found))
-        saved = [[*(goal.saved for goal in goals), 0.0] for goals in found.values()]
+            goals_of[task] = infer([ends(known[number]) for number in chosen])
+        self._pursue(to_json(goals_of))
+        saved = [[*(goal.saved for goal in goals), 0.0] for goals in goals_of.values()]
         return {"saved_bits": min(bits[0] for bits in saved), "ahead_bits": min(bits[0] - bits[1] for bits in saved)}
 
     def policy(self) -> GoalPolicy:

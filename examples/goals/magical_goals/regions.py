@@ -87,12 +87,12 @@ class Belonging(Relation):
 
     def wanted(self, initial: Scene) -> NDArray[np.bool_]:
         """Which block should be in which region. Shape (blocks, regions)."""
-        found = np.ones((len(initial.blocks), len(initial.regions)), dtype=bool)
+        wanted = np.ones((len(initial.blocks), len(initial.regions)), dtype=bool)
         for column, region in enumerate(initial.regions):
             there = [block for block in initial.blocks if region.contains(block)]
             for row, block in enumerate(initial.blocks):
-                found[row, column] = all(PREDICATES[name](block, region, there) == true for name, true in self.formula)
-        return found
+                wanted[row, column] = all(PREDICATES[name](block, region, there) == true for name, true in self.formula)
+        return wanted
 
     def deviations(self, layouts: Layouts) -> Floats:
         """The number of regions that each block is wrongly inside or outside of."""
@@ -158,11 +158,13 @@ def formulas(scenes: Iterable[Scene]) -> Iterator[Belonging]:
     scenes = list(scenes)
     literals = list(itertools.product(PREDICATES, (True, False)))
     known: dict[bytes, Belonging] = {}
-    meant = {one: [Belonging((one,)).wanted(scene) for scene in scenes] for one in literals}
+    meant = {literal: [Belonging((literal,)).wanted(scene) for scene in scenes] for literal in literals}
     for count in range(1, LITERALS + 1):
         for formula in itertools.combinations(literals, count):
-            wanted = [np.logical_and.reduce([meant[one][number] for one in formula]) for number in range(len(scenes))]
-            relation, pattern = Belonging(formula), b"".join(one.tobytes() for one in wanted)
+            wanted = [
+                np.logical_and.reduce([meant[literal][number] for literal in formula]) for number in range(len(scenes))
+            ]
+            relation, pattern = Belonging(formula), b"".join(array.tobytes() for array in wanted)
             if pattern not in known or relation.bits < known[pattern].bits:
                 known[pattern] = relation
     yield from known.values()
