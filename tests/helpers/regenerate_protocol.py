@@ -22,6 +22,8 @@ import numpy as np
 
 import magical_mj
 from magical_mj.assets.robot import control_signal
+from magical_mj.scene.actions import ACTIONS
+from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.tasks import RULES
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, sample_scene, score, task_spec
@@ -74,8 +76,8 @@ def physics(task: str) -> str:
     env = magical_mj.Engine(task, "All", scene=sample_scene(task, "All", 0))
     env.reset()
     model = env.model
-    controls = [control_signal(action).tolist() for action in range(env.action_spec().num_values)]
-    found = model_digest(model), round(env.control_timestep() / model.opt.timestep), controls
+    controls = [control_signal(action).tolist() for action in range(len(ACTIONS))]
+    found = model_digest(model), round(1 / CONTROL_RATE / model.opt.timestep), controls
     env.close()
     return _digest(found)
 
