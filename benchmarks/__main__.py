@@ -112,27 +112,27 @@ def _print_batched(chosen: Sequence[tuple[str, str, str]], counts: Sequence[int]
     for task, variant, name in chosen:
         single = single_rate(task, variant, name)
         for worlds in counts:
-            made = measure_batched(task, variant, worlds, name, device)
-            for line in _batched_lines(made, single, profile):
+            speed = measure_batched(task, variant, worlds, name, device)
+            for line in _batched_lines(speed, single, profile):
                 screen.print(line, soft_wrap=True)
 
 
-def _batched_lines(made: BatchedMeasurement, single: float, profile: bool) -> Iterator[str]:
+def _batched_lines(speed: BatchedMeasurement, single: float, profile: bool) -> Iterator[str]:
     """What was measured; the launches by part, or with `profile` by kernel."""
     from benchmarks.batched import by_part
 
-    times = [1000 * seconds for seconds in (made.physics_seconds, made.observation_seconds, made.reset_seconds)]
-    yield f"{made.task} {made.variant}, {made.preset}, {made.worlds} worlds: {made.rate:,.0f} steps/s"
-    yield f"  {made.rate / single:.3g} times as many as single environments make here on all cores"
-    yield f"  {made.world_bytes / 1000:.0f} kB a world"
+    times = [1000 * seconds for seconds in (speed.physics_seconds, speed.observation_seconds, speed.reset_seconds)]
+    yield f"{speed.task} {speed.variant}, {speed.preset}, {speed.worlds} worlds: {speed.rate:,.0f} steps/s"
+    yield f"  {speed.rate / single:.3g} times as many as single environments make here on all cores"
+    yield f"  {speed.world_bytes / 1000:.0f} kB a world"
     yield "  physics {:.2f} ms a step, observations {:.2f} ms, a reset of all worlds {:.2f} ms".format(*times)
     yield (
-        f"  a step, on average: {made.work.launches:,.0f} kernel launches, {made.work.bytes / 1e6:.2f} MB and "
-        f"{made.work.operations / 1e6:.1f} million operations a world"
+        f"  a step, on average: {speed.work.launches:,.0f} kernel launches, {speed.work.bytes / 1e6:.2f} MB and "
+        f"{speed.work.operations / 1e6:.1f} million operations a world"
     )
-    expected = (f"{made.expected(worlds):,.0f} with {worlds:,} worlds" for worlds in _counts(WORLDS))
+    expected = (f"{speed.expected(worlds):,.0f} with {worlds:,} worlds" for worlds in _counts(WORLDS))
     yield f"  an H200 might make these steps/s: {', '.join(expected)}"
-    for kernel in made.kernels if profile else by_part(made.kernels):
+    for kernel in speed.kernels if profile else by_part(speed.kernels):
         called = f"{kernel.part} {kernel.name}".strip()
         took = f"{1000 * kernel.seconds:.2f} ms, {kernel.bytes / 1e6:.1f} MB"
         yield f"  {called}: {kernel.launches:,.0f} launches, {took}"
@@ -166,19 +166,19 @@ def rows(measurements: Sequence[Measurement]) -> list[tuple[str, ...]]:
     """The rows of the table with the header `HEAD`. Resets: median (95th percentile), in milliseconds."""
     return [
         (
-            f"{made.task} {made.variant}",
-            made.preset or "none",
-            f"{made.rate:,.0f}",
-            f"{made.bare_rate:,.0f}",
-            f"{made.share:.0%}",
-            *(_milliseconds(made, cause) for cause in CAUSES),
+            f"{speed.task} {speed.variant}",
+            speed.preset or "none",
+            f"{speed.rate:,.0f}",
+            f"{speed.bare_rate:,.0f}",
+            f"{speed.share:.0%}",
+            *(_milliseconds(speed, cause) for cause in CAUSES),
         )
-        for made in measurements
+        for speed in measurements
     ]
 
 
-def _milliseconds(made: Measurement, cause: Cause) -> str:
-    median, most = (made.reset_quantile(cause, share) for share in (0.5, 0.95))
+def _milliseconds(speed: Measurement, cause: Cause) -> str:
+    median, most = (speed.reset_quantile(cause, share) for share in (0.5, 0.95))
     return "" if median is None or most is None else f"{1000 * median:.1f} ms ({1000 * most:.1f})"
 
 
@@ -204,21 +204,21 @@ def facts(measurements: Sequence[Measurement], yardstick: float | None) -> dict[
         "machine": machine(),
         "memory_mb": memory(),
         "gym_pusht_rate": yardstick,
-        "environments": [_entry(made) for made in measurements],
+        "environments": [_entry(speed) for speed in measurements],
     }
 
 
-def _entry(made: Measurement) -> Mapping[str, Any]:
+def _entry(speed: Measurement) -> Mapping[str, Any]:
     resets = {
         cause: {
-            "count": len(made.resets[cause]),
-            "median": made.reset_quantile(cause, 0.5),
-            "p95": made.reset_quantile(cause, 0.95),
+            "count": len(speed.resets[cause]),
+            "median": speed.reset_quantile(cause, 0.5),
+            "p95": speed.reset_quantile(cause, 0.95),
         }
         for cause in CAUSES
     }
     names = ("task", "variant", "preset", "steps", "rate", "bare_rate", "share")
-    return {name: getattr(made, name) for name in names} | {"resets": resets}
+    return {name: getattr(speed, name) for name in names} | {"resets": resets}
 
 
 def machine() -> dict[str, str | int]:

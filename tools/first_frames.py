@@ -17,19 +17,16 @@ from collections import Counter
 
 def round_of(threads: int) -> None:
     """Draws in so many threads at once; raises unless all see the same picture."""
-    import magical_mj.envs.composer  # noqa: F401
-    from magical_mj.assets.world import World
-    from magical_mj.engine.simulation import Simulation
-    from magical_mj.tasks.registry import sample_scene
+    from magical_mj import Engine
 
-    simulations = [Simulation.of(World(sample_scene("MatchRegions", "Demo", 0))) for _ in range(threads)]
+    engines = [Engine("MatchRegions", seed=0) for _ in range(threads)]
     start, sums = threading.Barrier(threads), []
 
-    def draw(simulation: Simulation) -> None:
+    def draw(engine: Engine) -> None:
         start.wait()
-        sums.append(int(simulation.draw("ego", 96).sum()))
+        sums.append(int(engine.render("ego", 96).sum()))
 
-    workers = [threading.Thread(target=draw, args=(simulation,)) for simulation in simulations]
+    workers = [threading.Thread(target=draw, args=(engine,)) for engine in engines]
     for worker in workers:
         worker.start()
     for worker in workers:

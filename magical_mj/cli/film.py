@@ -142,10 +142,10 @@ def film(
             raise failed from error
 
     with files.new_file(path, overwrite=overwrite) as unfinished:
-        made = Film(send, size, views, pause=PAUSE * rate)
+        movie = Film(send, size, views, pause=PAUSE * rate)
         writer = imageio_ffmpeg.write_frames(
             str(unfinished.absolute()),  # ffmpeg takes "a:b.mp4" for a protocol
-            (made.width, made.height),
+            (movie.width, movie.height),
             fps=rate,
             macro_block_size=2,
             quality=8,
@@ -153,16 +153,16 @@ def film(
         )
         writer.send(None)
         try:
-            yield made
+            yield movie
         finally:
             writer.close()
         with contextlib.suppress(RuntimeError):  # it has none at all
-            if imageio_ffmpeg.count_frames_and_secs(str(unfinished.absolute()))[0] == made.frames:
+            if imageio_ffmpeg.count_frames_and_secs(str(unfinished.absolute()))[0] == movie.frames:
                 return
         raise failed  # ffmpeg does not report this
 
 
-def replay(made: Film, score: EpisodeResult) -> None:
+def replay(movie: Film, score: EpisodeResult) -> None:
     """Replays the actions of an evaluated episode, and adds it to a video.
 
     Raises:
@@ -171,10 +171,10 @@ def replay(made: Film, score: EpisodeResult) -> None:
     rules = check_rules(score.rules)
     with closing(magical_mj.Engine(score.task, score.variant, seed=score.seed, rules=rules)) as env:
         title = f"{score.task} {score.variant}, seed {score.seed}: {score.policy}"
-        made.begin(title, side_by_side(env, made.size, made.views), env.score())
+        movie.begin(title, side_by_side(env, movie.size, movie.views), env.score())
         for step, (action, _) in enumerate(play(env, actions_of(score.actions)), start=1):
-            made.add(side_by_side(env, made.size, made.views), step, action, env.score())
-        made.end()
+            movie.add(side_by_side(env, movie.size, movie.views), step, action, env.score())
+        movie.end()
         ending = env.score()
     if score.failure is None and abs(ending - score.score) > SCORE_TOLERANCE:
         raise EvaluationError(

@@ -57,7 +57,7 @@ def test_a_policy_that_fails_is_told_and_filmed(shell: Shell, tmp_path: Path) ->
     policy = "my [red] one=wrong:act"
     code, out, _ = shell("rollout", "MoveToRegion", "--policy", policy, "--video", "a:b.mp4", "--size", 32)
     assert code == 1
-    assert "score 0.00 after 0 steps; the policy failed: ValueError: [batch, 12] is not in [/data]\n" in out
+    assert "score 0.00 after 0 steps; the policy failed: ValueError: [batch, 12] is not in [/data]" in out
     assert "my [red] one: mean of 1 0.000" in out
 
 

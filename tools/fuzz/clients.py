@@ -150,10 +150,14 @@ def _operations(rng: random.Random, _folder: Path) -> None:
     alone.reset(seed=seed)
     for action in done:
         alone.step(action)
+    _check_same(env, alone, f"{task}-{variant}")
+
+
+def _check_same(env: magical_mj.Engine, alone: magical_mj.Engine, name: str) -> None:
     if alone.get_state() != env.get_state():
-        raise FindError(f"{task}-{variant} is not where the same actions alone lead")
+        raise FindError(f"{name} is not where the same actions alone lead")
     if not np.array_equal(alone.render("allo", 32), env.render("allo", 32)):
-        raise FindError(f"{task}-{variant} does not look like after the same actions alone")
+        raise FindError(f"{name} does not look like after the same actions alone")
 
 
 def _pickled(thing: Any) -> Any:
