@@ -98,6 +98,7 @@ class Arena(composer.Entity):
 
     def _build(self, scene: Scene) -> None:
         self._model = mjcf.from_xml_string(model_mjcf())
+        self._model.size.memory = str(33 * 2**20)  # as dm_control writes it once trees are attached anew
         more = f"<actuator>{actuators_mjcf()}</actuator><contact>{APART}</contact>"
         self.robot = Thing("robot", _robot, scene, more)
         self.blocks: list[Thing] = []

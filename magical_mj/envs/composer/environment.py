@@ -304,6 +304,7 @@ class Environment(composer.Environment):
         task.start(scene, state)
         self.seed, self._first_seed, self._begun, self._over = seed, None, True, True  # over until it has succeeded
         if not self._recompile and task.world.structure != self._structure:
+            task.root_entity.show(scene)  # what composer observes now
             self._compile(task, self.random_state)
         timestep = super().reset()
         if state is not None:
