@@ -6,8 +6,8 @@ from pathlib import Path
 
 from pictures import animation, examples, scenes
 
+from magical_mj.leaderboard.page import label
 from magical_mj.leaderboard.standings import Standing, own_standings, published
-from magical_mj.leaderboard.tables import label
 from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, task_spec
 from magical_mj.web.page_data import sections

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from magical_mj import ENVIRONMENTS, TASKS
 from magical_mj.envs.presets import PRESETS
 from magical_mj.evaluation.reports.statistics import rank_correlation
+from magical_mj.leaderboard.page import label
 from magical_mj.leaderboard.standings import Standing, own_standings, published
-from magical_mj.leaderboard.tables import label
 from magical_mj.scene import constants as c
 from magical_mj.tasks.registry import task_spec
 from magical_mj.variants import VARIANTS, Axis

@@ -161,11 +161,6 @@ def complain(message: str) -> None:
         silence(sys.stderr)
 
 
-def counted(number: int, noun: str) -> str:
-    """A number of things in words, such as "1 episode" or "2 episodes"."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
 def file_name(task: str, variant: str, seed: int, suffix: str) -> str:
     """The default name of a file about one scene."""
     return f"{task_spec(task).name}-{variant_name(variant)}-{seed}{suffix}"

@@ -30,7 +30,6 @@ from magical_mj.cli.console import (
     check_suffix,
     check_writable,
     console,
-    counted,
     make_writable_folder,
     with_bar,
 )
@@ -45,7 +44,7 @@ from magical_mj.evaluation.worker import Unit, player
 from magical_mj.policies.loading import check_fit, sources
 from magical_mj.tasks.registry import Pair, task_name, task_spec, variant_name
 from magical_mj.utils import files
-from magical_mj.utils.errors import EvaluationError
+from magical_mj.utils.errors import EvaluationError, counted
 from magical_mj.utils.extras import check_extra
 from magical_mj.utils.settings import LARGEST_SETTING
 

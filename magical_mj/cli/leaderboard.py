@@ -18,6 +18,7 @@ from magical_mj.leaderboard.entry import entry_files
 from magical_mj.leaderboard.page import check_free, write_pages
 from magical_mj.leaderboard.standings import gaps, standings
 from magical_mj.utils.errors import EvaluationError, counted
+from magical_mj.utils.extras import check_extra
 
 SHOWN: Final = 20
 """The largest number of problems that are printed; the others are counted."""
@@ -82,6 +83,7 @@ def make_leaderboard(
     jobs: Jobs = None,
 ) -> None:
     """Check all entries in a folder, and write the leaderboard: leaderboard.html and leaderboard.md."""
+    check_extra("leaderboards", "eval")
     check_fits(context, not everything, "without --all", "seed", "replay")
     paths, pages = entry_files(folder), out or (folder.parent if folder.is_file() else folder)
     check_free(make_writable_folder(pages))

@@ -21,7 +21,7 @@ from magical_mj.leaderboard.entry import SEEDS, Entry, name_of
 from magical_mj.policies.interface import LETTERS, actions_of
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, check_rules, task_spec
-from magical_mj.utils.errors import EvaluationError, short_repr
+from magical_mj.utils.errors import EvaluationError, PhysicsError, short_repr
 from magical_mj.utils.parallel import map_unordered
 from magical_mj.variants import check_seed
 
@@ -288,28 +288,31 @@ def _replay(chunk: Sequence[Recorded]) -> list[ReplayResult]:
     from magical_mj.engine import Engine  # which loads the simulator
 
     first, results = chunk[0][1], []
-    with closing(Engine(first.task, first.variant, seed=0, rules=check_rules(first.rules))) as env:
+    with closing(Engine(first.task, first.variant, seed=first.seed, rules=check_rules(first.rules))) as engine:
         for source, episode in chunk:
             start = perf_counter()
-            env.reset(seed=episode.seed)
-            difference = _difference(episode, env)
+            engine.reset(seed=None if episode.seed == engine.seed else episode.seed)  # None: the same scene again
+            difference = _difference(episode, engine)
             problem = f"{name_of(episode)}: {difference}" if difference else None
             results.append(ReplayResult(source, len(episode.actions), perf_counter() - start, problem))
     return results
 
 
-def _difference(episode: EpisodeResult, env: Engine) -> str | None:
-    """What is wrong with an episode, whose scene the environment is in; None if its replay confirms it."""
-    digest = env.initial_scene.digest()
+def _difference(episode: EpisodeResult, engine: Engine) -> str | None:
+    """What is wrong with an episode, whose scene the engine is in; None if its replay confirms it."""
+    digest = engine.initial_scene.digest()
     if episode.scene is not None and episode.scene != digest:
         return f"it was played in the scene {episode.scene}, and the seed's scene is {digest}"
-    problem = inconsistency(episode, env.horizon)
+    problem = inconsistency(episode, engine.horizon)
     if problem is not None or episode.failure is not None:
         return problem
-    for action in actions_of(episode.actions):
-        env.step(action)
-    if abs(env.score() - episode.score) > SCORE_TOLERANCE:
-        return f"the score is {episode.score:g}, and its actions lead to {env.score():g}"
+    try:
+        for action in actions_of(episode.actions):
+            engine.step(action)
+    except PhysicsError as error:
+        return f"it cannot be replayed: {error}"
+    if abs(engine.score() - episode.score) > SCORE_TOLERANCE:
+        return f"the score is {episode.score:g}, and its actions lead to {engine.score():g}"
     return None
 
 

@@ -14,7 +14,7 @@ from magical_mj.utils.errors import MissingExtraError
 
 MODULES: Final = {
     "dask": ("distributed",),
-    "eval": ("fastjsonschema", "joblib", "matplotlib", "pandas", "scipy"),
+    "eval": ("joblib", "matplotlib", "pandas", "scipy"),
     "gpu": ("mujoco_warp", "torch", "warp"),
     "il": ("kornia", "safetensors", "stable_baselines3", "tensorboard", "torch"),
     "video": ("imageio_ffmpeg",),

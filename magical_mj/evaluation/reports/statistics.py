@@ -26,6 +26,8 @@ Floats = NDArray[np.float64]
 
 RESAMPLES: Final = 2000
 CONFIDENCE: Final = 0.95
+AT_ONCE: Final = 50_000_000
+"""The largest number of resampled values that are held at a time; each takes 16 bytes."""
 
 SCORE_TOLERANCE: Final = 1e-9
 """Scores that differ by less than this are equal."""
@@ -90,11 +92,13 @@ def bootstrap(strata: Sequence[Floats], statistic: Any, resamples: int = RESAMPL
 
     if min(map(len, strata)) < 2:
         return np.nan, np.nan
+    size = sum(map(len, strata))
     interval = scipy_bootstrap(
         tuple(strata),
         statistic,
         vectorized=True,
         n_resamples=resamples,
+        batch=None if size * resamples <= AT_ONCE else max(1, AT_ONCE // size),
         confidence_level=CONFIDENCE,
         method="percentile",
         rng=np.random.default_rng(0),  # the same scores always have the same interval
