@@ -1,0 +1,119 @@
+"""The software renderer beside OpenGL: how their pictures differ, and how long both take.
+
+    python tools/renderers.py [--seeds N] [--states N] [--steps N]
+
+In every environment, each action of a few random episodes is drawn by both, ego and allo at 96 pixels. Then some
+environments are stepped with either. Times are processor time; they mean little on a busy machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Iterator
+
+import gymnasium
+import mujoco
+import numpy as np
+
+import magical_mj
+from magical_mj.assets.contacts import SUBSTEPS
+from magical_mj.assets.robot import control_signal
+from magical_mj.assets.world import world_mjcf
+from magical_mj.rendering.canvas import opengl_name
+from magical_mj.rendering.renderer import RENDERERS, Renderer
+from magical_mj.rendering.software import SoftwareRenderer
+from magical_mj.scene.state_vector import VIEWS
+
+SIZE = 96
+STEPPED = ("MoveToCorner", "MatchRegions", "MakeLine")
+REPEATS = 7
+
+
+def states(task: str, variant: str, seed: int, count: int) -> Iterator[tuple[mujoco.MjModel, mujoco.MjData]]:
+    """A model, and its data after each of so many random actions."""
+    rng = np.random.default_rng(seed)
+    model = mujoco.MjModel.from_xml_string(world_mjcf(magical_mj.sample_scene(task, variant, seed)))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    action = 0
+    for number in range(count):
+        yield model, data
+        action = int(rng.integers(18)) if number % 4 == 0 else action
+        data.ctrl[:] = control_signal(action)
+        mujoco.mj_step(model, data, SUBSTEPS)
+        mujoco.mj_forward(model, data)
+
+
+def microseconds(draw: Callable[[], object], count: int = 50) -> float:
+    """Processor time of one call: the least of several means."""
+    times = []
+    for _ in range(REPEATS):
+        start = time.thread_time_ns()
+        for _ in range(count):
+            draw()
+        times.append((time.thread_time_ns() - start) / count / 1000)
+    return min(times)
+
+
+def compare(task: str, variant: str, seeds: int, count: int) -> tuple[int, int, np.ndarray]:
+    """Prints a row for one environment. Returns the pixels, those that differ, and how many differ by each level."""
+    pixels, levels = 0, np.zeros(256, np.int64)
+    model = None
+    for seed in range(seeds):
+        for now, data in states(task, variant, seed, count):
+            if now is not model:
+                model, opengl, software = now, Renderer(now), SoftwareRenderer(now)
+            for view in VIEWS:
+                a, b = opengl.draw(data, view, SIZE).astype(np.int16), software.draw(data, view, SIZE)
+                levels += np.bincount(np.abs(a - b).max(axis=2).ravel(), minlength=256)
+                pixels += SIZE * SIZE
+    out = np.zeros((SIZE, SIZE, 12), np.uint8)[..., :3]
+    slow, fast = (microseconds(lambda r=r: r.draw(data, "ego", SIZE, out)) for r in (opengl, software))
+    different = int(levels[1:].sum())
+    print(
+        f"{task:14}{variant:10} {100 * different / pixels:.4f} % differ, by at most {levels.nonzero()[0].max():3}; "
+        f"OpenGL {slow:4.0f} us, software {fast:3.0f} us",
+        flush=True,
+    )
+    return pixels, different, levels
+
+
+def steps_per_second(task: str, renderer: str, steps: int) -> float:
+    """Actions per second of processor time in a LoRes4E environment, without resets."""
+    env = gymnasium.make(f"magical_mj/{task}-Demo-LoRes4E-v0", renderer=renderer).unwrapped
+    rng = np.random.default_rng(0)
+    spent, taken, seed = 0.0, 0, 0
+    while taken < steps:
+        env.reset(seed=seed)
+        seed, last = seed + 1, False
+        start = time.process_time()
+        while not last:
+            last = env.step(int(rng.integers(18)))[3]
+            taken += 1
+        spent += time.process_time() - start
+    env.close()
+    return taken / spent
+
+
+def main() -> None:
+    """Prints a row for each environment, the sums, and the steps per second."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name, default in (("seeds", 2), ("states", 20), ("steps", 600)):
+        parser.add_argument(f"--{name}", type=int, default=default)
+    arguments = parser.parse_args()
+    print(f"OpenGL: {opengl_name()}; MuJoCo {mujoco.__version__}")
+    pixels, different, levels = 0, 0, np.zeros(256, np.int64)
+    for task, variant in magical_mj.ENVIRONMENTS:
+        row = compare(task, variant, arguments.seeds, arguments.states)
+        pixels, different, levels = pixels + row[0], different + row[1], levels + row[2]
+    middle = int(np.searchsorted(levels[1:].cumsum(), different / 2)) + 1
+    print(f"{pixels} pixels, {100 * different / pixels:.4f} % differ, half of these by at most {middle} of 255")
+    for task in STEPPED if arguments.steps else ():
+        rates = {renderer: steps_per_second(task, renderer, arguments.steps) for renderer in RENDERERS}
+        ratio = rates["software"] / rates["opengl"]
+        print(f"{task:14}" + ", ".join(f"{name} {rate:.0f} steps/s" for name, rate in rates.items()) + f": {ratio:.2f}")
+
+
+if __name__ == "__main__":
+    main()
