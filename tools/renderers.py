@@ -20,8 +20,9 @@ import magical_mj
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import control_signal
 from magical_mj.assets.world import world_mjcf
+from magical_mj.rendering.backend import RENDERERS
 from magical_mj.rendering.canvas import opengl_name
-from magical_mj.rendering.renderer import RENDERERS, Renderer
+from magical_mj.rendering.renderer import Renderer
 from magical_mj.rendering.software import SoftwareRenderer
 from magical_mj.scene.state_vector import VIEWS
 

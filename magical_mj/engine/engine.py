@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from magical_mj.engine.setup import Setup, check_one_start
 from magical_mj.engine.simulation import Simulation
 from magical_mj.engine.state import State, check_state
+from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
-from magical_mj.scene.state_vector import CAMERAS, StateEncoder
+from magical_mj.scene.state_vector import CAMERAS, SEGMENTATIONS, StateEncoder
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import ClosedError, PhysicsError, StateError, check_name
@@ -32,6 +33,7 @@ class Engine:
         scene: the scene in which to start.
         rules: "paper", or "released" for the scores and horizons of the original's released code.
         seed: the seed of the first scene; None: drawn from the system's entropy.
+        renderer: "opengl" or "software" for flat views; None: MAGICAL_MJ_RENDERER, or what works (docs/pictures.md).
 
     Attributes:
         setup: task, variant and rules, with what follows from them.
@@ -57,6 +59,7 @@ class Engine:
         scene: Scene | None = None,
         rules: Rules = "paper",
         seed: int | None = None,
+        renderer: str | None = None,
     ) -> None:
         check_one_start(seed=seed, scene=scene)
         task_spec(task)  # None, too, is no task
@@ -66,10 +69,10 @@ class Engine:
             scene = setup.sample(seed)
         else:
             setup.check(scene)
-        self._begin(setup, scene, seed)
+        self._begin(setup, scene, seed, renderer)
 
     @classmethod
-    def of_scene(cls, scene: Scene) -> Engine:
+    def of_scene(cls, scene: Scene, renderer: str | None = None) -> Engine:
         """An engine for a plain scene: no task, so no score and no horizon.
 
         Raises:
@@ -77,13 +80,14 @@ class Engine:
         """
         engine, setup = cls.__new__(cls), Setup(None)
         setup.check(scene)
-        engine._begin(setup, scene, None)
+        engine._begin(setup, scene, None, renderer)
         return engine
 
-    def _begin(self, setup: Setup, scene: Scene, seed: int | None) -> None:
+    def _begin(self, setup: Setup, scene: Scene, seed: int | None, renderer: str | None) -> None:
+        check_renderer(renderer)
         self.setup, self.task, self.variant, self.rules = setup, setup.task, setup.variant, setup.rules
         self.horizon = setup.horizon
-        self._simulation: Simulation | None = Simulation(scene)
+        self._simulation: Simulation | None = Simulation(scene, renderer)
         self._encoder: tuple[Scene, StateEncoder] | None = None
         self.seed, self.steps, self._broken = seed, 0, False
 
@@ -196,14 +200,15 @@ class Engine:
         """A picture of the present state in a fresh array or in `out`. Shape (size, size, 3), uint8 RGB, top row first.
 
         Args:
-            view: "ego" or "allo", the flat views of the benchmark, or "scene", a 3-D view from above a corner.
+            view: "ego" or "allo", the flat views of the benchmark, or "scene", a 3-D view from above a corner; or
+                "ego-segmentation" or "allo-segmentation", of shape (size, size), which say what is where.
             size: pixels per side.
             out: the array to write to.
 
         Raises:
             UnknownNameError, SettingsError, RenderingError: for another view, size or array; without OpenGL.
         """
-        check_name("view", view, CAMERAS)
+        check_name("view", view, (*CAMERAS, *SEGMENTATIONS))
         return self.simulation.draw(view, check_size(size, "size"), out)
 
     def get_state(self) -> State:
@@ -237,7 +242,7 @@ class Engine:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For copying and pickling: what it was made of, and its state."""
-        return _restored, (self.setup, self.seed, self.get_state(), self._broken)
+        return _restored, (self.setup, self.seed, self.get_state(), self._broken, self.simulation.renderer)
 
     def close(self) -> None:
         """Frees the simulation. Closing twice is fine."""
@@ -246,10 +251,10 @@ class Engine:
         self._simulation = None
 
 
-def _restored(setup: Setup, seed: int | None, state: State, broken: bool) -> Engine:
+def _restored(setup: Setup, seed: int | None, state: State, broken: bool, renderer: str | None) -> Engine:
     """A copy of an engine, as `Engine.__reduce__` describes it."""
     engine = Engine.__new__(Engine)
-    engine._begin(setup, state.scene, seed)
+    engine._begin(setup, state.scene, seed, renderer)
     engine.simulation.restore(state.simulation)
     engine.steps, engine._broken = state.steps, broken
     return engine

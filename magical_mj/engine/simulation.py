@@ -13,11 +13,10 @@ from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import control_signal
 from magical_mj.assets.world import World, world_model
 from magical_mj.rendering.canvas import Picture
-from magical_mj.rendering.renderer import Renderer, SolidRenderer, check_out
+from magical_mj.rendering.renderer import Views
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import action_number
 from magical_mj.scene.scene import MAX_NUMBER
-from magical_mj.scene.state_vector import SOLID_VIEW
 from magical_mj.utils.errors import PhysicsError, StateError
 
 _LEAST: Final = np.iinfo(np.int32).min
@@ -41,9 +40,9 @@ class Simulation:
     model: mujoco.MjModel
     data: mujoco.MjData
 
-    def __init__(self, scene: Scene) -> None:
-        self._renderer: Renderer | None = None
-        self._solid_renderer: SolidRenderer | None = None
+    def __init__(self, scene: Scene, renderer: str | None = None) -> None:
+        self.renderer = renderer
+        self._views: Views | None = None
         self._compile(World(scene))
         self._begin()
 
@@ -79,7 +78,7 @@ class Simulation:
         """Another simulation in the same state, which shares the model."""
         twin = object.__new__(type(self))
         twin.world, twin.model, twin.data = self.world, self.model, copy(self.data)
-        twin._renderer = twin._solid_renderer = None
+        twin.renderer, twin._views = self.renderer, None
         return twin
 
     def act(self, action: Any) -> None:
@@ -108,22 +107,16 @@ class Simulation:
         restore(self.model, self.data, saved)
 
     def draw(self, view: str, size: int, out: Picture | None = None) -> Picture:
-        """A picture of the present state, fresh or in `out`. Shape (size, size, 3), RGB, top row first."""
-        check_out(out, size)
-        if view == SOLID_VIEW:
-            if self._solid_renderer is None or self._solid_renderer.model is not self.model:
-                self._solid_renderer = SolidRenderer(self.model)
-            return self._solid_renderer.draw(self.data, view, size, out)
-        if self._renderer is None or self._renderer.model is not self.model:
-            self._renderer = Renderer(self.model)
-        return self._renderer.draw(self.data, view, size, out)
+        """A view of the present state, fresh or in `out`, top row first: see `rendering.renderer.Views.draw`."""
+        if self._views is None or self._views.model is not self.model:
+            self._views = Views(self.model, self.renderer)
+        return self._views.draw(self.data, view, size, out)
 
     def free(self) -> None:
         """Frees what the simulation drew with."""
-        for renderer in (self._renderer, self._solid_renderer):
-            if renderer is not None:
-                renderer.close()
-        self._renderer = self._solid_renderer = None
+        if self._views is not None:
+            self._views.close()
+        self._views = None
 
 
 def advance(model: mujoco.MjModel, data: mujoco.MjData, steps: int) -> None:

@@ -58,6 +58,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         reward: "none", or "score" for the score as reward at the last step.
         rules: "paper" or "released".
         action: "discrete" or "continuous".
+        renderer: "opengl" or "software" for flat views; None: MAGICAL_MJ_RENDERER, or what works (docs/pictures.md).
         render_mode: "rgb_array"; Gymnasium makes "human" (a window) from it.
         render_view: the view of `render`: "ego", "allo", "both" side by side, or "scene", in 3-D from above a corner.
         render_size: side of each view in pixels.
@@ -77,6 +78,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         reward: Reward = "none",
         rules: Rules = "paper",
         action: ActionForm = "discrete",
+        renderer: str | None = None,
         render_mode: str | None = None,
         render_view: str = "allo",
         render_size: int = 384,
@@ -94,7 +96,9 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._stacks = Stacks(self._preset, size)
         check_name("reward", reward, REWARDS)
         self.reward: Reward = reward
-        self._engine = Engine(task, variant, seed=0, rules=rules)  # every episode begins with a reset
+        self._engine = Engine(
+            task, variant, seed=0, rules=rules, renderer=renderer
+        )  # every episode begins with a reset
         self._continuous = action == "continuous"
         self.action_space = continuous_space() if self._continuous else spaces.Discrete(len(ACTIONS))
         self.observation_space = observation_space(self._preset, self._stacks.shapes)

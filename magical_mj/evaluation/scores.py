@@ -22,7 +22,7 @@ from magical_mj._version import __version__
 from magical_mj.evaluation.settings import MUJOCO_VERSION
 from magical_mj.policies.interface import Episode, letters_of
 from magical_mj.policies.loading import loader_in
-from magical_mj.rendering.backend import chosen_backend
+from magical_mj.rendering.backend import drawn_by
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, SettingsError, short_repr
 from magical_mj.utils.settings import check_unchanged
@@ -110,7 +110,7 @@ def result_of(
         seconds=round(seconds, 4),
         version=__version__,
         mujoco=MUJOCO_VERSION,
-        gl=chosen_backend(),
+        gl=drawn_by(),
         actions=letters,
         failure=failure,
         **facts,

@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from magical_mj._version import __version__
 from magical_mj.envs.presets import preset_named
-from magical_mj.rendering.backend import chosen_backend
+from magical_mj.rendering.backend import drawn_by
 from magical_mj.tasks.plugins import code_digest
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import TASKS, Pair, environments
@@ -105,6 +105,6 @@ class EvaluationSettings(Settings):
             "demonstrations": DEMONSTRATIONS,
             "version": __version__,
             "mujoco": MUJOCO_VERSION,
-            "gl": chosen_backend(),
+            "gl": drawn_by(),
             **{f"code of {task}": code_digest(task) for task in others},
         }

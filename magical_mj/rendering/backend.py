@@ -1,4 +1,4 @@
-"""The OpenGL backend of our pictures, which is chosen when the first one is drawn. An import chooses nothing.
+"""The choice of a renderer and of its OpenGL backend, made when the first picture is drawn. An import chooses nothing.
 
 mujoco and dm_control look at MUJOCO_GL when they are imported, and PyOpenGL at PYOPENGL_PLATFORM. We make our contexts
 from mujoco's modules for single backends, so that neither matters.
@@ -15,9 +15,15 @@ import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal, cast, get_args
 
-from magical_mj.utils.errors import RenderingError
+from magical_mj.utils.errors import RenderingError, check_name
+
+RendererName = Literal["opengl", "software"]
+RENDERERS: Final[tuple[RendererName, ...]] = get_args(RendererName)
+"""What draws the flat views: MuJoCo with OpenGL, or scanlines on the processor."""
+VARIABLE: Final = "MAGICAL_MJ_RENDERER"
+"""The environment variable that chooses between them for a whole process."""
 
 PACKAGES: Final = {"egl": "libegl1, libgl1-mesa-dri", "osmesa": "libosmesa6"}
 REMEDY = (
@@ -27,6 +33,28 @@ REMEDY = (
 OSMESA_LIBRARIES = ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
 EGL_PLATFORM_DEVICE_EXT = 0x313F
 MOST_DEVICES = 16
+
+
+def check_renderer(name: str | None) -> RendererName | None:
+    """The name of a renderer; None stands for MAGICAL_MJ_RENDERER, and if that is not set, stays None.
+
+    Raises:
+        UnknownNameError: if there is no such renderer.
+    """
+    name = os.environ.get(VARIABLE) or None if name is None else name
+    if name is not None:
+        check_name("renderer", name, RENDERERS)
+    return cast("RendererName | None", name)
+
+
+def drawn_by(renderer: str | None = None) -> str:
+    """What draws flat views, as results record it: "software", or OpenGL's backend, such as "egl".
+
+    Args:
+        renderer: as `rendering.renderer.Views` takes it.
+    """
+    renderer, backend = check_renderer(renderer), chosen_backend()
+    return "software" if renderer == "software" or (renderer is None and problem_of(backend)) else backend
 
 
 def chosen_backend() -> str:

@@ -11,28 +11,23 @@ On software OpenGL every drawn pixel costs time. Frames are cheap because of thi
 from __future__ import annotations
 
 import operator
-import os
 import warnings
+from collections.abc import Mapping
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final, Literal, cast, get_args
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
 
 import mujoco
 import numpy as np
 
 from magical_mj.rendering import gl
-from magical_mj.rendering.backend import chosen_backend, problem_of
+from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS, FORKED, Context, Picture
 from magical_mj.scene.state_vector import SEGMENTATIONS, SOLID_VIEW
-from magical_mj.utils.errors import RenderingError, SettingsError, check_name, short_repr
+from magical_mj.utils.errors import RenderingError, SettingsError, short_repr
 
 if TYPE_CHECKING:
     from magical_mj.rendering.software import SoftwareRenderer
-
-RendererName = Literal["opengl", "software"]
-RENDERERS: Final[tuple[RendererName, ...]] = get_args(RendererName)
-"""What draws the flat views: MuJoCo with OpenGL, or scanlines on the processor."""
-VARIABLE: Final = "MAGICAL_MJ_RENDERER"
-"""The environment variable that chooses between them for a whole process."""
 
 _FLAT: Final = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 """Ambient and diffuse light with which pixels have exactly the colours of the palette."""
@@ -76,28 +71,6 @@ def check_out(out: Any, size: int, channels: tuple[int, ...] = (3,)) -> None:
         raise SettingsError("out is a read-only array; give one that can be written to, or a copy")
 
 
-def check_renderer(name: str | None) -> RendererName | None:
-    """The name of a renderer; None stands for MAGICAL_MJ_RENDERER, and if that is not set, stays None.
-
-    Raises:
-        UnknownNameError: if there is no such renderer.
-    """
-    name = os.environ.get(VARIABLE) or None if name is None else name
-    if name is not None:
-        check_name("renderer", name, RENDERERS)
-    return cast("RendererName | None", name)
-
-
-def drawn_by(renderer: str | None = None) -> str:
-    """What draws flat views, as results record it: "software", or OpenGL's backend, such as "egl".
-
-    Args:
-        renderer: as `Views` takes it.
-    """
-    renderer, backend = check_renderer(renderer), chosen_backend()
-    return "software" if renderer == "software" or (renderer is None and problem_of(backend)) else backend
-
-
 class Views:
     """Draws all views of one model; what each needs is made when it is first drawn.
 
@@ -105,10 +78,13 @@ class Views:
         model: the model.
         renderer: "opengl" or "software" for the flat views. None: as MAGICAL_MJ_RENDERER says, else OpenGL if it works
             here, else software with a warning. What users have added to a model is drawn by OpenGL alone.
+        cameras: the names of the model's cameras where they are not those of the views.
     """
 
-    def __init__(self, model: mujoco.MjModel, renderer: str | None = None) -> None:
-        self.model = model
+    def __init__(
+        self, model: mujoco.MjModel, renderer: str | None = None, cameras: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
+        self.model, self._cameras = model, cameras
         self._wanted = check_renderer(renderer)
         self._flat: Renderer | SoftwareRenderer | None = None
         self._segments: SoftwareRenderer | None = None
@@ -136,7 +112,7 @@ class Views:
             self._solid = self._solid or SolidRenderer(self.model)
             return self._solid.draw(data, view, size, out)
         self._flat = self._flat or self._choose()
-        return self._flat.draw(data, view, size, out)
+        return self._flat.draw(data, self._cameras.get(view, view), size, out)
 
     def close(self) -> None:
         """Releases what it drew with. May be called twice."""

@@ -7,6 +7,7 @@ is flat, so a depth would say nothing.
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Iterable
 from types import MappingProxyType
@@ -131,8 +132,9 @@ def polygons_of(model: mujoco.MjModel) -> tuple[NDArray[np.int32], NDArray[np.fl
 
 
 def _segment(body: str) -> int:
-    index = body.removeprefix("block")
-    return min(BLOCK + int(index), 255) if index != body else SEGMENTS.get(body, FLOOR)
+    part = body.strip("/").rpartition("/")[2]  # composer's names begin with those of their trees
+    block = re.fullmatch(r"block(\d+)", part)
+    return min(BLOCK + int(block[1]), 255) if block else SEGMENTS.get(part, FLOOR)
 
 
 def _parts(model: mujoco.MjModel, geom: int) -> list[NDArray[np.float64]]:

@@ -63,7 +63,7 @@ def test_drawing_after_a_fork_is_refused_and_spawning_suggested() -> None:
     result = python(
         f"{FIRST_FRAME}"
         "import multiprocessing\n"
-        "worker = multiprocessing.get_context('fork').Process(target=env.step, args=(0,))\n"
+        "worker = multiprocessing.get_context('fork').Process(target=env.render)\n"
         "worker.start(); worker.join(60)\n"
         "raise SystemExit(worker.exitcode)"
     )

@@ -18,7 +18,8 @@ import magical_mj
 from magical_mj.assets import style
 from magical_mj.assets.world import world_mjcf
 from magical_mj.rendering import scanlines
-from magical_mj.rendering.renderer import Renderer, Views, check_renderer, drawn_by
+from magical_mj.rendering.backend import check_renderer, drawn_by
+from magical_mj.rendering.renderer import Renderer, Views
 from magical_mj.rendering.software import BLOCK, FINGER, FLOOR, REGION, ROBOT, WALL, SoftwareRenderer
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.utils.errors import RenderingError, UnknownNameError
@@ -246,7 +247,8 @@ FALLBACK = """
 import magical_mj.assets
 import warnings
 from tests.rendering.test_software import CORNER, world
-from magical_mj.rendering.renderer import Views, drawn_by
+from magical_mj.rendering.backend import drawn_by
+from magical_mj.rendering.renderer import Views
 from magical_mj.utils.errors import RenderingError
 model, data = world(CORNER)
 with warnings.catch_warnings(record=True) as said:

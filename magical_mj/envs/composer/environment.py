@@ -26,11 +26,11 @@ from magical_mj.engine.setup import Setup, check_one_start
 from magical_mj.engine.simulation import advance, restore, save
 from magical_mj.engine.state import check_state
 from magical_mj.envs.composer.entities import Arena
-from magical_mj.rendering.renderer import Renderer, SolidRenderer, check_out, check_size
+from magical_mj.rendering.renderer import Views, check_size
 from magical_mj.scene import Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS, action_number
-from magical_mj.scene.state_vector import CAMERAS, OBSERVATIONS, SOLID_VIEW, STATE_NAMES, VIEWS, StateEncoder
+from magical_mj.scene.state_vector import CAMERAS, OBSERVATIONS, STATE_NAMES, VIEWS, StateEncoder
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
 from magical_mj.utils import errors
@@ -79,7 +79,7 @@ class SceneTask(composer.Task):
     ) -> None:
         self.setup, self.observations, self.image_size, self.reward = setup, tuple(observations), image_size, reward
         self.steps = 0
-        self._renderers: dict[type[Renderer], Renderer] = {}
+        self._views: Views | None = None
         self._arena = Arena(scene)
         self.start(scene)
         self._observables = OrderedDict((name, self._observable(name)) for name in observations)
@@ -103,18 +103,15 @@ class SceneTask(composer.Task):
 
     def draw(self, physics: Any, view: str, size: int, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
         """A picture of the present state, fresh or in `out`. Shape (size, size, 3), RGB, top row first."""
-        check_out(out, size)
-        kind, model = SolidRenderer if view == SOLID_VIEW else Renderer, physics.model.ptr
-        renderer = self._renderers.get(kind)
-        if renderer is None or renderer.model is not model:
-            renderer = self._renderers[kind] = kind(model)
-        return renderer.draw(physics.data.ptr, CAMERA_NAMES.get(view, view), size, out)
+        if self._views is None or self._views.model is not physics.model.ptr:
+            self._views = Views(physics.model.ptr, cameras=CAMERA_NAMES)
+        return self._views.draw(physics.data.ptr, view, size, out)
 
     def free(self) -> None:
         """Frees what it drew with."""
-        for renderer in self._renderers.values():
-            renderer.close()
-        self._renderers.clear()
+        if self._views is not None:
+            self._views.close()
+        self._views = None
 
     @property
     def root_entity(self) -> Arena:
