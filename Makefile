@@ -103,7 +103,7 @@ $(LEROBOT)/.installed: pyproject.toml
 
 constraints:  ## write constraints.txt: the newest versions that a fresh environment gets today
 	$(PYTHON) -m venv $(VENV)-new
-	$(VENV)-new/bin/python -m pip install --quiet --editable '.[dev,ray]' 'torch==2.13.0'
+	$(VENV)-new/bin/python -m pip install --quiet --editable '.[dev]' 'torch==2.13.0'
 	{ echo "# The versions that the tests ran with; make and CI install through this file. Written by make constraints."; \
 	$(VENV)-new/bin/python -m pip freeze --exclude-editable | sed 's/+cpu$$//'; } > constraints.txt
 	rm -r $(VENV)-new
