@@ -7,6 +7,7 @@ import resource
 import tempfile
 import time
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -36,7 +37,7 @@ def write(path: Path, episodes: int) -> None:
             file.write(json.dumps({**episode, **row, **played, **scene}) + "\n")
 
 
-def main(episodes: int = 100_000) -> None:
+def main(episodes: Annotated[int, typer.Argument(min=1)] = 100_000) -> None:
     """Prints how long a report of so many episodes takes, and the largest memory."""
     with tempfile.TemporaryDirectory() as folder:
         write(Path(folder) / SCORES, episodes)
