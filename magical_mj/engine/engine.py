@@ -85,7 +85,8 @@ class Engine:
 
     def _begin(self, setup: Setup, scene: Scene, seed: int | None, renderer: str | None) -> None:
         check_renderer(renderer)
-        self.setup, self.task, self.variant, self.rules = setup, setup.task, setup.variant, setup.rules
+        self.setup, self.task, self.variant = setup, setup.task, setup.variant
+        self.rules: Rules = setup.rules
         self.horizon = setup.horizon
         self._simulation: Simulation | None = Simulation(scene, renderer)
         self._encoder: tuple[Scene, StateEncoder] | None = None

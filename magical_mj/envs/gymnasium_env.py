@@ -143,8 +143,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             SettingsError: if the options are no dict.
         """
         seed = None if seed is None else check_seed(seed)
-        options = self._options.checked(options)
-        scene, state = _scene_option(options), options.get("state")
+        start = self._options.checked(options)
+        scene, state = _scene_option(start), start.get("state")
         if scene is not None or state is not None:
             self._check_observable(scene if state is None else getattr(state, "scene", None))
             self._engine.reset(scene=scene, state=state)
