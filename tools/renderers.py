@@ -105,11 +105,11 @@ def main() -> None:
     arguments = parser.parse_args()
     print(f"OpenGL: {opengl_name()}; MuJoCo {mujoco.__version__}")
     pixels, different, levels = 0, 0, np.zeros(256, np.int64)
-    for task, variant in magical_mj.ENVIRONMENTS:
+    for task, variant in magical_mj.ENVIRONMENTS if arguments.seeds else ():
         row = compare(task, variant, arguments.seeds, arguments.states)
         pixels, different, levels = pixels + row[0], different + row[1], levels + row[2]
     middle = int(np.searchsorted(levels[1:].cumsum(), different / 2)) + 1
-    print(f"{pixels} pixels, {100 * different / pixels:.4f} % differ, half of these by at most {middle} of 255")
+    print(f"{pixels} pixels, {100 * different / max(pixels, 1):.4f} % differ, half of these by at most {middle} of 255")
     for task in STEPPED if arguments.steps else ():
         rates = {renderer: steps_per_second(task, renderer, arguments.steps) for renderer in RENDERERS}
         ratio = rates["software"] / rates["opengl"]

@@ -149,6 +149,8 @@ env = gymnasium.make("magical_mj/FindDupe-Demo-State-v0")
 env.reset(seed=0); env.step(1)
 magical_mj.export_mjcf(magical_mj.sample_scene("FindDupe", "Demo", 0), sys.argv[1] + "/scene.xml")
 print(magical_mj.evaluate("noop", tasks="MoveToCorner", variants="Demo", episodes=1, jobs=1).score[0])
+assert dict(os.environ) == before
+assert not [name for name in sys.modules if name.startswith(("OpenGL", "dm_control"))]
 """
 
 
@@ -166,7 +168,7 @@ print(magical_mj.evaluate("noop", tasks="MoveToCorner", variants="Demo", episode
     ids=str,
 )
 def test_what_needs_no_pictures_needs_no_opengl(variables: dict[str, str], tmp_path: Path) -> None:
-    """Nor does an import change anything that other code of the process looks at."""
+    """Nor does an import, or an episode, change anything that other code of the process looks at."""
     result = subprocess.run(
         [sys.executable, "-c", UNTOUCHED, str(tmp_path)],
         env=BARE | variables,
