@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import gymnasium
 import mujoco
@@ -60,17 +61,18 @@ def microseconds(draw: Callable[[], object], count: int = 50) -> float:
 def compare(task: str, variant: str, seeds: int, count: int) -> tuple[int, int, np.ndarray]:
     """Prints a row for one environment. Returns the pixels, those that differ, and how many differ by each level."""
     pixels, levels = 0, np.zeros(256, np.int64)
-    model = None
+    slow = fast = 0.0
     for seed in range(seeds):
-        for now, data in states(task, variant, seed, count):
-            if now is not model:
-                model, opengl, software = now, Renderer(now), SoftwareRenderer(now)
+        renderers: tuple[Renderer, SoftwareRenderer] | None = None
+        for model, data in states(task, variant, seed, count):
+            opengl, software = renderers = renderers or (Renderer(model), SoftwareRenderer(model))
             for view in VIEWS:
                 a, b = opengl.draw(data, view, SIZE).astype(np.int16), software.draw(data, view, SIZE)
                 levels += np.bincount(np.abs(a - b).max(axis=2).ravel(), minlength=256)
                 pixels += SIZE * SIZE
-    out = np.zeros((SIZE, SIZE, 12), np.uint8)[..., :3]
-    slow, fast = (microseconds(lambda r=r: r.draw(data, "ego", SIZE, out)) for r in (opengl, software))
+            out = np.zeros((SIZE, SIZE, 12), np.uint8)[..., :3]
+            if seed == 0 and not slow:
+                slow, fast = (microseconds(partial(r.draw, data, "ego", SIZE, out)) for r in renderers)
     different = int(levels[1:].sum())
     print(
         f"{task:14}{variant:10} {100 * different / pixels:.4f} % differ, by at most {levels.nonzero()[0].max():3}; "
