@@ -11,14 +11,13 @@ Example:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from numbers import Integral
 from typing import TYPE_CHECKING
 
 from gymnasium.vector import AutoresetMode
 
 from magical_mj.tasks.registry import environments
 from magical_mj.tasks.spec import Reward, Rules
-from magical_mj.utils.errors import SettingsError, short_repr
+from magical_mj.utils.errors import SettingsError, as_integer, short_repr
 from magical_mj.utils.extras import check_extra
 
 if TYPE_CHECKING:
@@ -66,7 +65,7 @@ def make(
     from magical_mj.batched.environment import BatchedEnv
 
     for name, value, least in (("num_envs", num_envs, 1), ("workers", workers, 0)):
-        if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
+        if as_integer(value, least) is None:
             raise SettingsError(f"{name} must be an integer of at least {least}, not {short_repr(value)}")
     pairs = environments(task, variant)
     if num_envs < len(pairs):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.scene import Scene
-from magical_mj.utils.errors import StateError, short_repr
+from magical_mj.utils.errors import StateError, as_integer, short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ def check_state(state: object) -> None:
     """Raise `StateError` unless it is a `State`, whose simulation may still not fit."""
     if not isinstance(state, State):
         raise StateError(f"set_state() takes what get_state() gave, not {type(state).__name__}")
-    if isinstance(state.steps, bool) or not isinstance(state.steps, int | np.integer) or state.steps < 0:
+    if as_integer(state.steps) is None:
         raise StateError(f"the steps of a state are an integer from 0 up, not {short_repr(state.steps)}")
     if not isinstance(state.scene, Scene):
         raise StateError(f"the scene of a state is a magical_mj.Scene, not {short_repr(state.scene)}")

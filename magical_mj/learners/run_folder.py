@@ -27,7 +27,7 @@ from magical_mj.policies.interface import Policy
 from magical_mj.policies.loading import loader_in, sources
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.utils import files
-from magical_mj.utils.errors import SettingsError, TrainingError, short_repr
+from magical_mj.utils.errors import SettingsError, TrainingError, as_integer, short_repr
 from magical_mj.utils.files import read_toml
 from magical_mj.utils.imports import trust
 from magical_mj.utils.settings import check_unchanged
@@ -193,7 +193,7 @@ class RunFolder:
                     f"{number}: continue with magical_mj {start.get('magical_mj')}, or train anew in another folder"
                 )
         threads = start.get("threads")
-        if threads is not None and (type(threads) is not int or not 1 <= threads <= MOST_THREADS):
+        if threads is not None and as_integer(threads, 1, MOST_THREADS) is None:
             raise SettingsError(
                 f"threads in {config} must be an integer from 1 to {MOST_THREADS}, not {short_repr(threads)}"
             )

@@ -10,7 +10,6 @@ On software OpenGL every drawn pixel costs time. Frames are cheap because of thi
 
 from __future__ import annotations
 
-import operator
 import warnings
 from collections.abc import Mapping
 from functools import cache
@@ -24,7 +23,7 @@ from magical_mj.rendering import gl
 from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.canvas import CANVAS, DRAWN_GROUPS, FORKED, Context, Picture
 from magical_mj.scene.state_vector import SEGMENTATIONS, SOLID_VIEW
-from magical_mj.utils.errors import RenderingError, SettingsError, short_repr
+from magical_mj.utils.errors import RenderingError, SettingsError, as_integer, short_repr
 
 if TYPE_CHECKING:
     from magical_mj.rendering.software import SoftwareRenderer
@@ -49,11 +48,8 @@ def check_size(value: Any, name: str = "image_size") -> int:
     Raises:
         SettingsError: unless it is an integer in 1..LARGEST; the error calls it `name`.
     """
-    try:
-        size = 0 if isinstance(value, bool) else operator.index(value)
-    except TypeError:
-        size = 0
-    if not 1 <= size <= LARGEST:
+    size = as_integer(value, 1, LARGEST)
+    if size is None:
         raise SettingsError(f"{name} must be an integer in 1..{LARGEST} (pixels per side), not {short_repr(value)}")
     return size
 

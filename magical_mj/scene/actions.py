@@ -8,14 +8,13 @@ appendix "Action and observation space"). For learners of continuous actions, th
 from __future__ import annotations
 
 import itertools
-import operator
 from enum import IntEnum
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from magical_mj.utils.errors import InvalidActionError, short_repr
+from magical_mj.utils.errors import InvalidActionError, as_integer, short_repr
 
 
 class Gripper(IntEnum):
@@ -76,13 +75,8 @@ def action_number(action: Any) -> int:
     """
     if isinstance(action, Action):
         action = int(action.number) if action in ACTIONS else action
-    try:
-        if isinstance(action, np.ndarray) and action.ndim == 0:
-            action = action.item()
-        number = operator.index(action)
-    except (TypeError, ValueError):
-        number = -1
-    if isinstance(action, bool | np.bool_) or not 0 <= number < len(ACTIONS):
+    number = as_integer(action, 0, len(ACTIONS) - 1)
+    if number is None:
         raise InvalidActionError(
             f"{short_repr(action)} is not an action: actions are the integers 0..{len(ACTIONS) - 1} "
             "(9 * gripper + 3 * turn + drive; see magical_mj.scene.actions.ACTIONS)"

@@ -13,7 +13,7 @@ import numpy as np
 from magical_mj.scene import Scene
 from magical_mj.scene.arrays import Array, SceneArrays
 from magical_mj.tasks.planning import Noise, Subgoal
-from magical_mj.utils.errors import TaskError, short_repr
+from magical_mj.utils.errors import TaskError, as_integer, short_repr
 from magical_mj.utils.imports import errors_of_task
 from magical_mj.variants import VariationRules
 
@@ -79,7 +79,7 @@ class TaskSpec(VariationRules):
         self._require_function("score")
         self._require_function("plan", optional=True)
         for steps in (self.steps, self.steps if self.released_steps is None else self.released_steps):
-            if type(steps) is not int or steps < 1:
+            if as_integer(steps, 1) is None:
                 raise TaskError(f"the steps of {self.name} must be an integer above 0, not {short_repr(steps)}")
 
     def horizon(self, rules: Rules = "paper") -> int:

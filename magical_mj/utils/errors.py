@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import difflib
+import operator
 from collections.abc import Iterable
-from typing import Final
+from typing import Any, Final
 
 _SHOWN: Final = 80
 """The number of characters of a wrong value that a message shows."""
@@ -114,6 +115,18 @@ def short_repr(value: object) -> str:
 def counted(number: int, noun: str) -> str:
     """A number of things in words, such as "1 episode" or "2 episodes"."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def as_integer(value: Any, least: int = 0, most: int | None = None) -> int | None:
+    """`value` as an int, or None unless it is an integer from `least` to `most`, and no truth value.
+
+    Integers of numpy and other libraries are accepted, as are arrays without a dimension.
+    """
+    try:
+        number = operator.index(value)
+    except TypeError:
+        return None
+    return None if isinstance(value, bool) or number < least or (most is not None and number > most) else number
 
 
 def check_name(kind: str, name: object, allowed: Iterable[str]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 import zlib
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from magical_mj.scene import Dynamics, Scene
-from magical_mj.utils.errors import InvalidSeedError, PlacementError, TaskError, short_repr
+from magical_mj.utils.errors import InvalidSeedError, PlacementError, TaskError, as_integer, short_repr
 from magical_mj.variants.placement import contact, jitter, layout
 from magical_mj.variants.rules import AXES, Axis, VariationRules, varied_axes
 
@@ -101,11 +100,8 @@ def check_seed(seed: Any) -> int:
     Raises:
         InvalidSeedError: if it is not an integer, or negative.
     """
-    try:
-        number = -1 if isinstance(seed, bool | np.bool_) else operator.index(seed)
-    except TypeError:
-        number = -1
-    if number < 0:
+    number = as_integer(seed)
+    if number is None:
         raise InvalidSeedError(f"{short_repr(seed)} is not a seed: seeds are integers from 0, of any size")
     return number
 
