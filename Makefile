@@ -37,7 +37,7 @@ mujoco4-test: .venv-mujoco4/.installed  ## the shipped demonstrations and the sc
 	@touch $@
 
 leaderboard: $(VENV)/.installed-dev  ## check the entries in results/ and make the leaderboard in out/leaderboard
-	$(BIN)/magical-mj leaderboard results --out out/leaderboard
+	$(BIN)/magical-mj leaderboard results --out out/leaderboard $(ARGS)
 
 check: $(VENV)/.installed-dev  ## lint and type check
 	$(BIN)/ruff check
