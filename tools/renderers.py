@@ -63,16 +63,16 @@ def compare(task: str, variant: str, seeds: int, count: int) -> tuple[int, int, 
     pixels, levels = 0, np.zeros(256, np.int64)
     slow = fast = 0.0
     for seed in range(seeds):
-        renderers: tuple[Renderer, SoftwareRenderer] | None = None
+        opengl = software = None
         for model, data in states(task, variant, seed, count):
-            opengl, software = renderers = renderers or (Renderer(model), SoftwareRenderer(model))
+            opengl, software = opengl or Renderer(model), software or SoftwareRenderer(model)
             for view in VIEWS:
                 a, b = opengl.draw(data, view, SIZE).astype(np.int16), software.draw(data, view, SIZE)
                 levels += np.bincount(np.abs(a - b).max(axis=2).ravel(), minlength=256)
                 pixels += SIZE * SIZE
             out = np.zeros((SIZE, SIZE, 12), np.uint8)[..., :3]
             if seed == 0 and not slow:
-                slow, fast = (microseconds(partial(r.draw, data, "ego", SIZE, out)) for r in renderers)
+                slow, fast = (microseconds(partial(r.draw, data, "ego", SIZE, out)) for r in (opengl, software))
     different = int(levels[1:].sum())
     print(
         f"{task:14}{variant:10} {100 * different / pixels:.4f} % differ, by at most {levels.nonzero()[0].max():3}; "

@@ -17,7 +17,7 @@ from values import TEXTS, FindError, json_value, spoilt_bytes, spoilt_tree
 
 import magical_mj
 from magical_mj.cli import main
-from magical_mj.demos import files
+from magical_mj.demos.files import ARRAYS, _digest, read
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.utils.errors import MagicalError
 
@@ -86,7 +86,7 @@ def stock(folder: Path) -> Path:
             _folder(Path(name))
         shipped = magical_mj.demos.SHIPPED / "MoveToRegion-Demo-000.npz"
         shutil.copy(shipped, "demos")
-        demo = files.read(shipped)
+        demo = read(shipped)
         played = {"format": 1, "protocol": PROTOCOL, "task": "MoveToRegion", "variant": "Demo", "seed": 0}
         Path("played.json").write_text(
             json.dumps(played | {"actions": demo.actions.tolist() + [0] * (40 - len(demo.actions))})
@@ -164,7 +164,7 @@ def _other_arrays(data: bytes, rng: random.Random) -> bytes:
             header = spoilt_tree(header, rng)
         with contextlib.suppress(Exception):
             header.pop("digest", None)
-            header["digest"] = files._digest(header, {key: arrays[key] for key in files.ARRAYS})
+            header["digest"] = _digest(header, {key: arrays[key] for key in ARRAYS})
         arrays["header"] = np.frombuffer(json.dumps(header).encode("utf-8", "replace"), np.uint8)
     out = io.BytesIO()
     np.savez(out, **arrays)
