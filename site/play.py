@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,10 +13,10 @@ from fetch import MUJOCO, fetched
 
 import magical_mj
 from magical_mj.engine.export import mjcf_text
-from magical_mj.web import PAGE
-from magical_mj.web.page_data import catalogue, environment_scenes, with_models
+from magical_mj.web.page_data import PAGE, catalogue, environment_scenes
 
 FOLDER: Final = Path(__file__).parent.parent / "out" / "site" / "play"
+BETWEEN_ELEMENTS: Final = re.compile(r"(?<=>)(?=\s*<)")
 
 
 def write_play(folder: Path) -> int:
@@ -36,6 +38,20 @@ def write_play(folder: Path) -> int:
     for name in ("mujoco.js", "mujoco.wasm"):
         shutil.copy(fetched(MUJOCO) / name, folder / "mujoco" / name)
     return sum(path.stat().st_size for path in folder.rglob("*"))
+
+
+def with_models(data: dict[str, Any], models: Sequence[str]) -> dict[str, Any]:
+    """The same data with a model of each scene, compressed to a quarter of the size or less.
+
+    Models have most of their XML elements in common. So each model is stored as a list of indices into a list of
+    elements, whose texts make up the model.
+    """
+    numbers: dict[str, int] = {}
+    scenes = [
+        {**scene, "mjcf": [numbers.setdefault(element, len(numbers)) for element in BETWEEN_ELEMENTS.split(model)]}
+        for scene, model in zip(data["scenes"], models, strict=True)
+    ]
+    return {**data, "scenes": scenes, "elements": list(numbers)}
 
 
 def _write(path: Path, data: dict[str, Any]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 from collections.abc import Sequence
 from inspect import cleandoc
@@ -29,13 +28,14 @@ from magical_mj.tasks.registry import Pair, sample_scene, task_spec
 
 Simulation = Literal["browser", "server"]
 
+PAGE: Final = Path(__file__).parent / "page"
+"""The folder of the page's files; when served, they need `catalogue.json` and `scenes/` next to them."""
 EXPERT: Final = Path(__file__).parent / "expert.json"
 """Task-Variant -> an expert's actions in seeds 0, 1, ..., as letters. ``tools/experts.py`` writes it."""
 SCENES: Final = 20
 """The number of scenes that the page offers of each environment; of Demo there is only one."""
 DEMONSTRATIONS: Final = 5
 """The number of a task's shipped demonstrations that the page can show."""
-_BETWEEN_ELEMENTS: Final = re.compile(r"(?<=>)(?=\s*<)")
 DECIMALS: Final = 6
 
 
@@ -61,23 +61,20 @@ def catalogue(environments: Sequence[Pair], simulation: Simulation) -> dict[str,
         environments: the pairs (task, variant) that can be chosen.
         simulation: where the simulation runs; the browser has the scenes of a few seeds only.
     """
-    tasks = list(dict.fromkeys(task for task, _ in environments))
     return {
         "protocol": PROTOCOL,
         "simulation": simulation,
         "look": drawing_style(),
-        "tasks": {task: _task(task) for task in tasks},
+        "tasks": {
+            task: {
+                "summary": task_spec(task).summary,
+                "goal": " ".join(sections(task)["Goal"].split()),
+                "horizon": task_spec(task).horizon("paper"),
+                "solved": scene_data(demos.load(task)[0].scenes()[-1]),
+            }
+            for task in dict.fromkeys(task for task, _ in environments)
+        },
         "environments": [{"task": task, "variant": variant} for task, variant in environments],
-    }
-
-
-def _task(task: str) -> dict[str, Any]:
-    spec = task_spec(task)
-    return {
-        "summary": spec.summary,
-        "goal": " ".join(sections(task)["Goal"].split()),
-        "horizon": spec.horizon("paper"),
-        "solved": scene_data(demos.load(task)[0].scenes()[-1]),
     }
 
 
@@ -99,20 +96,6 @@ def environment_scenes(task: str, variant: str) -> dict[str, Any]:
             for seed, actions in zip(seeds, expert, strict=True)
         ],
     }
-
-
-def with_models(data: dict[str, Any], models: Sequence[str]) -> dict[str, Any]:
-    """The same data with a model of each scene, compressed to a quarter of the size or less.
-
-    Models have most of their XML elements in common. So each model is stored as a list of indices into a list of
-    elements, whose texts make up the model.
-    """
-    numbers: dict[str, int] = {}
-    scenes = [
-        {**scene, "mjcf": [numbers.setdefault(element, len(numbers)) for element in _BETWEEN_ELEMENTS.split(model)]}
-        for scene, model in zip(data["scenes"], models, strict=True)
-    ]
-    return {**data, "scenes": scenes, "elements": list(numbers)}
 
 
 def drawing_style() -> dict[str, Any]:

@@ -1,8 +1,19 @@
 """The server of the page: `magical-mj play --web`. Python simulates; the browser draws from poses.
 
-All addresses start with a secret token, `http://127.0.0.1:8008/TOKEN/`; others are refused. The page communicates with
-a `magical_mj.web.session.PlayerSession` through a WebSocket, which browsers may open only from a page of the server's
-own origin.
+All addresses start with a secret token, `http://127.0.0.1:8008/TOKEN/`; others are refused. The page talks to its own
+`PlayerSession` through a WebSocket, which browsers may open only from a page of the server's own origin. Its messages
+are JSON objects, each answered by one:
+
+| message | answer |
+|---|---|
+| `{"open": {"task": ..., "variant": ..., "seed": ...}}` | `{"scene": ...}`, the scene of a new episode |
+| `{"act": 0..17}` | `{"poses": {"robot": [x, y, angle], "fingers": [left, right], "blocks": [[x, y, angle], ...]}}` |
+| `{"arrive": id or null}` | `{"participant": id, "next": {"task": ..., "variant": ..., "seed": ...} or null}` |
+| `{"return": id}`, after a connection broke | `{"participant": id}` |
+| `{"keep": recording}` | `{"score": ..., "next": ...}`, once the recording is a file |
+| anything else, or a mistake | `{"error": "what is wrong"}` |
+
+Arriving, returning and keeping need a collection; `magical_mj.demos.recording` describes recordings.
 """
 
 from __future__ import annotations
@@ -10,32 +21,33 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 import json
+import logging
 import mimetypes
-import re
 import secrets
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from http import HTTPStatus
-from typing import Final
+from typing import Any, Final
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from magical_mj.engine import Engine
+from magical_mj.scene import Scene
 from magical_mj.tasks.registry import Pair
-from magical_mj.web import PAGE
+from magical_mj.utils.errors import MagicalError
 from magical_mj.web.collection import Collection
-from magical_mj.web.page_data import catalogue, environment_scenes
-from magical_mj.web.session import PlayerSession
+from magical_mj.web.page_data import PAGE, catalogue, environment_scenes, scene_data
 
+LOGGER: Final = logging.getLogger(__name__)
 LARGEST_MESSAGE: Final = 100_000  # bytes
-LONGEST_LINE: Final = 8_000  # bytes of a request's first line
-REQUEST: Final = re.compile(rb"([!-~]+) [!-~]+ HTTP/1\.[01]\r?")
-METHODS: Final = ("GET", "HEAD", "OPTIONS")
 HEADERS: Final = {
+    "Allow": "GET, HEAD",
     "Cache-Control": "no-store",
+    "Connection": "close",
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'",
     "Referrer-Policy": "no-referrer",  # the address holds the token
     "X-Content-Type-Options": "nosniff",
@@ -79,7 +91,6 @@ class PlayServer:
             self.host,
             self.port,
             process_request=self._respond,
-            create_connection=_Connection,
             max_size=LARGEST_MESSAGE,
             server_header=None,
         )
@@ -102,21 +113,21 @@ class PlayServer:
 
     def _respond(self, _connection: ServerConnection, request: Request) -> Response | None:
         """The response with a file or a refusal; None if a WebSocket may be opened."""
-        path = request.path.partition("?")[0]
-        start, _, name = path.removeprefix("/").partition("/")
+        start, slash, name = request.path.partition("?")[0].removeprefix("/").partition("/")
         if not self._is_addressed(request):
             advice = f"open {self._origins()[0]}, or start the server with --origin and the address that you use"
             return _response(HTTPStatus.MISDIRECTED_REQUEST, advice.encode())
-        if not secrets.compare_digest(start.encode(), self.token.encode()) or path == f"/{self.token}":
+        if not slash or not secrets.compare_digest(start.encode(), self.token.encode()):
             return _response(HTTPStatus.FORBIDDEN)
-        if request.method == "OPTIONS":
-            return _response(HTTPStatus.NO_CONTENT)
+        if request.method not in ("GET", "HEAD"):
+            return _response(HTTPStatus.METHOD_NOT_ALLOWED)
         if name == "socket":
             is_ours = request.method == "GET" and request.headers.get("Origin") in self._origins()
             return None if is_ours else _response(HTTPStatus.FORBIDDEN)
         content = self._content(name)
-        status = HTTPStatus.NOT_FOUND if content is None else HTTPStatus.OK
-        response = _response(status, content, mimetypes.guess_type(name or "index.html")[0])
+        if content is None:
+            return _response(HTTPStatus.NOT_FOUND)
+        response = _response(HTTPStatus.OK, content, mimetypes.guess_type(name or "index.html")[0])
         if request.method == "HEAD":
             response.body = b""
         return response
@@ -142,44 +153,81 @@ class PlayServer:
         session = PlayerSession(self.environments, self.collection)
         try:
             async for message in connection:
-                await connection.send(await asyncio.to_thread(session.handle, message))
+                await connection.send(await asyncio.to_thread(session.answer, message))
         except ConnectionClosed:  # closed abnormally, or after a message that was too large
             pass
         finally:
             session.close()
 
 
-class _Connection(ServerConnection):
-    """A connection that answers requests which websockets closes without a word: other methods, and what is no HTTP."""
-
-    _beginning: bytes | None = b""
-    """What has come of the request's first line; None once it is complete."""
-
-    def data_received(self, data: bytes) -> None:
-        """Called by asyncio with each part of what comes."""
-        if self._beginning is not None:
-            data = self._beginning + data
-            line, end, _ = data.partition(b"\n")
-            if not end and len(line) < LONGEST_LINE:
-                self._beginning = data
-                return
-            self._beginning = None
-            request = REQUEST.fullmatch(line)
-            if request is None or request[1].decode() not in METHODS:
-                refused = HTTPStatus.BAD_REQUEST if request is None else HTTPStatus.METHOD_NOT_ALLOWED
-                self.transport.write(_response(refused).serialize())
-                self.transport.close()
-                return
-        super().data_received(data)
-
-
 def _response(status: HTTPStatus, body: bytes | None = None, kind: str | None = None) -> Response:
-    content = b"" if status is HTTPStatus.NO_CONTENT else status.phrase.encode() if body is None else body
-    headers = Headers(HEADERS)
-    if status in (HTTPStatus.NO_CONTENT, HTTPStatus.METHOD_NOT_ALLOWED):
-        headers["Allow"] = ", ".join(METHODS)
-    if status is not HTTPStatus.NO_CONTENT:
-        headers["Content-Type"] = f"{kind or 'text/plain'}; charset=utf-8"
-        headers["Content-Length"] = str(len(content))
-    headers["Connection"] = "close"
-    return Response(status.value, status.phrase, headers, content)
+    content = status.phrase.encode() if body is None else body
+    about = {"Content-Type": f"{kind or 'text/plain'}; charset=utf-8", "Content-Length": str(len(content))}
+    return Response(status.value, status.phrase, Headers({**HEADERS, **about}), content)
+
+
+class PlayerSession:
+    """Answers the messages of one connection, with a simulation of its own.
+
+    Args:
+        environments: the pairs (task, variant) that may be played.
+        collection: where recordings are saved; None: nowhere.
+    """
+
+    def __init__(self, environments: Sequence[Pair], collection: Collection | None = None) -> None:
+        self._environments = environments
+        self._collection = collection
+        self._participant: str | None = None
+        self._engine: Engine | None = None
+
+    def answer(self, text: str | bytes) -> str:
+        """The answer to a message; errors are answered, never raised."""
+        try:
+            reply = self._reply(json.loads(text))
+        except OSError:  # which names files of the server
+            LOGGER.exception("what a player sent cannot be saved")
+            reply = {"error": "the server cannot save anything: please tell whoever runs it"}
+        except (MagicalError, ValueError, RecursionError) as error:
+            reply = {"error": str(error)}
+        return json.dumps(reply, separators=(",", ":"))
+
+    def close(self) -> None:
+        """Free the simulation."""
+        if self._engine is not None:
+            self._engine.close()
+            self._engine = None
+
+    def _reply(self, message: Any) -> dict[str, Any]:
+        match message:
+            case {"open": {"task": str(task), "variant": str(variant), "seed": int(seed)}}:
+                return {"scene": scene_data(self._open(task, variant, seed).scene)}
+            case {"act": action} if self._engine is not None:
+                self._engine.step(action)
+                return {"poses": poses(self._engine.scene)}
+            case {"arrive": name} if self._collection is not None:
+                self._participant = self._collection.participant(name)
+                return {"participant": self._participant, "next": self._collection.next()}
+            case {"return": name} if self._collection is not None:
+                self._participant = self._collection.participant(name)
+                return {"participant": self._participant}
+            case {"keep": recording} if self._collection is not None and self._participant is not None:
+                score = self._collection.keep(json.dumps(recording), self._participant)
+                return {"score": score, "next": self._collection.next()}
+            case _:
+                raise MagicalError(
+                    "a message must be one of open, with a task, a variant and a seed; act, after that; and if "
+                    "demonstrations are collected here, arrive or return, and after that keep"
+                )
+
+    def _open(self, task: str, variant: str, seed: int) -> Engine:
+        if (task, variant) not in self._environments:
+            raise MagicalError(f"{task}-{variant} is not played here")
+        self.close()
+        self._engine = Engine(task, variant, seed=seed)
+        return self._engine
+
+
+def poses(scene: Scene) -> dict[str, Any]:
+    """Where everything is, as JSON data."""
+    robot = scene.robot
+    return {"robot": robot.pose, "fingers": robot.fingers, "blocks": [block.pose for block in scene.blocks]}

@@ -19,14 +19,12 @@ import pytest
 
 import magical_mj
 from magical_mj import demos
-from magical_mj.assets.world import world_mjcf
 from magical_mj.cli import main
 from magical_mj.demos.recording import Recorder
 from magical_mj.policies.interface import actions_of
 from magical_mj.tasks.protocol import PROTOCOL
-from magical_mj.web import PAGE
 from magical_mj.web.collection import Collection
-from magical_mj.web.page_data import catalogue, environment_scenes, scene_data, sections, with_models
+from magical_mj.web.page_data import PAGE, catalogue, environment_scenes, scene_data, sections
 
 websockets = pytest.importorskip("websockets")
 
@@ -43,9 +41,9 @@ def _no_proxy(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_page_is_told_of_every_task_in_words_and_with_a_solved_example() -> None:
-    told = json.loads(json.dumps(catalogue(magical_mj.ENVIRONMENTS, "browser")))
-    assert set(told["tasks"]) == set(magical_mj.TASKS)
-    for task, facts in told["tasks"].items():
+    contents = json.loads(json.dumps(catalogue(magical_mj.ENVIRONMENTS, "browser")))
+    assert set(contents["tasks"]) == set(magical_mj.TASKS)
+    for task, facts in contents["tasks"].items():
         solved = magical_mj.Scene.from_json(json.dumps(facts["solved"]))
         assert magical_mj.score(task, magical_mj.sample_scene(task, "Demo", 0), solved) == 1.0
         assert facts["goal"].endswith(".")
@@ -63,17 +61,6 @@ def test_outlines_have_their_sizes_and_layers() -> None:
     assert set(look["blocks"]) == set(magical_mj.scene.constants.SHAPES)
     assert len(look["arena"]) == 2  # what lies beyond the walls, and the line between
     assert all(len(layers) == 2 for layers in look["blocks"].values())
-
-
-def test_models_come_back_whole() -> None:
-    data = environment_scenes("FindDupe", "All")
-    scenes = [magical_mj.sample_scene("FindDupe", "All", entry["seed"]) for entry in data["scenes"]]
-    models = [world_mjcf(scene) for scene in scenes]
-    packed = with_models(data, models)
-    for scene, entry, model in zip(scenes, packed["scenes"], models, strict=True):
-        assert entry["scene"] == scene_data(scene)
-        assert "".join(packed["elements"][number] for number in entry["mjcf"]) == model
-    assert len(json.dumps(packed)) < sum(map(len, models)) / 2
 
 
 def test_the_expert_that_is_watched_solves_the_scenes() -> None:
@@ -96,8 +83,12 @@ def recording(task: str, variant: str, seed: int, actions: list[int]) -> dict[st
 def test_a_collection_asks_for_what_it_has_least_of(tmp_path: Path) -> None:
     pairs = [("MoveToRegion", "Demo"), ("MoveToRegion", "Layout")]
     collection = Collection(tmp_path, pairs, wanted=1)
-    asked = [collection.next(), collection.next(), collection.next()]
-    assert [(one["variant"], one["seed"]) for one in asked if one] == [("Demo", 0), ("Layout", 0), ("Demo", 1)]
+    episodes = [collection.next(), collection.next(), collection.next()]
+    assert [(episode["variant"], episode["seed"]) for episode in episodes if episode] == [
+        ("Demo", 0),
+        ("Layout", 0),
+        ("Demo", 1),
+    ]
     me = collection.participant("../../somewhere")
     assert re.fullmatch("[0-9a-f]{16}", me)
     assert collection.participant(me) == me
@@ -203,11 +194,11 @@ def test_a_taken_port_is_said_with_what_to_do(capsys: pytest.CaptureFixture[str]
     assert "--port 0" in error
 
 
-@pytest.fixture
-def server(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str, Path]]:
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subprocess.Popen[str], str, Path]]:
     """The process, the page's address and the folder in which it collects."""
     command = [sys.executable, "-m", "magical_mj", "play", "--web", "--port", "0", "--tasks", "MoveToRegion,FindDupe"]
-    folder = tmp_path / "collected"
+    folder = tmp_path_factory.mktemp("collected")
     with subprocess.Popen([*command, "--collect", str(folder)], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         yield process, process.stdout.readline().strip(), folder
@@ -224,7 +215,55 @@ def ask(seat: ClientConnection, message: Any) -> Any:
     return json.loads(seat.recv())
 
 
+def test_strangers_are_refused(server: tuple[Any, str, Path]) -> None:
+    _, address, folder = server
+    for wrong in (address[:-2] + "/", address[:-1], address.rsplit("/", 2)[0] + "/", f"{address}../pyproject.toml"):
+        with pytest.raises(HTTPError, match=r"40[34]"):
+            urlopen(wrong, timeout=60)
+    for origin in ("http://evil.example", "null"):
+        with pytest.raises(InvalidStatus, match="403"):
+            sit(address, origin)
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(f"{address.replace('http', 'ws', 1)}socket")  # without an origin
+    with pytest.raises(InvalidStatus, match="403"):
+        sit(address[:-3] + "xx/", address.rsplit("/", 2)[0])
+    with sit(address) as seat:
+        elsewhere = {"open": {"task": "MakeLine", "variant": "Demo", "seed": 0}}
+        for message in ("act", {"act": 0}, {"act": 99}, elsewhere, {"dance": 1}, {"keep": {}}):
+            assert "error" in ask(seat, message)
+        seat.send("x" * 200_000)
+        with pytest.raises(ConnectionClosed):
+            seat.recv()
+    assert [path.name for path in folder.iterdir()] == ["token"]
+
+
+def test_every_request_gets_a_status(server: tuple[Any, str, Path]) -> None:
+    _, address, _ = server
+    host, path = address.removeprefix("http://").split("/", 1)
+    port = int(host.rpartition(":")[2])
+
+    def answer(request: str, host: str = host) -> tuple[int, bytes]:
+        with socket.create_connection(("127.0.0.1", port), timeout=60) as connection:
+            connection.sendall(f"{request}\r\nHost: {host}\r\n\r\n".encode("latin-1"))
+            reply = b"".join(iter(lambda: connection.recv(65536), b""))
+        head, _, body = reply.partition(b"\r\n\r\n")
+        return int(head.split()[1]), body
+
+    page = (PAGE / "index.html").read_bytes()
+    assert answer(f"GET /{path} HTTP/1.1") == (200, page)
+    assert answer(f"HEAD /{path} HTTP/1.1") == (200, b"")
+    assert answer(f"POST /{path} HTTP/1.1")[0] == 405
+    for odd in ("/", "//", "*", "http://elsewhere.example/", "/%00", f"/../{path}", "?"):
+        assert answer(f"GET {odd} HTTP/1.1")[0] == 403
+    for odd in ("..%2ftoken", "scenes/..", "scenes/MakeLine-Demo.json", "token"):
+        assert answer(f"GET /{path}{odd} HTTP/1.1")[0] == 404
+    assert answer(f"GET /{path} HTTP/1.1", f"localhost:{port}")[0] == 200
+    for other in ("rebound.example", f"rebound.example:{port}", f"127.0.0.1:{port}\r\nHost: localhost"):
+        assert answer(f"GET /{path} HTTP/1.1", other)[0] == 421
+
+
 def test_an_episode_at_the_server_is_pythons_and_outlives_a_kill(server: tuple[Any, str, Path]) -> None:
+    """The last test of this server."""
     process, address, folder = server
     with urlopen(address, timeout=60) as reply:
         assert reply.read() == (PAGE / "index.html").read_bytes()
@@ -250,58 +289,7 @@ def test_an_episode_at_the_server_is_pythons_and_outlives_a_kill(server: tuple[A
     process.wait()
     (path,) = folder.rglob("*.npz")
     assert path.parent.name == arrived["participant"]
-    kept = demos.read(path)
-    assert (kept.scene_seed, kept.demonstrator, kept.score) == (7, "human", env.score())
-    assert demos.verify(kept).exact
+    demo = demos.read(path)
+    assert (demo.scene_seed, demo.demonstrator, demo.score) == (7, "human", env.score())
+    assert demos.verify(demo).exact
     env.close()
-
-
-def test_strangers_are_refused(server: tuple[Any, str, Path]) -> None:
-    _, address, folder = server
-    for wrong in (address[:-2] + "/", address[:-1], address.rsplit("/", 2)[0] + "/", f"{address}../pyproject.toml"):
-        with pytest.raises(HTTPError, match=r"40[34]"):
-            urlopen(wrong, timeout=60)
-    for origin in ("http://evil.example", "null"):
-        with pytest.raises(InvalidStatus, match="403"):
-            sit(address, origin)
-    with pytest.raises(InvalidStatus, match="403"):
-        connect(f"{address.replace('http', 'ws', 1)}socket")  # without an origin
-    with pytest.raises(InvalidStatus, match="403"):
-        sit(address[:-3] + "xx/", address.rsplit("/", 2)[0])
-    with sit(address) as seat:
-        elsewhere = {"open": {"task": "MakeLine", "variant": "Demo", "seed": 0}}
-        for message in ("act", {"act": 0}, {"act": 99}, elsewhere, {"dance": 1}):
-            assert "error" in ask(seat, message)
-        assert "arrive" in ask(seat, {"keep": {}})["error"]
-        seat.send("x" * 200_000)
-        with pytest.raises(ConnectionClosed):
-            seat.recv()
-    assert [path.name for path in folder.iterdir()] == ["token"]
-
-
-def test_every_request_gets_a_status(server: tuple[Any, str, Path]) -> None:
-    _, address, _ = server
-    host, path = address.removeprefix("http://").split("/", 1)
-    port = int(host.rpartition(":")[2])
-
-    def answer(request: str, host: str = host, more: str = "") -> tuple[int, bytes]:
-        with socket.create_connection(("127.0.0.1", port), timeout=60) as connection:
-            connection.sendall(f"{request}\r\nHost: {host}\r\n{more}\r\n".encode("latin-1"))
-            reply = b"".join(iter(lambda: connection.recv(65536), b""))
-        head, _, body = reply.partition(b"\r\n\r\n")
-        return int(head.split()[1]), body
-
-    page = (PAGE / "index.html").read_bytes()
-    assert answer(f"GET /{path} HTTP/1.1") == (200, page)
-    assert answer(f"HEAD /{path} HTTP/1.1") == (200, b"")
-    assert answer(f"OPTIONS /{path} HTTP/1.1") == (204, b"")
-    assert answer(f"POST /{path} HTTP/1.1", more="Content-Length: 5\r\n")[0] == 405
-    for odd in ("/", "//", "*", "http://elsewhere.example/", "/%00", f"/../{path}", "?"):
-        assert answer(f"GET {odd} HTTP/1.1")[0] == 403
-    for odd in ("..%2ftoken", "scenes/..", "scenes/MakeLine-Demo.json", "token"):
-        assert answer(f"GET /{path}{odd} HTTP/1.1")[0] == 404
-    for nonsense in ("GET", f"GET /{path}\xff HTTP/1.1", "GET /a b HTTP/1.1", "\x16\x03\x01", "x" * 10_000):
-        assert answer(nonsense)[0] == 400
-    assert answer(f"GET /{path} HTTP/1.1", f"localhost:{port}")[0] == 200
-    for other in ("rebound.example", f"rebound.example:{port}", f"127.0.0.1:{port}\r\nHost: localhost"):
-        assert answer(f"GET /{path} HTTP/1.1", other)[0] == 421
