@@ -18,7 +18,7 @@ from magical_mj.scene import Dynamics, Scene
 from magical_mj.scene.arrays import SceneArrays
 from magical_mj.scene.state_vector import MAX_BLOCKS, MAX_REGIONS
 from magical_mj.tasks.registry import Pair, sample_scene, task_spec
-from magical_mj.utils.parallel.local import Pool
+from magical_mj.utils.parallel import Pool
 from magical_mj.variants import varied_axes
 
 CHUNK: Final = 64

@@ -2,45 +2,45 @@
 
 from __future__ import annotations
 
-import ast
 import io
 import shutil
 import signal
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from importlib import import_module
-from importlib.util import find_spec
-from pathlib import Path
 from typing import Annotated, Any, Final
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperGroup
 from typer.main import get_command
 
 from magical_mj._version import __version__
 from magical_mj.utils.errors import MagicalError
 from magical_mj.utils.imports import command_line
 
-PLACES: Final = {
-    "list": "magical_mj.cli.environments:list_environments",
-    "view": "magical_mj.cli.environments:view",
-    "rollout": "magical_mj.cli.evaluate:rollout",
-    "evaluate": "magical_mj.cli.evaluate:evaluate",
-    "report": "magical_mj.cli.results:make_report",
-    "compare": "magical_mj.cli.results:make_comparison",
-    "verify": "magical_mj.cli.leaderboard:verify_folder",
-    "submit": "magical_mj.cli.leaderboard:make_entry",
-    "leaderboard": "magical_mj.cli.leaderboard:make_leaderboard",
-    "demos": "magical_mj.cli.demos:app",
-    "play": "magical_mj.cli.play:play",
-    "export": "magical_mj.cli.environments:export",
-    "doctor": "magical_mj.cli.doctor:doctor",
-    "demo": "magical_mj.cli.evaluate:demo",
-    "train": "magical_mj.cli.train:train",
-    "experiment": "magical_mj.cli.train:experiment",
+COMMANDS: Final = {
+    "list": ("environments:list_environments", "List the environments, with their horizons and the axes that vary."),
+    "view": ("environments:view", "Draw the initial scene of an environment, or those of all."),
+    "rollout": ("evaluate:rollout", "Play some episodes with a policy, print the scores, and make a video."),
+    "evaluate": ("evaluate:evaluate", "Evaluate policies on the evaluation scenes."),
+    "report": ("results:make_report", "Write a report of one or several evaluations: tables, figures and videos."),
+    "compare": ("results:make_comparison", "Compare two policies on the scenes that both have played."),
+    "verify": ("leaderboard:verify_folder", "Replay the episodes of an evaluation, and check that it is complete."),
+    "submit": ("leaderboard:make_entry", "Pack the evaluations of one method into an entry for the leaderboard."),
+    "leaderboard": ("leaderboard:make_leaderboard", "Check all entries in a folder, and write the leaderboard."),
+    "demos": ("demos:app", "Make, import, check, show and export demonstrations."),
+    "play": ("play:play", "Drive the robot yourself, in a window or in a browser, and record what you do."),
+    "export": ("environments:export", "Write a scene as a self-contained MJCF model."),
+    "doctor": ("doctor:doctor", "Show installed versions, and what can draw here."),
+    "demo": ("evaluate:demo", "Evaluate the built-in agents in all environments, and write the report."),
+    "train": ("train:train", "Train a policy."),
+    "experiment": ("train:experiment", "Train and evaluate methods x tasks x seeds."),
 }
-"""Command -> where its function is, or a `typer.Typer` with subcommands."""
+"""Command -> its function, or a `typer.Typer` with subcommands, in a module of this package; and what it does.
+
+The modules are imported when they are needed, which takes a while.
+"""
 CLOSED_PIPE: Final = 141
 """The exit code where the reader of the output has seen enough before the help was printed; as of shells' commands."""
 INTERRUPTED: Final = 130
@@ -66,38 +66,35 @@ class Context(typer.Context):
     formatter_class = Help
 
 
-class Commands(Mapping[str, TyperCommand | TyperGroup]):
-    """The subcommands by name; each is loaded when it is asked for."""
+class Group(TyperGroup):
+    """`magical-mj` itself."""
 
-    def __init__(self) -> None:
-        self._loaded: dict[str, TyperCommand | TyperGroup] = {}
+    context_class = Context
 
-    def __getitem__(self, name: str) -> TyperCommand | TyperGroup:
-        if name not in self._loaded:
-            module, _, attribute = PLACES[name].partition(":")
-            command = getattr(import_module(module), attribute)
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands: Any = dict.fromkeys(COMMANDS)  # their names, for suggestions
+        self.rich_markup_mode = None
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
+        """Their names, in the order of the help."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002
+        """The command with this name; None if there is none."""
+        if cmd_name in COMMANDS and self.commands[cmd_name] is None:
+            module, _, attribute = COMMANDS[cmd_name][0].partition(":")
+            command = getattr(import_module(f"magical_mj.cli.{module}"), attribute)
             if not isinstance(command, typer.Typer):
                 function, command = command, typer.Typer(add_completion=False)
-                command.command(name)(function)
-            self._loaded[name] = plain(get_command(command))
-        return self._loaded[name]
+                command.command(cmd_name)(function)
+            self.commands[cmd_name] = plain(get_command(command))
+        return self.commands.get(cmd_name)
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(PLACES)
-
-    def __len__(self) -> int:
-        return len(PLACES)
-
-
-def summary(name: str) -> str:
-    """The first paragraph of a command's docstring. Its module is not imported for that, which would take a while."""
-    module, _, attribute = PLACES[name].partition(":")
-    spec = find_spec(module)
-    tree = ast.parse(Path((spec and spec.origin) or "").read_text(encoding="utf-8"))
-    functions = (node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == attribute)
-    docstring = next((ast.get_docstring(node) for node in functions), ast.get_docstring(tree)) or ""
-    text = " ".join(docstring.split("\n\n")[0].rpartition("`: ")[2].split())  # of a module, after its command
-    return text[:1].upper() + text[1:]
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
+        """Writes the commands with what they do."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
 
 
 def plain(command: Any) -> Any:
@@ -108,26 +105,6 @@ def plain(command: Any) -> Any:
         inner.short_help = " ".join((inner.help or "").split("\n\n")[0].split())  # else it is cut off
         plain(inner)
     return command
-
-
-class Group(TyperGroup):
-    """`magical-mj` itself."""
-
-    context_class = Context
-
-    def __init__(self, **settings: Any) -> None:
-        super().__init__(**settings)
-        self.commands: Any = Commands()
-        self.rich_markup_mode = None
-
-    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
-        """Their names, in the order of the help."""
-        return list(self.commands)
-
-    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
-        """Writes the commands with their summaries."""
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, summary(name)) for name in self.commands])
 
 
 app = typer.Typer(
@@ -178,6 +155,8 @@ def run(arguments: Sequence[str] | None = None, commands: typer.Typer = app, nam
         message, code = _explained(error, name)
         if message is None:
             raise
+        from magical_mj.cli.console import complain  # imported late: help does not need it
+
         complain(message)
         return code
 
@@ -200,10 +179,3 @@ def _explained(error: Exception, name: str) -> tuple[str | None, int]:
     if mujoco is not None and isinstance(error, mujoco.FatalError):
         return f"MuJoCo has stopped ({error}); if the memory is not enough: {LESS}", 1
     return None, 1
-
-
-def complain(message: str) -> None:
-    """One line on standard error."""
-    from magical_mj.cli import console
-
-    console.complain(message)

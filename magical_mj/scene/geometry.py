@@ -9,17 +9,18 @@ from __future__ import annotations
 
 import math
 from functools import cache, lru_cache
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
-from shapely.geometry.base import BaseGeometry
 
 from magical_mj.scene import GoalRegion, Pose, Robot, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.constants import Shape
 from magical_mj.utils.errors import InvalidSceneError
+
+if TYPE_CHECKING:  # the functions import it: listing the environments does not need it
+    from shapely.geometry.base import BaseGeometry
 
 Outline = NDArray[np.float64]
 """Shape (n, 2): the corners of a simple polygon, counter-clockwise."""
@@ -105,6 +106,8 @@ def placed(outline: Outline, pose: Pose) -> Outline:
 
 def block_solid(shape: Shape, pose: Pose) -> Solid:
     """A block at `pose`."""
+    import shapely
+
     x, y, _ = pose
     if shape == "circle":
         return Solid(x, y, c.BLOCK_SIZE, (Part(shapely.Point(x, y), c.BLOCK_SIZE),))
@@ -128,6 +131,8 @@ def _robot_segments(fingers: tuple[float, float]) -> tuple[Outline, float]:
 
 def robot_solid(pose: Pose, fingers: tuple[float, float] = (c.FINGER_OPEN, -c.FINGER_OPEN)) -> Solid:
     """The robot at `pose`: the disc and the segments of both fingers."""
+    import shapely
+
     x, y, _ = pose
     segments, reach = _robot_segments(fingers)
     polygons = np.asarray(shapely.polygons(placed(segments, pose)))  # one call for all four is much faster
@@ -136,6 +141,8 @@ def robot_solid(pose: Pose, fingers: tuple[float, float] = (c.FINGER_OPEN, -c.FI
 
 def region_solid(region: GoalRegion) -> Solid:
     """A goal region as an obstacle, as placement treats it."""
+    import shapely
+
     x, y = region.centre
     box = shapely.box(region.x_min, region.y_min, region.x_max, region.y_max)
     return Solid(x, y, math.hypot(region.width, region.height) / 2, (Part(box),))

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from magical_mj.cli import main
-from magical_mj.cli.app import PLACES
 from magical_mj.tasks.registry import ENVIRONMENTS
 from tests.helpers.commands import COMMANDS, Shell, process
 
@@ -52,16 +51,6 @@ def test_help_fits_any_terminal_and_can_be_read(columns: int, shell: Shell, monk
     _, out, _ = shell("evaluate", "--help")
     (row,) = (line for line in out.splitlines() if "Go on with what is in the folder." in line)
     assert row.index("Go on") <= (6 if columns == 40 else 32)
-
-
-def test_every_command_has_its_line_in_the_help(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which begins its own help, although the command is not loaded for it."""
-    monkeypatch.setenv("COLUMNS", "300")
-    _, out, _ = shell("--help")
-    for command in PLACES:
-        (line,) = (line for line in out.splitlines() if line.split()[:1] == [command])
-        beginning = " ".join(line.split()[1:6])
-        assert beginning in " ".join(shell(command, "--help")[1].split())
 
 
 def test_demos_alone_prints_its_commands(shell: Shell) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
+from typer import Context
 from typer.core import TyperGroup
 from typer.main import get_command
 
@@ -19,9 +20,10 @@ from magical_mj.cli.app import app
 
 def _commands(group: object, before: str = "") -> Iterator[str]:
     if isinstance(group, TyperGroup):
-        for name, command in group.commands.items():
+        context = Context(group)
+        for name in group.list_commands(context):
             yield before + name
-            yield from _commands(command, f"{before}{name} ")
+            yield from _commands(group.get_command(context, name), f"{before}{name} ")
 
 
 COMMANDS = tuple(_commands(get_command(app)))
@@ -42,8 +44,8 @@ class Shell:
 
     def fails(self, code: int, *arguments: object) -> str:
         """The one line that the command complains with."""
-        found, out, error = self(*arguments)
-        assert (found, out) == (code, "")
+        actual, out, error = self(*arguments)
+        assert (actual, out) == (code, "")
         assert error.startswith("magical-mj: ")
         assert error.count("\n") == 1
         return error

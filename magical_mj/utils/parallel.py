@@ -1,11 +1,11 @@
-"""Worker processes of this machine.
+"""Parallel work in several processes, on this machine or on a dask cluster.
 
-They are new processes, not forks, since OpenGL does not survive a fork. They do not import the caller's `__main__`, so
-that scripts need no guard. A worker's standard input is a pipe from the caller's process, which closes when that
-process ends for any reason; then the worker ends at once, with all that it has forked.
+Workers of this machine are new processes, not forks, since OpenGL does not survive a fork. They do not import the
+caller's `__main__`, so that scripts need no guard. A worker's standard input is a pipe from the caller's process, which
+closes when that process ends for any reason; then the worker ends at once, with all that it has forked.
 
-joblib's loky was tried in its place: one dead worker fails all pieces that are not done, a caller that is killed leaves
-busy workers and their forks behind, and one that is interrupted waits for them.
+joblib's loky was tried in their place: one dead worker fails all pieces that are not done, a caller that is killed
+leaves busy workers and their forks behind, and one that is interrupted waits for them.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 import pickle
 import queue
+import re
 import signal
 import subprocess
 import sys
@@ -22,27 +23,77 @@ import weakref
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from contextlib import suppress
-from typing import IO, Any, Final, TypeVar
+from itertools import islice
+from typing import IO, Any, Final, Literal, TypeVar, get_args
 
 import cloudpickle
 
-from magical_mj.utils.errors import WorkerError
+from magical_mj.utils.errors import SettingsError, WorkerError, check_name, short_repr
+from magical_mj.utils.extras import missing_extra
+
+Backend = Literal["local", "dask"]
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
-Answer = tuple[bool, Any]
-"""(success, the result or the error)."""
 
 LIVES: Final = 3
 """The number of workers that may die of one piece of work."""
 GRACE: Final = 10.0
 """Seconds that a worker has to close its files."""
+PATIENCE: Final = 10
+"""Seconds within which a dask cluster must have a worker."""
 ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """One thread per worker: sums depend on how they are split, and workers share the cores."""
+_ADDRESS: Final = re.compile(r"(\w+://)?[^/]+:\d+|inproc://.+")
 
 
-def map_locally(function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int) -> Iterator[Result]:
-    """See `magical_mj.utils.parallel.map_unordered`."""
+def cores() -> int:
+    """The number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def check_backend(backend: str, address: str | None) -> None:
+    """Raises a `SettingsError` or an `UnknownNameError` unless `map_unordered` can take these arguments together."""
+    check_name("backend", backend, get_args(Backend))
+    if backend == "dask" and not _ADDRESS.fullmatch(address or ""):
+        raise SettingsError(
+            f"the dask backend needs the scheduler's address, such as tcp://host:8786; not {short_repr(address)}"
+        )
+    if backend == "local" and address:
+        raise SettingsError("only clusters have an address: choose the dask backend")
+
+
+def map_unordered(
+    function: Callable[[Piece], Result],
+    pieces: Sequence[Piece],
+    jobs: int | None = None,
+    backend: str = "local",
+    address: str | None = None,
+) -> Iterator[Result]:
+    """The function's result for each piece of work, computed by worker processes, in order of completion.
+
+    A worker that dies is replaced, and its piece is done again. Exceptions of the function are raised here and end all
+    work.
+
+    Args:
+        function: a function of one piece. It and the pieces are pickled (by cloudpickle).
+        pieces: the pieces of work, the longest first.
+        jobs: the number of processes; None: one per core, or all of the cluster.
+        backend: "local" or "dask".
+        address: the address of the cluster's scheduler.
+
+    Raises:
+        SettingsError, UnknownNameError: if backend and address are invalid; see `check_backend`.
+        WorkerError: if several workers died of the same piece, or the cluster does not respond.
+        MissingExtraError: if the packages for the cluster are not installed.
+    """
+    check_backend(backend, address)
+    if backend == "local":
+        return _map_locally(function, pieces, jobs or cores())
+    return _map_on_dask(function, pieces, jobs, address)
+
+
+def _map_locally(function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int) -> Iterator[Result]:
     pool = Pool(jobs)
     try:
         for future in as_completed([pool.submit(function, piece) for piece in pieces]):
@@ -52,8 +103,38 @@ def map_locally(function: Callable[[Piece], Result], pieces: Sequence[Piece], jo
         pool.close()
 
 
+def _map_on_dask(
+    function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int | None, address: str | None
+) -> Iterator[Result]:
+    """At most `jobs` pieces are on the cluster at once; None: all."""
+    try:
+        from distributed import Client, KilledWorker
+        from distributed import as_completed as completed
+    except ModuleNotFoundError:
+        raise missing_extra("the dask backend", "dask") from None
+    try:
+        client = Client(address)
+    except (OSError, ValueError) as error:  # the latter if it is not of the form of an address
+        raise WorkerError(f"no dask scheduler answers at {address}: {error}") from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE)
+        except TimeoutError as error:
+            raise WorkerError(f"the dask cluster has no workers: start some with `dask worker {address}`") from error
+        waiting = (client.submit(function, piece, pure=False) for piece in pieces)
+        running = completed(islice(waiting, jobs))
+        try:
+            for future in running:
+                yield future.result()
+                running.update(islice(waiting, 1))
+        except KilledWorker as error:
+            raise WorkerError(f"several workers of the cluster died of the same piece of work: {error}") from error
+
+
 class Pool:
     """Worker processes, each of which is started when there is work for it, and does one piece after another.
+
+    A pool that is no longer used by anyone is closed.
 
     Args:
         workers: how many at most.
@@ -65,7 +146,8 @@ class Pool:
         for worker in self._workers:
             self._idle.put(worker)
         self._threads = ThreadPoolExecutor(workers)
-        self._end = weakref.finalize(self, _end, self._threads, self._workers)
+        self.close = weakref.finalize(self, _close, self._threads, self._workers)
+        """Kills all workers and what they have forked; what was not begun is cancelled. May be called twice."""
 
     def submit(self, function: Callable[[Piece], Result], piece: Piece) -> Future[Result]:
         """The function's result for a piece of work, or its exception, to come.
@@ -83,13 +165,6 @@ class Pool:
         for worker in self._workers:
             worker.end()
 
-    def close(self) -> None:
-        """Kills all workers and what they have forked; what was not begun is cancelled. May be called twice.
-
-        A pool that is no longer used by anyone is closed as well.
-        """
-        self._end()
-
 
 def _do(idle: queue.LifoQueue[_Worker], function: Callable[[Piece], Result], piece: Piece) -> Result:
     worker = idle.get()
@@ -99,10 +174,10 @@ def _do(idle: queue.LifoQueue[_Worker], function: Callable[[Piece], Result], pie
         idle.put(worker)
 
 
-def _end(threads: ThreadPoolExecutor, workers: Sequence[_Worker]) -> None:
+def _close(threads: ThreadPoolExecutor, workers: Sequence[_Worker]) -> None:
     threads.shutdown(wait=False, cancel_futures=True)
     for worker in workers:
-        worker.kill()
+        worker.stop()
 
 
 class _Worker:
@@ -112,26 +187,22 @@ class _Worker:
     """
 
     def __init__(self) -> None:
-        self._lock, self._killed = threading.Lock(), False
+        self._lock, self._stopped = threading.Lock(), False
         self._process: subprocess.Popen[bytes] | None = None
 
     def do(self, piece: bytes) -> Any:
         """The result of a piece of work: a pickled function and its argument."""
         code = 0
         for _ in range(LIVES):
-            process = self._running()
+            process = self._start()
             try:
                 _send(process.stdin, piece)
-                fine, result = _receive(process.stdout)
-            except (EOFError, OSError, ValueError, pickle.UnpicklingError) as error:
-                try:
-                    code = process.wait(GRACE)
-                except subprocess.TimeoutExpired:  # it has not died
-                    raise WorkerError(f"the answer of a worker process cannot be read: {error}") from None
-                finally:
-                    self._clear()
+                succeeded, result = _receive(process.stdout)
+            except (EOFError, OSError, ValueError, pickle.UnpicklingError):  # it has died in the midst of something
+                self._kill()
+                code = process.returncode
                 continue
-            if fine:
+            if succeeded:
                 return result
             raise result
         cause = signal.Signals(-code).name if code < 0 else f"exit code {code}"
@@ -146,14 +217,15 @@ class _Worker:
                 _send(process.stdin, None)
                 process.wait(GRACE)
 
-    def kill(self) -> None:
-        """Kills the process for good."""
-        self._killed = True
-        self._clear()
+    def stop(self) -> None:
+        """Kills the process; no other replaces it."""
+        self._stopped = True
+        self._kill()
 
-    def _running(self) -> subprocess.Popen[bytes]:
+    def _start(self) -> subprocess.Popen[bytes]:
+        """Starts the process unless it runs."""
         with self._lock:
-            if self._killed:
+            if self._stopped:
                 raise WorkerError("the worker processes were stopped")
             if self._process is None:
                 program = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve()"
@@ -166,11 +238,11 @@ class _Worker:
                 )
             return self._process
 
-    def _clear(self) -> None:
+    def _kill(self) -> None:
         with self._lock:
-            if (process := self._process) is None:
+            process, self._process = self._process, None
+            if process is None:
                 return
-            self._process = None
             _kill_group(process.pid)
             process.wait()
             for pipe in (process.stdin, process.stdout):
@@ -203,7 +275,8 @@ def serve() -> None:
     pieces: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(source, pieces), daemon=True).start()
     while (piece := pieces.get()) is not None:
-        _send(answers, _answer(piece))
+        answers.write(_answer(piece))
+        answers.flush()
 
 
 def _listen(source: IO[bytes], pieces: queue.SimpleQueue[bytes | None]) -> None:
@@ -213,24 +286,27 @@ def _listen(source: IO[bytes], pieces: queue.SimpleQueue[bytes | None]) -> None:
     _kill_group(os.getpid())  # the caller's process is gone
 
 
-def _answer(piece: bytes) -> Answer:
+def _answer(piece: bytes) -> bytes:
+    """Whether the work succeeded, and its result or its error; pickled."""
     try:
         function, argument = pickle.loads(piece)  # noqa: S301 from the process that started this one
-        answer = True, function(argument)
-        cloudpickle.dumps(answer)
+        return _readable((True, function(argument)))
     except Exception as error:  # noqa: BLE001 the caller gets it
-        return False, _sendable(error, f"in a worker process:\n{''.join(traceback.format_exception(error))}")
-    return answer
+        note = f"in a worker process:\n{''.join(traceback.format_exception(error))}"
+        error.add_note(note)
+        try:
+            return _readable((False, error))
+        except Exception:  # noqa: BLE001 of an error that holds a lock, say
+            substitute = WorkerError(f"a worker process raised {error!r}")
+            substitute.add_note(note)
+            return _readable((False, substitute))
 
 
-def _sendable(error: Exception, note: str) -> Exception:
-    """The error, or one that says the same if it does not survive pickling, as those that hold a lock."""
-    try:
-        pickle.loads(cloudpickle.dumps(error))  # noqa: S301 our own
-    except Exception:  # noqa: BLE001 classes may raise anything
-        error = WorkerError(f"a worker process raised {error!r}")
-    error.add_note(note)
-    return error
+def _readable(answer: tuple[bool, Any]) -> bytes:
+    """The pickled answer, which the caller can read."""
+    text = cloudpickle.dumps(answer)
+    pickle.loads(text)  # noqa: S301 our own
+    return text
 
 
 def _send(pipe: IO[bytes] | None, message: Any) -> None:
