@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from magical_mj.assets.style import DRAWN_GROUP, TASK_GROUP
 from magical_mj.assets.world import world_mjcf
 from magical_mj.rendering import gl
-from magical_mj.rendering.backend import REMEDY
+from magical_mj.rendering.backend import REMEDY, has_display
 from magical_mj.scene import GoalRegion, Robot, Scene
 from magical_mj.utils.errors import RenderingError
 
@@ -149,9 +149,15 @@ class Canvas(threading.local):
             gl.make_current(self.ours)
 
     def __exit__(self, *error: object) -> None:
-        """Makes the context of other code current again that was before; with backends other than EGL, ours stays."""
+        """Makes the context of other code current again that was before; with backends other than EGL, ours stays.
+
+        If there was none, ours stays too, unless there may be windows: X11 ends a process that starts OpenGL for one
+        while a context of EGL is current.
+        """
         if self.others is not None:
             gl.make_current(self.others)
+        elif has_display():
+            gl.leave()
         if self.first:
             self.first = False
             _FIRST_FRAME.release()
@@ -163,13 +169,13 @@ class Canvas(threading.local):
             gl.release(self.others)
             self._start()
         except BaseException:
+            if self.others is not None:
+                gl.make_current(self.others)
             _FIRST_FRAME.release()
             raise
         self.first = True
 
     def _start(self) -> None:
-        os.environ.setdefault("SDL_FRAMEBUFFER_ACCELERATION", "0")  # else a window that pygame opens later has OpenGL,
-        # which it cannot start while a context of ours is current: X11 would end the process
         library = mujoco.MjModel.from_xml_string(world_mjcf(_LIBRARY))
         try:
             made = gl.new_context()

@@ -4,8 +4,8 @@ With EGL nothing of PyOpenGL is used, which mujoco's and dm_control's renderers 
 whole process when it is imported, and with another one neither their windows nor our pictures could be drawn.
 
 Other code in the same process, such as dm_control's viewer, its `physics.render` and `mujoco.Renderer`, relies on its
-own context staying current. So after our drawing it is made current again. If there was none, ours stays current, since
-switching takes 5 % of a step.
+own context staying current. So after our drawing it is made current again. If there was none and no display, ours stays
+current, since switching takes 5 % of a step.
 """
 
 from __future__ import annotations
@@ -180,8 +180,14 @@ def make_current(handles: Handles) -> None:
     if glx is None:
         egl.eglMakeCurrent(display, draw, read, context)
     else:
-        egl.eglMakeCurrent(egl.eglGetCurrentDisplay(), None, None, None)
+        leave()
         glx.glXMakeContextCurrent(display, draw, read, context)
+
+
+def leave() -> None:
+    """Leaves this thread without a context of EGL."""
+    if (egl := _egl()) is not None:
+        egl.eglMakeCurrent(egl.eglGetCurrentDisplay(), None, None, None)
 
 
 def _egl() -> ctypes.CDLL | None:
