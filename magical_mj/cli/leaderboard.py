@@ -47,7 +47,7 @@ def verify_folder(folder: Folder, jobs: Jobs = None) -> None:
     with Bars(screen, MofNCompleteColumn(), transient=True) as progress:
         bar = progress.add_task(f"replaying {folder}", total=len(read(folder)))
         findings = verify(folder, jobs=jobs, watch=lambda: progress.update(bar, advance=1))
-    screen.print(describe(findings), soft_wrap=True)
+    screen.print(f"{counted(findings.episodes, 'episode')} replayed")
     if not _complained(str(folder), findings):
         screen.print("everything is there, and is what it says")
     else:
@@ -111,7 +111,8 @@ def make_leaderboard(
         )
     good: dict[str, Entry] = {}
     for name, entry in entries.items():
-        screen.print(f"{name}: {entry.method}; {describe(findings[name])}", soft_wrap=True)
+        replayed = counted(findings[name].episodes, "episode")
+        screen.print(f"{name}: {entry.method}; {replayed} replayed", soft_wrap=True)
         owner = next((other for other in good if good[other].method == entry.method), None)
         if owner is not None and good[owner].rules == entry.rules:
             complain(f"{name} is not shown: it has the name of the method in {owner}, {entry.method}")
@@ -121,15 +122,6 @@ def make_leaderboard(
         screen.print(page, soft_wrap=True)
     if bad := len(paths) - len(good):
         raise EvaluationError(f"entries that are not what they claim, and are not on the page: {bad}")
-
-
-def describe(findings: Findings) -> str:
-    """A sentence about the number of replayed episodes and the speed."""
-    rate = findings.steps / findings.seconds if findings.seconds else 0.0
-    return (
-        f"{counted(findings.episodes, 'episode')} replayed, {counted(findings.steps, 'step')} in "
-        f"{findings.seconds:.0f} s of one process ({rate:.0f} steps/s)"
-    )
 
 
 def _complained(name: str, findings: Findings) -> bool:

@@ -9,19 +9,18 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
-from operator import index
+from itertools import chain
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Any, Final
 
 from magical_mj.evaluation.reports.statistics import SCORE_TOLERANCE
-from magical_mj.evaluation.scores import SETTINGS, EpisodeResult, read, read_settings
+from magical_mj.evaluation.scores import SETTINGS, EpisodeResult, read
 from magical_mj.evaluation.settings import UNOFFICIAL
-from magical_mj.leaderboard.entry import SEEDS, Entry, name_of
+from magical_mj.leaderboard.entry import SEEDS, Entry, name_of, recorded_policies, recorded_settings
 from magical_mj.policies.interface import LETTERS, actions_of
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, check_rules, task_spec
-from magical_mj.utils.errors import EvaluationError, PhysicsError, short_repr
+from magical_mj.utils.errors import PhysicsError, short_repr
 from magical_mj.utils.parallel import map_unordered
 from magical_mj.variants import check_seed
 
@@ -41,39 +40,18 @@ Recorded = tuple[str, EpisodeResult]
 """An episode, and the name of the folder or entry that holds it."""
 
 
-@dataclass(frozen=True)
-class ReplayResult:
-    """The result of replaying an episode.
-
-    Attributes:
-        source: the name of the folder or entry that holds it.
-        steps: the number of its actions.
-        seconds: how long it took.
-        problem: how it differs from its record; None if it does not.
-    """
-
-    source: str
-    steps: int
-    seconds: float
-    problem: str | None
-
-
 @dataclass
 class Findings:
     """The result of a check.
 
     Attributes:
         episodes: the number of replayed episodes.
-        steps: the number of their actions.
-        seconds: how long their replay took, of all processes together.
         differing: a sentence for each episode that differs from its record.
         missing: a sentence for each run and environment that lacks episodes.
         unfit: sentences about everything else that does not match this version's protocol.
     """
 
     episodes: int = 0
-    steps: int = 0
-    seconds: float = 0.0
     differing: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
     unfit: list[str] = field(default_factory=list)
@@ -83,13 +61,11 @@ class Findings:
         """Whether no problems were found."""
         return not (self.differing or self.missing or self.unfit)
 
-    def add(self, result: ReplayResult) -> None:
-        """Counts the result of an episode."""
+    def add(self, problem: str | None) -> None:
+        """Counts a replayed episode: how it differs from its record; None if it does not."""
         self.episodes += 1
-        self.steps += result.steps
-        self.seconds += result.seconds
-        if result.problem is not None:
-            self.differing.append(result.problem)
+        if problem is not None:
+            self.differing.append(problem)
 
 
 def verify(folder: Path | str, *, jobs: int | None = None, watch: Callable[[], object] = lambda: None) -> Findings:
@@ -111,45 +87,27 @@ def verify(folder: Path | str, *, jobs: int | None = None, watch: Callable[[], o
     if any(episode.worlds != "single" for episode in episodes):
         return Findings(unfit=[f"it was played in batched worlds: {UNOFFICIAL}"])
     findings = Findings()
-    required = {"protocol": {PROTOCOL}, "demonstrations": {DEMONSTRATIONS}, "rules": {one.rules for one in episodes}}
-    for what, values in required.items():
-        for value in sorted(values - {settings.get(what)}, key=str):
-            said = f"{settings[what]!r} is recorded" if what in settings else "nothing is recorded"
-            findings.unfit.append(f"{what}: {said}, and it must be {value!r}")
-    environments, runs = _assignment(settings)
+    required = {"protocol": {PROTOCOL}, "demonstrations": {DEMONSTRATIONS}, "rules": {row.rules for row in episodes}}
+    for name, values in required.items():
+        recorded = f"{settings[name]!r} is recorded" if name in settings else "nothing is recorded"
+        others = sorted(value for value in values if value != settings.get(name))
+        findings.unfit += [f"{name}: {recorded}, and it must be {value!r}" for value in others]
+    names = settings.get("environments")
+    environments = {pair for pair in ENVIRONMENTS if isinstance(names, list) and "-".join(pair) in names}
+    runs: dict[str, set[int]] = defaultdict(set)
+    for policy, run, _ in recorded_policies(settings):
+        runs[policy].add(run)
     findings.unfit += _contradictions(settings, environments, runs, episodes)
-    played: dict[str, list[EpisodeResult]] = defaultdict(list)
-    for episode in episodes:
-        played[episode.policy].append(episode)
     tasks = {task for task, _ in environments} | {episode.task for episode in episodes}
-    for policy in dict.fromkeys([*runs, *played]):
-        gaps = missing(played[policy], tasks, runs.get(policy, ()))
-        findings.missing += [f"{policy}, {gap}" for gap in gaps]
-        if others := sum(episode.task not in TASKS for episode in played[policy]):
+    for policy in dict.fromkeys([*runs, *(episode.policy for episode in episodes)]):
+        played = [episode for episode in episodes if episode.policy == policy]
+        findings.missing += [f"{policy}, {gap}" for gap in missing(played, tasks, runs.get(policy, ()))]
+        if others := sum(episode.task not in TASKS for episode in played):
             findings.unfit.append(f"{policy}: {others} episodes are of tasks outside the benchmark")
-    for result in replay((("", episode) for episode in episodes if episode.task in TASKS), jobs):
-        findings.add(result)
+    for _, problem in replay([("", episode) for episode in episodes if episode.task in TASKS], jobs):
+        findings.add(problem)
         watch()
     return findings
-
-
-def recorded_settings(folder: Path) -> dict[str, Any]:
-    """The settings that an evaluation recorded in ``run.json``; empty if there are none."""
-    try:
-        return read_settings(folder)
-    except EvaluationError:
-        return {}
-
-
-def _assignment(settings: Mapping[str, Any]) -> tuple[set[tuple[str, str]], dict[str, set[int]]]:
-    """What an evaluation was started to play: the benchmark's environments, and the runs of each method."""
-    runs: dict[str, set[int]] = defaultdict(set)
-    try:
-        for policy in settings["policies"]:
-            runs[policy["name"]].add(index(policy["run"]))
-        return {pair for pair in ENVIRONMENTS if "-".join(pair) in settings["environments"]}, runs
-    except (KeyError, TypeError):
-        return set(), {}
 
 
 def _contradictions(
@@ -163,9 +121,9 @@ def _contradictions(
     for episode in episodes:
         pair, count = (episode.task, episode.variant), len(episode.actions)
         texts = {
-            what: f"it was played with {said!r}, and {SETTINGS} says {short_repr(settings.get(what))}"
-            for what in ("preset", "version", "mujoco")  # workers of a cluster choose the OpenGL backend themselves
-            if (said := getattr(episode, what)) not in (settings.get(what), None)  # who looks at nothing has no preset
+            name: f"it was played with {value!r}, and {SETTINGS} says {short_repr(settings.get(name))}"
+            for name in ("preset", "version", "mujoco")  # workers of a cluster choose the OpenGL backend themselves
+            if (value := getattr(episode, name)) not in (settings.get(name), None)  # who looks at nothing has no preset
         }
         if episode.run not in runs.get(episode.policy, ()):
             texts["run"] = f"{SETTINGS} does not name it"
@@ -173,11 +131,11 @@ def _contradictions(
             texts["environment"] = f"{SETTINGS} does not name it"
         if episode.steps != count:
             texts["steps"] = f"it says {episode.steps}, and holds {count} actions"
-        for what, text in texts.items():
-            problems[what].append(f"{episode.policy}, {name_of(episode)}: {text}")
+        for name, text in texts.items():
+            problems[name].append(f"{episode.policy}, {name_of(episode)}: {text}")
     return [
-        f"{what}: {first}" + (f"; and {len(others)} more" if others else "")
-        for what, (first, *others) in problems.items()
+        f"{name}: {first}" + (f"; and {len(others)} more" if others else "")
+        for name, (first, *others) in problems.items()
     ]
 
 
@@ -242,8 +200,8 @@ def check_entries(
             episodes = random.Random(seed).sample(episodes, count)  # noqa: S311
         chosen += [(name, episode) for episode in episodes]
     watch(0, len(chosen))
-    for done, result in enumerate(replay(chosen, jobs), start=1):
-        findings[result.source].add(result)
+    for done, (name, problem) in enumerate(replay(chosen, jobs), start=1):
+        findings[name].add(problem)
         watch(done, len(chosen))
     return findings
 
@@ -260,41 +218,38 @@ def _playable(entry: Entry) -> tuple[list[EpisodeResult], list[str]]:
     return playable, problems
 
 
-def replay(recorded: Iterable[Recorded], jobs: int | None = None) -> Iterator[ReplayResult]:
-    """Replays episodes in the scenes of their seeds, and compares scenes and scores; yields results as they come.
-
-    All processes are started once, whatever the number of entries.
+def replay(recorded: Iterable[Recorded], jobs: int | None = None) -> Iterator[tuple[str, str | None]]:
+    """Replays episodes in the scenes of their seeds, and compares scenes and scores, in worker processes.
 
     Args:
         recorded: the episodes, of the benchmark's environments.
         jobs: the number of processes; None: one per core.
+
+    Yields:
+        The name that came with an episode, and how it differs from its record (None if it does not), as they come.
     """
     alike: dict[tuple[str, str, str], list[Recorded]] = defaultdict(list)
     for source, episode in recorded:
         alike[episode.task, episode.variant, episode.rules].append((source, episode))
+    chunks: list[list[Recorded]] = []
     for episodes in alike.values():  # a scene that several entries have played is sampled and compiled once
         episodes.sort(key=lambda recorded: (recorded[1].seed, recorded[0]))
-    chunks = [
-        episodes[start : start + CHUNK] for episodes in alike.values() for start in range(0, len(episodes), CHUNK)
-    ]
+        chunks += [episodes[start : start + CHUNK] for start in range(0, len(episodes), CHUNK)]
     chunks.sort(key=lambda chunk: -sum(len(episode.actions) for _, episode in chunk))
     results = map(_replay, chunks) if jobs == 1 or len(chunks) == 1 else map_unordered(_replay, chunks, jobs)
-    for chunk_results in results:
-        yield from chunk_results
+    return chain.from_iterable(results)
 
 
-def _replay(chunk: Sequence[Recorded]) -> list[ReplayResult]:
+def _replay(chunk: Sequence[Recorded]) -> list[tuple[str, str | None]]:
     """The work of one process: replays some episodes of one environment."""
     from magical_mj.engine import Engine  # which loads the simulator
 
     first, results = chunk[0][1], []
     with closing(Engine(first.task, first.variant, seed=first.seed, rules=check_rules(first.rules))) as engine:
         for source, episode in chunk:
-            start = perf_counter()
             engine.reset(seed=None if episode.seed == engine.seed else episode.seed)  # None: the same scene again
             difference = _difference(episode, engine)
-            problem = f"{name_of(episode)}: {difference}" if difference else None
-            results.append(ReplayResult(source, len(episode.actions), perf_counter() - start, problem))
+            results.append((source, f"{name_of(episode)}: {difference}" if difference else None))
     return results
 
 

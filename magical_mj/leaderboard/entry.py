@@ -1,4 +1,7 @@
-"""Entries: the evaluations of one method in one file, with a card that describes it and a hash of everything."""
+"""Entries: the evaluations of one method in one file, with a card that describes it and a hash of everything.
+
+`submit` makes them from the folders of evaluations, and `read_entry` reads them again, whoever made them.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +9,23 @@ import hashlib
 import json
 import lzma
 import re
+import shlex
 from collections import defaultdict
-from collections.abc import Sequence
-from operator import attrgetter
+from collections.abc import Iterable, Sequence
+from operator import attrgetter, index
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import msgspec
 from msgspec import Meta, Struct
 
-from magical_mj.evaluation.scores import EpisodeResult
+from magical_mj.evaluation.scores import EpisodeResult, folders_of, read, read_settings
+from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils import files
-from magical_mj.utils.errors import EvaluationError, short_repr
+from magical_mj.utils.errors import EvaluationError, SettingsError, check_name, short_repr
 
 FORMAT: Final = 2
 SUFFIX: Final = ".json.xz"
@@ -33,7 +38,7 @@ MOST_UNPACKED: Final = 60_000_000
 MOST_VALUES: Final = 2_000_000
 """The largest number of values in an entry: small ones take ten times as much memory as their text. Ours have 180,000:
 six for each of 30,000 episodes."""
-_MEMORY: Final = 100_000_000
+MOST_MEMORY: Final = 100_000_000
 """How much memory in bytes unpacking may take: a file says how much it wants. Ours need 66 MB."""
 
 Natural = Annotated[int, Meta(ge=0)]
@@ -141,6 +146,134 @@ class Entry(Struct, frozen=True):
         return [episode for episode in self.episodes if episode.seed < SEEDS]
 
 
+def submit(
+    folders: Iterable[Path | str],
+    out: Path | str,
+    *,
+    card: Path | str | None = None,
+    policy: str | None = None,
+    extend: Path | str | None = None,
+) -> Entry:
+    """Makes an entry from the evaluations in some folders, and writes it.
+
+    Args:
+        folders: evaluations of one method, such as one for each run.
+        out: the file, whose name must end in .json.xz; an existing file is not replaced.
+        card: a TOML file with fields of `Card`, all optional; the method has its name in the evaluations otherwise.
+        policy: the name of the method in the folders, if they hold several, or if the earlier entry calls it otherwise.
+        extend: an earlier entry of the same method, whose episodes are taken over, and its card if none is given.
+
+    Raises:
+        SettingsError: if the card has unknown fields or values of the wrong kind, or the choice of a method is
+            ambiguous.
+        UnknownNameError: if `policy` is not in the folders.
+        EvaluationError: if a folder is not an evaluation, the earlier entry not one, or they cannot be combined.
+        OSError: if the file exists or cannot be written.
+    """
+    out, folders = Path(out), folders_of(folders)
+    if not out.name.endswith(SUFFIX):
+        raise SettingsError(f"{out} must end in {SUFFIX}")
+    if not folders:
+        raise SettingsError("give at least one folder of an evaluation")
+    described = {} if card is None else files.read_toml(Path(card))
+    sources = [(episode, folder) for folder in folders for episode in read(folder)]
+    names = list(dict.fromkeys(episode.policy for episode, _ in sources))
+    if policy is not None:
+        check_name("policy", policy, names)
+    elif len(names) > 1:
+        raise SettingsError(
+            f"the folders hold {', '.join(names)}: say which one is meant (--policy NAME); if they are runs of one "
+            "method, evaluate them again under its name, as in evaluate --policy BC=runs/a,BC=runs/b"
+        )
+    name = policy or names[0]
+    try:
+        new_card = msgspec.convert({"method": name, **described}, Card)
+    except msgspec.ValidationError as error:
+        raise SettingsError(f"the card is not valid{f' in {card}' if card else ''}: {error}") from None
+    _check_trainings(folders, name)
+    entry = _combined(new_card, [source for source in sources if source[0].policy == name], folders)
+    if extend is not None:
+        earlier = read_entry(extend)
+        if earlier.method != entry.method and "method" not in described and policy is None:
+            raise SettingsError(
+                f"{extend} is of {earlier.method!r}, and the folders hold {entry.method!r}: if these are the same "
+                f"method, say so (--policy {shlex.quote(entry.method)}, or a card with its name)"
+            )
+        entry = _extended(earlier, entry, extend, earlier.card if card is None else entry.card)
+    content = packed(entry)
+    unpacked(content, "the choice of folders" if extend is None else f"{extend} with these folders")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    files.write(out, content)
+    return entry
+
+
+def _check_trainings(folders: Sequence[Path], method: str) -> None:
+    """Raises an `EvaluationError` if two runs played with equal policies: a run is a training of its own."""
+    runs: dict[str, set[int]] = defaultdict(set)
+    for folder in folders:
+        for policy, run, digest in recorded_policies(recorded_settings(folder)):
+            if policy == method and digest:
+                runs[digest].add(run)
+    for digest, same in runs.items():
+        if len(same) > 1:
+            raise EvaluationError(
+                f"the runs {', '.join(map(str, sorted(same)))} of {method} played with equal policies (sha256 "
+                f"{digest[:12]}...), which count as one run: leave the others out"
+            )
+
+
+def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders: Sequence[Path]) -> Entry:
+    """The entry of one method's episodes, each given with its folder; they must be of one kind."""
+
+    def common(setting: str, values: Iterable[tuple[Any, Path]]) -> Any:
+        (first, folder), *others = values
+        for value, other in others:
+            if value != first:
+                pair = f"{first or 'none'} in {folder}, {value or 'none'} in {other}"
+                raise EvaluationError(f"different {setting}: {pair}; an entry is of one kind")
+        return first
+
+    for episode, folder in sources:
+        if episode.worlds != "single":
+            raise EvaluationError(f"{folder} was played in batched worlds, and cannot be an entry: {UNOFFICIAL}")
+    episodes = [episode for episode, _ in sources]
+    return Entry(
+        card,
+        common("preset", ((episode.preset, folder) for episode, folder in sources)),
+        common("rules", ((episode.rules, folder) for episode, folder in sources)),
+        common("protocol", ((recorded_settings(folder).get("protocol"), folder) for folder in folders)),
+        Versions(*(sorted({getattr(episode, name) for episode in episodes}) for name in Versions.__struct_fields__)),
+        episodes,
+    )
+
+
+def _extended(earlier: Entry, added: Entry, name: object, card: Card) -> Entry:
+    """The episodes of both, which must be of one kind."""
+    for field in ("observations", "rules", "protocol"):
+        before, now = getattr(earlier, field), getattr(added, field)
+        if before != now:
+            raise EvaluationError(f"{name} cannot be extended by these folders: {field} is {before} there, {now} here")
+    pairs = zip(*(msgspec.structs.astuple(entry.versions) for entry in (earlier, added)), strict=True)
+    versions = Versions(*(sorted({*before, *now}) for before, now in pairs))
+    return msgspec.structs.replace(added, card=card, versions=versions, episodes=[*earlier.episodes, *added.episodes])
+
+
+def recorded_settings(folder: Path) -> dict[str, Any]:
+    """The settings that an evaluation recorded in ``run.json``; empty if there are none."""
+    try:
+        return read_settings(folder)
+    except EvaluationError:
+        return {}
+
+
+def recorded_policies(settings: dict[str, Any]) -> list[tuple[str, int, str]]:
+    """Name, run and SHA-256 (empty without a file) of an evaluation's policies; none if its settings are no such."""
+    try:
+        return [(str(row["name"]), index(row["run"]), str(row.get("sha256", ""))) for row in settings["policies"]]
+    except (KeyError, TypeError, AttributeError):
+        return []
+
+
 def entry_files(folder: Path | str) -> list[Path]:
     """The files of entries in a folder, sorted by name; or the one file that is given instead.
 
@@ -151,6 +284,22 @@ def entry_files(folder: Path | str) -> list[Path]:
     if not paths:
         raise EvaluationError(f"{folder} holds no entries (*{SUFFIX}); magical-mj submit makes them")
     return paths
+
+
+def packed(entry: Entry) -> bytes:
+    """The bytes of the entry's file; equal entries have equal bytes."""
+    columns: dict[str, dict[str, list[Any]]] = {field: defaultdict(list) for field in Columns.__struct_fields__}
+    for episode in sorted(entry.episodes, key=attrgetter("run", "task", "variant", "seed")):
+        for field, column in columns.items():
+            column[f"{episode.task}-{episode.variant}"].append(getattr(episode, field))
+    fields = {name: msgspec.to_builtins(getattr(entry, name)) for name in Entry.__struct_fields__}
+    content = {**fields, "format": FORMAT, "runs": entry.runs, "episodes": columns}
+    text = _text({**content, "sha256": hashlib.sha256(_text(content)).hexdigest()})
+    return lzma.compress(text, preset=9 | lzma.PRESET_EXTREME)  # a sixth smaller than with gzip
+
+
+def _text(content: dict[str, Any]) -> bytes:
+    return json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
 
 
 def read_entry(path: Path | str) -> Entry:
@@ -165,34 +314,6 @@ def read_entry(path: Path | str) -> Entry:
         raise EvaluationError(f"{path} cannot be read: {error.strerror}") from error
 
 
-def packed(entry: Entry) -> bytes:
-    """The bytes of the entry's file; equal entries have equal bytes.
-
-    Raises:
-        EvaluationError: if they are so many that nobody would read them again.
-    """
-    columns: dict[str, dict[str, list[Any]]] = {field: defaultdict(list) for field in Columns.__struct_fields__}
-    for episode in sorted(entry.episodes, key=attrgetter("run", "task", "variant", "seed")):
-        for field, column in columns.items():
-            column[f"{episode.task}-{episode.variant}"].append(getattr(episode, field))
-    kept = {name: msgspec.to_builtins(getattr(entry, name)) for name in Entry.__struct_fields__}
-    content = {**kept, "format": FORMAT, "runs": entry.runs, "episodes": columns}
-    text = _text({**content, "sha256": _hash(_text(content))})
-    if len(text) > MOST_UNPACKED:
-        raise EvaluationError(
-            f"an entry has {MOST_UNPACKED / 1e6:.0f} MB at most, and this {len(text) / 1e6:.0f}: take fewer runs"
-        )
-    return lzma.compress(text, preset=9 | lzma.PRESET_EXTREME)  # a sixth smaller than with gzip
-
-
-def _text(content: dict[str, Any]) -> bytes:
-    return json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
-
-
-def _hash(text: bytes) -> str:
-    return hashlib.sha256(text).hexdigest()
-
-
 def unpacked(data: bytes, name: object = "the entry") -> Entry:
     """The entry in a file's bytes; see `read_entry`.
 
@@ -205,13 +326,16 @@ def unpacked(data: bytes, name: object = "the entry") -> Entry:
         content = msgspec.json.decode(text, type=Content)
     except (msgspec.MsgspecError, RecursionError, UnicodeError) as error:
         raise EvaluationError(f"{name} is no entry: {str(error)[:200]}") from error
-    if content.sha256 != _hash(re.sub(rb',"sha256":"[^"]*"(?=,"versions":\{[^{]*$)', b"", text)):
+    without_hash = re.sub(rb',"sha256":"[^"]*"(?=,"versions":\{[^{]*$)', b"", text)
+    if content.sha256 != hashlib.sha256(without_hash).hexdigest():
         raise EvaluationError(f"{name} was altered after it was made: its hash is not that of its content")
     if content.protocol not in (None, PROTOCOL):
         raise EvaluationError(f"{name} follows protocol {content.protocol}, and this version plays {PROTOCOL}")
-    check_method(content.card, name)
+    method = content.card.method
+    if not method.isprintable() or method != method.strip():
+        problem = "holds signs that cannot be seen, or begins or ends with a space"
+        raise EvaluationError(f"the method's name {method!r} in {name} {problem}")
     episodes = _episodes(content, name)
-    check_unique(episodes, name)
     if content.runs != sorted({episode.run for episode in episodes}):
         raise EvaluationError(f"{name} names the runs {content.runs}, and its episodes are of others")
     return Entry(content.card, content.observations, content.rules, content.protocol, content.versions, episodes)
@@ -219,7 +343,7 @@ def unpacked(data: bytes, name: object = "the entry") -> Entry:
 
 def _decompressed(data: bytes, name: object) -> bytes:
     try:
-        file = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=_MEMORY)
+        file = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=MOST_MEMORY)
         text = file.decompress(data, MOST_UNPACKED + 1)
     except lzma.LZMAError as error:
         raise EvaluationError(f"{name} cannot be read: {error}") from error
@@ -233,61 +357,31 @@ def _decompressed(data: bytes, name: object) -> bytes:
 
 
 def _episodes(content: Content, name: object) -> list[EpisodeResult]:
-    """The episodes in columns, which must be of the benchmark's environments and equally long."""
-    columns = [getattr(content.episodes, field) for field in Columns.__struct_fields__]
+    """The episodes in columns, which must be of the benchmark's environments, equally long, and without repetitions."""
+    columns = msgspec.structs.asdict(content.episodes)
+    shared: dict[str, Any] = {"policy": content.card.method, "rules": content.rules, "preset": content.observations}
+    shared |= {"seconds": 0.0, "version": "", "mujoco": "", "gl": ""}
     episodes: list[EpisodeResult] = []
-    for environment in sorted({environment for column in columns for environment in column}):
+    for environment in sorted({environment for column in columns.values() for environment in column}):
         task, _, variant = environment.partition("-")
         if (task, variant) not in ENVIRONMENTS:
             raise EvaluationError(f"{name} has results in {short_repr(environment)}, which is no environment")
-        lengths = [len(column.get(environment, ())) for column in columns]
-        if len(set(lengths)) > 1 or not lengths[0]:
-            fields = zip(Columns.__struct_fields__, lengths, strict=True)
-            counts = ", ".join(f"{field} {count}" for field, count in fields)
+        lengths = {field: len(column.get(environment, ())) for field, column in columns.items()}
+        if len(set(lengths.values())) > 1 or not lengths["run"]:
+            counts = ", ".join(f"{field} {count}" for field, count in lengths.items())
             raise EvaluationError(f"{name} has not all fields of all episodes in {environment}: {counts}")
-        for run, seed, scene, score, actions, failure in zip(*(column[environment] for column in columns), strict=True):
-            episodes.append(
-                EpisodeResult(
-                    policy=content.card.method,
-                    run=run,
-                    task=task,
-                    variant=variant,
-                    seed=seed,
-                    score=score,
-                    steps=len(actions),
-                    seconds=0.0,
-                    rules=content.rules,
-                    preset=content.observations,
-                    version="",
-                    mujoco="",
-                    gl="",
-                    actions=actions,
-                    failure=failure,
-                    scene=scene,
-                )
-            )
+        numbers: set[tuple[int, int]] = set()
+        for values in zip(*(column[environment] for column in columns.values()), strict=True):
+            fields = dict(zip(columns, values, strict=True))
+            episode = EpisodeResult(task=task, variant=variant, steps=len(fields["actions"]), **fields, **shared)
+            if (episode.run, episode.seed) in numbers:
+                remedy = "if these are two runs, evaluate one of them again with another --run"
+                raise EvaluationError(f"{name} holds an episode twice: {name_of(episode)}; {remedy}")
+            numbers.add((episode.run, episode.seed))
+            episodes.append(episode)
     return episodes
-
-
-def check_unique(episodes: Sequence[EpisodeResult], name: object, remedy: str = "") -> None:
-    """Raises an `EvaluationError`, which ends with `remedy`, if an episode appears twice."""
-    keys: set[tuple[int, str, str, int]] = set()
-    for episode in episodes:
-        key = episode.run, episode.task, episode.variant, episode.seed
-        if key in keys:
-            raise EvaluationError(f"{name} holds an episode twice: {name_of(episode)}{remedy}")
-        keys.add(key)
 
 
 def name_of(episode: EpisodeResult) -> str:
     """The episode in words, for problems."""
     return f"run {episode.run}, {episode.task} {episode.variant}, seed {episode.seed}"
-
-
-def check_method(card: Card, where: object) -> None:
-    """Raises an `EvaluationError` unless the name of the method looks like what it is."""
-    if not (card.method.isprintable() and card.method == card.method.strip()):
-        raise EvaluationError(
-            f"the method's name {card.method!r} in {where} holds signs that cannot be seen, or begins or ends with a "
-            "space"
-        )

@@ -57,7 +57,7 @@ def test_the_commands_say_what_they_found(folder: Path, tmp_path: Path, capsys: 
     rewrite(folder, tampered_score)
     assert main(["verify", str(folder)]) == 1
     out, error = capsys.readouterr()
-    assert f"{EPISODES} episodes replayed, 160 steps in" in out
+    assert f"{EPISODES} episodes replayed" in out
     assert f"{folder} differs: run 0, MoveToRegion Layout, seed 2: the score is 0.5" in error
     assert f"{folder} is incomplete: expert, run 0" in error
 
@@ -108,14 +108,16 @@ def test_one_training_is_one_run(folder: Path, tmp_path: Path) -> None:
         submit([folder], tmp_path / "entry.json.xz")
 
 
-@pytest.mark.parametrize("name", [" ", "a\u200b", "\u202eTSB", "a\u2028b", "BC ⭐"])
-def test_names_are_what_they_look_like(name: str, folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "card.toml").write_text(f"method = {json.dumps(name)}")
-    with pytest.raises(SettingsError, match="method"):
-        submit([folder], tmp_path / "entry.json.xz", card=tmp_path / "card.toml")
+def test_names_are_what_they_look_like(folder: Path, tmp_path: Path) -> None:
+    """Neither a card nor an entry's file may name a method so that it looks like another line of a table."""
     entry = whole(runs=1)
-    with pytest.raises(EvaluationError, match="method"):
-        unpacked(packed(replace(entry, card=replace(entry.card, method=name))))
+    entry = replace(entry, episodes=entry.episodes[:1])
+    for name in (" ", "a\u200b", "\u202eTSB", "a\u2028b", "BC ⭐", "BC\n", "BC (ST) ★", "BC (ST)†", "BC | 1.00", ""):
+        (tmp_path / "card.toml").write_text(f"method = {json.dumps(name)}")
+        with pytest.raises((SettingsError, EvaluationError), match="method"):
+            submit([folder], tmp_path / "entry.json.xz", card=tmp_path / "card.toml")
+        with pytest.raises(EvaluationError, match="method"):
+            unpacked(packed(replace(entry, card=replace(entry.card, method=name))))
 
 
 def test_a_card_and_further_runs_are_given_to_the_command(folder: Path, tmp_path: Path) -> None:

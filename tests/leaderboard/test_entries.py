@@ -142,16 +142,6 @@ def test_an_entry_with_a_proper_hash_is_still_replayed(
     assert problem in found.differing[-1]
 
 
-@pytest.mark.parametrize("method", ["BC\n", "BC (ST) ★", "BC (ST)†", "BC | 1.00", ""])
-def test_names_look_like_no_other_line_of_a_table(folder: Path, tmp_path: Path, method: str) -> None:
-    path = tmp_path / "entry.json.xz"
-    submit([folder], path)
-    entry = read_entry(path)
-    path.write_bytes(packed(replace(entry, card=replace(entry.card, method=method))))
-    with pytest.raises(EvaluationError, match="method"):
-        check(path)
-
-
 def test_numbers_that_are_too_large_are_named(folder: Path, tmp_path: Path) -> None:
     path = tmp_path / "entry.json.xz"
     submit([folder], path)
