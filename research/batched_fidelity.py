@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -20,8 +19,6 @@ import magical_mj
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.scenes import Capacity, WorldScenes
 from magical_mj.scene import Scene
-from magical_mj.scene.arrays import SceneArrays
-from magical_mj.tasks.registry import task_spec
 
 BATCH = 60
 """Worlds at a time: Warp's CPU device takes 60 to 190 ms for an action of one."""
@@ -115,15 +112,15 @@ def replay(tasks: Sequence[str], human: Path | None, count: int, device: str) ->
             ours.append(env.score())
         scenes, length = [scene for scene, _ in cases], max(len(actions) for _, actions in cases)
         arrays = WorldScenes.of(scenes, *Capacity.of(scenes))
-        physics, initial = Physics(arrays, device), SceneArrays.of(scenes, *Capacity.of(scenes))
-        ends = torch.zeros(len(cases), dtype=torch.float64)
+        physics = Physics(arrays, device)
+        ends = np.zeros(len(cases))
         for step in range(length):
             plan = [int(actions[step]) if step < len(actions) else 0 for _, actions in cases]
             physics.step(torch.tensor(plan, device=device))
-            final = replace(initial, poses=physics.poses.double().cpu().numpy())
-            now = torch.from_numpy(task_spec(task).score_formula()(initial, final, "paper"))
-            last = torch.tensor([step == len(actions) - 1 for _, actions in cases])
-            ends = torch.where(last, now, ends)
+            for world, (scene, actions) in enumerate(cases):
+                if step == len(actions) - 1:
+                    final = arrays.scene(world, physics.poses[world].cpu().numpy())
+                    ends[world] = magical_mj.score(task, scene, final)
         print(f"{who} {task}: {len(cases)} sequences, here {np.mean(ours):.3f}, batched {ends.mean():.3f}", flush=True)
 
 

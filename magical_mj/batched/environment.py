@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict
 from typing import Any, Final
 
 import gymnasium
@@ -22,7 +22,6 @@ from magical_mj.envs.presets import preset_named
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS
-from magical_mj.scene.arrays import SceneArrays
 from magical_mj.tasks.registry import Pair, check_rules, task_spec
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
 from magical_mj.utils.errors import ClosedError, InvalidActionError, SettingsError, StateError, check_name, short_repr
@@ -75,8 +74,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         observed = preset_named(preset)
         size = observed.image_size if image_size is None else check_size(image_size)
         self.device = check_device(device)
-        specs = {task: task_spec(task) for task, _ in pairs}
-        self._formulas = {task: spec.score_formula() for task, spec in specs.items()}
+        self._specs = [task_spec(task) for task, _ in pairs]
 
         self.num_envs = len(pairs)
         self.metadata = {"autoreset_mode": autoreset_mode, "render_fps": c.CONTROL_RATE}
@@ -87,17 +85,13 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             "preset": preset,
             "image_size": None if observed.layout == "state" else size,
         }
-        numbers = {task: [world for world, (name, _) in enumerate(pairs) if name == task] for task in specs}
-        self._worlds = {task: torch.tensor(worlds, device=self.device) for task, worlds in numbers.items()}
-        self._horizons = torch.tensor([specs[task].horizon(rules) for task, _ in pairs], device=self.device)
+        self._horizons = torch.tensor([spec.horizon(rules) for spec in self._specs], device=self.device)
         self._steps = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
         self._running = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
         self._options = ResetOptions("reset_mask")
 
         capacity = Capacity.of_environments(pairs)
         self._scenes = sample(pairs, [0] * self.num_envs, capacity)
-        columns = {entry.name: getattr(self._scenes, entry.name) for entry in fields(SceneArrays)}
-        self._initial = SceneArrays(**{name: torch.from_numpy(a).to(self.device) for name, a in columns.items()})
         self._sampler = SceneSampler(pairs, capacity, workers)
         self._sampler.seed(seed)
         self.physics = Physics(self._scenes, self.device)
@@ -153,9 +147,6 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def _put(self, scenes: WorldScenes, worlds: Tensor) -> None:
         """Puts scenes, at rest, into these worlds."""
         self._scenes.write(scenes, worlds.cpu().numpy())
-        for entry in fields(SceneArrays):
-            column = getattr(self._initial, entry.name)
-            column[worlds] = torch.from_numpy(getattr(scenes, entry.name)).to(column)
         self.physics.reset(scenes, worlds)
         self.observer.start(scenes, worlds)
 
@@ -208,9 +199,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._steps += 1
         broken = self.physics.broken
         ended = (self._steps >= self._horizons) | broken
-        scores = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
-        if bool(ended.any()):
-            scores = torch.where(ended & ~broken, self._scores(), 0.0)
+        scores = self._scores(ended & ~broken)
         info = self._info(scores, broken)
         if bool(broken.any()):  # put at rest what cannot be drawn
             where = broken.nonzero()[:, 0]
@@ -226,14 +215,14 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             info = {**self._info(torch.zeros_like(scores)), **final}
         return observation, reward, torch.zeros_like(ended), ended, info
 
-    def _scores(self) -> Tensor:
-        """The score of each world if its episode ended now. Shape (num_envs,), float64."""
-        poses = self.physics.poses.double()
-        scores = torch.zeros(self.num_envs, dtype=torch.float64, device=self.device)
-        for task, worlds in self._worlds.items():
-            initial = self._initial[worlds]
-            scores[worlds] = self._formulas[task](initial, replace(initial, poses=poses[worlds]), self._rules).double()
-        return scores
+    def _scores(self, ended: Tensor) -> Tensor:
+        """The scores of the worlds whose episodes ended, and 0 in the others. Shape (num_envs,), float64."""
+        scores = torch.zeros(self.num_envs, dtype=torch.float64)
+        worlds = ended.nonzero()[:, 0]
+        for world, poses in zip(worlds.tolist(), self.physics.poses[worlds].cpu().numpy(), strict=True):
+            initial, final = self._scenes.scene(world), self._scenes.scene(world, poses)
+            scores[world] = self._specs[world].checked_score(initial, final, self._rules)
+        return scores.to(self.device)
 
     def _info(self, scores: Tensor, broken: Tensor | None = None) -> dict[str, Any]:
         return {

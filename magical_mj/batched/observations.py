@@ -12,9 +12,8 @@ from torch import Tensor
 
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter
-from magical_mj.batched.scenes import WorldScenes
+from magical_mj.batched.scenes import ABSENT, WorldScenes
 from magical_mj.envs.presets import Preset, observation_space, preset_named
-from magical_mj.scene.arrays import ABSENT
 from magical_mj.scene.state_vector import MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
 
 Observation = Tensor | dict[str, Tensor]

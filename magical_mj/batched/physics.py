@@ -23,6 +23,7 @@ from magical_mj.assets.robot import controls
 from magical_mj.assets.world import planar
 from magical_mj.batched.scenes import WorldScenes
 from magical_mj.batched.slots import FIELDS, Slots, slotted_model
+from magical_mj.scene.scene import MAX_NUMBER
 from magical_mj.utils.errors import SettingsError
 
 wp.config.log_level = wp.LOG_ERROR  # or it tells of every kernel that it compiles
@@ -177,8 +178,9 @@ class Physics:
 
     @property
     def broken(self) -> Tensor:
-        """Worlds whose state is not finite. Shape (worlds,), bool."""
-        return ~(self._state["qpos"].isfinite().all(-1) & self._state["qvel"].isfinite().all(-1))
+        """Worlds whose state is not finite, or too large for MuJoCo. Shape (worlds,), bool."""
+        state = torch.cat([self._state["qpos"], self._state["qvel"]], dim=-1)
+        return ~(state.abs() <= MAX_NUMBER).all(-1)
 
     @property
     def solved(self) -> tuple[Tensor, Tensor]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, fields
 from functools import partial
 from itertools import groupby
 from operator import itemgetter
@@ -14,15 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.assets.region import DASHES, dash_quads
-from magical_mj.scene import Dynamics, Scene
-from magical_mj.scene.arrays import SceneArrays
+from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
+from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.scene.state_vector import MAX_BLOCKS, MAX_REGIONS
 from magical_mj.tasks.registry import Pair, sample_scene, task_spec
+from magical_mj.utils.errors import InvalidSceneError
 from magical_mj.utils.parallel import Pool
 from magical_mj.variants import varied_axes
 
 CHUNK: Final = 64
 """Scenes that one worker samples at a time: one takes half a millisecond."""
+
+ABSENT: Final = -1
+"""The shape of a block, and the colour of a region, that a scene does not have."""
 
 
 class Capacity(NamedTuple):
@@ -48,36 +52,91 @@ class Capacity(NamedTuple):
 
 
 @dataclass(frozen=True)
-class WorldScenes(SceneArrays):
-    """The scenes of a batch with all that physics and pictures are made from, in numpy's arrays.
+class WorldScenes:
+    """The scenes of a batch as arrays, each with as many slots; unused ones are `ABSENT` and hold zeros.
 
     Attributes:
+        poses: x, y, angle of the robot and then of each block. Shape (worlds, 1 + blocks, 3).
+        shapes: indices into `SHAPES`. Shape (worlds, blocks).
+        colours: indices into `COLOURS`. Shape (worlds, blocks).
+        regions: x_min, y_min, x_max, y_max. Shape (worlds, regions, 4).
+        region_colours: indices into `COLOURS`. Shape (worlds, regions).
         fingers: angles of the left and the right finger. Shape (worlds, 2).
         dynamics: the five force caps, in the order of `Dynamics`. Shape (worlds, 5).
         dashes: the rectangles of each region's border, x_min, y_min, x_max, y_max. Shape (worlds, regions, DASHES, 4).
     """
 
+    poses: NDArray[np.float64]
+    shapes: NDArray[np.int32]
+    colours: NDArray[np.int32]
+    regions: NDArray[np.float64]
+    region_colours: NDArray[np.int32]
     fingers: NDArray[np.float64]
     dynamics: NDArray[np.float64]
     dashes: NDArray[np.float32]
 
     @classmethod
     def of(cls, scenes: Sequence[Scene], blocks: int, regions: int) -> WorldScenes:
-        """These scenes; raises `InvalidSceneError` if one has more blocks or regions than that."""
-        plain = SceneArrays.of(scenes, blocks, regions)
-        dashes = np.zeros((len(scenes), regions, DASHES, 4), np.float32)
+        """These scenes.
+
+        Raises:
+            InvalidSceneError: if one has more blocks or regions than that.
+        """
+        worlds = len(scenes)
+        arrays = cls(
+            poses=np.zeros((worlds, 1 + blocks, 3)),
+            shapes=np.full((worlds, blocks), ABSENT, np.int32),
+            colours=np.zeros((worlds, blocks), np.int32),
+            regions=np.zeros((worlds, regions, 4)),
+            region_colours=np.full((worlds, regions), ABSENT, np.int32),
+            fingers=np.array([scene.robot.fingers for scene in scenes]),
+            dynamics=np.array([astuple(scene.dynamics) for scene in scenes]),
+            dashes=np.zeros((worlds, regions, DASHES, 4), np.float32),
+        )
         for world, scene in enumerate(scenes):
+            if len(scene.blocks) > blocks or len(scene.regions) > regions:
+                raise InvalidSceneError(
+                    f"a scene with {len(scene.blocks)} blocks and {len(scene.regions)} regions does not fit in "
+                    f"{blocks} and {regions} slots"
+                )
+            arrays.poses[world, 0] = scene.robot.pose
+            for slot, block in enumerate(scene.blocks):
+                arrays.poses[world, 1 + slot] = block.pose
+                arrays.shapes[world, slot] = SHAPES.index(block.shape)
+                arrays.colours[world, slot] = COLOURS.index(block.colour)
             for slot, region in enumerate(scene.regions):
+                arrays.regions[world, slot] = region.x_min, region.y_min, region.x_max, region.y_max
+                arrays.region_colours[world, slot] = COLOURS.index(region.colour)
                 quads = dash_quads(region)  # rectangles along the axes
-                dashes[world, slot, : len(quads)] = np.concatenate([quads.min(axis=1), quads.max(axis=1)], axis=1)
-        caps = [[getattr(scene.dynamics, entry.name) for entry in fields(Dynamics)] for scene in scenes]
-        fingers = np.array([scene.robot.fingers for scene in scenes])
-        return cls(**vars(plain), fingers=fingers, dynamics=np.array(caps), dashes=dashes)
+                dashes = np.concatenate([quads.min(axis=1), quads.max(axis=1)], axis=1)
+                arrays.dashes[world, slot, : len(dashes)] = dashes
+        return arrays
+
+    def __getitem__(self, worlds: NDArray[np.int64]) -> WorldScenes:
+        """The scenes of these worlds, in their order."""
+        return WorldScenes(**{name: values[worlds] for name, values in vars(self).items()})
+
+    def scene(self, world: int, poses: NDArray[np.float64] | None = None) -> Scene:
+        """The scene of a world.
+
+        Args:
+            world: its number.
+            poses: of the robot and of each slot instead of its own; see above. Shape (1 + blocks, 3).
+        """
+        robot, *poses_of_blocks = (self.poses[world] if poses is None else poses).tolist()
+        blocks = zip(self.shapes[world].tolist(), self.colours[world].tolist(), poses_of_blocks, strict=True)
+        regions = zip(self.region_colours[world].tolist(), self.regions[world].tolist(), strict=True)
+        return Scene(
+            robot=Robot(*robot, fingers=self.fingers[world].tolist()),
+            blocks=tuple(Block(SHAPES[shape], COLOURS[colour], *pose) for shape, colour, pose in blocks if shape >= 0),
+            regions=tuple(GoalRegion(COLOURS[colour], *box) for colour, box in regions if colour >= 0),
+            dynamics=Dynamics(*self.dynamics[world].tolist()),
+        )
 
     def write(self, other: WorldScenes, worlds: NDArray[np.int64]) -> None:
         """Puts other scenes into these worlds."""
-        for entry in fields(self):
-            getattr(self, entry.name)[worlds] = getattr(other, entry.name)
+        for name, values in vars(self).items():
+            values[worlds] = getattr(other, name)
 
 
 def sample(pairs: Sequence[Pair], seeds: Sequence[int], capacity: Capacity) -> WorldScenes:

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from magical_mj.assets.contacts import foot_friction
 from magical_mj.assets.robot import torque_caps, wheel_caps
 from magical_mj.assets.world import planar, world_mjcf
-from magical_mj.batched.scenes import WorldScenes
+from magical_mj.batched.scenes import ABSENT, WorldScenes
 from magical_mj.scene import Block, Robot, Scene
-from magical_mj.scene.arrays import ABSENT
 from magical_mj.scene.constants import SHAPES, Shape
 
 GEOM_FIELDS: Final = ("geom_size", "geom_pos", "geom_quat", "geom_rbound", "geom_aabb")

@@ -11,9 +11,9 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import Final
 
-from magical_mj.tasks.spec import RULES, Rules, TaskSpec, array_score
+from magical_mj.tasks.spec import RULES, Rules, TaskSpec
 
-__all__ = ["RULES", "SPECS", "Rules", "TaskSpec", "array_score"]
+__all__ = ["RULES", "SPECS", "Rules", "TaskSpec"]
 
 _MODULES: Final = (  # in the paper's order
     "move_to_corner",

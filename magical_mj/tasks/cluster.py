@@ -24,13 +24,12 @@ from typing import Final, Literal, TypeVar
 
 import numpy as np
 
-from magical_mj.scene import Scene
-from magical_mj.scene.arrays import Array, SceneArrays, namespace, number_of
+from magical_mj.scene import Block, Scene
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.tasks.planning import Noise, Subgoal, each_to
 from magical_mj.tasks.planning.arrangements import cluster_targets
 from magical_mj.tasks.rules import coloured, pick_each, require, require_regions, shaped, shuffled, uniform_integer
-from magical_mj.tasks.spec import Rules, ScoreFunction, TaskSpec
+from magical_mj.tasks.spec import Rules, TaskSpec
 
 Attribute = Literal["colour", "shape"]
 _T = TypeVar("_T")
@@ -71,31 +70,37 @@ def check(scene: Scene, attribute: Attribute, task: str) -> None:
     require_regions(scene, task, 0)
 
 
-def blocks_right(scenes: SceneArrays, attribute: Attribute, rules: Rules = "paper") -> Array:
-    """Which blocks are near blocks with the same value of the attribute: see the module's docstring.
-
-    Returns:
-        Shape (..., blocks), bool. Arrays between have the axes (..., value, block), and x and y where there are such.
-    """
-    xp = namespace(scenes.poses)
-    kinds, values = (scenes.colours, COLOURS) if attribute == "colour" else (scenes.shapes, SHAPES)
-    members = xp.stack([(kinds == value) & scenes.present for value in range(len(values))], -2)
-    numbers = number_of(members)[..., None]
-    points = scenes.blocks[..., None, :, :]
-    centroids = (members[..., None] * points).sum(-2) / numbers.clip(1)
-    squares = ((points - centroids[..., None, :]) ** 2).sum(-1)
-    own = (members * squares).sum(-2)
-    others = (numbers > 0) & ~members
-    nearest = xp.amin(xp.where(others, squares, math.inf), -2)
-    right = xp.sqrt(own) < xp.sqrt(nearest) - 2 * own if rules == "released" else own < nearest / NEARER
-    return right & scenes.present
+def _centroids(scene: Scene, attribute: Attribute) -> dict[str, tuple[float, float]]:
+    """Mean x and y of the blocks of each value of the attribute that occurs."""
+    members: dict[str, list[Block]] = {}
+    for block in scene.blocks:
+        members.setdefault(getattr(block, attribute), []).append(block)
+    return {
+        value: (sum(block.x for block in blocks) / len(blocks), sum(block.y for block in blocks) / len(blocks))
+        for value, blocks in members.items()
+    }
 
 
-def score(final: SceneArrays, attribute: Attribute, rules: Rules = "paper") -> Array:
+def blocks_right(scene: Scene, attribute: Attribute, rules: Rules = "paper") -> int:
+    """The number of blocks that are near blocks with the same value of the attribute: see the module's docstring."""
+    centroids = _centroids(scene, attribute)
+    right = 0
+    for block in scene.blocks:
+        squares = {value: (block.x - x) ** 2 + (block.y - y) ** 2 for value, (x, y) in centroids.items()}
+        own = squares.pop(getattr(block, attribute))
+        nearest = min(squares.values())
+        if rules == "released":
+            right += math.sqrt(own) < math.sqrt(nearest) - 2 * own
+        else:
+            right += own < nearest / NEARER
+    return right
+
+
+def score(initial: Scene, final: Scene, rules: Rules = "paper", *, attribute: Attribute) -> float:
     """The share of blocks that are right, above the share that scores 0, scaled to [0, 1]."""
-    share = number_of(blocks_right(final, attribute, rules)) / number_of(final.present)
+    share = blocks_right(final, attribute, rules) / len(final.blocks)
     nothing = ZERO_SCORE_SHARE[rules]
-    return ((share - nothing) / (1 - nothing)).clip(0.0)
+    return max(0.0, (share - nothing) / (1 - nothing))
 
 
 def plan(initial: Scene, now: Scene, noise: Noise, attribute: Attribute) -> list[Subgoal]:
@@ -105,7 +110,7 @@ def plan(initial: Scene, now: Scene, noise: Noise, attribute: Attribute) -> list
     return each_to(cluster_targets(points, kinds, NEARER, noise), tolerance=0.09)
 
 
-def spec(name: str, attribute: Attribute, demo: Scene, score: ScoreFunction) -> TaskSpec:
+def spec(name: str, attribute: Attribute, demo: Scene) -> TaskSpec:
     """The task of clustering by an attribute."""
     return TaskSpec(
         name=name,
@@ -113,7 +118,7 @@ def spec(name: str, attribute: Attribute, demo: Scene, score: ScoreFunction) -> 
         demo=demo,
         steps=STEPS,
         released_steps=RELEASED_STEPS,
-        score=score,
+        score=partial(score, attribute=attribute),
         check=partial(check, attribute=attribute, task=name),
         plan=partial(plan, attribute=attribute),
         colour=colour,

@@ -21,9 +21,7 @@ from __future__ import annotations
 from typing import Final
 
 from magical_mj.scene import Block, Robot, Scene
-from magical_mj.scene.arrays import Array, SceneArrays
 from magical_mj.tasks import cluster
-from magical_mj.tasks.spec import Rules, array_score
 
 DEMO: Final = Scene(
     robot=Robot(0.71692, -0.34374, 0.83693),
@@ -40,10 +38,4 @@ DEMO: Final = Scene(
 )
 
 
-@array_score
-def score(initial: SceneArrays, final: SceneArrays, rules: Rules = "paper") -> Array:
-    """How well the blocks are clustered by colour, in [0, 1]."""
-    return cluster.score(final, "colour", rules)
-
-
-SPEC: Final = cluster.spec("ClusterColour", "colour", DEMO, score)
+SPEC: Final = cluster.spec("ClusterColour", "colour", DEMO)

@@ -28,12 +28,11 @@ from typing import Final
 import numpy as np
 
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
-from magical_mj.scene.arrays import Array, SceneArrays, number_of
 from magical_mj.scene.constants import COLOURS, REGION_SIZE, SHAPES
 from magical_mj.tasks.planning import Noise, Subgoal, bring, places_inside, places_outside
 from magical_mj.tasks.planning.subgoals import CHOICE
 from magical_mj.tasks.rules import coloured, inside, pick, pick_each, require, require_regions, shaped, uniform_integer
-from magical_mj.tasks.spec import Rules, TaskSpec, array_score
+from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(  # five distractors, then the duplicate, then the query; the rules keep this order
     robot=Robot(-0.57, 0.25, 3.83),
@@ -85,19 +84,16 @@ def check(scene: Scene) -> None:
     require(has_duplicate, "FindDupe", f"another {query.colour} {query.shape}, like the query, outside the goal region")
 
 
-@array_score
-def score(initial: SceneArrays, final: SceneArrays, rules: Rules = "paper") -> Array:
+def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     """The share of blocks like the query among those in the region, if it and a duplicate are there; else 0.
 
     The query is the block that is in the region in the initial scene.
     """
-    query, inside = initial.inside[..., 0, :], final.inside[..., 0, :]
-    shape, colour = (kinds[..., None] for kinds in ((query * final.shapes).sum(-1), (query * final.colours).sum(-1)))
-    alike = number_of(inside & (final.shapes == shape) & (final.colours == colour))
-    satisfied = alike >= 2
-    if rules == "paper":
-        satisfied = satisfied & (query & inside).any(-1)
-    return satisfied * alike / number_of(inside).clip(1)
+    (query,) = inside(initial.regions[0], initial.blocks)
+    inner = inside(final.regions[0], final.blocks)
+    alike = _alike(final, query).intersection(inner)
+    satisfied = len(alike) >= 2 and (query in inner or rules == "released")
+    return len(alike) / len(inner) if satisfied else 0.0
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:

@@ -26,11 +26,10 @@ from typing import Final
 import numpy as np
 
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
-from magical_mj.scene.arrays import Array, SceneArrays, namespace
 from magical_mj.scene.constants import COLOURS, FIX_COLOUR_REGION_SIZE
 from magical_mj.tasks.planning import Noise, Subgoal, bring, places_inside, places_outside, scene_after
 from magical_mj.tasks.rules import any_shapes, coloured, inside, pick, pick_each, require, uniform_integer
-from magical_mj.tasks.spec import Rules, TaskSpec, array_score
+from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(  # block i belongs in region i; the third is mismatched
     robot=Robot(0.368, 0.586, 0.718),
@@ -62,31 +61,38 @@ def count(rng: np.random.Generator, scene: Scene) -> Scene:
     return replace(scene, blocks=scene.blocks[-number:], regions=scene.regions[-number:])
 
 
+def _homes(scene: Scene) -> list[list[int]]:
+    """For each region the indices of the blocks in it: of its own one, in an initial scene."""
+    return [inside(region, scene.blocks) for region in scene.regions]
+
+
+def _mismatched(scene: Scene, homes: list[list[int]]) -> list[int]:
+    """Indices of the regions whose own block has another colour."""
+    pairs = zip(scene.regions, homes, strict=True)
+    return [index for index, (region, (own,)) in enumerate(pairs) if scene.blocks[own].colour != region.colour]
+
+
 def check(scene: Scene) -> None:
     """Raise `InvalidSceneError` unless each region has its own block and exactly one of these is mismatched."""
     require(len(scene.regions) > 0, "FixColour", "at least one goal region, and this has none")
-    homes = [inside(region, scene.blocks) for region in scene.regions]
+    homes = _homes(scene)
     numbers = [len(blocks) for blocks in homes]
     one_each = set(numbers) == {1} and len({blocks[0] for blocks in homes}) == len(homes)
     require(one_each, "FixColour", f"exactly one block of its own in every goal region, and the numbers are {numbers}")
-    odd = sum(scene.blocks[own].colour != region.colour for region, (own,) in zip(scene.regions, homes, strict=True))
+    odd = len(_mismatched(scene, homes))
     require(odd == 1, "FixColour", f"exactly one block whose colour differs from its goal region's, and this has {odd}")
 
 
-@array_score
-def score(initial: SceneArrays, final: SceneArrays, rules: Rules = "paper") -> Array:
+def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     """1.0 if the mismatched block has left its region and each other region has just its own block, else 0.0.
 
     The initial scene determines which block belongs to which region, and which one is mismatched. The same under
     both rules.
     """
-    homes, inside = initial.inside, final.inside
-    own_colours = (homes * initial.colours[..., None, :]).sum(-1)
-    mismatched = initial.region_colours != own_colours
-    left = ~(homes & inside).any(-1)
-    unchanged = (homes == inside).all(-1)
-    right = namespace(left).where(mismatched, left, unchanged) | ~initial.has_region
-    return 1.0 * right.all(-1)
+    homes, now = _homes(initial), _homes(final)
+    (odd,) = _mismatched(initial, homes)
+    (odd_block,) = homes.pop(odd)
+    return float(odd_block not in now.pop(odd) and now == homes)
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:

@@ -19,17 +19,20 @@ Differences from the original
 from __future__ import annotations
 
 import itertools
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magical_mj.scene import Block, Robot, Scene
-from magical_mj.scene.arrays import Array, SceneArrays, length, namespace
 from magical_mj.tasks.planning import Noise, Subgoal, each_to
 from magical_mj.tasks.planning.arrangements import line_targets
+from magical_mj.tasks.planning.subgoals import Point
 from magical_mj.tasks.rules import any_colours, any_shapes, require, require_regions, uniform_integer
-from magical_mj.tasks.spec import Rules, TaskSpec, array_score
+from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(
     robot=Robot(0.702, -0.255, 0.347),
@@ -59,50 +62,38 @@ def check(scene: Scene) -> None:
     require_regions(scene, "MakeLine", 0)
 
 
-def longest_line(points: Array, present: Array) -> Array:
-    """The number of blocks in the longest line: m in the module's docstring. At least 1.
-
-    Args:
-        points: x, y of the blocks. Shape (..., blocks, 2).
-        present: which of them there are. Shape (..., blocks), bool.
-
-    Returns:
-        Shape (...). All arrays between have the axes (..., pair, block) or (..., pair, block, other block).
-    """
-    pairs = [*itertools.combinations(range(points.shape[-2]), 2)]
-    first, second = [one for one, _ in pairs], [other for _, other in pairs]
-    way = points[..., second, :] - points[..., first, :]
-    distance = length(way[..., 0], way[..., 1])
-    defined = present[..., first] & present[..., second] & (distance > 0)  # centres in one place define no line
-    along_x, along_y = (way[..., None, axis] / distance.clip(1e-300)[..., None] for axis in (0, 1))
-    offset = points[..., None, :, :] - points[..., first, None, :]
-    x, y = offset[..., 0], offset[..., 1]
-    inlier = (abs(along_x * y - along_y * x) <= INLIER_DISTANCE) & present[..., None, :] & defined[..., None]
-    along = along_x * x + along_y * y
-
-    ahead = along[..., :, None] - along[..., None, :]  # how far a block is ahead of the other one
-    near_behind = inlier[..., None, :] & (ahead > 0) & (ahead <= MAX_GAP)
-    starts = inlier & ~near_behind.any(-1)  # the first blocks of the runs
-    run = (starts[..., None, :] & (ahead >= 0)).sum(-1)  # a number that the blocks of a run share
-    same_run = inlier[..., :, None] & inlier[..., None, :] & (run[..., :, None] == run[..., None, :])
-    xp = namespace(points)
-    return xp.amax(same_run.sum(-1), (-2, -1)).clip(1)
+def longest_line(points: Sequence[Point]) -> int:
+    """The number of blocks in the longest line, of blocks with these centres: m in the module's docstring."""
+    longest = 1
+    for (x, y), (other_x, other_y) in itertools.combinations(points, 2):
+        distance = math.hypot(other_x - x, other_y - y)
+        if distance == 0.0:  # two centres in one place (never in a legal scene) define no line
+            continue
+        along_x, along_y = (other_x - x) / distance, (other_y - y) / distance
+        offsets = [(block_x - x, block_y - y) for block_x, block_y in points]
+        along = sorted(
+            along_x * u + along_y * v for u, v in offsets if abs(along_x * v - along_y * u) <= INLIER_DISTANCE
+        )
+        run = 1
+        for here, there in itertools.pairwise(along):
+            run = run + 1 if there - here <= MAX_GAP else 1
+            longest = max(longest, run)
+    return longest
 
 
-def are_lines(points: Array) -> Array:
-    """Whether blocks with these centres are all in one line. Shape (...) for points of shape (..., blocks, 2)."""
-    present = namespace(points).ones_like(points[..., 0], dtype=bool)
-    return longest_line(points, present) == points.shape[-2]
+def are_lines(arrangements: NDArray[np.float64]) -> Iterator[bool]:
+    """Whether blocks with these centres are all in one line, for each of the arrangements, shape (n, blocks, 2)."""
+    return (longest_line(points) == len(points) for points in arrangements.tolist())
 
 
-@array_score
-def score(initial: SceneArrays, final: SceneArrays, rules: Rules = "paper") -> Array:
+def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     """1.0 if all blocks are in one line, 0.5 if all but one are, else 0.0."""
-    in_line, total = longest_line(final.blocks, final.present), final.present.sum(-1)
-    nearly = in_line == total - 1
-    if rules == "released":
-        nearly = nearly & (in_line >= RELEASED_LEAST)
-    return 1.0 * (in_line == total) + 0.5 * nearly
+    in_line, total = longest_line([(block.x, block.y) for block in final.blocks]), len(final.blocks)
+    if in_line == total:
+        return 1.0
+    if rules == "released" and in_line < RELEASED_LEAST:
+        return 0.0
+    return 0.5 if in_line == total - 1 else 0.0
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:

@@ -24,11 +24,10 @@ from typing import Final
 import numpy as np
 
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
-from magical_mj.scene.arrays import Array, SceneArrays, number_of
 from magical_mj.scene.constants import COLOURS, REGION_SIZE, Colour
 from magical_mj.tasks.planning import Noise, Subgoal, bring, places_inside, places_outside, scene_after
-from magical_mj.tasks.rules import any_shapes, coloured, pick, require, require_regions, uniform_integer
-from magical_mj.tasks.spec import Rules, TaskSpec, array_score
+from magical_mj.tasks.rules import any_shapes, coloured, inside, pick, require, require_regions, uniform_integer
+from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(
     robot=Robot(-0.5, 0.1, -3.7699111843077517),
@@ -80,13 +79,15 @@ def check(scene: Scene) -> None:
     require(has_target, "MatchRegions", f"at least one block of the goal region's colour, which is {wanted}")
 
 
-@array_score
-def score(initial: SceneArrays, final: SceneArrays, rules: Rules = "paper") -> Array:
+def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     """The share of targets in the region, less the share of distractors in it; the same under both rules."""
-    inside = final.inside[..., 0, :]
-    targets = final.present & (final.colours == final.region_colours[..., :1])
-    inside_targets = number_of(inside & targets)
-    return (inside_targets / number_of(targets)) * (inside_targets / number_of(inside).clip(1))
+    (region,) = final.regions
+    inner = inside(region, final.blocks)
+    if not inner:
+        return 0.0
+    is_target = [block.colour == region.colour for block in final.blocks]
+    inner_targets = sum(is_target[index] for index in inner)
+    return (inner_targets / sum(is_target)) * (inner_targets / len(inner))
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:

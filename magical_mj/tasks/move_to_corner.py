@@ -23,11 +23,10 @@ import math
 from typing import Final
 
 from magical_mj.scene import Block, Robot, Scene
-from magical_mj.scene.arrays import Array, SceneArrays, length
 from magical_mj.tasks.planning import Noise, Subgoal, bring, places_anywhere
 from magical_mj.tasks.planning.subgoals import TOLERANCE
 from magical_mj.tasks.rules import any_colours, any_shapes, require, require_regions
-from magical_mj.tasks.spec import Rules, TaskSpec, array_score
+from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(
     robot=Robot(0.4, 0.0, 1.7278759594743864),
@@ -45,12 +44,11 @@ def check(scene: Scene) -> None:
     require_regions(scene, "MoveToCorner", 0)
 
 
-@array_score
-def score(initial: SceneArrays, final: SceneArrays, rules: Rules = "paper") -> Array:
+def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     """How close the block is to the corner, in [0, 1]; the same under both rules."""
-    x, y = final.blocks[..., 0, 0], final.blocks[..., 0, 1]
-    distance = length(x - CORNER[0], y - CORNER[1])
-    return ((ZERO_SCORE_DISTANCE - distance) / (ZERO_SCORE_DISTANCE - FULL_SCORE_DISTANCE)).clip(0.0, 1.0)
+    (block,) = final.blocks
+    distance = math.hypot(block.x - CORNER[0], block.y - CORNER[1])
+    return min(1.0, max(0.0, (ZERO_SCORE_DISTANCE - distance) / (ZERO_SCORE_DISTANCE - FULL_SCORE_DISTANCE)))
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:

@@ -22,11 +22,10 @@ from typing import Final
 import numpy as np
 
 from magical_mj.scene import GoalRegion, Robot, Scene
-from magical_mj.scene.arrays import Array, SceneArrays
 from magical_mj.scene.constants import COLOURS, REGION_SIZE
 from magical_mj.tasks.planning import Noise, Subgoal, drive, places_inside
 from magical_mj.tasks.rules import pick, require, require_regions
-from magical_mj.tasks.spec import Rules, TaskSpec, array_score
+from magical_mj.tasks.spec import Rules, TaskSpec
 
 DEMO: Final = Scene(
     robot=Robot(0.058, 0.53, -2.13),
@@ -45,10 +44,9 @@ def check(scene: Scene) -> None:
     require(not scene.blocks, "MoveToRegion", f"no blocks, and this has {len(scene.blocks)}")
 
 
-@array_score
-def score(initial: SceneArrays, final: SceneArrays, rules: Rules = "paper") -> Array:
+def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
     """1.0 if the robot's centre is in the region, else 0.0; the same under both rules."""
-    return 1.0 * final.robot_inside[..., 0]
+    return float(final.regions[0].contains(final.robot))
 
 
 def plan(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:

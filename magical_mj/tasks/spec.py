@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import wraps
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
 from magical_mj.scene import Scene
-from magical_mj.scene.arrays import Array, SceneArrays
 from magical_mj.tasks.planning import Noise, Subgoal
 from magical_mj.utils.errors import TaskError, as_integer, short_repr
 from magical_mj.utils.imports import errors_of_task
@@ -34,24 +32,6 @@ calls it again whenever a block is not where it was expected. The noise selects 
 ScoreFunction = Callable[[Scene, Scene, Rules], float]
 """(initial scene, final scene, rules) -> score in [0, 1]. Both scenes have the same blocks and regions."""
 
-ScoreFormula = Callable[[SceneArrays, SceneArrays, Rules], Array]
-"""The same on arrays: (initial scenes, final scenes, rules) -> scores in [0, 1], of the scenes' leading axes."""
-
-
-def array_score(formula: ScoreFormula) -> ScoreFunction:
-    """Makes a formula on arrays the score of a task: of single scenes, and in batched worlds, which need the formula.
-
-    The formula must work on arrays of numpy and of torch; `magical_mj.scene.arrays` says how, and has what it needs.
-    """
-
-    @wraps(formula)
-    def score(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
-        with np.errstate(all="ignore"):  # no score depends on the settings of the program that asks for it
-            return float(formula(SceneArrays.of_one(initial), SceneArrays.of_one(final), rules))
-
-    score.formula = formula  # type: ignore[attr-defined]
-    return score
-
 
 @dataclass(frozen=True, kw_only=True)
 class TaskSpec(VariationRules):
@@ -64,7 +44,7 @@ class TaskSpec(VariationRules):
     released_steps: int | None = None
     """The horizon under the released code's rules, where it differs."""
     score: ScoreFunction
-    """How well the final scene solves the task, in [0, 1]. Batched worlds need one that `array_score` made."""
+    """How well the final scene solves the task, in [0, 1]."""
 
     plan: Plan | None = None
     """The plan of the scripted expert. Without one, everything except the expert works."""
@@ -99,16 +79,6 @@ class TaskSpec(VariationRules):
         if not isinstance(score, int | float | np.number) or not -_ROUNDING <= score <= 1.0 + _ROUNDING:
             raise TaskError(f"{self.name}.score must return a number in [0, 1], and returned {short_repr(score)}")
         return min(max(float(score), 0.0), 1.0)
-
-    def score_formula(self) -> ScoreFormula:
-        """The score on arrays; raises `TaskError` if it is stated on single scenes only."""
-        formula: ScoreFormula | None = getattr(self.score, "formula", None)
-        if formula is None:
-            raise TaskError(
-                f"{self.name}.score is stated on single scenes, and batched worlds need one on arrays: write it so, "
-                "and put @magical_mj.tasks.array_score above it"
-            )
-        return formula
 
     def subgoals(self, initial: Scene, now: Scene, noise: Noise, rules: Rules = "paper") -> tuple[Subgoal, ...]:
         """The remaining subgoals; none if the task is solved by these rules.

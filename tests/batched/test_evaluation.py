@@ -75,7 +75,8 @@ def test_scores_are_those_of_the_episodes_and_marked(tmp_path: Path) -> None:
     magical_mj.evaluate({"demonstrator": Failing()}, **BATCHED, **ONE, out=out)
     played, failed = read(out)
     assert (played.score, played.steps, played.worlds, played.failure) == (1.0, 40, "batched", None)
-    assert (failed.score, failed.steps, failed.worlds, failed.failure) == (0.0, 0, "batched", "ValueError: no")
+    assert (failed.score, failed.steps, failed.worlds) == (0.0, 0, "batched")
+    assert str(failed.failure).startswith("ValueError: no")
     assert json.loads((out / SETTINGS).read_text())["worlds"] == "batched"
 
 

@@ -10,11 +10,10 @@ import subprocess
 import sys
 from pathlib import Path
 from textwrap import dedent
-from typing import Any
 
 import pytest
 
-from magical_mj.tasks.registry import VARIANTS, sample_scene
+from magical_mj.tasks.registry import VARIANTS
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "adding-a-task.md").read_text()
@@ -69,13 +68,6 @@ def user(tmp_path_factory: pytest.TempPathFactory) -> User:
 def test_the_example_is_what_the_page_says() -> None:
     assert (EXAMPLE / "push_out.py").read_text() == block("python", '"""PushOut')
     assert (EXAMPLE / "pyproject.toml").read_text() == block("toml", "[build-system]")
-
-
-def test_the_score_on_arrays_is_the_same() -> None:
-    names: dict[str, Any] = {}
-    exec(compile(block("python", "from magical_mj.scene.arrays"), "adding-a-task.md", "exec"), names)
-    scene = sample_scene("FindDupe", "Demo", 0)
-    assert names["score"](scene, scene) == pytest.approx(6 / 7)
 
 
 def test_it_has_rows_and_ids_like_ours(user: User) -> None:

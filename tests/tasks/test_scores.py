@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
-from magical_mj.scene.arrays import SceneArrays
-from magical_mj.tasks import RULES, Rules
-from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, sample_scene, score, task_spec
-from magical_mj.utils.errors import InvalidSceneError, TaskError, UnknownNameError
+from magical_mj.tasks import Rules
+from magical_mj.tasks.registry import TASKS, sample_scene, score, task_spec
+from magical_mj.utils.errors import InvalidSceneError, UnknownNameError
 
 CASES = json.loads((Path(__file__).parents[1] / "data" / "score_cases.json").read_text())
 """40 final states for each task, with the scores by the paper's formulas and by the original's released code."""
@@ -44,44 +43,11 @@ def test_known_final_states(task: str, rules: Rules, key: str) -> None:
         assert score(task, demo(task), final, rules) == pytest.approx(case[key], abs=1e-6), case["id"]
 
 
-def gathered(scene: Scene, rng: np.random.Generator) -> Scene:
-    """The scene with blocks around a few places, so that every score occurs."""
-    places = [*(region.centre for region in scene.regions), *rng.uniform(-0.8, 0.8, (2, 2))]
-    poses = [(*(places[rng.integers(len(places))] + rng.normal(0, 0.08, 2)), 0.0) for _ in scene.blocks]
-    if rng.random() < 0.5:
-        stay = rng.integers(len(poses) + 1)
-        poses[:stay] = [block.pose for block in scene.blocks[:stay]]
-    return scene.moved((*rng.uniform(-0.8, 0.8, 2), 0.0), poses)
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_batches_have_the_scores_of_their_scenes(task: str) -> None:
-    """Scenes of all variants in one batch of numpy and of torch, with two leading axes and slots to spare."""
-    torch, rng = pytest.importorskip("torch"), np.random.default_rng(0)
-    initial = [sample_scene(*pair, seed) for pair in ENVIRONMENTS if pair[0] == task for seed in range(20)]
-    final = [gathered(scene, rng) for scene in initial]
-    both = [SceneArrays.of(scenes, 10, 3)[np.arange(len(scenes)).reshape(-1, 10)] for scenes in (initial, final)]
-    tensors = [SceneArrays(*(torch.from_numpy(getattr(a, entry.name)) for entry in fields(a))) for a in both]
-    for rules in RULES:
-        wanted = np.reshape([score(task, *pair, rules) for pair in zip(initial, final, strict=True)], (-1, 10))
-        formula = task_spec(task).score_formula()
-        assert np.array_equal(formula(*both, rules), wanted)
-        np.testing.assert_allclose(formula(*tensors, rules).double(), wanted, atol=1e-12, rtol=0.0)
-        assert len(np.unique(wanted)) > 1
-
-
 def test_scores_do_not_depend_on_the_settings_of_numpy() -> None:
     scene = Scene(ROBOT, (Block("circle", "red", -1.0, 1.0 - 1e-300, 0.0),))
     with np.errstate(all="raise"):
         assert score("MoveToCorner", scene, scene) == 1.0
         assert score("MakeLine", *[line((0, 0), (1e-320, 0), (0.1, 1e-310))] * 2) == 1.0
-
-
-def test_only_scores_on_arrays_have_a_formula_for_batches() -> None:
-    with pytest.raises(TaskError, match="array_score"):
-        replace(task_spec("MakeLine"), score=lambda initial, final, rules: 0.0).score_formula()
-    with pytest.raises(InvalidSceneError, match="does not fit"):
-        SceneArrays.of([demo("MakeLine")], 3, 0)
 
 
 @pytest.mark.parametrize("task", TASKS)

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Collection, Sequence
-from typing import Any, Final
+from collections.abc import Callable, Collection, Iterable, Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,7 @@ ROUNDS: Final = 24
 
 
 def line_targets(
-    points: Sequence[Point], are_lines: Callable[[Floats], Any], noise: Noise, fixed: Collection[int] = ()
+    points: Sequence[Point], are_lines: Callable[[Floats], Iterable[bool]], noise: Noise, fixed: Collection[int] = ()
 ) -> list[Point | None]:
     """A target for each block, or None for blocks that stay.
 
@@ -55,7 +55,7 @@ def line_targets(
 
     Args:
         points: the blocks' positions.
-        are_lines: which arrangements of the blocks, shape (n, blocks, 2), form a line; shape (n,), bool.
+        are_lines: which arrangements of the blocks, shape (n, blocks, 2), form a line; asked until one does.
         noise: selects one of several good lines.
         fixed: the blocks that should stay, if possible.
     """
@@ -77,8 +77,8 @@ def line_targets(
     plan, slot = moved.nonzero()
     ends = np.repeat(here[None], len(line), axis=0)
     ends[plan, blocks[plan, slot]] = lines[line[plan], slot]
-    right = are_lines(SPARE * ends)
-    return _targets(ends[right.argmax() if right.any() else -1], here)
+    lined_up = (end for end, is_line in zip(ends, are_lines(SPARE * ends), strict=True) if is_line)
+    return _targets(next(lined_up, ends[-1]), here)
 
 
 def _lines(here: Floats, noise: Noise) -> Floats:
