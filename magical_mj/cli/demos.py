@@ -36,7 +36,6 @@ from magical_mj.utils.settings import LARGEST_SETTING
 
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
     from magical_mj.demos import Demonstration, Imported, Verdict
-    from magical_mj.demos.export import Exporter
 
 Paths = Annotated[
     list[Path] | None,
@@ -84,40 +83,27 @@ def generate(
     jobs: Jobs = None,
 ) -> None:
     """Make demonstrations by the expert. Called again, it continues; nothing is overwritten."""
-    from magical_mj.demos.files import SUFFIX  # which loads the simulator
-
     pairs = environments(tasks, variants)
-    check_files_differ([task for task, _ in pairs])
+    keys = [(*pair, number) for pair in pairs for number in range(count)]
+    paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}-{key[2]:03}.npz" for key in keys}
+    if len(set(paths.values())) < len(keys):
+        raise SettingsError("two of these tasks have the same name, and so would their files: use two folders")
     make_writable_folder(out)
     screen = console()
-    keys = [(*pair, number) for pair in pairs for number in range(count)]
-    paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}-{key[2]:03}{SUFFIX}" for key in keys}
     there = {key for key, path in paths.items() if path.exists() and magical_mj.demos.read(path, key[0])}
     if there:
         screen.print(f"{len(there)} of {len(paths)} are there already")
     longest_first = sorted(keys, key=lambda key: -pairs.index(key[:2]))
     todo = [(*key, least_score, paths[key]) for key in longest_first if key not in there]
-    reasons = with_bar(screen, "demonstrating", map_unordered(make, todo, jobs), len(todo))
     try:
-        failures = [reason for reason in reasons if reason]
+        messages = list(with_bar(screen, "demonstrating", map_unordered(make, todo, jobs), len(todo)))
     except KeyboardInterrupt:
-        there = [path for path in paths.values() if path.exists()]
-        complain(f"interrupted: {len(there)} of {len(paths)} demonstrations are in {out}; the same command goes on")
+        finished = sum(path.exists() for path in paths.values())
+        complain(f"interrupted: {finished} of {len(paths)} demonstrations are in {out}; the same command goes on")
         raise
     describe([magical_mj.demos.read(path, key[0]) for key, path in paths.items() if path.exists()])
-    if failures:
-        raise DemonstrationError(f"{len(failures)} demonstrations are missing: {'; '.join(sorted(failures))}")
-
-
-def check_files_differ(tasks: Sequence[str]) -> None:
-    """Raise a `SettingsError` if two tasks of other packages have one name, and so their files too."""
-    named: dict[str, str] = {}
-    for task in tasks:
-        other = named.setdefault(name := task_spec(task).name, task)
-        if other != task:
-            raise SettingsError(
-                f"{other} and {task} are both called {name}, and so would be their files: use two folders"
-            )
+    if failures := sorted(filter(None, messages)):
+        raise DemonstrationError(f"{len(failures)} demonstrations are missing: {'; '.join(failures)}")
 
 
 def make(work: tuple[str, str, int, float, Path]) -> str:
@@ -163,26 +149,20 @@ def info(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "all") 
 
 def describe(demos: Sequence[Demonstration]) -> None:
     """Prints a table with a row for each environment."""
-    columns = ("environment", "by", "demos", "score", "steps", "actions", "orders", "strategies", "ways apart")
     table = Table(box=None, header_style="bold", padding=(0, 1, 0, 0), pad_edge=False)
-    for number, column in enumerate(columns):
-        table.add_column(column, no_wrap=number == 0, overflow="fold")
+    table.add_column("environment", no_wrap=True)
+    for column in ("by", "demos", "score", "steps", "actions", "orders", "strategies", "ways apart"):
+        table.add_column(column, overflow="fold")
     groups: dict[tuple[str, str], list[Demonstration]] = {}
     for demo in demos:
         groups.setdefault((demo.name, demo.demonstrator), []).append(demo)
-    for (name, demonstrator), some in groups.items():
-        differ = magical_mj.demos.diversity(some)
-        table.add_row(
-            name,
-            demonstrator,
-            str(len(some)),
-            f"{fmean(demo.score for demo in some):.3f}",
-            f"{fmean(len(demo.actions) for demo in some):.0f}",
-            f"{fmean(int((demo.actions != 0).sum()) for demo in some):.0f}",
-            str(differ.orders),
-            str(differ.strategies),
-            f"{differ.ways:.2f}",
-        )
+    for names, group in groups.items():
+        orders, strategies, ways = magical_mj.demos.diversity(group)
+        score = fmean(demo.score for demo in group)
+        steps = fmean(len(demo.actions) for demo in group)
+        actions = fmean(np.count_nonzero(demo.actions) for demo in group)
+        numbers = (len(group), f"{score:.3f}", f"{steps:.0f}", f"{actions:.0f}", orders, strategies, f"{ways:.2f}")
+        table.add_row(*names, *map(str, numbers))
     screen = console()
     screen.print(table)
     screen.print(
@@ -201,16 +181,16 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
     """
     screen = console()
     chosen = files_of(paths, tasks, variants)
-    work = partial(check, asked_for(tasks, variants))
-    checked = with_bar(screen, "verifying", map_unordered(work, chosen, jobs), len(chosen))
-    outcomes = [(path, verdict) for path, verdict in checked if verdict]
+    work = map_unordered(partial(check, asked_for(tasks, variants)), chosen, jobs)
+    outcomes = [outcome for outcome in with_bar(screen, "verifying", work, len(chosen)) if outcome[1] is not None]
     if not outcomes:
         raise DemonstrationError(f"none of the {len(chosen)} files is of these tasks and variants")
-    verdicts = [verdict for _, verdict in outcomes if not isinstance(verdict, str)]
-    exact, alike = (sum(getattr(verdict, name) for verdict in verdicts) for name in ("exact", "pictures"))
+    verdicts = [verdict for _, verdict in outcomes if not isinstance(verdict, str | None)]
+    same_score = sum(verdict.score and verdict.replay for verdict in verdicts)
+    exact, pictures = (sum(getattr(verdict, name) for verdict in verdicts) for name in ("exact", "pictures"))
     screen.print(
-        f"{sum(verdict.score and verdict.replay for verdict in verdicts)} of {len(outcomes)} replay to the same score, "
-        f"{exact} through the same states, {alike} with the same pictures"
+        f"{same_score} of {len(outcomes)} replay to the same score, {exact} through the same states, {pictures} with "
+        "the same pictures"
     )
     problems = (problem_of(path, verdict) for path, verdict in sorted(outcomes, key=str))
     for problem in dict.fromkeys(filter(None, problems)):  # that a task must be named is said once
@@ -230,9 +210,9 @@ def check(wanted: Collection[Pair] | None, path: Path) -> tuple[Path, Verdict | 
         return path, f"{path}: {error}"
 
 
-def problem_of(path: Path, verdict: Verdict | str) -> str | None:
+def problem_of(path: Path, verdict: Verdict | str | None) -> str | None:
     """What is wrong with a file, as a sentence; None if nothing is."""
-    if isinstance(verdict, str):
+    if isinstance(verdict, str | None):
         return verdict
     if not verdict.scene:
         return f"{path} does not start in the scene that its variant and seed have in this version of the world"
@@ -284,49 +264,49 @@ def export(
     force: Force = False,
 ) -> None:
     """Export demonstrations for other tools."""
-    from magical_mj.demos.export import EXPORTERS
+    from magical_mj.demos.export import default_target, make_data_set
 
-    exporter = EXPORTERS[to]
-    settings = {"drop_noop": drop_noop, "video": video, "fingers": fingers}
-    for option in settings:
-        takers = [name for name, other in EXPORTERS.items() if option in other.options]
-        check_fits(context, to in takers, f"with --to {' or '.join(takers)}", option)
-    check_fits(context, exporter.replaces, "with other data sets: these are written into new folders only", "force")
-    options = {option: settings[option] for option in exporter.options}
+    check_fits(context, to == "npz", "with --to npz", "drop_noop")
+    check_fits(context, to == "lerobot", "with --to lerobot", "video", "fingers")
+    check_fits(context, to != "lerobot", "with other data sets: these are written into new folders only", "force")
     demos = read_chosen(paths, tasks, variants)
-    preset = exporter.preset if preset is None else preset
-    names = list(dict.fromkeys(demo.name for demo in demos))
-    groups = {name: [demo for demo in demos if demo.name == name] for name in names}
-    if exporter.of_many:
-        groups = {names[0] if len(names) == 1 else "demonstrations": demos}
-    elif out is not None and len(names) > 1:
+    if preset is None:
+        preset = "State" if to == "minari" else "LoRes4E"
+    groups: dict[str, list[Demonstration]] = {}
+    for demo in demos:
+        groups.setdefault(demo.name, []).append(demo)
+    if to == "npz":  # one file holds demonstrations of any environments
+        groups = {next(iter(groups)) if len(groups) == 1 else "demonstrations": demos}
+    elif out is not None and len(groups) > 1:
         raise typer.BadParameter(
-            f"one data set holds one environment, but these are of {', '.join(names)}: drop --out."
+            f"one data set holds one environment, but these are of {', '.join(groups)}: drop --out."
         )
-    targets = {name: out or exporter.target(name, group, preset, options) for name, group in groups.items()}
+    targets = {name: out or default_target(to, name, group, preset, fingers=fingers) for name, group in groups.items()}
+    sources = {file.resolve().parent for file in files_of(paths, tasks, variants)}
     for target in targets.values():  # before the first one is made
-        _check_target(target, exporter, {file.resolve().parent for file in files_of(paths, tasks, variants)}, force)
+        _check_target(to, target, sources, force)
     for name, target in targets.items():
-        exporter.write(groups[name], target, preset, overwrite=force, **options)
+        options = {"drop_noop": drop_noop, "video": video, "fingers": fingers, "overwrite": force}
+        make_data_set(to, groups[name], target, preset, **options)
         console().print(target, soft_wrap=True)
 
 
-def _check_target(target: str, exporter: Exporter, sources: set[Path], force: bool) -> None:
+def _check_target(to: str, target: str, sources: set[Path], force: bool) -> None:
     """Raises an error unless a data set can be made there, whose demonstrations lie in the folders `sources`."""
-    from magical_mj.demos.export.minari import check_new, to_minari
-    from magical_mj.demos.files import SUFFIX
+    from magical_mj.demos.export import SUFFIXES
+    from magical_mj.demos.export.minari import dataset_path
 
-    path = Path(target)
-    if exporter.write is to_minari:
-        if not force:
-            check_new(target)
-    elif exporter.suffix:
-        check_suffix(path, exporter.suffix)
-        if exporter.suffix == SUFFIX and path.resolve().parent in sources:
+    if to in SUFFIXES:
+        path = Path(target)
+        check_suffix(path, SUFFIXES[to])
+        if to == "npz" and path.resolve().parent in sources:
             raise typer.BadParameter(f"{path} would lie among the demonstrations; give --out in another folder.")
         check_writable(path, force)
-    elif path.exists():
-        raise FileExistsError(f"{path} exists already; give a new folder")
+        return
+    path = dataset_path(target) if to == "minari" else Path(target)
+    if path.exists() and not force:
+        other = "another id, or replace it with --force" if to == "minari" else "a new folder"
+        raise FileExistsError(f"there is a data set {path} already; give {other}")
 
 
 def files_of(paths: Sequence[Path] | None, tasks: str, variants: str) -> list[Path]:
@@ -337,7 +317,7 @@ def files_of(paths: Sequence[Path] | None, tasks: str, variants: str) -> list[Pa
     chosen: dict[Path, Path] = {}
     for path in paths:
         if path.is_dir():
-            inside = magical_mj.demos.files_in_or_below(path)
+            inside = magical_mj.demos.files_in(path)
             if not inside:
                 raise DemonstrationError(f"there are no demonstrations in {path}")
             chosen |= {file.resolve(): file for file in inside}

@@ -142,9 +142,9 @@ class Episodes:
 class Episode:
     """One scene in a window, from its start to what became of it. The clock starts with the first key."""
 
-    def __init__(self, env: Engine, pair: Pair, seed: int, episodes: Episodes) -> None:
+    def __init__(self, env: Engine, seed: int, episodes: Episodes) -> None:
         env.reset(seed=seed)
-        self._env, self._pair, self._seed, self._episodes = env, pair, seed, episodes
+        self._env, self._episodes = env, episodes
         self._recorder = magical_mj.demos.Recorder(env)
         self._steps = 0
         self._result: str | None = None
@@ -155,7 +155,7 @@ class Episode:
             return
         self._steps += 1
         if self._recorder.step(action):
-            demo = self._recorder.demonstration(*self._pair, self._seed, "human", self._seed)
+            demo = self._recorder.demonstration("human")
             self._result = self._episodes.finish(demo)
 
     def discard(self) -> None:
@@ -176,13 +176,13 @@ def play_in(window: Window, env: Engine, pair: Pair, seed: int, size: int, episo
     """Plays episodes until the player quits, in scene after scene or in the same one again."""
     summary = task_spec(pair[0]).summary
     goal = f"{summary[0].upper()}{summary[1:]}."
-    episode, wish = Episode(env, pair, seed, episodes), None
+    episode, wish = Episode(env, seed, episodes), None
     while wish != "quit":
         window.show(side_by_side(env, size), [goal, episode.caption()])
         wish = window.wish()
         if wish in ("reset", "next"):
             seed += wish == "next"
-            episode = Episode(env, pair, seed, episodes)
+            episode = Episode(env, seed, episodes)
         elif wish == "discard":
             episode.discard()
         elif wish is None:

@@ -10,10 +10,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from magical_mj.demos.demonstration import Demonstration
+from magical_mj.demos.demonstration import Demonstration, files_in, keep, read, write
 from magical_mj.demos.export.archives import to_npz
 from magical_mj.demos.export.minari import to_minari
-from magical_mj.demos.files import files_in, files_in_or_below, keep, read, write
 from magical_mj.demos.learning import Transitions, observations, stream, transitions
 from magical_mj.demos.recording import MAX_BYTES, Imported, Recorder, demonstrate, from_recording
 from magical_mj.demos.replay import Diversity, Verdict, diversity, render_demo, verify
@@ -32,7 +31,6 @@ __all__ = [
     "demonstrate",
     "diversity",
     "files_in",
-    "files_in_or_below",
     "from_recording",
     "keep",
     "load",
@@ -73,7 +71,7 @@ def paths_of(task: str, folder: Path | str | None = None) -> list[Path]:
     """
     task, spec = task_name(task), task_spec(task)
     folder = files.to_path(spec.demonstrations or SHIPPED if folder is None else folder)
-    paths = files_in_or_below(folder, f"{spec.name}-")
+    paths = files_in(folder, f"{spec.name}-")
     if paths:
         return paths
     command = f"play {task} --record" if spec.plan is None else f"demos generate --tasks {task} --out"

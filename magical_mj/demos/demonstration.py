@@ -1,13 +1,27 @@
-"""The type of a demonstration: a complete episode as numbers."""
+"""A demonstration, which is a complete episode as numbers, and its file.
+
+A file is a zip archive of numpy arrays, which `numpy.load` opens without pickle. `header.npy` holds JSON as bytes: all
+fields that are not arrays, the file format's version, and a SHA-256 digest of everything else. `actions.npy`,
+`qpos.npy` and `qvel.npy` are the arrays. Files are written completely or not at all, and never overwritten. What is
+read may be a stranger's: its size is bounded, it imports nothing, and everything in it is checked here.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import contextlib
+import hashlib
+import io
+import itertools
+import json
+import zipfile
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Final, Literal, get_args
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from magical_mj._version import __version__
@@ -15,11 +29,23 @@ from magical_mj.assets.robot import JOINTS
 from magical_mj.assets.world import World
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS
-from magical_mj.tasks.registry import environment_axes, score, task_spec
-from magical_mj.utils.errors import DemonstrationError, short_repr
+from magical_mj.tasks.plugins import announced_name
+from magical_mj.tasks.registry import environment_axes, score, task_spec, variant_name
+from magical_mj.utils import files
+from magical_mj.utils.errors import DemonstrationError, MagicalError, short_repr
+from magical_mj.utils.imports import check_named
+from magical_mj.utils.settings import annotated, fitting
 
 Demonstrator = Literal["expert", "human"]
-DEMONSTRATORS: Final[tuple[Demonstrator, ...]] = get_args(Demonstrator)
+Seed = Annotated[int, Meta(ge=0)]
+
+FORMAT: Final = 1
+SUFFIX: Final = ".npz"
+ARRAYS: Final = ("actions", "qpos", "qvel")
+MOST_BYTES: Final = 50_000_000
+"""The largest file, and the largest content, that is read; the longest demonstrations here have 200,000 bytes."""
+COMPRESSIONS: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""Those that numpy writes, and whose readers unpack no more than was declared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,10 +54,10 @@ class Demonstration:
 
     task: str
     variant: str
-    scene_seed: int
+    scene_seed: Seed
     """`scene` is `sample_scene(task, variant, scene_seed)`."""
     demonstrator: Demonstrator
-    seed: int
+    seed: Seed
     """The expert's seed; of people, the scene's."""
     scene: Scene
     actions: NDArray[np.uint8]
@@ -40,7 +66,7 @@ class Demonstration:
     """MuJoCo's positions, shape (steps + 1, nq)."""
     qvel: NDArray[np.float64]
     """MuJoCo's velocities, shape (steps + 1, nv)."""
-    score: float
+    score: Annotated[float, Meta(ge=0, le=1)]
     """The score of the last state by the paper's rules."""
     package: str = __version__
     mujoco: str = version("mujoco")
@@ -60,44 +86,173 @@ class Demonstration:
         return score(self.task, self.scene, World(self.scene).read(self.qpos[-1]))
 
 
-def check(demo: Demonstration) -> None:
-    """Checks what somebody may have altered: the parts of a demonstration from or for a file.
+HEADER_FIELDS: Final = {name: kind for name, kind in annotated(Demonstration).items() if name not in (*ARRAYS, "scene")}
+"""The fields in a file's header besides the scene, with their types and bounds."""
+
+
+def write(demo: Demonstration, path: Path | str) -> None:
+    """Writes a demonstration to a file (`*.npz`) that does not exist yet. Its folder is made if missing.
 
     Raises:
-        DemonstrationError: if they are of wrong types, out of range, or do not fit each other.
-        UnknownNameError: if there is no such environment.
+        DemonstrationError: if the name has another ending, so that it would not be found in its folder, or if the
+            arrays of the demonstration do not fit each other.
+        SettingsError: if another part is of a wrong type or out of range.
+        FileExistsError: if the file exists; nothing is overwritten.
     """
-    environment_axes(demo.task, demo.variant)
-    for fits, problem in _claims(demo):
-        if not fits:
-            raise DemonstrationError(problem)
+    path = files.to_path(path)
+    if path.suffix != SUFFIX:
+        raise DemonstrationError(f"{path} must end in {SUFFIX}")
+    fields = _checked_fields(vars(demo))
+    _check_arrays(demo)
+    arrays = {name: getattr(demo, name) for name in ARRAYS}
+    header = {"format": FORMAT, **fields, "scene": json.loads(demo.scene.to_json())}
+    header["digest"] = _digest(header, arrays)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    archive = io.BytesIO()
+    text = np.frombuffer(json.dumps(header).encode(), np.uint8)
+    np.savez_compressed(archive, allow_pickle=False, header=text, **arrays)
+    files.write(path, archive.getvalue())
 
 
-def _claims(demo: Demonstration) -> Iterator[tuple[bool, str]]:
-    """What must be true, and what is said if it is not. Each may rely on those before it."""
-    for seed in (demo.scene_seed, demo.seed):
-        is_seed = isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0
-        yield is_seed, f"seeds must be integers of at least 0, not {short_repr(seed)}"
-    is_score = isinstance(demo.score, int | float) and not isinstance(demo.score, bool) and 0 <= demo.score <= 1
-    yield is_score, f"the score must be a number in [0, 1], not {short_repr(demo.score)}"
-    are_texts = isinstance(demo.package, str) and isinstance(demo.mujoco, str)
-    yield are_texts, "the versions of package and mujoco must be texts"
-    yield demo.demonstrator in DEMONSTRATORS, f"demonstrator must be one of {DEMONSTRATORS}"
-    for array, kind, dimensions in (
-        (demo.actions, np.uint8, 1),
-        (demo.qpos, np.float64, 2),
-        (demo.qvel, np.float64, 2),
-    ):
-        yield (
-            (array.dtype, array.ndim) == (kind, dimensions),
-            "actions must be an array (steps,) of uint8, qpos and qvel (steps + 1, n) of float64",
+def keep(demo: Demonstration, folder: Path | str) -> tuple[Path, bool]:
+    """Writes a demonstration into a folder under the next free name, such as ``FindDupe-All-human-003.npz``.
+
+    Whatever else is in the folder, the demonstration is written.
+
+    Returns:
+        Its path, and whether it was written: if the folder holds the same episode already, nothing is, and the path is
+        that of the file which holds it.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    folder = files.to_path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    beginning = f"{demo.name}-{demo.demonstrator}-"
+    for path in sorted(folder.glob(f"{beginning}*{SUFFIX}")):
+        with contextlib.suppress(Exception):  # nothing that is wrong with another file may cost this episode
+            other = read(path, demo.task)
+            if (other.scene_seed, other.actions.tobytes()) == (demo.scene_seed, demo.actions.tobytes()):
+                return path, False
+    paths = (folder / f"{beginning}{number:03}{SUFFIX}" for number in itertools.count())
+    while True:
+        path = next(path for path in paths if not path.exists())
+        with contextlib.suppress(FileExistsError):  # another process has taken the name meanwhile
+            write(demo, path)
+            return path, True
+
+
+def files_in(folder: Path | str, beginning: str = "") -> list[Path]:
+    """The demonstration files in a folder whose names start with `beginning`, sorted; without unfinished ones.
+
+    Those in its subfolders that are not hidden, such as one for each player, come after them.
+    """
+    folder = files.to_path(folder)
+    pattern = f"{beginning or '[!.]'}*{SUFFIX}"
+    return [path for inner in (folder, *sorted(folder.glob("[!.]*/"))) for path in sorted(inner.glob(pattern))]
+
+
+def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] = ()) -> Demonstration:
+    """Reads a demonstration and checks that it is undamaged.
+
+    A task that was given by reference when the file was written, and is announced by now, has its name.
+
+    Args:
+        path: the file.
+        task: the task that it must be of.
+        trusted: besides that task, references such as "mine:SPEC" whose modules may be imported; see
+            `magical_mj.utils.imports`.
+
+    Raises:
+        DemonstrationError: if it is truncated, altered, of another version or of another task, larger than
+            `MOST_BYTES`, or not a plain file.
+        UntrustedNameError: if its task is a reference that is not trusted.
+        OSError: if there is no such file, or it cannot be read.
+    """
+    path = files.to_path(path)
+    arrays = _unpacked(path, files.read_foreign(path, most=MOST_BYTES, error=DemonstrationError))
+    header = _header(path, arrays.pop("header"), arrays)
+    if task is not None and header["task"] != announced_name(task):
+        raise DemonstrationError(f"{path} is a demonstration of {header['task']}, not of {task}")
+    if header["task"] not in (task, *trusted):
+        check_named(header["task"], "a demonstration")
+    try:
+        scene = Scene.from_json(json.dumps(header["scene"]))
+        fields = _checked_fields({**header, "variant": variant_name(header["variant"])})
+        demo = Demonstration(**fields, scene=scene, **arrays)
+        _check_arrays(demo)
+    except (KeyError, MagicalError) as error:
+        raise DemonstrationError(f"{path} does not describe a demonstration: {error}") from error
+    return demo
+
+
+def _unpacked(path: Path, content: bytes) -> dict[str, Any]:
+    """The header, as bytes, and the arrays in a file's content."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            members = archive.infolist()
+        size = sum(member.file_size for member in members)
+        if size > MOST_BYTES:
+            raise DemonstrationError(f"{path} unpacks to {size:,} bytes, and at most {MOST_BYTES:,} are read")
+        if any(member.compress_type not in COMPRESSIONS for member in members):
+            raise DemonstrationError(f"{path} is compressed in another way than demonstrations are, by deflate")
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in ("header", *ARRAYS)}
+    except DemonstrationError:
+        raise
+    except Exception as error:  # zipfile, zlib and numpy raise some fifteen types for damaged archives
+        raise DemonstrationError(f"{path} is damaged or cut short, or not a demonstration at all") from error
+
+
+def _header(path: Path, text: NDArray[Any], arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """The fields in the header, if it is one of this format and of these arrays; the task by its present name."""
+    try:
+        header = json.loads(text.tobytes())
+        number, digest = header.get("format"), header.pop("digest", None)
+        is_whole = digest == _digest(header, arrays)
+    except (ValueError, AttributeError, RecursionError):
+        raise DemonstrationError(f"{path} has an unreadable header: it is damaged, or not a demonstration") from None
+    if number != FORMAT:
+        raise DemonstrationError(
+            f"{path} has format {number!r}, and this version of magical_mj reads format {FORMAT}: "
+            "read it with the version that wrote it, or generate it again"
         )
-    steps, states = len(demo.actions), (len(demo.qpos), len(demo.qvel))
-    yield 0 < steps == states[0] - 1 == states[1] - 1, f"{steps} actions do not fit {states[0]} and {states[1]} states"
-    yield bool((demo.actions < len(ACTIONS)).all()), f"actions must be below {len(ACTIONS)}"
-    yield bool(np.isfinite(demo.qpos).all() and np.isfinite(demo.qvel).all()), "states must be finite"
-    sizes, needed = (demo.qpos.shape[1], demo.qvel.shape[1]), len(JOINTS) + 3 * len(demo.scene.blocks)
-    yield sizes == (needed, needed), f"states of this scene have {needed} positions and velocities, not {sizes}"
+    if not is_whole:
+        raise DemonstrationError(f"{path} was altered after it was written: its digest is not that of its content")
+    return {**header, "task": announced_name(header.get("task", ""))}
+
+
+def _digest(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> str:
+    """A hash of the header and the arrays."""
+    digest = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
+    for name in ARRAYS:
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def _checked_fields(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a header, each of its type and within its bounds, and of an environment that exists."""
+    environment_axes(values["task"], values["variant"])
+    return {name: fitting(name, values[name], kind) for name, kind in HEADER_FIELDS.items()}
+
+
+def _check_arrays(demo: Demonstration) -> None:
+    """Raises a `DemonstrationError` if the arrays do not fit each other and the scene."""
+    shapes = [(array.dtype, array.ndim) for array in (demo.actions, demo.qpos, demo.qvel)]
+    if shapes != [(np.uint8, 1), (np.float64, 2), (np.float64, 2)]:
+        raise DemonstrationError(
+            "actions must be an array (steps,) of uint8, qpos and qvel arrays (steps + 1, n) of float64"
+        )
+    steps, joints = len(demo.actions), len(JOINTS) + 3 * len(demo.scene.blocks)
+    if steps == 0 or not demo.qpos.shape == demo.qvel.shape == (steps + 1, joints):
+        raise DemonstrationError(
+            f"{steps} actions in this scene have states of shape {(steps + 1, joints)}, not {demo.qpos.shape} and "
+            f"{demo.qvel.shape}"
+        )
+    if (demo.actions >= len(ACTIONS)).any() or not (np.isfinite(demo.qpos).all() and np.isfinite(demo.qvel).all()):
+        raise DemonstrationError(f"actions must be below {len(ACTIONS)}, and states finite")
 
 
 def only_environment(demos: Sequence[Demonstration]) -> str:

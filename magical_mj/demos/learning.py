@@ -56,31 +56,26 @@ def stream(demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop_noop
     """
     for demo in demos:
         rows = observations(demo, preset)
-        keep = demo.actions != NOOP if drop_noop else np.ones(len(demo.actions), bool)
-        if isinstance(rows, dict):
-            yield Transitions({view: stacks[:-1][keep] for view, stacks in rows.items()}, demo.actions[keep])
-        else:
-            yield Transitions(rows[:-1][keep], demo.actions[keep])
+        steps = np.flatnonzero(demo.actions != NOOP) if drop_noop else np.arange(len(demo.actions))
+        before = {view: stacks[steps] for view, stacks in rows.items()} if isinstance(rows, dict) else rows[steps]
+        yield Transitions(before, demo.actions[steps])
 
 
 def observations(demo: Demonstration, preset: str = "LoRes4E") -> Observations:
     """The observations of the preset at the start and after each action: steps + 1 rows."""
+    how, world = preset_named(preset), World(demo.scene)
     with np.errstate(all="ignore"):  # numbers below the smallest of float32 become 0, whatever the caller's settings
-        return _observations(demo, preset_named(preset))
-
-
-def _observations(demo: Demonstration, preset: Preset) -> Observations:
-    if preset.layout == "state":
-        world, encode = World(demo.scene), StateEncoder(demo.scene)
-        states = zip(demo.qpos, demo.qvel, strict=True)
-        return np.array([encode(world.poses(qpos), world.poses(qvel), world.fingers(qpos)) for qpos, qvel in states])
-    if preset.layout == "dict":
-        rows: dict[str, NDArray[Any]] = {view: _stacked(demo, preset, ((view, n),)) for view, n in preset.frames}
-        if preset.fingers:
-            world = World(demo.scene)
+        if how.layout == "state":
+            encode, states = StateEncoder(demo.scene), zip(demo.qpos, demo.qvel, strict=True)
+            return np.array(
+                [encode(world.poses(qpos), world.poses(qvel), world.fingers(qpos)) for qpos, qvel in states]
+            )
+        if how.layout != "dict":
+            return _stacked(demo, how, how.frames)
+        rows: dict[str, NDArray[Any]] = {view: _stacked(demo, how, ((view, count),)) for view, count in how.frames}
+        if how.fingers:
             rows["fingers"] = np.array([world.fingers(qpos) for qpos in demo.qpos], np.float32)
         return rows
-    return _stacked(demo, preset, preset.frames)
 
 
 def _stacked(demo: Demonstration, preset: Preset, frames: tuple[tuple[str, int], ...]) -> NDArray[np.uint8]:

@@ -30,10 +30,9 @@ from magical_mj.demos.demonstration import Demonstration, Demonstrator
 from magical_mj.engine import Engine
 from magical_mj.policies.expert import Expert
 from magical_mj.policies.interface import forever, play
-from magical_mj.scene import Scene
 from magical_mj.scene.actions import NOOP, action_number
 from magical_mj.tasks.protocol import PROTOCOL
-from magical_mj.tasks.registry import environment_axes, sample_scene, score, task_name, task_spec, variant_name
+from magical_mj.tasks.registry import score, task_name, variant_name
 from magical_mj.utils.errors import DemonstrationError
 from magical_mj.variants import check_seed
 
@@ -62,7 +61,8 @@ class Recorder:
             raise DemonstrationError(f"the episode began {env.steps} steps ago: reset the environment before")
         self._env = env
         self._actions: list[int] = []
-        self._states = [self._state()]
+        self._positions = [env.data.qpos.copy()]
+        self._velocities = [env.data.qvel.copy()]
 
     def step(self, action: Any) -> bool:
         """One action, as the engine takes it. Returns whether the episode is over.
@@ -76,7 +76,8 @@ class Recorder:
         self._check_complete()
         over = self._env.step(action)
         self._actions.append(action_number(action))
-        self._states.append(self._state())
+        self._positions.append(self._env.data.qpos.copy())
+        self._velocities.append(self._env.data.qvel.copy())
         return over
 
     def idle(self, steps: int) -> bool:
@@ -85,45 +86,41 @@ class Recorder:
 
     def states(self) -> tuple[Floats, Floats]:
         """The positions and the velocities so far. Shapes (steps + 1, nq) and (steps + 1, nv)."""
-        positions, velocities = zip(*self._states, strict=True)
-        return np.array(positions), np.array(velocities)
+        return np.array(self._positions), np.array(self._velocities)
 
-    def demonstration(
-        self, task: str, variant: str, scene_seed: int, demonstrator: Demonstrator, seed: int
-    ) -> Demonstration:
+    def demonstration(self, demonstrator: Demonstrator, seed: int | None = None) -> Demonstration:
         """The episode so far as a demonstration, with the present score by the paper's rules.
 
+        Args:
+            demonstrator: who acted.
+            seed: the expert's; None: the scene's.
+
         Raises:
-            InvalidSeedError: if a seed is not an integer, or negative.
-            DemonstrationError: if the episode began in another scene than that of `scene_seed`, or went on without this
-                recorder.
+            InvalidSeedError: if the seed is not an integer, or negative.
+            DemonstrationError: if the episode did not begin in the scene of a seed, or went on without this recorder.
         """
+        env = self._env
         self._check_complete()
-        start = self._env.initial_scene
-        if start != sample_scene(task, variant, check_seed(scene_seed)):
-            where = f"{task_name(task)}-{variant_name(variant)} with seed {scene_seed}"
-            raise DemonstrationError(f"the episode did not begin in the scene of {where}")
+        if env.task is None or env.seed is None:
+            raise DemonstrationError("only episodes that begin in the scene of a seed become demonstrations")
+        task = task_name(env.task)
         positions, velocities = self.states()
         return Demonstration(
-            task=task_name(task),
-            variant=variant_name(variant),
-            scene_seed=check_seed(scene_seed),
+            task=task,
+            variant=env.variant,
+            scene_seed=env.seed,
             demonstrator=demonstrator,
-            seed=check_seed(seed),
-            scene=start,
+            seed=env.seed if seed is None else check_seed(seed),
+            scene=env.initial_scene,
             actions=np.array(self._actions, np.uint8),
             qpos=positions,
             qvel=velocities,
-            score=score(task, start, self._env.scene),
+            score=score(task, env.initial_scene, env.scene),
         )
 
     def _check_complete(self) -> None:
         if self._env.steps != len(self._actions):
             raise DemonstrationError("the environment was reset or stepped without the recorder: make another one")
-
-    def _state(self) -> tuple[Floats, Floats]:
-        data = self._env.data
-        return data.qpos.copy(), data.qvel.copy()
 
 
 def demonstrate(task: str, variant: str, number: int, least_score: float = 1.0) -> Demonstration:
@@ -146,7 +143,7 @@ def demonstrate(task: str, variant: str, number: int, least_score: float = 1.0) 
                 if recorder.idle(REST):
                     break
             if env.score() >= least_score:
-                return recorder.demonstration(task, variant, number, "expert", seed)
+                return recorder.demonstration("expert", seed)
             best = max(best, env.score())
     raise DemonstrationError(
         f"{ATTEMPTS} experts tried {task}-{variant_name(variant)} with seed {number}; the best reached {best:.2f}"
@@ -192,6 +189,28 @@ def from_recording(text: str | bytes) -> Imported:
         DemonstrationError: if it is too long, not JSON, of another format or protocol, or not a whole episode.
         UnknownNameError: if there is no such environment.
     """
+    recording = _decoded(text)
+    actions, final = recording.actions, recording.final
+    with closing(Engine(recording.task, recording.variant, seed=recording.seed)) as env:
+        if len(actions) != env.horizon:
+            raise DemonstrationError(
+                f"an episode of {recording.task} has {env.horizon} actions; this recording has {len(actions)}"
+            )
+        blocks = len(env.initial_scene.blocks)
+        if final is not None and len(final.blocks) != blocks:
+            raise DemonstrationError(f"final must hold the poses of {blocks} blocks, not of {len(final.blocks)}")
+        recorder = Recorder(env)
+        for action in actions:
+            recorder.step(action)
+        demonstration, end = recorder.demonstration("human"), env.scene
+    if final is None:
+        return Imported(demonstration, None, suspect=False)
+    replayed = _Final(end.robot.pose, end.robot.fingers, [block.pose for block in end.blocks])
+    deviation = float(np.abs(_numbers(replayed) - _numbers(final)).max())
+    return Imported(demonstration, deviation, deviation > TOLERANCE)
+
+
+def _decoded(text: str | bytes) -> _Recording:
     if not isinstance(text, str | bytes):
         raise DemonstrationError(f"a recording is given as its text, not as {type(text).__name__}")
     if len(text) > MAX_BYTES:
@@ -202,34 +221,8 @@ def from_recording(text: str | bytes) -> Imported:
         raise DemonstrationError(f"this is not a whole recording: {error}") from None
     if recording.protocol != PROTOCOL:
         raise DemonstrationError(f"recordings of protocol {PROTOCOL} are replayed here, not of {recording.protocol}")
-    environment_axes(recording.task, recording.variant)
-    horizon = task_spec(recording.task).horizon()
-    if len(recording.actions) != horizon:
-        raise DemonstrationError(
-            f"an episode of {recording.task} has {horizon} actions; this recording has {len(recording.actions)}"
-        )
-    return _replayed(recording)
+    return recording
 
 
-def _replayed(recording: _Recording) -> Imported:
-    task, variant, seed, final = recording.task, recording.variant, recording.seed, recording.final
-    with closing(Engine(task, variant, seed=seed)) as env:
-        blocks = len(env.initial_scene.blocks)
-        if final is not None and len(final.blocks) != blocks:
-            raise DemonstrationError(f"final must hold the poses of {blocks} blocks, not of {len(final.blocks)}")
-        recorder = Recorder(env)
-        for _ in play(recorder, recording.actions):
-            pass
-        demonstration = recorder.demonstration(task, variant, seed, "human", seed)
-        end = _row(env.scene)
-    if final is None:
-        return Imported(demonstration, None, suspect=False)
-    expected = np.array([number for pose in (final.robot, final.fingers, *final.blocks) for number in pose])
-    deviation = float(np.abs(end - expected).max())
-    return Imported(demonstration, deviation, deviation > TOLERANCE)
-
-
-def _row(scene: Scene) -> Floats:
-    """The robot's pose, its fingers' angles, and each block's pose."""
-    poses = (scene.robot.pose, scene.robot.fingers, *(block.pose for block in scene.blocks))
-    return np.array([number for pose in poses for number in pose])
+def _numbers(final: _Final) -> Floats:
+    return np.concatenate([final.robot, final.fingers, *final.blocks])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from typing import Final, NamedTuple
 
 import mujoco
@@ -52,7 +52,7 @@ class Verdict(NamedTuple):
 def verify(demo: Demonstration) -> Verdict:
     """Checks a demonstration with this version of the package and of MuJoCo."""
     drawn = [pictures["allo"] for pictures in itertools.islice(render_demo(demo), 0, None, GLANCE)]
-    with _engine(demo) as env:
+    with closing(Engine(demo.task, demo.variant, scene=demo.scene)) as env:
         recorder, replayed = Recorder(env), [env.render("allo", SIZE)]
         for step, _ in enumerate(play(recorder, demo.actions.tolist()), start=1):
             if step % GLANCE == 0:
@@ -82,24 +82,12 @@ def render_demo(
     Yields:
         View -> picture, shape (size, size, 3).
     """
-    with _engine(demo) as env:
+    with closing(Engine(demo.task, demo.variant, scene=demo.scene)) as env:
         for positions in demo.qpos:
-            place(env, positions)
+            env.data.qpos[:] = positions
+            mujoco.mj_kinematics(env.model, env.data)
+            mujoco.mj_camlight(env.model, env.data)
             yield {view: env.render(view, size) for view in views}
-
-
-def place(engine: Engine, positions: NDArray[np.float64]) -> None:
-    """Sets all positions; pictures depend on nothing else."""
-    engine.data.qpos[:] = positions
-    mujoco.mj_kinematics(engine.model, engine.data)
-    mujoco.mj_camlight(engine.model, engine.data)
-
-
-@contextmanager
-def _engine(demo: Demonstration) -> Iterator[Engine]:
-    """The engine of a demonstration, at its start."""
-    with closing(Engine(demo.task, demo.variant, scene=demo.scene)) as engine:
-        yield engine
 
 
 class Diversity(NamedTuple):
@@ -118,14 +106,14 @@ def diversity(demos: Iterable[Demonstration]) -> Diversity:
     demos = list(demos)
     plans = [strategy(demo) for demo in demos]
     orders = {tuple(block for block, _ in plan) for plan in plans}
-    ways = [_way(demo) for demo in demos]
-    gaps = [float(np.hypot(*(first - second).T).mean()) for first, second in itertools.combinations(ways, 2)]
+    paths = [_path(demo) for demo in demos]
+    gaps = [float(np.hypot(*(first - second).T).mean()) for first, second in itertools.combinations(paths, 2)]
     return Diversity(len(orders), len(set(plans)), sum(gaps) / len(gaps) if gaps else 0.0)
 
 
 def strategy(demo: Demonstration) -> tuple[tuple[int, int], ...]:
     """The blocks that were moved, in order, each with the side (0..7, by compass) from which the robot came."""
-    poses = np.array([World(demo.scene).poses(qpos) for qpos in demo.qpos])  # (time, robot and blocks, 3)
+    poses = _poses(demo)
     moves = []
     for block in range(1, poses.shape[1]):
         moved = np.hypot(*(poses[:, block, :2] - poses[0, block, :2]).T) > TOUCHED
@@ -137,9 +125,15 @@ def strategy(demo: Demonstration) -> tuple[tuple[int, int], ...]:
     return tuple((block, side) for _, block, side in sorted(moves))
 
 
-def _way(demo: Demonstration) -> NDArray[np.float64]:
+def _path(demo: Demonstration) -> NDArray[np.float64]:
     """Points at equal distances along the robot's path. Shape (SAMPLES, 2)."""
-    places = np.array([World(demo.scene).poses(qpos)[0, :2] for qpos in demo.qpos])
+    places = _poses(demo)[:, 0, :2]
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
     at = np.linspace(0, length[-1], SAMPLES)
     return np.stack([np.interp(at, length, places[:, axis]) for axis in (0, 1)], axis=1)
+
+
+def _poses(demo: Demonstration) -> NDArray[np.float64]:
+    """The poses of the robot and the blocks at each time. Shape (steps + 1, 1 + blocks, 3)."""
+    world = World(demo.scene)
+    return np.array([world.poses(qpos) for qpos in demo.qpos])

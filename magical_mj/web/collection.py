@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from magical_mj import demos
-from magical_mj.demos.files import SUFFIX
+from magical_mj.demos.demonstration import SUFFIX
 from magical_mj.tasks.registry import Pair
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, SettingsError

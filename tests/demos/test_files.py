@@ -19,7 +19,7 @@ import pytest
 
 from magical_mj import demos
 from magical_mj.demos import Demonstration
-from magical_mj.demos.files import ARRAYS, MOST_BYTES, _digest
+from magical_mj.demos.demonstration import ARRAYS, MOST_BYTES, _digest
 from magical_mj.utils.errors import DemonstrationError, SettingsError, UnknownNameError, UntrustedNameError
 
 

@@ -19,7 +19,7 @@ def test_actions_may_be_recorded_as_triples() -> None:
     recorder = demos.Recorder(env)
     for action in (ACTIONS[0], ACTIONS[10], 3):
         recorder.step(action)
-    assert recorder.demonstration("MoveToRegion", "Demo", 0, "human", 0).actions.tolist() == [0, 10, 3]
+    assert recorder.demonstration("human").actions.tolist() == [0, 10, 3]
 
 
 def test_an_episode_is_recorded_from_its_start_to_its_end() -> None:
@@ -30,9 +30,10 @@ def test_an_episode_is_recorded_from_its_start_to_its_end() -> None:
         recorder.step(0)
     with pytest.raises(DemonstrationError, match="the episode is over"):
         recorder.step(0)
-    made = recorder.demonstration("MoveToRegion", "Demo", np.int64(0), "human", 0)  # pyright: ignore[reportArgumentType]
-    assert len(made.actions) == env.horizon
-    assert type(made.scene_seed) is int
+    demo = recorder.demonstration("expert", np.int64(3))  # pyright: ignore[reportArgumentType]
+    assert len(demo.actions) == env.horizon
+    assert (demo.scene_seed, demo.seed) == (0, 3)
+    assert type(demo.seed) is int
     env.reset()
     env.step(1)
     with pytest.raises(DemonstrationError, match="the episode began 1 steps ago"):
@@ -40,26 +41,27 @@ def test_an_episode_is_recorded_from_its_start_to_its_end() -> None:
 
 
 def test_what_a_recorder_did_not_see_is_no_demonstration() -> None:
-    """Not episodes that were stepped or begun anew without it, and not those of another scene than they claim."""
+    """Not episodes that were stepped or begun anew without it, and not those that began in a scene of no seed."""
     env = magical_mj.Engine("ClusterShape", "Layout", seed=5, rules="released")
     env.reset()
     recorder = demos.Recorder(env)
     recorder.step(0)
-    made = recorder.demonstration("ClusterShape", "Layout", 5, "human", 5)
-    assert made.score == made.rescored()  # by the paper's rules, whatever those of the environment are
-    for task, variant, seed in (("ClusterShape", "Layout", 6), ("ClusterColour", "Demo", 5)):
-        with pytest.raises(DemonstrationError, match=f"not begin in the scene of {task}-{variant} with seed {seed}"):
-            recorder.demonstration(task, variant, seed, "human", 5)
+    demo = recorder.demonstration("human")
+    assert (demo.task, demo.variant, demo.scene_seed, demo.seed) == ("ClusterShape", "Layout", 5, 5)
+    assert demo.score == demo.rescored()  # by the paper's rules, whatever those of the environment are
     for elsewhere in (lambda: env.step(1), env.reset):
         elsewhere()
-        for use in (lambda: recorder.step(1), lambda: recorder.demonstration("ClusterShape", "Layout", 5, "human", 5)):
+        for use in (lambda: recorder.step(1), lambda: recorder.demonstration("human")):
             with pytest.raises(DemonstrationError, match="reset or stepped without the recorder"):
                 use()
+    env.reset(scene=demo.scene)
+    with pytest.raises(DemonstrationError, match="seed"):
+        demos.Recorder(env).demonstration("human")
 
 
 def test_numbers_of_numpy_are_seeds_too(tmp_path: Path) -> None:
-    made = demos.demonstrate("MoveToRegion", "Demo", np.int64(3))  # pyright: ignore[reportArgumentType]
-    demos.write(made, tmp_path / "a.npz")
+    demo = demos.demonstrate("MoveToRegion", "Demo", np.int64(3))  # pyright: ignore[reportArgumentType]
+    demos.write(demo, tmp_path / "a.npz")
     assert demos.read(tmp_path / "a.npz").scene_seed == 3
     with pytest.raises(InvalidSeedError, match="is not a seed"):
         demos.demonstrate("MoveToRegion", "Demo", -1)

@@ -198,7 +198,7 @@ def test_without_a_plan_everything_but_the_expert_works(user: User) -> None:
             env = Engine(task, seed=0)
             recorder = demos.Recorder(env)
             recorder.step(1)
-            path, _ = demos.keep(recorder.demonstration(task, "Demo", 0, "human", 0), "played")
+            path, _ = demos.keep(recorder.demonstration("human"), "played")
             assert path.name == f"{name}-Demo-human-000.npz"
             assert [demo.task for demo in demos.load(task, "played")] == [known]
         """

@@ -2,35 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
-from typing import Any, Final, NamedTuple
+from collections.abc import Sequence
+from typing import Final
 
-from magical_mj.demos.demonstration import Demonstration
+from magical_mj.demos.demonstration import SUFFIX, Demonstration
 from magical_mj.demos.export.archives import to_npz, to_robomimic
 from magical_mj.demos.export.lerobot import PRESETS, to_lerobot
 from magical_mj.demos.export.minari import minari_name, to_minari
-from magical_mj.demos.files import SUFFIX
 from magical_mj.utils.errors import SettingsError
 
-
-class Exporter(NamedTuple):
-    """How demonstrations become a data set of one format."""
-
-    write: Callable[..., object]
-    """(demonstrations, target, preset, overwrite=..., and the options) makes a data set."""
-    target: Callable[[str, Sequence[Demonstration], str, Mapping[str, Any]], str]
-    """(environment, demonstrations, preset, options) -> the path or id of the data set if the user gives none."""
-    suffix: str
-    """How the names of files end; empty if data sets are folders."""
-    preset: str = "LoRes4E"
-    """The preset of the observations if the user gives none."""
-    options: tuple[str, ...] = ()
-    """The options of the format."""
-    replaces: bool = True
-    """Whether data sets that exist can be replaced."""
-    of_many: bool = False
-    """Whether one data set holds demonstrations of several environments."""
+SUFFIXES: Final = {"npz": SUFFIX, "robomimic": ".hdf5"}
+"""Format -> how the names of its files end. Those of the other formats are folders."""
 
 
 def views_of(preset: str) -> str:
@@ -45,43 +27,39 @@ def views_of(preset: str) -> str:
     return views[preset]
 
 
-def _lerobot(demos: Sequence[Demonstration], folder: str, preset: str, *, overwrite: bool, **options: Any) -> object:
-    del overwrite  # LeRobot writes into new folders only
-    return to_lerobot(demos, folder, views=views_of(preset), **options)
+def default_target(
+    to: str, environment: str, demos: Sequence[Demonstration], preset: str, *, fingers: bool = False
+) -> str:
+    """The path or id of a data set of the format `to` if the user gives none."""
+    match to:
+        case "npz":
+            return f"{environment}-{preset or 'views'}{SUFFIX}"
+        case "minari":
+            return minari_name(demos, preset)
+        case "lerobot":
+            return f"{environment}-{views_of(preset)}{'-fingers' if fingers else ''}-lerobot"
+        case _:
+            return f"{environment}-{views_of(preset)}{SUFFIXES[to]}"
 
 
-def _robomimic(demos: Sequence[Demonstration], path: str, preset: str, *, overwrite: bool) -> object:
-    return to_robomimic(demos, path, views=views_of(preset), overwrite=overwrite)
-
-
-EXPORTERS: Final[Mapping[str, Exporter]] = MappingProxyType(
-    {
-        "npz": Exporter(
-            to_npz,
-            lambda environment, _demos, preset, _options: f"{environment}-{preset or 'views'}{SUFFIX}",
-            SUFFIX,
-            options=("drop_noop",),
-            of_many=True,
-        ),
-        "minari": Exporter(
-            to_minari,
-            lambda _environment, demos, preset, _options: minari_name(demos, preset),
-            "",
-            preset="State",
-        ),
-        "lerobot": Exporter(
-            _lerobot,
-            lambda environment, _demos, preset, options: (
-                f"{environment}-{views_of(preset)}{'-fingers' if options['fingers'] else ''}-lerobot"
-            ),
-            "",
-            options=("video", "fingers"),
-            replaces=False,
-        ),
-        "robomimic": Exporter(
-            _robomimic,
-            lambda environment, _demos, preset, _options: f"{environment}-{views_of(preset)}.hdf5",
-            ".hdf5",
-        ),
-    }
-)
+def make_data_set(
+    to: str,
+    demos: Sequence[Demonstration],
+    target: str,
+    preset: str,
+    *,
+    drop_noop: bool = True,
+    video: bool = False,
+    fingers: bool = False,
+    overwrite: bool = False,
+) -> None:
+    """Makes a data set of the format `to`: each takes of the options those that it has."""
+    match to:
+        case "npz":
+            to_npz(demos, target, preset, drop_noop=drop_noop, overwrite=overwrite)
+        case "minari":
+            to_minari(demos, target, preset, overwrite=overwrite)
+        case "lerobot":  # whose folders are never replaced
+            to_lerobot(demos, target, views=views_of(preset), fingers=fingers, video=video)
+        case _:
+            to_robomimic(demos, target, views=views_of(preset), overwrite=overwrite)

@@ -136,20 +136,17 @@ def _vector(names: Sequence[str]) -> dict[str, Any]:
 
 
 def _frames(demo: Demonstration, keys: Mapping[str, str], *, fingers: bool) -> Iterator[dict[str, Any]]:
-    """What is observed before each action, and the action."""
+    """What is observed before each action, and the action: pictures, or without keys of any the state vector."""
     sentence, world = task_spec(demo.task).summary, World(demo.scene)
-    for observed, qpos, action in zip(_observed(demo, keys), demo.qpos, demo.actions, strict=False):
+    if keys:
+        pictures = render_demo(demo, list(keys), IMAGE_SIZE)
+        observed = ({key: frame[view] for view, key in keys.items()} for frame in pictures)
+    else:
+        observed = ({STATE_VECTOR: row} for row in observations(demo, "State"))
+    for parts, qpos, action in zip(observed, demo.qpos, demo.actions, strict=False):
         yield {
-            **observed,
+            **parts,
             "observation.state": state(world.fingers(qpos) if fingers else None),
             "action": to_vector(action),
             "task": sentence,
         }
-
-
-def _observed(demo: Demonstration, keys: Mapping[str, str]) -> Iterator[dict[str, Any]]:
-    """What a policy sees at the start and after each action: pictures, or without keys of any the state vector."""
-    if not keys:
-        return ({STATE_VECTOR: row} for row in observations(demo, "State"))
-    frames = render_demo(demo, list(keys), IMAGE_SIZE)
-    return ({key: pictures[view] for view, key in keys.items()} for pictures in frames)

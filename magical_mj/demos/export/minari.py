@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -20,9 +18,6 @@ from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError
 from magical_mj.utils.extras import missing_extra
-
-HDF5_BYTES: Final = 32_000
-"""What HDF5 writes for each episode besides its arrays, at most."""
 
 
 def minari_name(demos: Sequence[Demonstration], preset: str) -> str:
@@ -59,15 +54,15 @@ def to_minari(
 
     Raises:
         MissingExtraError: if minari is not installed.
-        DemonstrationError: if the demonstrations are not of one environment, a scene's seed is 2**63 or more, the id is
-            invalid, or the data set exists already.
+        DemonstrationError: if the demonstrations are not of one environment, a scene's seed is 2**63 or more, or the
+            id is invalid.
+        FileExistsError: if the data set exists already.
     """
     environment, first = only_environment(demos), demos[0]
     check_seeds(demos)
     name = minari_name(demos, preset) if name is None else name
     path = dataset_path(name)
     episodes = [_episode(demo, number, preset) for number, demo in enumerate(demos)]
-    _check_space(dataset_path(), sum(HDF5_BYTES + _size(episode) for episode in [*episodes, {}, {}]))
     who = " and ".join(demonstrators(demos))
     versions = {f"magical-mj=={demo.package}" for demo in demos} | {f"mujoco=={demo.mujoco}" for demo in demos}
     about = {
@@ -75,20 +70,16 @@ def to_minari(
         "description": f"{len(demos)} demonstrations of {environment} by the {who} of magical_mj",
         "requirements": sorted(versions) if len(versions) == 2 else [],
     }
-    try:
-        with (
-            closing(gymnasium.make(env_id(first.task, first.variant, preset), reward="score")) as env,
-            files.new_folder(path, overwrite=overwrite) as unfinished,
-        ):
-            _fill(unfinished, name, env, about, episodes)
-    except FileExistsError:
-        check_new(name)
-        raise
+    with (
+        closing(gymnasium.make(env_id(first.task, first.variant, preset), reward="score")) as env,
+        files.new_folder(path, overwrite=overwrite) as unfinished,
+    ):
+        _fill(unfinished, name, env, about, episodes)
     return name
 
 
-def dataset_path(name: str = "") -> Path:
-    """The folder of the data set with this id, or of all of them.
+def dataset_path(name: str) -> Path:
+    """The folder of the data set with this id.
 
     Raises:
         MissingExtraError: if minari is not installed.
@@ -99,8 +90,6 @@ def dataset_path(name: str = "") -> Path:
         from minari.storage import get_dataset_path
     except ModuleNotFoundError:
         raise missing_extra("exporting to Minari", "minari") from None
-    if not name:
-        return get_dataset_path()
     try:
         parse_dataset_id(name)
     except (TypeError, ValueError):  # TypeError if the version is missing
@@ -108,29 +97,6 @@ def dataset_path(name: str = "") -> Path:
             f"Minari does not take the id {name!r}, which must be like magical-mj/mine-v0"
         ) from None
     return get_dataset_path(name)
-
-
-def check_new(name: str) -> None:
-    """Raises a `DemonstrationError` if there is a data set of this id, or if it is invalid."""
-    path = dataset_path(name)
-    if path.exists():
-        raise DemonstrationError(f"there is a data set {path} already; give it another id, or overwrite it (--force)")
-
-
-def _size(data: Any) -> int:
-    """The number of bytes of the arrays in nested dicts."""
-    return sum(map(_size, data.values())) if isinstance(data, dict) else getattr(data, "nbytes", 0)
-
-
-def _check_space(folder: Path, size: int) -> None:
-    """Raises an `OSError` that names the folder if there is no space for `size` bytes: HDF5 would end the process."""
-    if not hasattr(os, "posix_fallocate"):
-        return
-    with tempfile.TemporaryFile(dir=folder) as file:
-        try:
-            os.posix_fallocate(file.fileno(), 0, size)
-        except OSError as error:
-            raise OSError(error.errno, error.strerror, str(folder)) from None
 
 
 def _fill(
