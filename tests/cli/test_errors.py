@@ -150,7 +150,13 @@ def test_no_opengl_is_one_line(backend: str, tmp_path: Path) -> None:
     """Backends that do not work: GLFW without a display, OSMesa where it is not installed, one that nobody knows."""
     if backend == "osmesa" and osmesa_works():
         pytest.skip("OSMesa works here")
-    variables = {"MUJOCO_GL": backend, "DISPLAY": "", "WAYLAND_DISPLAY": "", "PYOPENGL_PLATFORM": ""}
+    variables = {
+        "MUJOCO_GL": backend,
+        "DISPLAY": "",
+        "WAYLAND_DISPLAY": "",
+        "PYOPENGL_PLATFORM": "",
+        "MAGICAL_MJ_RENDERER": "opengl",
+    }
     result = process("view", "FindDupe", "--out", str(tmp_path / "a.png"), **variables)
     assert result.returncode == 1
     assert "MUJOCO_GL" in result.stderr
