@@ -22,7 +22,7 @@ from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, Pair, environments, task_name, task_spec, variant_name
 from magical_mj.utils.errors import MagicalError, SettingsError, short_repr
-from magical_mj.utils.extras import missing_extra
+from magical_mj.utils.extras import check_extra
 
 if TYPE_CHECKING:
     from magical_mj.demos import Demonstration
@@ -204,10 +204,9 @@ class Window:
 
     def __init__(self, title: str, size: int, speed: float = 1.0, advice: str = "") -> None:
         os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-        try:
-            import pygame
-        except ModuleNotFoundError:
-            raise missing_extra("a window", "window") from None
+        check_extra("windows", "window")
+        import pygame
+
         self._pygame = pygame
         self._size, self._rate = size, speed * CONTROL_RATE
         try:
@@ -303,11 +302,10 @@ def serve_page(
     if wanted is not None and collect is None:
         raise SettingsError("--wanted needs --collect")
     origin = None if origin is None else _checked_origin(origin)
-    try:
-        from magical_mj.web.collection import Collection
-        from magical_mj.web.server import PlayServer
-    except ModuleNotFoundError:
-        raise missing_extra("Playing in a browser", "web") from None
+    check_extra("games in a browser", "web")
+    from magical_mj.web.collection import Collection
+    from magical_mj.web.server import PlayServer
+
     collection = None if collect is None else Collection(make_writable_folder(collect), environments, wanted)
     server = PlayServer(environments, host, port, origin=origin, collection=collection)
     if collection is not None:

@@ -26,7 +26,7 @@ from gymnasium import spaces
 from magical_mj.policies.interface import Episode, reason
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.utils.errors import MissingExtraError, SettingsError
-from magical_mj.utils.extras import missing_extra
+from magical_mj.utils.extras import check_extra
 
 OTHER_ACTIONS: Final = (
     f"each action is one of the numbers 0 to {len(ACTIONS) - 1}; around a model with continuous actions, give a "
@@ -234,10 +234,9 @@ def _trusted(path: Path) -> Any:
 def load_onnx(path: Path, trust: bool = False) -> Model:
     """An ONNX network that outputs actions, or a value for each action, of which the best is taken."""
     del trust  # ONNX files contain no code
-    try:
-        import onnxruntime
-    except ModuleNotFoundError:
-        raise missing_extra(f"{path}", "onnx") from None
+    check_extra("ONNX files", "onnx")
+    import onnxruntime
+
     if path.stat().st_size > MOST_BYTES:
         raise SettingsError(f"{path} has more than {MOST_BYTES:,} bytes, and is not read")
     options = onnxruntime.SessionOptions()

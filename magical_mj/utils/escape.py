@@ -14,13 +14,15 @@ _CONTROL: Final = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u2
 """All but tabs and ends of lines; the halves of characters cannot even be encoded."""
 
 _MARKDOWN: Final = re.compile(
-    r"(?P<backslash>\\(?=[!-/:-@\[-`{-~]|$))"
-    r"|(?P<always>[*`|~])"
-    r"|(?P<border>(?<![^\W_])_|_(?![^\W_]))"  # inside a word it has no meaning
-    r"|(?P<link>\](?=[(\[:]))"
-    r"|(?P<block>^(?:#{1,6}|[-+]|\d{1,9}[.)])(?=\s|$))"
-    r"|(?P<entity>&(?=#?\w+;))"
-    r"|(?P<html>[<>])"
+    r"""
+    \\(?=[!-/:-@\[-`{-~]|$)  # backslashes that escape something
+    | [*`|~<>]
+    | (?<![^\W_])_ | _(?![^\W_])  # inside a word, underscores have no meaning
+    | \](?=[(\[:])  # links
+    | ^(?:\#{1,6}|[-+])(?=\s|$)  # headings and lists
+    | &(?=\#?\w+;)  # entities
+    """,
+    re.VERBOSE,
 )
 _LATEX: Final = {
     **{mark: f"\\{mark}" for mark in "&%$#_{}"},
@@ -37,7 +39,7 @@ _LATEX: Final = {
 
 def terminal(text: str) -> str:
     """The text for a terminal, which would obey escape sequences."""
-    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+    return _CONTROL.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
 
 
 def html(text: object) -> str:
@@ -47,7 +49,8 @@ def html(text: object) -> str:
 
 def markdown(text: str) -> str:
     """The text in one line of Markdown (CommonMark, and GitHub's): in a paragraph, an item of a list, or a table."""
-    return _MARKDOWN.sub(_in_markdown, " ".join(terminal(text).split()))
+    line = _MARKDOWN.sub(r"\\\g<0>", " ".join(terminal(text).split()))
+    return re.sub(r"^\d{1,9}(?=[.)](\s|$))", r"\g<0>\\", line)  # the first number of a list
 
 
 def markdown_code(text: str) -> str:
@@ -57,7 +60,7 @@ def markdown_code(text: str) -> str:
 
 def markdown_link(text: str, target: str) -> str:
     """A link in Markdown to a target that is quoted already."""
-    inside = re.sub(r"(\\.)|([\[\]])", lambda found: found[1] or f"\\{found[2]}", markdown(text))
+    inside = re.sub(r"(\\.)|([\[\]])", lambda match: match[1] or f"\\{match[2]}", markdown(text))
     return f"[{inside}]({target})"
 
 
@@ -84,15 +87,3 @@ def latex(text: str) -> str:
 def mathtext(text: str) -> str:
     """The text for matplotlib, which takes what is between dollar signs as a formula."""
     return terminal(text).replace("$", r"\$")
-
-
-def _in_markdown(found: re.Match[str]) -> str:
-    match found.lastgroup:
-        case "html":
-            return "&lt;" if found[0] == "<" else "&gt;"
-        case "entity":
-            return "&amp;"
-        case "block" if found[0][0].isdigit():  # a list's number is made none at its end
-            return f"{found[0][:-1]}\\{found[0][-1]}"
-        case _:
-            return f"\\{found[0]}"

@@ -17,7 +17,12 @@ MODULES: Final = {
     "eval": ("joblib", "matplotlib", "pandas", "scipy"),
     "gpu": ("mujoco_warp", "torch", "warp"),
     "il": ("kornia", "safetensors", "stable_baselines3", "tensorboard", "torch"),
+    "minari": ("h5py", "minari"),
+    "onnx": ("onnxruntime",),
+    "robomimic": ("h5py",),
     "video": ("imageio_ffmpeg",),
+    "web": ("websockets",),
+    "window": ("pygame",),
 }
 """Extra -> the modules that are imported from its packages; see pyproject.toml."""
 
@@ -36,25 +41,14 @@ def check_extra(what: str, *extras: str) -> None:
         raise MissingExtraError(f"{what} need {', '.join(names)}: {remedy(needed)}")
 
 
-def missing_extra(what: str, extra: str) -> MissingExtraError:
-    """The error for a feature (`what`) whose extra is not installed."""
-    return MissingExtraError(f"{what} needs its extra: {remedy(extra)}")
-
-
 def remedy(extra: str) -> str:
-    """The command that installs this extra, or several with commas between: as this package itself was installed."""
+    """The command that installs this extra, or several with commas between: from where this package came."""
     try:
         origin = json.loads(distribution("magical-mj").read_text("direct_url.json") or "{}")
     except PackageNotFoundError:  # a checkout that was not installed
-        return _from_folder(Path(__file__).parents[2].as_uri(), extra)
-    if "dir_info" in origin:
-        return _from_folder(origin["url"], extra)
-    if "url" in origin:  # of a repository, or of an archive
-        vcs = origin.get("vcs_info", {}).get("vcs")
-        return f'pip install "magical-mj[{extra}] @ {f"{vcs}+" if vcs else ""}{origin["url"]}"'
-    return f'pip install "magical-mj[{extra}]"'
-
-
-def _from_folder(url: str, extra: str) -> str:
-    folder = url2pathname(urlsplit(url).path)
-    return f'pip install -e ".[{extra}]" in {folder}' if Path(folder).exists() else f'pip install "magical-mj[{extra}]"'
+        origin = {"url": Path(__file__).parents[2].as_uri(), "dir_info": {"editable": True}}
+    if origin.get("dir_info", {}).get("editable"):
+        return f'pip install -e "{url2pathname(urlsplit(origin["url"]).path)}[{extra}]"'
+    repository = f"{origin['vcs_info']['vcs']}+" if "vcs_info" in origin else ""
+    source = f" @ {repository}{origin['url']}" if "url" in origin else ""
+    return f'pip install "magical-mj[{extra}]{source}"'

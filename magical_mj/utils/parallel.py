@@ -29,7 +29,7 @@ from typing import IO, Any, Final, Literal, TypeVar, get_args
 import cloudpickle
 
 from magical_mj.utils.errors import SettingsError, WorkerError, check_name, short_repr
-from magical_mj.utils.extras import missing_extra
+from magical_mj.utils.extras import check_extra
 
 Backend = Literal["local", "dask"]
 
@@ -107,11 +107,10 @@ def _map_on_dask(
     function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int | None, address: str | None
 ) -> Iterator[Result]:
     """At most `jobs` pieces are on the cluster at once; None: all."""
-    try:
-        from distributed import Client, KilledWorker
-        from distributed import as_completed as completed
-    except ModuleNotFoundError:
-        raise missing_extra("the dask backend", "dask") from None
+    check_extra("workers of dask", "dask")
+    from distributed import Client, KilledWorker
+    from distributed import as_completed as completed
+
     try:
         client = Client(address)
     except (OSError, ValueError) as error:  # the latter if it is not of the form of an address

@@ -12,8 +12,8 @@ from magical_mj.utils.extras import remedy
 
 ORIGINS = [
     (None, 'pip install "magical-mj[web]"'),
-    ({"url": "file:///", "dir_info": {"editable": True}}, 'pip install -e ".[web]" in /'),
-    ({"url": "file:///gone/since", "dir_info": {}}, 'pip install "magical-mj[web]"'),
+    ({"url": "file:///a/b", "dir_info": {"editable": True}}, 'pip install -e "/a/b[web]"'),
+    ({"url": "file:///a/b", "dir_info": {}}, 'pip install "magical-mj[web] @ file:///a/b"'),
     (
         {"url": "https://example.org/mj.git", "vcs_info": {"vcs": "git"}},
         'pip install "magical-mj[web] @ git+https://example.org/mj.git"',

@@ -22,7 +22,7 @@ from magical_mj.envs.registration import env_id
 from magical_mj.scene.actions import NOOP, to_vector
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, check_name
-from magical_mj.utils.extras import missing_extra
+from magical_mj.utils.extras import check_extra
 
 GYM: Final = 2
 """robomimic's number for Gym environments; its class for them imports the old `gym`, so rollouts need one's own."""
@@ -104,10 +104,9 @@ def to_robomimic(
         UnknownNameError: if `views` is none of `magical_mj.demos.export.lerobot.VIEWS`.
         FileExistsError: if the file exists.
     """
-    try:
-        import h5py
-    except ModuleNotFoundError:
-        raise missing_extra("exporting to robomimic", "robomimic") from None
+    check_extra("exports to robomimic", "robomimic")
+    import h5py
+
     check_name("choice of views", views, VIEWS)
     only_environment(demos)
     path = files.to_path(path)

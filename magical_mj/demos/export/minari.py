@@ -17,7 +17,7 @@ from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError
-from magical_mj.utils.extras import missing_extra
+from magical_mj.utils.extras import check_extra
 
 
 def minari_name(demos: Sequence[Demonstration], preset: str) -> str:
@@ -85,11 +85,10 @@ def dataset_path(name: str) -> Path:
         MissingExtraError: if minari is not installed.
         DemonstrationError: if the id is invalid.
     """
-    try:
-        from minari.dataset.minari_dataset import parse_dataset_id
-        from minari.storage import get_dataset_path
-    except ModuleNotFoundError:
-        raise missing_extra("exporting to Minari", "minari") from None
+    check_extra("exports to Minari", "minari")
+    from minari.dataset.minari_dataset import parse_dataset_id
+    from minari.storage import get_dataset_path
+
     try:
         parse_dataset_id(name)
     except (TypeError, ValueError):  # TypeError if the version is missing
