@@ -1,4 +1,4 @@
-"""`magical-mj doctor`: installed versions, and which OpenGL backends work on this machine."""
+"""`magical-mj doctor`: installed versions, and what can draw on this machine."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import sys
 import time
 from contextlib import closing
 from importlib.metadata import PackageNotFoundError, requires, version
-from typing import Final
+from typing import Any, Final
 
 import typer
 from rich.console import Console
@@ -20,7 +20,7 @@ from rich.text import Text
 
 import magical_mj
 from magical_mj.cli.console import console
-from magical_mj.rendering.backend import PACKAGES, REMEDY, wanted_backend
+from magical_mj.rendering.backend import PACKAGES, REMEDY, VARIABLE, drawn_by, wanted_backend
 from magical_mj.utils.extras import remedy
 
 CORE: Final = ("magical-mj", "mujoco", "gymnasium", "numpy", "shapely", "pillow")
@@ -29,27 +29,32 @@ OWN: Final = ("all", "dev", "site")
 REQUIREMENT: Final = re.compile(r"([\w.-]+).*;.*\bextra == ['\"]([\w-]+)['\"]")
 """A requirement of an extra in the package's metadata."""
 BACKENDS: Final = ("egl", "osmesa", "glfw")  # only the last needs a display
-TIMEOUT: Final = 60  # seconds for one backend
+SOFTWARE: Final = "software"
+TIMEOUT: Final = 60  # seconds for one way of drawing
 SIZE: Final = 96  # pixels, as in the LoRes presets
 FRAMES: Final = 20
 
 
 def doctor() -> None:
-    """Show installed versions, try all OpenGL backends, and say what to do if none works."""
+    """Show installed versions, try the software renderer and all OpenGL backends, and say which draws flat views."""
     out = console()
+    used, wanted = drawn_by() or "glfw", wanted_backend()
     _print_versions(out)
-    results = {backend: _probe(backend) for backend in BACKENDS}
-    _print_backends(out, results)
-    working = [backend for backend, facts in results.items() if "renderer" in facts]
-    if not working:
+    results = {name: _probe(name) for name in dict.fromkeys((*BACKENDS, wanted or "egl", SOFTWARE))}
+    _print_results(out, results)
+    times = {name: facts["typical"] for name, facts in results.items() if "error" not in facts}
+    if not times:
         out.print(f"\nNothing can be drawn here; physics and states work without. {REMEDY}", style="bold red")
         raise typer.Exit(1)
-    wanted = wanted_backend()
-    if wanted and "renderer" not in (results.get(wanted) or _probe(wanted)):
-        out.print(
-            f"\nMUJOCO_GL={wanted} is set, and nothing can be drawn with it; unset it, or set MUJOCO_GL={working[0]}",
-            style="bold red",
-        )
+    fastest, setting = min(times, key=times.__getitem__), os.environ.get(VARIABLE) or "not set"
+    out.print(f"\nFlat views are drawn by {used} ({VARIABLE} is {setting}); the fastest here: {fastest}.")
+    backends = [name for name in times if name != SOFTWARE]
+    if not backends:
+        out.print(f"OpenGL, which draws the view `scene` and models that users have changed, does not work. {REMEDY}")
+    if wanted and wanted not in backends:
+        other = f"unset it, or set MUJOCO_GL={backends[0]}" if backends else "unset it"
+        out.print(f"MUJOCO_GL={wanted} is set, and nothing can be drawn with it; {other}", style="bold red")
+    if used not in times or wanted not in ("", *backends):
         raise typer.Exit(1)
 
 
@@ -85,11 +90,11 @@ def _version(name: str) -> str | None:
         return None
 
 
-def _probe(backend: str) -> dict[str, str | float]:
-    """The result of the probe with this backend: the renderer and times, or the error."""
+def _probe(name: str) -> dict[str, Any]:
+    """The result of the probe with an OpenGL backend or the software renderer: what it is and times, or the error."""
     command = [sys.executable, "-m", "magical_mj.cli.doctor"]
     variables = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
-    variables["MUJOCO_GL"] = backend
+    variables |= {VARIABLE: SOFTWARE} if name == SOFTWARE else {VARIABLE: "opengl", "MUJOCO_GL": name}
     try:
         result = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=TIMEOUT, check=False)
     except subprocess.TimeoutExpired:
@@ -98,23 +103,23 @@ def _probe(backend: str) -> dict[str, str | float]:
         return json.loads(result.stdout)
     last_line = (result.stderr.strip().splitlines() or [f"exit code {result.returncode}"])[-1]
     problem = last_line.removeprefix("magical_mj.utils.errors.RenderingError: ").removesuffix(REMEDY).strip()
-    needed = f" (Debian and Ubuntu packages: {PACKAGES[backend]})" if backend in PACKAGES else ""
+    needed = f" (Debian and Ubuntu packages: {PACKAGES[name]})" if name in PACKAGES else ""
     return {"error": f"{problem.rstrip('.')}{needed}"}
 
 
-def _print_backends(out: Console, results: dict[str, dict[str, str | float]]) -> None:
-    table = Table("OpenGL", "", "renderer", "first frame", "96 px frame", box=None, header_style="bold")
-    for backend, facts in results.items():
+def _print_results(out: Console, results: dict[str, dict[str, Any]]) -> None:
+    table = Table("", "", "renderer", "first frame", f"{SIZE} px frame", box=None, header_style="bold")
+    for name, facts in results.items():
         if "error" in facts:
-            table.add_row(backend, Text("fails", style="red"))
+            table.add_row(name, Text("fails", style="red"))
         else:
-            times = [f"{facts[name]:.1f} ms" for name in ("first", "typical")]
-            table.add_row(backend, Text("works", style="green"), str(facts["renderer"]), *times)
+            times = [f"{facts[time]:.1f} ms" for time in ("first", "typical")]
+            table.add_row(name, Text("works", style="green"), facts["renderer"], *times)
     out.print()
     out.print(table)
-    for backend, facts in results.items():
+    for name, facts in results.items():
         if "error" in facts:  # which may be long
-            out.print(f"{backend}: {facts['error']}", soft_wrap=True)
+            out.print(f"{name}: {facts['error']}", soft_wrap=True)
 
 
 def probe() -> None:
@@ -127,7 +132,8 @@ def probe() -> None:
             times.append(1000 * (time.perf_counter() - start))
     from magical_mj.rendering.canvas import opengl_name  # imported after that
 
-    facts = {"renderer": opengl_name(), "first": times[0], "typical": sorted(times)[FRAMES // 2]}
+    renderer = "on the processor, without OpenGL" if drawn_by() == SOFTWARE else opengl_name()
+    facts = {"renderer": renderer, "first": times[0], "typical": sorted(times)[FRAMES // 2]}
     sys.stdout.write(json.dumps(facts))
 
 

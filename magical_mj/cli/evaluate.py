@@ -10,9 +10,8 @@ from statistics import fmean
 from typing import Annotated, Any, Final
 
 import typer
-from rich import progress as bars
 from rich.console import Console
-from rich.text import Text
+from rich.progress import TextColumn, TimeElapsedColumn
 
 from magical_mj.cli.console import (
     COMPLETIONS,
@@ -34,8 +33,7 @@ from magical_mj.cli.console import (
     with_bar,
 )
 from magical_mj.cli.environments import contact_sheet
-from magical_mj.cli.film import film, replay, views_of
-from magical_mj.cli.results import film_episodes
+from magical_mj.cli.film import film, film_episodes, replay, views_of
 from magical_mj.evaluation.reports.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES, EpisodeResult, ScoreFile, read_settings
@@ -92,12 +90,10 @@ def evaluate(policy: Policies, out: Out, **options: Any) -> None:
         number = len(evaluation.scores)
         screen.print(f"{counted(number, 'episode')} {'is' if number == 1 else 'are'} done already")
     try:
-        show_progress(screen, evaluation)
+        play_all(screen, evaluation)
     except KeyboardInterrupt:
         screen.print("stopped; the same command with --resume continues")
         raise
-    for line in summary(evaluation.scores):
-        screen.print(line, soft_wrap=True)
     screen.print(f"{out / SCORES}; tables and figures: magical-mj report {out}", soft_wrap=True)
 
 
@@ -158,40 +154,29 @@ def _line(score: EpisodeResult) -> str:
     return line if score.failure is None else f"{line}; the policy failed: {score.failure}"
 
 
-class Rate(bars.ProgressColumn):
-    """Finished episodes of the total, and episodes per second."""
-
-    def render(self, task: bars.Task) -> Text:
-        """As text."""
-        done, total, fresh = (task.fields[name] for name in ("done", "total_episodes", "fresh"))
-        rate = fresh / task.elapsed if task.elapsed else 0.0
-        return Text(f"{done}/{total} episodes, {rate:.1f}/s")
-
-
-def show_progress(screen: Console, evaluation: Evaluation) -> None:
-    """Plays the remaining episodes, with a progress bar that counts steps, since episodes differ in length."""
-    left = sum(len(unit.seeds) for unit in evaluation.units)
-    known = len(evaluation.scores)
-    with Bars(screen, Rate(), bars.TimeElapsedColumn(), speed_estimate_period=120) as progress:
+def play_all(screen: Console, evaluation: Evaluation) -> None:
+    """Plays the remaining episodes, with a bar that counts steps, since episodes differ in length; prints the means."""
+    done = len(evaluation.scores)
+    total = done + sum(len(unit.seeds) for unit in evaluation.units)
+    shown = TextColumn("{task.fields[shown]}", markup=False)
+    with Bars(screen, shown, TimeElapsedColumn(), speed_estimate_period=120) as progress:
         steps = sum(unit.steps for unit in evaluation.units)
-        bar = progress.add_task("playing", total=steps, done=known, total_episodes=known + left, fresh=0)
+        bar = progress.add_task("playing", total=steps, shown=f"{done}/{total} episodes")
+        start = time.monotonic()
         for count, score in enumerate(evaluation.play(), start=1):
+            rate = count / (time.monotonic() - start)
             length = task_spec(score.task).horizon(evaluation.settings.rules)
-            progress.update(bar, advance=length, done=known + count, fresh=count)
-
-
-def summary(scores: list[EpisodeResult]) -> list[str]:
-    """A line for each policy: its mean score over environments, and its failed episodes."""
-    by_policy: dict[str, dict[Pair, list[EpisodeResult]]] = defaultdict(lambda: defaultdict(list))
-    for score in scores:
-        by_policy[score.policy][score.task, score.variant].append(score)
-    lines = []
-    for policy, by_environment in sorted(by_policy.items()):
-        means = [fmean(score.score for score in episodes) for episodes in by_environment.values()]
-        failed = [score for episodes in by_environment.values() for score in episodes if score.failure is not None]
-        line = f"{policy}: mean score {fmean(means):.3f} over {counted(len(means), 'environment')}"
-        lines.append(f"{line}; {counted(len(failed), 'episode')} failed: {failed[0].failure}" if failed else line)
-    return lines
+            progress.update(bar, advance=length, shown=f"{done + count}/{total} episodes, {rate:.1f}/s")
+    for policy in sorted({score.policy for score in evaluation.scores}):
+        by_environment: dict[Pair, list[float]] = defaultdict(list)
+        failures: list[str] = []
+        for score in evaluation.scores:
+            if score.policy == policy:
+                by_environment[score.task, score.variant].append(score.score)
+                failures += filter(None, [score.failure])
+        mean, number = fmean(map(fmean, by_environment.values())), counted(len(by_environment), "environment")
+        failed = f"; {counted(len(failures), 'episode')} failed: {failures[0]}" if failures else ""
+        screen.print(f"{policy}: mean score {mean:.3f} over {number}{failed}", soft_wrap=True)
 
 
 def demo(out: Tour = Path("out/demo"), tasks: Tasks = "all", episodes: Each = 3, jobs: Jobs = None) -> None:
@@ -217,16 +202,13 @@ def _tour(screen: Console, out: Path, settings: EvaluationSettings) -> None:
     evaluation = Evaluation(TOURED, settings)  # writes the settings, by which the folder is recognised
     with files.new_file(out / SHEET, overwrite=True) as unfinished:
         contact_sheet(0, size=128).save(unfinished)
-    show_progress(screen, evaluation)
-    for line in summary(evaluation.scores):
-        screen.print(line, soft_wrap=True)
-    best = [
-        (which, score) for which, score in extremes(evaluation.scores) if (which, score.policy) == ("best", TOURED[0])
-    ]
+    play_all(screen, evaluation)
+    episodes = extremes(score for score in evaluation.scores if score.policy == TOURED[0])
+    best = [(which, score) for which, score in episodes if which == "best"]
     links = {"The initial scenes of all environments": SHEET, **film_episodes(best, out)}
     page = report([out], out, links=links)
-    episodes = counted(len(evaluation.scores), "episode")
-    screen.print(f"{episodes}, {time.perf_counter() - start:.0f} s; scores, tables, figures, videos:")
+    count = counted(len(evaluation.scores), "episode")
+    screen.print(f"{count}, {time.perf_counter() - start:.0f} s; scores, tables, figures, videos:")
     screen.print(page, soft_wrap=True)
 
 

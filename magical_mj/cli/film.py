@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import logging
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -18,7 +17,7 @@ import magical_mj
 from magical_mj.evaluation.reports.statistics import SCORE_TOLERANCE
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.policies.interface import actions_of, play
-from magical_mj.scene.actions import ACTIONS, Drive, Gripper, Turn
+from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.scene.state_vector import CAMERAS
 from magical_mj.tasks.registry import check_rules, listed
@@ -38,6 +37,8 @@ INK: Final = (60, 60, 60)
 TITLE_SHADE: Final = (255, 255, 255, 225)  # RGBA of the band behind a title
 SMALLEST_TEXT: Final = 8  # pixels
 PAUSE: Final = 1  # seconds for which the first and the last frame of an episode are shown
+REPORT_SIZE: Final = 192  # pixels; of the videos in reports
+REPORT_SPEED: Final = 4  # times real time
 
 
 class Film:
@@ -50,6 +51,7 @@ class Film:
         pause: the number of times that the first and the last frame of an episode are repeated.
 
     Attributes:
+        width, height: of a frame in pixels; the height is even, as the video format requires.
         frames: how many were sent.
     """
 
@@ -58,26 +60,16 @@ class Film:
         text = max(SMALLEST_TEXT, size // 24)
         self._line = round(1.4 * text)
         self._font, self._title_size = ImageFont.load_default(text), 2 * text
+        self.width, self.height = len(views) * size, (size + 2 * self._line + self._line // 2 + 1) // 2 * 2
         self._title, self.frames = "", 0
-
-    @property
-    def width(self) -> int:
-        """In pixels."""
-        return len(self.views) * self.size
-
-    @property
-    def height(self) -> int:
-        """In pixels; even, as the video format requires."""
-        return (self.size + 2 * self._line + self._line // 2 + 1) // 2 * 2
 
     def begin(self, title: str, views: Picture, score: float) -> None:
         """The start of an episode: its first frame is shown for a moment with a title. `views`: (size, width, 3)."""
         self._title = title
-        self._last = self._frame(views, "", f"score {score:.2f}")
+        self._last = self._frame(views, "", score)
         frame = self._last.copy()
         band = Image.new("RGBA", (self.width, 4 * self._line), TITLE_SHADE)
-        pen = ImageDraw.Draw(band)
-        size = self._title_size
+        pen, size = ImageDraw.Draw(band), self._title_size
         while size > SMALLEST_TEXT and pen.textlength(title, ImageFont.load_default(size)) > self.width - self._line:
             size -= 1
         pen.text((self.width / 2, 2 * self._line), title, INK, ImageFont.load_default(size), anchor="mm")
@@ -86,20 +78,20 @@ class Film:
 
     def add(self, views: Picture, step: int, action: int, score: float) -> None:
         """What an action has led to."""
-        self._last = self._frame(views, f"step {step}   {in_words(action)}", f"score {score:.2f}")
+        self._last = self._frame(views, f"step {step}   {in_words(action)}", score)
         self._repeat(self._last, 1)
 
     def end(self) -> None:
         """The end of an episode: its last frame is shown for a moment."""
         self._repeat(self._last, self._pause)
 
-    def _frame(self, views: Picture, doing: str, score: str) -> Image.Image:
+    def _frame(self, views: Picture, doing: str, score: float) -> Image.Image:
         frame = Image.new("RGB", (self.width, self.height), PAPER)
         frame.paste(Image.fromarray(views), (0, 0))
         pen, margin, top = ImageDraw.Draw(frame), self._line // 2, self.size + self._line // 4
         pen.text((margin, top), self._title, INK, self._font)
         pen.text((margin, top + self._line), doing, INK, self._font)
-        pen.text((self.width - margin, top + self._line), score, INK, self._font, anchor="ra")
+        pen.text((self.width - margin, top + self._line), f"score {score:.2f}", INK, self._font, anchor="ra")
         return frame
 
     def _repeat(self, frame: Image.Image, times: int) -> None:
@@ -129,10 +121,8 @@ def film(
     check_extra("videos", "video")
     import imageio_ffmpeg
 
-    # It warns about videos without frames, which are removed.
-    logging.getLogger("imageio_ffmpeg").setLevel(logging.ERROR)
+    logging.getLogger("imageio_ffmpeg").setLevel(logging.ERROR)  # it warns about videos without frames
     rate = speed * CONTROL_RATE
-
     failed = OSError(errno.EIO, "the video cannot be written; is the disk full?", str(path))
 
     def send(picture: Picture) -> None:
@@ -142,22 +132,18 @@ def film(
             raise failed from error
 
     with files.new_file(path, overwrite=overwrite) as unfinished:
+        file = str(unfinished.absolute())  # ffmpeg takes "a:b.mp4" for a protocol
         movie = Film(send, size, views, pause=PAUSE * rate)
         writer = imageio_ffmpeg.write_frames(
-            str(unfinished.absolute()),  # ffmpeg takes "a:b.mp4" for a protocol
-            (movie.width, movie.height),
-            fps=rate,
-            macro_block_size=2,
-            quality=8,
-            ffmpeg_log_level="quiet",
+            file, (movie.width, movie.height), fps=rate, macro_block_size=2, quality=8, ffmpeg_log_level="quiet"
         )
         writer.send(None)
         try:
             yield movie
         finally:
             writer.close()
-        with contextlib.suppress(RuntimeError):  # it has none at all
-            if imageio_ffmpeg.count_frames_and_secs(str(unfinished.absolute()))[0] == movie.frames:
+        with suppress(RuntimeError):  # it has no frames at all
+            if imageio_ffmpeg.count_frames_and_secs(file)[0] == movie.frames:
                 return
         raise failed  # ffmpeg does not report this
 
@@ -203,11 +189,25 @@ def side_by_side(env: Engine, size: int, views: Sequence[str] = SIDE_BY_SIDE) ->
 def in_words(action: int) -> str:
     """An action in words, such as "forward, left, grip"; "nothing" for the no-op."""
     gripper, turn, drive = ACTIONS[action]
-    words = {
-        "forward": drive == Drive.FORWARD,
-        "back": drive == Drive.BACK,
-        "left": turn == Turn.LEFT,
-        "right": turn == Turn.RIGHT,
-        "grip": gripper == Gripper.CLOSE,
-    }
-    return ", ".join(word for word, commanded in words.items() if commanded) or "nothing"
+    words = [direction.name.lower() for direction in (drive, turn) if direction]
+    return ", ".join(words + ["grip"] * gripper) or "nothing"
+
+
+def file_names(episodes: Iterable[tuple[str, EpisodeResult]]) -> list[str]:
+    """The names of the videos that `film_episodes` makes."""
+    names: list[str] = []
+    for which, score in episodes:
+        name = f"{which}-{score.policy}-{score.task}.mp4".replace("/", "-")
+        names.append(f"{len(names)}-{name}" if name in names else name)  # of a method called a-b after one called a/b
+    return names
+
+
+def film_episodes(episodes: Sequence[tuple[str, EpisodeResult]], out: Path) -> dict[str, str]:
+    """Makes videos of episodes, each given with a word such as "best"; returns description -> file name."""
+    links: dict[str, str] = {}
+    for name, (which, score) in zip(file_names(episodes), episodes, strict=True):
+        with film(out / name, REPORT_SIZE, REPORT_SPEED, overwrite=True) as movie:
+            replay(movie, score)
+        about = f"{score.variant}, seed {score.seed}, score {score.score:.2f}"
+        links[f"{score.policy}, {which} of {score.task}: {about}"] = name
+    return links

@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import sys
+import re
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
-from urllib.parse import urlsplit
 
 import numpy as np
 import typer
@@ -62,6 +61,7 @@ LINE: Final = 26  # pixels
 BAR: Final = LINES * LINE + 16  # pixels below the pictures, for the text
 FALLBACKS: Final = ("offscreen", "dummy")  # the video drivers that SDL chooses if there is no display
 TEXT_SIZE: Final = 22  # pixels
+ORIGIN: Final = re.compile(r"https?://([\w.-]+|\[[\da-f:.]+\])(:\d+)?/*", re.IGNORECASE)
 LARGEST_SEED: Final = 2**53 - 1
 """The largest integer that JavaScript counts exactly."""
 
@@ -99,55 +99,39 @@ def play(
     if task is None:
         raise typer.BadParameter("give TASK, or --web to choose in the browser.")
     browser = "; without one, play in a browser: magical-mj play --web" if task_name(task) in TASKS else ""
-    title = f"{task} {variant_name(variant)}"
     with (
         closing(magical_mj.Engine(task, variant, seed=seed)) as env,
-        closing(Window(title, size, speed, browser)) as window,
+        closing(Window(f"{task} {variant_name(variant)}", size, speed, browser)) as window,
     ):
-        episodes = Episodes(None if record is None else make_writable_folder(record))
-        play_in(window, env, (task, variant), seed, size, episodes)
+        game = Game(env, task, seed, None if record is None else make_writable_folder(record))
+        play_in(window, game, size)
 
 
-class Episodes:
-    """Handles finished episodes: reports them and, if there is a folder, saves them immediately as demonstrations.
+class Game:
+    """Episodes one after another, each from the start of its scene, whose clock starts with the first key, to its end.
 
-    Since they are saved at once, nothing is lost if the window is closed; unwanted ones can be deleted afterwards.
+    Finished episodes are reported and, if there is a folder, saved at once, so that nothing is lost if the window is
+    closed; unwanted ones can be deleted afterwards.
+
+    Args:
+        env: plays them.
+        task: the task.
+        seed: of the first scene.
+        folder: where they are saved.
     """
 
-    def __init__(self, folder: Path | None) -> None:
-        self._folder, self._screen = folder, console()
-        self._path: Path | None = None
+    def __init__(self, env: Engine, task: str, seed: int, folder: Path | None) -> None:
+        self.env, self._folder, self._screen = env, folder, console()
+        summary = task_spec(task).summary
+        self.goal = f"{summary[0].upper()}{summary[1:]}."
+        self.start(seed)
 
-    def finish(self, demo: Demonstration) -> str:
-        """Saves an episode that has ended; returns a message for the player."""
-        result = f"score {demo.score:.2f}, {'solved' if demo.score == 1.0 else 'not solved'}"
-        self._screen.print(f"seed {demo.scene_seed}: {result}")
-        if self._folder is None:
-            return result
-        path, is_new = magical_mj.demos.keep(demo, self._folder)
-        self._path = path if is_new else None
-        self._screen.print(path, soft_wrap=True)
-        return f"{result}; kept, D discards it" if is_new else f"{result}; the same as one that is kept"
-
-    def discard(self) -> str | None:
-        """Deletes the last episode if it was saved; returns a message for the player."""
-        if self._path is None:
-            return None
-        self._path.unlink()
-        self._screen.print(f"discarded {self._path}", soft_wrap=True)
-        self._path = None
-        return "discarded"
-
-
-class Episode:
-    """One scene in a window, from its start to what became of it. The clock starts with the first key."""
-
-    def __init__(self, env: Engine, seed: int, episodes: Episodes) -> None:
-        env.reset(seed=seed)
-        self._env, self._episodes = env, episodes
-        self._recorder = magical_mj.demos.Recorder(env)
-        self._steps = 0
+    def start(self, seed: int) -> None:
+        """Starts an episode in the scene of this seed."""
+        self.env.reset(seed=seed)
+        self.seed, self._steps, self._recorder = seed, 0, magical_mj.demos.Recorder(self.env)
         self._result: str | None = None
+        self._path: Path | None = None
 
     def act(self, action: int) -> None:
         """Takes an action; does nothing before the first key, nor after the end."""
@@ -155,38 +139,47 @@ class Episode:
             return
         self._steps += 1
         if self._recorder.step(action):
-            demo = self._recorder.demonstration("human")
-            self._result = self._episodes.finish(demo)
+            self.finish(self._recorder.demonstration("human"))
+
+    def finish(self, demo: Demonstration) -> None:
+        """Reports and saves an episode that has ended."""
+        self._result = f"score {demo.score:.2f}, {'solved' if demo.score == 1.0 else 'not solved'}"
+        self._screen.print(f"seed {demo.scene_seed}: {self._result}")
+        if self._folder is None:
+            return
+        path, is_new = magical_mj.demos.keep(demo, self._folder)
+        self._screen.print(path, soft_wrap=True)
+        self._path = path if is_new else None
+        self._result += "; kept, D discards it" if is_new else "; the same as one that is kept"
 
     def discard(self) -> None:
         """Deletes the episode, if it has ended and was saved."""
-        if self._result is not None:
-            self._result = self._episodes.discard() or self._result
+        if self._path is not None:
+            self._path.unlink()
+            self._screen.print(f"discarded {self._path}", soft_wrap=True)
+            self._path, self._result = None, "discarded"
 
     def caption(self) -> str:
-        """How far it is, and which keys do what."""
+        """How far the episode is, and which keys do what."""
         if self._result is not None:
             return f"{self._result}; {AFTER}"
-        seconds = ((self._env.horizon or 0) - self._steps) / CONTROL_RATE
+        seconds = ((self.env.horizon or 0) - self._steps) / CONTROL_RATE
         left = f"{seconds:.0f} s" if self._steps else "press a key to start"
-        return f"{left}, score so far {self._env.score():.2f} ({KEYS})"
+        return f"{left}, score so far {self.env.score():.2f} ({KEYS})"
 
 
-def play_in(window: Window, env: Engine, pair: Pair, seed: int, size: int, episodes: Episodes) -> None:
+def play_in(window: Window, game: Game, size: int) -> None:
     """Plays episodes until the player quits, in scene after scene or in the same one again."""
-    summary = task_spec(pair[0]).summary
-    goal = f"{summary[0].upper()}{summary[1:]}."
-    episode, wish = Episode(env, seed, episodes), None
+    wish = None
     while wish != "quit":
-        window.show(side_by_side(env, size), [goal, episode.caption()])
+        window.show(side_by_side(game.env, size), [game.goal, game.caption()])
         wish = window.wish()
         if wish in ("reset", "next"):
-            seed += wish == "next"
-            episode = Episode(env, seed, episodes)
+            game.start(game.seed + (wish == "next"))
         elif wish == "discard":
-            episode.discard()
+            game.discard()
         elif wish is None:
-            episode.act(window.action())
+            game.act(window.action())
 
 
 class Window:
@@ -210,11 +203,9 @@ class Window:
         self._pygame = pygame
         self._size, self._rate = size, speed * CONTROL_RATE
         try:
-            if _without_display():  # SDL would look for one, and complain in words of its own
-                raise pygame.error("there is no display")
             pygame.display.init()
-            if pygame.display.get_driver() in FALLBACKS and "SDL_VIDEODRIVER" not in os.environ:
-                raise pygame.error("the display does not answer")
+            if pygame.display.get_driver() in FALLBACKS and not os.environ.get("SDL_VIDEODRIVER"):
+                raise pygame.error("there is no display, or it does not answer")
             self._surface = pygame.display.set_mode((2 * size, size + BAR))
         except pygame.error as error:
             pygame.display.quit()
@@ -281,11 +272,6 @@ class Window:
         self._pygame.font.quit()
 
 
-def _without_display() -> bool:
-    displays = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
-    return sys.platform == "linux" and not any(os.environ.get(name) for name in displays)
-
-
 def serve_page(
     first: tuple[str, str, int] | None,
     environments: Sequence[Pair],
@@ -296,12 +282,21 @@ def serve_page(
     origin: str | None,
 ) -> None:
     """Serve until somebody presses Ctrl-C; `first` is the task, the variant and the seed that the link leads to."""
-    _check_page(first, environments)
+    if not set(environments) <= set(ENVIRONMENTS) or (first is not None and first[0] not in TASKS):
+        raise SettingsError("the page knows the scores of the benchmark's own tasks only: play others in a window")
+    if first is not None and first[:2] not in environments:
+        raise SettingsError(f"{first[0]}-{first[1]} is not among --tasks and --variants")
+    if first is not None and first[2] > LARGEST_SEED:
+        raise SettingsError(f"seeds in a browser are at most {LARGEST_SEED}, not {short_repr(first[2])}")
     if first is not None and collect is not None:
         raise SettingsError("with --collect the server chooses what is played: give --tasks and --variants, not TASK")
     if wanted is not None and collect is None:
         raise SettingsError("--wanted needs --collect")
-    origin = None if origin is None else _checked_origin(origin)
+    if origin is not None and not ORIGIN.fullmatch(origin):
+        raise SettingsError(
+            f"--origin takes an address such as https://study.example.org, without a path; not {origin!r}"
+        )
+    origin = origin and origin.rstrip("/").lower()  # as browsers send it, and they compare letter by letter
     check_extra("games in a browser", "web")
     from magical_mj.web.collection import Collection
     from magical_mj.web.server import PlayServer
@@ -312,36 +307,6 @@ def serve_page(
         server.token = collection.token()
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(_serve(server, "" if first is None else "#" + "-".join(map(str, first))))
-
-
-def _check_page(first: tuple[str, str, int] | None, environments: Sequence[Pair]) -> None:
-    """Raises a `SettingsError` unless the page can show these environments, and the scene that is named."""
-    if not set(environments) <= set(ENVIRONMENTS):
-        raise SettingsError("the page knows the scores of the benchmark's own tasks only: play others in a window")
-    if first is None:
-        return
-    task, variant, seed = first
-    if task not in TASKS:
-        raise SettingsError(
-            f"{task} is not a task of the benchmark, whose scores alone the page knows: play it in a window"
-        )
-    if (task, variant) not in environments:
-        raise SettingsError(f"{task}-{variant} is not among --tasks and --variants")
-    if seed > LARGEST_SEED:
-        raise SettingsError(f"seeds in a browser are at most {LARGEST_SEED}, not {short_repr(seed)}")
-
-
-def _checked_origin(origin: str) -> str:
-    """An origin as browsers send it, without a slash at its end; they compare it letter by letter."""
-    try:
-        parts = urlsplit(origin)
-    except ValueError:  # half of a bracket
-        parts = urlsplit("")
-    if parts.scheme not in ("http", "https") or not parts.netloc or parts.path.strip("/") or parts.query:
-        raise SettingsError(
-            f"--origin takes an address such as https://study.example.org, without a path; not {origin!r}"
-        )
-    return f"{parts.scheme}://{parts.netloc.lower()}"
 
 
 async def _serve(server: PlayServer, place: str) -> None:

@@ -1,45 +1,69 @@
-"""`magical-mj report` and `compare`: results of evaluations as tables, figures and videos."""
+"""`magical-mj report`, `compare`, `verify`, `submit` and `leaderboard`: what can be done with stored results."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import secrets
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
+import msgspec
 import typer
+from rich.progress import MofNCompleteColumn
 from rich.table import Table
 
-from magical_mj.cli.console import Trust, console, make_writable_folder
-from magical_mj.cli.film import film, replay
+from magical_mj.cli.console import Bars, Jobs, Trust, check_fits, complain, console, make_writable_folder
+from magical_mj.cli.film import file_names, film_episodes
 from magical_mj.evaluation.reports.report import begin, extremes, write_report
 from magical_mj.evaluation.reports.results import compare, results
-from magical_mj.evaluation.scores import EpisodeResult, episodes_in
+from magical_mj.evaluation.scores import episodes_in, read
 from magical_mj.evaluation.settings import UNOFFICIAL
-from magical_mj.utils.errors import SettingsError
+from magical_mj.leaderboard import Entry, Findings, check_entries, read_entry, submit, verify
+from magical_mj.leaderboard.check import MOST_REPLAYED, SHARE
+from magical_mj.leaderboard.entry import entry_files
+from magical_mj.leaderboard.page import check_free, write_pages
+from magical_mj.leaderboard.standings import gaps, standings
+from magical_mj.utils.errors import EvaluationError, SettingsError, counted
 from magical_mj.utils.extras import check_extra
 
-FILM_SIZE = 192  # pixels
-FILM_SPEED = 4  # times real time
+SHOWN: Final = 20
+"""The largest number of problems that are printed; the others are counted."""
 
 Folders = Annotated[list[Path], typer.Argument(help="The folders of evaluations.", show_default=False)]
-Out = Annotated[
-    Path | None, typer.Option(help="The folder for the report.", show_default="DIR/report, of a single DIR")
+Report = Annotated[
+    Path | None,
+    typer.Option("--out", help="The folder for the report.", show_default="DIR/report, of a single DIR"),
 ]
 Published = Annotated[bool, typer.Option("--published", help="Show the paper's own results as well.")]
 Mixed = Annotated[
     bool, typer.Option("--mixed-presets", help="Allow policies with different observations in one report.")
 ]
+Videos = Annotated[
+    bool, typer.Option("--videos", help="Make videos of each policy's best and worst episode in each task.")
+]
 Side = Annotated[
     str, typer.Argument(help="DIR, or DIR:POLICY if the folder holds several policies.", show_default=False)
 ]
-Videos = Annotated[
-    bool, typer.Option("--videos", help="Make videos of each policy's best and worst episode in each task.")
+Folder = Annotated[Path, typer.Argument(help="The folder of an evaluation.", show_default=False)]
+MethodFolders = Annotated[list[Path], typer.Argument(help="Folders of evaluations of one method.", show_default=False)]
+EntryFile = Annotated[Path, typer.Option("--out", help="The entry's file, which ends in .json.xz.", show_default=False)]
+Card = Annotated[Path | None, typer.Option(help="A TOML file that describes the method; see docs/leaderboard.md.")]
+Name = Annotated[
+    str | None,
+    typer.Option("--policy", help="The method to submit, if the folders hold several or EXTEND calls it otherwise."),
+]
+Extend = Annotated[Path | None, typer.Option(help="An earlier entry, to whose episodes these are added.")]
+Entries = Annotated[Path, typer.Argument(help="The folder with the entries (*.json.xz), or one.", show_default=False)]
+Pages = Annotated[Path | None, typer.Option("--out", help="The folder for the pages.", show_default="FOLDER")]
+Replay = Annotated[int, typer.Option(min=1, help="The largest number of episodes of an entry that are replayed.")]
+All = Annotated[bool, typer.Option("--all", help="Replay all episodes of each entry, not only a random part.")]
+Sample = Annotated[
+    int | None, typer.Option("--seed", min=0, help="Chooses the part.", show_default="another each time")
 ]
 
 
 def make_report(
     folders: Folders,
-    out: Out = None,
+    out: Report = None,
     published: Published = False,
     mixed_presets: Mixed = False,
     videos: Videos = False,
@@ -52,14 +76,15 @@ def make_report(
     check_extra("reports", "eval")
     screen = console()
     data = results(folders, published, mixed_presets)  # raises errors before anything is written
-    if videos and set(data.scores["worlds"]) != {"single"}:
-        raise SettingsError(f"--videos replays episodes of single worlds only, not of batched ones: {UNOFFICIAL}")
+    episodes = []
     if videos:
+        if set(data.scores["worlds"]) != {"single"}:
+            raise SettingsError(f"--videos replays episodes of single worlds only, not of batched ones: {UNOFFICIAL}")
         check_extra("videos", "video")
+        episodes = extremes(score for folder in folders for score in episodes_in(folder))
     out = make_writable_folder(out or folders[0] / "report")
-    chosen = extremes(score for folder in folders for score in episodes_in(folder)) if videos else []
-    replaced = begin(out, film_names(chosen))
-    page = write_report(data, out, film_episodes(chosen, out))
+    replaced = begin(out, file_names(episodes))
+    page = write_report(data, out, film_episodes(episodes, out))
     screen.print(f"{page} replaces an earlier report" if replaced else page, soft_wrap=True)
 
 
@@ -84,22 +109,99 @@ def make_comparison(a: Side, b: Side) -> None:
         screen.print(f"{unpaired} scenes that only one of them has played are left out")
 
 
-def film_names(chosen: Sequence[tuple[str, EpisodeResult]]) -> list[str]:
-    """The names of the videos that `film_episodes` makes."""
-    names: list[str] = []
-    for which, score in chosen:
-        name = f"{which}-{score.policy}-{score.task}.mp4".replace("/", "-")
-        names.append(f"{len(names)}-{name}" if name in names else name)  # of a method called a-b after one called a/b
-    return names
+def verify_folder(folder: Folder, jobs: Jobs = None) -> None:
+    """Replay the episodes of an evaluation, compare scenes and scores, and check that it is complete."""
+    screen = console()
+    with Bars(screen, MofNCompleteColumn(), transient=True) as progress:
+        bar = progress.add_task(f"replaying {folder}", total=len(read(folder)))
+        findings = verify(folder, jobs=jobs, watch=lambda: progress.update(bar, advance=1))
+    screen.print(f"{counted(findings.episodes, 'episode')} replayed")
+    if _complained(str(folder), findings):
+        raise typer.Exit(1)
+    screen.print("everything is there, and is what it says")
 
 
-def film_episodes(chosen: Sequence[tuple[str, EpisodeResult]], out: Path) -> dict[str, str]:
-    """Makes videos of episodes, each given with a word such as "best"; returns description -> file name."""
-    links: dict[str, str] = {}
-    for name, (which, score) in zip(film_names(chosen), chosen, strict=True):
-        with film(out / name, FILM_SIZE, FILM_SPEED, overwrite=True) as video:
-            replay(video, score)
-        links[
-            f"{score.policy}, {which} of {score.task}: {score.variant}, seed {score.seed}, score {score.score:.2f}"
-        ] = name
-    return links
+def make_entry(
+    folders: MethodFolders, out: EntryFile, card: Card = None, policy: Name = None, extend: Extend = None
+) -> None:
+    """Pack the evaluations of one method, with its card, into an entry for the leaderboard."""
+    make_writable_folder(out.parent)
+    entry = submit(folders, out, card=card, policy=policy, extend=extend)
+    facts = msgspec.to_builtins(entry.card)
+    parts = {name: value if isinstance(value, dict) else {"": value} for name, value in facts.items()}
+    unsaid = [f"{name}.{inner}".rstrip(".") for name, part in parts.items() for inner in part if part[inner] is None]
+    size = out.stat().st_size / 1e6
+    screen = console()
+    episodes, runs = counted(len(entry.episodes), "episode"), counted(len(entry.runs), "run")
+    screen.print(f"{entry.method}: {episodes} of {runs}, {size:.2f} MB")
+    if unsaid:
+        screen.print(f"the card does not say: {', '.join(unsaid)} (--card)", soft_wrap=True)
+    missing = gaps(entry)
+    if missing:
+        screen.print(f"a partial entry: {', '.join(missing)}", soft_wrap=True)
+    screen.print(out, soft_wrap=True)
+
+
+def make_leaderboard(
+    context: typer.Context,
+    folder: Entries,
+    out: Pages = None,
+    replay: Replay = MOST_REPLAYED,
+    everything: All = False,
+    seed: Sample = None,
+    jobs: Jobs = None,
+) -> None:
+    """Check all entries in a folder, and write the leaderboard: leaderboard.html and leaderboard.md."""
+    check_extra("leaderboards", "eval")
+    check_fits(context, not everything, "without --all", "seed", "replay")
+    paths, pages = entry_files(folder), out or (folder.parent if folder.is_file() else folder)
+    check_free(make_writable_folder(pages))
+    screen = console()
+    seed = secrets.randbits(32) if seed is None else seed
+    if not everything:
+        screen.print(
+            f"replaying {SHARE:.0%} of each entry, {counted(replay, 'episode')} at most; "
+            f"--seed {seed} chooses the same again"
+        )
+    entries: dict[str, Entry] = {}
+    for path in paths:
+        try:
+            entries[path.name] = read_entry(path)
+        except EvaluationError as error:
+            complain(str(error))
+    with Bars(screen, MofNCompleteColumn(), transient=True) as progress:
+        bar = progress.add_task("replaying episodes", total=None)
+        findings = check_entries(
+            entries,
+            most=None if everything else replay,
+            seed=seed,
+            jobs=jobs,
+            watch=lambda done, total: progress.update(bar, completed=done, total=total),
+        )
+    good: dict[str, Entry] = {}
+    for name, entry in entries.items():
+        replayed = counted(findings[name].episodes, "episode")
+        screen.print(f"{name}: {entry.method}; {replayed} replayed", soft_wrap=True)
+        owner = next((other for other in good if good[other].method == entry.method), None)
+        if owner is not None and good[owner].rules == entry.rules:
+            complain(f"{name} is not shown: it has the name of the method in {owner}, {entry.method}")
+        elif not _complained(name, findings[name]):
+            good[name] = entry
+    for page in write_pages(standings(list(good.values())), pages):
+        screen.print(page, soft_wrap=True)
+    if bad := len(paths) - len(good):
+        raise EvaluationError(f"entries that are not what they claim, and are not on the page: {bad}")
+
+
+def _complained(name: str, findings: Findings) -> bool:
+    """Prints the problems, and returns whether there are any."""
+    for problems, what in (
+        (findings.unfit, "does not fit"),
+        (findings.differing, "differs"),
+        (findings.missing, "is incomplete"),
+    ):
+        for problem in problems[:SHOWN]:
+            complain(f"{name} {what}: {problem}")
+        if len(problems) > SHOWN:
+            complain(f"{name} {what}: {len(problems) - SHOWN} more")
+    return not findings.good

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from magical_mj.rendering.backend import osmesa_works
 from tests.helpers.commands import Shell, process
 
 
@@ -145,11 +144,9 @@ def test_an_export_that_cannot_be_finished_is_not_begun(shell: Shell, tmp_path: 
     assert [path.name for path in tmp_path.iterdir()] == [taken.name]
 
 
-@pytest.mark.parametrize("backend", ["glfw", "osmesa", "mesa"])
+@pytest.mark.parametrize("backend", ["glfw", "mesa"])
 def test_no_opengl_is_one_line(backend: str, tmp_path: Path) -> None:
-    """Backends that do not work: GLFW without a display, OSMesa where it is not installed, one that nobody knows."""
-    if backend == "osmesa" and osmesa_works():
-        pytest.skip("OSMesa works here")
+    """Backends that do not work: GLFW without a display, and one that nobody knows."""
     variables = {
         "MUJOCO_GL": backend,
         "DISPLAY": "",

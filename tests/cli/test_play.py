@@ -12,7 +12,7 @@ import pytest
 
 import magical_mj
 from magical_mj.cli import main
-from magical_mj.cli.play import Episodes, Window, play_in
+from magical_mj.cli.play import Game, Window, play_in
 from magical_mj.demos import load, verify
 from magical_mj.scene.actions import ACTIONS, Action, Drive, Gripper, Turn
 from tests.helpers.commands import Shell
@@ -96,7 +96,7 @@ def test_an_episode_is_played_recorded_and_read_again(
     env = magical_mj.Engine("MoveToRegion", seed=0)
     keys = {5: [pygame.K_UP], 14: [pygame.K_r], 16: [pygame.K_LEFT], 80: [pygame.K_ESCAPE]}
     player = Player(window, monkeypatch, keys)
-    play_in(window, env, ("MoveToRegion", "Demo"), 0, SIZE, Episodes(tmp_path))
+    play_in(window, Game(env, "MoveToRegion", 0, tmp_path), SIZE)
     env.close()
     assert all(lines[0] == "Drive into the goal region." for lines in player.lines)
     assert ["press a key to start" in lines[1] for lines in player.lines[:7]] == [True] * 5 + [False] * 2
@@ -117,7 +117,7 @@ def test_what_was_played_is_kept_at_once_and_discarded_on_request(
     env = magical_mj.Engine("MoveToRegion", seed=0)
     last = [pygame.K_d, pygame.K_d] if discard else [pygame.K_n]
     player = Player(window, monkeypatch, {1: [pygame.K_UP], 50: last, 55: [pygame.K_ESCAPE]})
-    play_in(window, env, ("MoveToRegion", "Demo"), 0, SIZE, Episodes(tmp_path))
+    play_in(window, Game(env, "MoveToRegion", 0, tmp_path), SIZE)
     env.close()
     assert "solved" in player.lines[45][1]
     assert len(list(tmp_path.iterdir())) == (not discard)
@@ -125,20 +125,18 @@ def test_what_was_played_is_kept_at_once_and_discarded_on_request(
     assert ("discarded" in player.lines[-1][1]) == discard
 
 
-def test_discarding_never_deletes_an_earlier_episode(tmp_path: Path) -> None:
+def test_only_what_was_saved_last_is_discarded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Never an episode of before that is the same; and without a folder nothing is kept."""
+    env = magical_mj.Engine("MoveToRegion", seed=0)
     demo = load("MoveToRegion")[0]
-    assert "kept, D discards it" in Episodes(tmp_path).finish(demo)
-    later = Episodes(tmp_path)
-    assert "the same as one that is kept" in later.finish(demo)
-    assert later.discard() is None
+    for folder, caption in ((tmp_path, "kept, D discards it"), (tmp_path, "the same as one that is kept"), (None, "")):
+        game = Game(env, "MoveToRegion", 0, folder)
+        game.finish(demo)
+        assert f"score 1.00, solved; {caption}" in game.caption()
+    game.discard()
     assert len(load("MoveToRegion", tmp_path)) == 1
-
-
-def test_without_a_folder_nothing_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
-    episodes = Episodes(None)
-    assert episodes.finish(load("MoveToRegion")[0]) == "score 1.00, solved"
-    assert episodes.discard() is None
-    assert capsys.readouterr().out == "seed 0: score 1.00, solved\n"
+    assert capsys.readouterr().out.endswith("seed 0: score 1.00, solved\n")
+    env.close()
 
 
 def test_the_command_records_under_a_free_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

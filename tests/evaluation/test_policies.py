@@ -16,7 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 import magical_mj
-from magical_mj.cli.results import film_episodes
+from magical_mj.cli.film import film_episodes
 from magical_mj.evaluation import Episode, EvaluationSettings, rollouts
 from magical_mj.evaluation.scores import SCORES
 from magical_mj.evaluation.worker import plan
