@@ -247,15 +247,9 @@ class Arrays(gymnasium.vector.VectorWrapper[Any, Any, Any, Any]):
     """A `BatchedEnv` whose observations, rewards, ends and infos are numpy arrays, copied from the device.
 
     States stay as they are.
-
-    Args:
-        env: the environment.
     """
 
     env: BatchedEnv  # pyright: ignore[reportIncompatibleVariableOverride]
-
-    def __init__(self, env: BatchedEnv) -> None:
-        super().__init__(env)
 
     @property
     def device(self) -> str:

@@ -12,16 +12,15 @@ from torch import Tensor
 
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.pictures import Painter
-from magical_mj.batched.scenes import ABSENT, WorldScenes
+from magical_mj.batched.scenes import WorldScenes
 from magical_mj.envs.presets import Preset, observation_space, preset_named
-from magical_mj.scene.state_vector import MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
+from magical_mj.scene.state_vector import MAX_BLOCKS, STATE_NAMES, StateEncoder
 
 Observation = Tensor | dict[str, Tensor]
 
 _BLOCK: Final = STATE_NAMES.index("block0.present")
 _BLOCK_ENTRIES: Final = STATE_NAMES.index("block1.present") - _BLOCK
 _REGION: Final = STATE_NAMES.index("region0.present")
-_REGION_ENTRIES: Final = STATE_NAMES.index("region1.present") - _REGION
 
 
 class States:
@@ -33,18 +32,7 @@ class States:
 
     def start(self, scenes: WorldScenes, worlds: Tensor) -> None:
         """Episodes begin in these worlds: writes what stays as it is."""
-        count, blocks = scenes.shapes.shape
-        fixed = np.zeros((count, len(STATE_NAMES)), np.float32)
-        rows = fixed[:, _BLOCK:_REGION].reshape(count, MAX_BLOCKS, _BLOCK_ENTRIES)[:, :blocks]
-        present = scenes.shapes != ABSENT
-        rows[..., 0] = present
-        shape, colour = np.eye(4)[scenes.shapes.clip(0)], np.eye(4)[scenes.colours]
-        rows[..., -8:] = np.concatenate([shape, colour], axis=-1) * present[..., None]
-        regions = scenes.region_colours.shape[1]
-        rows = fixed[:, _REGION:].reshape(count, MAX_REGIONS, _REGION_ENTRIES)[:, :regions]
-        present = scenes.region_colours != ABSENT
-        colour = np.eye(4)[scenes.region_colours.clip(0)]
-        rows[:] = np.concatenate([present[..., None], scenes.regions, colour], axis=-1) * present[..., None]
+        fixed = np.stack([StateEncoder(scenes.scene(row)).fixed for row in range(len(worlds))])
         self._fixed[worlds] = torch.from_numpy(fixed).to(self._fixed)
 
     def look(self, physics: Physics) -> Tensor:

@@ -55,7 +55,10 @@ FINGERS: Final = slice(STATE_NAMES.index("robot.left_finger"), STATE_NAMES.index
 
 
 class StateEncoder:
-    """Computes the state vectors of one episode; entries that do not change within it are computed once.
+    """Computes the state vectors of one episode.
+
+    Attributes:
+        fixed: the entries that do not change within it; the others are 0. Shape (len(STATE_NAMES),).
 
     Raises:
         InvalidSceneError: if the scene has more blocks or regions than the vector holds.
@@ -68,9 +71,9 @@ class StateEncoder:
                 f"{len(scene.blocks)} and {len(scene.regions)}; use pictures as observations, or a smaller scene"
             )
         self._count = len(scene.blocks)
-        self._fixed = np.zeros(len(STATE_NAMES), dtype=np.float32)
-        blocks = self._block_rows(self._fixed)
-        regions = self._fixed[len(_ROBOT) + blocks.size :].reshape(MAX_REGIONS, len(_REGION))
+        self.fixed = np.zeros(len(STATE_NAMES), dtype=np.float32)
+        blocks = self._block_rows(self.fixed)
+        regions = self.fixed[len(_ROBOT) + blocks.size :].reshape(MAX_REGIONS, len(_REGION))
         for row, block in zip(blocks, scene.blocks, strict=False):
             row[[0, _BLOCK.index(block.shape), _BLOCK.index(block.colour)]] = 1.0
         for row, region in zip(regions, scene.regions, strict=False):
@@ -86,7 +89,7 @@ class StateEncoder:
             velocities: likewise, in units/s and rad/s.
             fingers: angles of the left and the right finger, shape (2,).
         """
-        state = self._fixed.copy()
+        state = self.fixed.copy()
         state[:3], state[3:6], state[6:8] = poses[0], velocities[0], fingers
         blocks = self._block_rows(state)[: self._count]
         blocks[:, 1:4], blocks[:, 4:7] = poses[1:], velocities[1:]

@@ -1,4 +1,4 @@
-"""The tasks: one module for each, readable without knowing the simulator.
+"""The tasks: a module for each (one for both clusters), readable without knowing the simulator.
 
 A new task is a module with a docstring that explains it, a demo scene, its rules, a score, a plan and a `TaskSpec`, and
 one line here. Its variants, environments and ids follow from it. See docs/adding-a-task.md.
@@ -7,29 +7,32 @@ one line here. Its variants, environments and ids follow from it. See docs/addin
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import import_module
 from types import MappingProxyType
 from typing import Final
 
+from magical_mj.tasks import (
+    cluster,
+    find_dupe,
+    fix_colour,
+    make_line,
+    match_regions,
+    move_to_corner,
+    move_to_region,
+)
 from magical_mj.tasks.spec import RULES, Rules, TaskSpec
 
 __all__ = ["RULES", "SPECS", "Rules", "TaskSpec"]
 
-_MODULES: Final = (  # in the paper's order
-    "move_to_corner",
-    "move_to_region",
-    "match_regions",
-    "make_line",
-    "find_dupe",
-    "fix_colour",
-    "cluster_colour",
-    "cluster_shape",
+_SPECS: Final = (
+    move_to_corner.SPEC,
+    move_to_region.SPEC,
+    match_regions.SPEC,
+    make_line.SPEC,
+    find_dupe.SPEC,
+    fix_colour.SPEC,
+    cluster.COLOUR_SPEC,
+    cluster.SHAPE_SPEC,
 )
 
-
-def _spec(module: str) -> TaskSpec:
-    return import_module(f"{__name__}.{module}").SPEC
-
-
-SPECS: Final[Mapping[str, TaskSpec]] = MappingProxyType({_spec(module).name: _spec(module) for module in _MODULES})
+SPECS: Final[Mapping[str, TaskSpec]] = MappingProxyType({spec.name: spec for spec in _SPECS})
 """All tasks by name, in the paper's order."""

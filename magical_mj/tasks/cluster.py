@@ -1,4 +1,13 @@
-"""What ClusterColour and ClusterShape share: the score, the variants' rules and the check.
+"""ClusterColour and ClusterShape: push the blocks into clusters, one for each colour, or one for each shape.
+
+Goal
+    Every block lies with the blocks of its colour (or its shape), away from the others, anywhere. The other attribute
+    does not matter.
+
+What varies
+    Colour and Shape draw every block's colour or shape, with at least one block of each, in both tasks. The poses stay,
+    so shapes that would overlap (two stars side by side, or a square by the right wall) are drawn again.
+    CountPlus has 7 to 10 blocks (the demo has 8), also with at least one of each.
 
 Score
     Every value of the attribute (colour or shape) that occurs has a centroid, the mean position of its
@@ -8,9 +17,10 @@ Score
     Under this rule doing nothing can score: in the ClusterShape demo, 5 of 8 blocks are right at the start,
     which is a score of 0.25 (ClusterColour: 4 of 8, a score of 0).
 
-The released code's rule (rules="released")
-    A block is right if d < D - 2 d^2, with d and D the plain distances to the own and to the nearest other
-    centroid, and the score is 0 up to three quarters of the blocks right. Episodes have 240 steps, not 320.
+Differences from the original
+    The released code has its own rule, ramp and horizon (rules="released"). A block is right if d < D - 2 d^2,
+    with d and D the plain distances to the own and to the nearest other centroid, and the score is 0 up to three
+    quarters of the blocks right. Episodes have 240 steps, not 320.
 """
 
 from __future__ import annotations
@@ -24,15 +34,42 @@ from typing import Final, Literal, TypeVar
 
 import numpy as np
 
-from magical_mj.scene import Block, Scene
+from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene.constants import COLOURS, SHAPES
-from magical_mj.tasks.planning import Noise, Subgoal, each_to
-from magical_mj.tasks.planning.arrangements import cluster_targets
+from magical_mj.tasks.planning import Noise, Subgoal, cluster_targets, each_to
 from magical_mj.tasks.rules import coloured, pick_each, require, require_regions, shaped, shuffled, uniform_integer
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 Attribute = Literal["colour", "shape"]
 _T = TypeVar("_T")
+
+COLOUR_DEMO: Final = Scene(
+    robot=Robot(0.71692, -0.34374, 0.83693),
+    blocks=(
+        Block("circle", "blue", -0.5147, 0.14149, -0.38871),
+        Block("star", "blue", -0.1347, -0.71414, 1.0533),
+        Block("square", "blue", -0.74247, -0.097592, 1.1571),
+        Block("pentagon", "green", -0.077363, -0.42964, -0.64379),
+        Block("pentagon", "green", 0.51978, 0.1853, -1.1762),
+        Block("square", "red", -0.5278, -0.21642, 2.9356),
+        Block("star", "yellow", -0.54039, 0.48292, 0.072818),
+        Block("pentagon", "yellow", -0.16761, 0.64303, -2.3255),
+    ),
+)
+
+SHAPE_DEMO: Final = Scene(
+    robot=Robot(0.286, -0.202, -1.878),
+    blocks=(
+        Block("square", "yellow", -0.414, 0.297, -1.731),
+        Block("pentagon", "blue", 0.068, 0.705, 2.184),
+        Block("pentagon", "red", 0.821, 0.22, 0.65),
+        Block("pentagon", "red", -0.461, -0.749, -2.673),
+        Block("circle", "green", 0.867, -0.149, -2.215),
+        Block("star", "yellow", -0.785, -0.14, -0.405),
+        Block("star", "blue", -0.305, -0.226, 1.341),
+        Block("circle", "green", 0.758, -0.708, -2.14),
+    ),
+)
 
 STEPS: Final = 320
 RELEASED_STEPS: Final = 240
@@ -110,7 +147,7 @@ def plan(initial: Scene, now: Scene, noise: Noise, attribute: Attribute) -> list
     return each_to(cluster_targets(points, kinds, NEARER, noise), tolerance=0.09)
 
 
-def spec(name: str, attribute: Attribute, demo: Scene) -> TaskSpec:
+def _spec(name: str, attribute: Attribute, demo: Scene) -> TaskSpec:
     """The task of clustering by an attribute."""
     return TaskSpec(
         name=name,
@@ -125,3 +162,7 @@ def spec(name: str, attribute: Attribute, demo: Scene) -> TaskSpec:
         shape=shape,
         count=count,
     )
+
+
+COLOUR_SPEC: Final = _spec("ClusterColour", "colour", COLOUR_DEMO)
+SHAPE_SPEC: Final = _spec("ClusterShape", "shape", SHAPE_DEMO)

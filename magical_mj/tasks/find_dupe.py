@@ -29,8 +29,7 @@ import numpy as np
 
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.scene.constants import COLOURS, REGION_SIZE, SHAPES
-from magical_mj.tasks.planning import Noise, Subgoal, bring, places_inside, places_outside
-from magical_mj.tasks.planning.subgoals import CHOICE
+from magical_mj.tasks.planning import CHOICE, Noise, Subgoal, bring, places_inside, places_outside
 from magical_mj.tasks.rules import coloured, inside, pick, pick_each, require, require_regions, shaped, uniform_integer
 from magical_mj.tasks.spec import Rules, TaskSpec
 

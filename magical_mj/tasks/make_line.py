@@ -28,9 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.scene import Block, Robot, Scene
-from magical_mj.tasks.planning import Noise, Subgoal, each_to
-from magical_mj.tasks.planning.arrangements import line_targets
-from magical_mj.tasks.planning.subgoals import Point
+from magical_mj.tasks.planning import Noise, Point, Subgoal, each_to, line_targets
 from magical_mj.tasks.rules import any_colours, any_shapes, require, require_regions, uniform_integer
 from magical_mj.tasks.spec import Rules, TaskSpec
 

@@ -23,8 +23,7 @@ import math
 from typing import Final
 
 from magical_mj.scene import Block, Robot, Scene
-from magical_mj.tasks.planning import Noise, Subgoal, bring, places_anywhere
-from magical_mj.tasks.planning.subgoals import TOLERANCE
+from magical_mj.tasks.planning import TOLERANCE, Noise, Subgoal, bring, places_anywhere
 from magical_mj.tasks.rules import any_colours, any_shapes, require, require_regions
 from magical_mj.tasks.spec import Rules, TaskSpec
 

@@ -54,13 +54,13 @@ class TaskSpec(VariationRules):
     def __post_init__(self) -> None:
         """Raises `TaskError` if a field has a wrong type or is out of its range."""
         super().__post_init__()
-        self._require_type("summary", str)
-        self._require_type("demonstrations", Path | str | None)
-        self._require_function("score")
-        self._require_function("plan", optional=True)
-        for steps in (self.steps, self.steps if self.released_steps is None else self.released_steps):
-            if as_integer(steps, 1) is None:
-                raise TaskError(f"the steps of {self.name} must be an integer above 0, not {short_repr(steps)}")
+        self._require("summary", isinstance(self.summary, str), "a str")
+        self._require("demonstrations", isinstance(self.demonstrations, Path | str | None), "a folder, or None")
+        self._require("score", callable(self.score), "a function")
+        self._require("plan", self.plan is None or callable(self.plan), "a function, or None")
+        self._require("steps", as_integer(self.steps, 1) is not None, "an integer above 0")
+        released = self.released_steps is None or as_integer(self.released_steps, 1) is not None
+        self._require("released_steps", released, "an integer above 0, or None")
 
     def horizon(self, rules: Rules = "paper") -> int:
         """The number of control steps of an episode."""
@@ -94,13 +94,12 @@ class TaskSpec(VariationRules):
             returned: Any = plan(initial, now, noise)
             todo = tuple(returned) if isinstance(returned, Iterable) else (returned,)  # a generator runs here
         for subgoal in todo:
-            if not isinstance(subgoal, Subgoal) or subgoal.block not in (None, *range(len(now.blocks))):
+            whose = (None, *range(len(now.blocks)))
+            if not isinstance(subgoal, Subgoal) or subgoal.block not in whose or not _is_point(subgoal.target):
                 raise TaskError(
                     f"{self.name}.plan must return Subgoals of the robot (None) or of blocks 0 to "
-                    f"{len(now.blocks) - 1}, and returned {short_repr(subgoal)}"
+                    f"{len(now.blocks) - 1}, whose targets are points (x, y), and returned {short_repr(subgoal)}"
                 )
-            if not _is_point(subgoal.target):
-                raise TaskError(f"targets are points (x, y), and {self.name}.plan returned {short_repr(subgoal)}")
         return todo
 
     def check_plan(self) -> Plan:

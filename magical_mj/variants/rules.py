@@ -70,43 +70,33 @@ class VariationRules:
         """Raises `TaskError` if a field has a wrong type or is out of its range."""
         if not is_task_name(self.name):
             raise TaskError(f"the name of a task must be made of letters and digits, not {short_repr(self.name)}")
-        self._require_type("demo", Scene)
-        self._require_type("layout", bool)
-        self._require_function("check")
+        self._require("demo", isinstance(self.demo, Scene), "a magical_mj.Scene")
+        self._require("layout", isinstance(self.layout, bool), "a bool")
+        self._require("check", callable(self.check), "a function")
         for axis in ("colour", "shape", "count"):
-            self._require_function(axis, optional=True)
-        self._check_regions()
+            rule = getattr(self, axis)
+            self._require(axis, rule is None or callable(rule), "a function, or None")
         if self.count is not None and not self.layout:
             raise TaskError(f"{self.name}.count needs layouts, which place the blocks that it adds: omit layout=False")
+        self._check_regions()
 
-    def _require_type(self, part: str, kind: Any) -> None:
-        """Raise `TaskError` unless this field is of a type, or of one of a union of types."""
-        value = getattr(self, part)
-        if not isinstance(value, kind):
-            raise TaskError(f"{self.name}.{part} must be a {getattr(kind, '__name__', kind)}, not {short_repr(value)}")
-
-    def _require_function(self, part: str, *, optional: bool = False) -> None:
-        """Raise `TaskError` unless this field is a function, or None if it is optional."""
-        value = getattr(self, part)
-        if not callable(value) and not (optional and value is None):
-            raise TaskError(f"{self.name}.{part} must be a function{', or None' if optional else ''}")
+    def _require(self, part: str, condition: bool, need: str) -> None:
+        """Raise `TaskError`, which says what this field must be, unless the condition holds."""
+        if not condition:
+            raise TaskError(f"{self.name}.{part} must be {need}, not {short_repr(getattr(self, part))}")
 
     def _check_regions(self) -> None:
         """Raise `TaskError` unless the sizes are possible, and those of the demo's regions are among them."""
         sides = [side for region in self.demo.regions for side in (region.height, region.width)]
-        sizes: Any = self.region_size
-        if not _are_sizes(sizes) or (sides and not sizes[0]):
-            raise TaskError(
-                f"{self.name}.region_size must be the least and greatest side of its goal regions, above 0, not "
-                f"{short_repr(sizes)}"
-            )
-        low, high = sizes
+        possible = _are_sizes(self.region_size) and (self.region_size[0] > 0 or not sides)
+        self._require("region_size", possible, "the least and greatest side of its goal regions, above 0")
+        low, high = self.region_size
         if not all(low - _ROUNDING <= side <= high + _ROUNDING for side in sides):
             listed = ", ".join(f"{side:g}" for side in sides)
             raise TaskError(f"{self.name}.region_size is {(low, high)}; the sides in its demo must be within: {listed}")
         margin: Any = self.inner_margin
-        if not isinstance(margin, int | float) or not (margin == 0 or 0 < margin < low / 2):
-            raise TaskError(f"{self.name}.inner_margin must be 0, or less than half of the least side of its regions")
+        small = isinstance(margin, int | float) and (margin == 0 or 0 < margin < low / 2)
+        self._require("inner_margin", small, "0, or less than half of the least side of its regions")
 
 
 def is_task_name(name: Any) -> bool:
@@ -123,15 +113,7 @@ def _are_sizes(sizes: Any) -> bool:
 
 def supported_axes(rules: VariationRules) -> tuple[Axis, ...]:
     """The axes that a task supports: always jitter and dynamics, the others as it declares."""
-    offered: dict[Axis, bool] = {
-        "jitter": True,
-        "layout": rules.layout,
-        "colour": rules.colour is not None,
-        "shape": rules.shape is not None,
-        "count": rules.count is not None,
-        "dynamics": True,
-    }
-    return tuple(axis for axis in AXES if offered[axis])
+    return tuple(axis for axis in AXES if axis in ("jitter", "dynamics") or getattr(rules, axis))
 
 
 def variants_of(rules: VariationRules) -> tuple[str, ...]:

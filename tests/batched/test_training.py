@@ -35,9 +35,9 @@ def in_batch(method: str = "gail", tasks: str = TWO, **changes: Any) -> Training
 
 @pytest.fixture
 def worlds(request: pytest.FixtureRequest) -> Iterator[TrainingEnvs]:
-    made = TrainingEnvs(in_batch(**getattr(request, "param", {})))
-    yield made
-    made.close()
+    envs = TrainingEnvs(in_batch(**getattr(request, "param", {})))
+    yield envs
+    envs.close()
 
 
 def test_learners_see_what_they_see_in_single_worlds(worlds: TrainingEnvs) -> None:
@@ -45,13 +45,13 @@ def test_learners_see_what_they_see_in_single_worlds(worlds: TrainingEnvs) -> No
     copies = TrainingEnvs(playing(tasks=TWO, **SMALL))
     assert worlds.tasks.tolist() == copies.tasks.tolist() == [0, 1]
     assert worlds.observation_space == copies.observation_space
-    seen, wanted = worlds.reset(), copies.reset()
+    observations, wanted = worlds.reset(), copies.reset()
     worlds._envs._batch._steps[1] = 38  # an episode that is nearly over
     for step in range(2):
-        assert seen[OBSERVATION].dtype == wanted[OBSERVATION].dtype
-        np.testing.assert_array_equal(seen[TASK], wanted[TASK])
-        assert np.abs(seen[OBSERVATION].astype(float) - wanted[OBSERVATION]).mean() < 0.05
-        seen, rewards, dones, infos = worlds.step(np.array([1, 1]))
+        assert observations[OBSERVATION].dtype == wanted[OBSERVATION].dtype
+        np.testing.assert_array_equal(observations[TASK], wanted[TASK])
+        assert np.abs(observations[OBSERVATION].astype(float) - wanted[OBSERVATION]).mean() < 0.05
+        observations, rewards, dones, infos = worlds.step(np.array([1, 1]))
         wanted = copies.step(np.array([1, 1]))[0]
         assert not rewards.any()
         assert dones.tolist() == [False, step == 1]
@@ -61,7 +61,7 @@ def test_learners_see_what_they_see_in_single_worlds(worlds: TrainingEnvs) -> No
     last = infos[1]["terminal_observation"]
     np.testing.assert_array_equal(last[TASK], [0, 1])
     assert np.abs(last[OBSERVATION].astype(float) - wanted[OBSERVATION][1]).mean() < 0.05
-    assert np.abs(seen[OBSERVATION][1].astype(float) - copies.reset()[OBSERVATION][1]).mean() < 0.05
+    assert np.abs(observations[OBSERVATION][1].astype(float) - copies.reset()[OBSERVATION][1]).mean() < 0.05
     copies.close()
 
 
@@ -85,10 +85,10 @@ def test_histories_of_states_begin_with_their_episode(worlds: TrainingEnvs) -> N
     np.testing.assert_allclose(before[0], first, atol=1e-6)
     assert np.abs(before[1, -1] - first[-1]).max() > 0.01
     worlds._envs._batch._steps[1] = 39
-    seen, _, dones, infos = worlds.step(np.array([1, 3]))
+    observations, _, dones, infos = worlds.step(np.array([1, 3]))
     assert dones.tolist() == [False, True]
-    np.testing.assert_array_equal(seen[OBSERVATION][0, :-1], before[0, 1:])
-    np.testing.assert_allclose(seen[OBSERVATION][1], first, atol=1e-6)
+    np.testing.assert_array_equal(observations[OBSERVATION][0, :-1], before[0, 1:])
+    np.testing.assert_allclose(observations[OBSERVATION][1], first, atol=1e-6)
     last = infos[1]["terminal_observation"][OBSERVATION]
     np.testing.assert_array_equal(last[:-1], before[1, 1:])
     assert np.abs(last[-1] - first[-1]).max() > 0.01
@@ -110,9 +110,9 @@ def test_a_resumed_training_ends_like_an_uninterrupted_one(method: str, preset: 
     whole = train(settings, tmp_path / "whole")
     with pytest.raises(StoppedError):
         train(settings, tmp_path / "broken", watch=stop)
-    kept = checkpoint.read(tmp_path / "broken" / CHECKPOINT)
-    assert kept["update"] == 1
-    assert kept["learner"]["ppo"]["environments"]["worlds"]["steps"].shape == (2,)
+    state = checkpoint.read(tmp_path / "broken" / CHECKPOINT)
+    assert state["update"] == 1
+    assert state["learner"]["ppo"]["environments"]["worlds"]["steps"].shape == (2,)
     resumed = train(settings, tmp_path / "broken", resume=True)
     for name, weights in whole._actor.state_dict().items():
         assert torch.equal(weights, resumed._actor.state_dict()[name]), name
@@ -148,9 +148,9 @@ def test_a_state_is_gone_back_to_in_another_batch() -> None:
     first, second = (batched.make("FindDupe", "All", 2, device="cpu", seed=seed) for seed in (0, 1))
     first.reset()
     second.reset()
-    seen = first.step([1, 3])[0]
+    observations = first.step([1, 3])[0]
     first._steps[1] = 98  # an episode that is nearly over
-    assert torch.equal(second.set_state(first.get_state()), seen)
+    assert torch.equal(second.set_state(first.get_state()), observations)
     for _ in range(3):
         ours, theirs = first.step([10, 4]), second.step([10, 4])
         assert torch.equal(ours[0], theirs[0])

@@ -64,10 +64,10 @@ def test_digests_are_equal_exactly_for_equal_scenes() -> None:
 def test_digests_without_defaults_tell_the_same_scenes_apart_as_the_whole_text(task: str) -> None:
     """Digests were once those of `to_json`, in which every field stands."""
     variants = [variant for name, variant in ENVIRONMENTS if name == task]
-    found = {scene.to_json(): scene for name in variants for scene in (sample_scene(task, name, s) for s in range(30))}
-    changed = [scene.moved(robot=(scene.robot.x, 0.0, 1.0)) for scene in found.values()]
-    found |= {scene.to_json(): scene for scene in changed}
-    assert len({scene.digest() for scene in found.values()}) == len(found)
+    scenes = {scene.to_json(): scene for name in variants for scene in (sample_scene(task, name, s) for s in range(30))}
+    changed = [scene.moved(robot=(scene.robot.x, 0.0, 1.0)) for scene in scenes.values()]
+    scenes |= {scene.to_json(): scene for scene in changed}
+    assert len({scene.digest() for scene in scenes.values()}) == len(scenes)
 
 
 @dataclass(frozen=True, slots=True)

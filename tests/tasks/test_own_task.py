@@ -141,9 +141,9 @@ def test_it_is_demonstrated_exported_and_learnt(user: User) -> None:
     user.does(f"demos generate --tasks push_out:SPEC --count 1 --out {folder}")
     assert [path.name for path in folder.glob("*.npz")] == ["PushOut-Demo-000.npz"]
     assert "1 of 1 replay to the same score" in user.does(f"demos verify {folder}")
-    user.does(f"demos export {folder} --out seen.npz")
+    user.does(f"demos export {folder} --out folder.npz")
     user.does("demos export --tasks push_out:SPEC --out same.npz")  # by default those in the task's own folder
-    assert (user.home / "same.npz").read_bytes() == (user.home / "seen.npz").read_bytes()
+    assert (user.home / "same.npz").read_bytes() == (user.home / "folder.npz").read_bytes()
     user.runs(
         """
         from dataclasses import replace

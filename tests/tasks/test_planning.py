@@ -13,8 +13,7 @@ import magical_mj
 from magical_mj import ENVIRONMENTS, TASKS
 from magical_mj.tasks.cluster import NEARER, blocks_right
 from magical_mj.tasks.make_line import are_lines
-from magical_mj.tasks.planning import Noise, Subgoal, scene_after
-from magical_mj.tasks.planning.arrangements import cluster_targets, line_targets
+from magical_mj.tasks.planning import Noise, Subgoal, cluster_targets, line_targets, scene_after
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import PlacementError
 

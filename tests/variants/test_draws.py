@@ -59,14 +59,14 @@ def test_jitter_does_not_recentre_the_blocks_in_the_regions(task: str) -> None:
 
 @pytest.mark.parametrize(("task", "variant"), [pair for pair in ENVIRONMENTS if "layout" in environment_axes(*pair)])
 def test_layout_uses_the_whole_workspace(task: str, variant: str) -> None:
-    found = scenes(task, variant, 300)
-    poses = np.array([pose for scene in found for pose in (scene.robot.pose, *outer_poses(scene))])
+    drawn_scenes = scenes(task, variant, 300)
+    poses = np.array([pose for scene in drawn_scenes for pose in (scene.robot.pose, *outer_poses(scene))])
     assert np.allclose(poses.mean(axis=0), 0, atol=0.25)
     assert np.all(poses.min(axis=0) < [-0.72, -0.72, -3.0])
     assert np.all(poses.max(axis=0) > [0.72, 0.72, 3.0])
     assert np.abs(poses[:, 2]).max() <= math.pi
     low, high = task_spec(task).region_size
-    sizes = [size for scene in found for region in scene.regions for size in (region.width, region.height)]
+    sizes = [size for scene in drawn_scenes for region in scene.regions for size in (region.width, region.height)]
     assert all(low - SIZE_SLACK <= size <= high + SIZE_SLACK for size in sizes)
     if sizes:
         assert min(sizes) < low + 0.05 * (high - low)
@@ -86,9 +86,9 @@ def test_layout_places_inner_blocks_around_the_regions_centre(task: str, margin:
 
 
 def test_dynamics_are_uniform_in_their_ranges() -> None:
-    found = [scene.dynamics for scene in scenes("MakeLine", "Dynamics", 500)]
+    drawn_scenes = [scene.dynamics for scene in scenes("MakeLine", "Dynamics", 500)]
     for name, (low, high) in DYNAMICS_RANGES.items():
-        values = np.array([getattr(dynamics, name) for dynamics in found])
+        values = np.array([getattr(dynamics, name) for dynamics in drawn_scenes])
         assert low <= values.min() < low + 0.02 * (high - low)
         assert high - 0.02 * (high - low) < values.max() <= high
         assert values.mean() == pytest.approx((low + high) / 2, abs=0.05 * (high - low))
@@ -114,9 +114,9 @@ def test_fix_colour_draws_the_odd_colour_uniformly_from_the_other_three() -> Non
 
 
 def test_match_regions_has_four_colourings() -> None:
-    found = scenes("MatchRegions", "Colour", 1000)
+    drawn_scenes = scenes("MatchRegions", "Colour", 1000)
     assert_uniform(
-        ((scene.regions[0].colour, *(b.colour for b in scene.blocks)) for scene in found),
+        ((scene.regions[0].colour, *(b.colour for b in scene.blocks)) for scene in drawn_scenes),
         [
             ("red", "red", "red", "blue", "yellow", "yellow"),
             ("green", "green", "green", "blue", "yellow", "yellow"),
@@ -127,11 +127,11 @@ def test_match_regions_has_four_colourings() -> None:
 
 
 def test_find_dupe_may_have_further_duplicates_by_chance() -> None:
-    found = scenes("FindDupe", "Shape", 1000)
-    assert_uniform((scene.blocks[-1].shape for scene in found), SHAPES)
+    drawn_scenes = scenes("FindDupe", "Shape", 1000)
+    assert_uniform((scene.blocks[-1].shape for scene in drawn_scenes), SHAPES)
     duplicates = [
         sum((b.shape, b.colour) == (q.shape, q.colour) for b in others)
-        for *others, q in (scene.blocks for scene in found)
+        for *others, q in (scene.blocks for scene in drawn_scenes)
     ]
     assert sum(number == 2 for number in duplicates) == pytest.approx(250, abs=70)
     for scene in scenes("FindDupe", "Colour", 50):
@@ -169,10 +169,10 @@ def test_clusters_have_every_colour_and_shape_in_random_order(task: str) -> None
         for scene in scenes(task, variant, 50):
             assert {block.colour for block in scene.blocks} == set(COLOURS)
             assert {block.shape for block in scene.blocks} == set(SHAPES)
-    found = scenes(task, "CountPlus", 600)
+    drawn_scenes = scenes(task, "CountPlus", 600)
     for place in (0, 6):
-        assert_uniform((scene.blocks[place].colour for scene in found), COLOURS)
-        assert_uniform((scene.blocks[place].shape for scene in found), SHAPES)
+        assert_uniform((scene.blocks[place].colour for scene in drawn_scenes), COLOURS)
+        assert_uniform((scene.blocks[place].shape for scene in drawn_scenes), SHAPES)
 
 
 def test_shapes_that_do_not_fit_the_demo_poses_are_drawn_again() -> None:

@@ -10,8 +10,16 @@ import numpy as np
 
 from magical_goals.relation import LIMIT_BITS, Floats, Layouts, Relation, Situation, choice_bits, layouts_of
 from magical_mj.scene import Block, Scene
-from magical_mj.tasks.planning import Subgoal, bring, each_to, places_anywhere, scene_after
-from magical_mj.tasks.planning.arrangements import Point, cluster_targets, line_targets
+from magical_mj.tasks.planning import (
+    Point,
+    Subgoal,
+    bring,
+    cluster_targets,
+    each_to,
+    line_targets,
+    places_anywhere,
+    scene_after,
+)
 from magical_mj.utils.errors import check_name
 
 LINE_TOLERANCE: Final = 0.07  # world units: so near its place a block is there

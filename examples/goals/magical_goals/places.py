@@ -11,8 +11,7 @@ from typing import Final
 import numpy as np
 
 from magical_goals.relation import LIMIT_BITS, Floats, Layouts, Relation, Situation, choice_bits
-from magical_mj.tasks.planning import Subgoal, bring, drive, places_anywhere, scene_after
-from magical_mj.tasks.planning.subgoals import TOLERANCE
+from magical_mj.tasks.planning import TOLERANCE, Subgoal, bring, drive, places_anywhere, scene_after
 from magical_mj.utils.errors import check_name
 
 LANDMARKS: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.scene import Scene
-from magical_mj.tasks.planning import Noise, Subgoal
-from magical_mj.tasks.planning.subgoals import REACHABLE
+from magical_mj.tasks.planning import REACHABLE, Noise, Subgoal
 
 Floats = NDArray[np.float64]
 

@@ -16,8 +16,7 @@ from magical_mj.policies.expert.lookahead import Lookahead
 from magical_mj.policies.expert.navigation import GRIP, Goal, Ints, SearchTree, cell_costs, cells, explore, places
 from magical_mj.scene import Pose, Scene
 from magical_mj.scene.actions import Drive, Gripper, Turn
-from magical_mj.tasks.planning import Noise
-from magical_mj.tasks.planning.subgoals import CARRYING, Subgoal
+from magical_mj.tasks.planning import CARRYING, Noise, Subgoal
 
 BLOCK_RADIUS: Final = {"square": 0.125, "pentagon": 0.13, "star": 0.14, "circle": 0.12}
 """World units, by shape: discs that stand for blocks in the search, between those inside and around the shapes."""

@@ -14,8 +14,7 @@ from magical_mj.policies.expert.manoeuvres import Manoeuvre, manoeuvres, obstacl
 from magical_mj.policies.expert.navigation import cell_costs, explore
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import Gripper
-from magical_mj.tasks.planning import Noise, scene_after
-from magical_mj.tasks.planning.subgoals import Subgoals
+from magical_mj.tasks.planning import Noise, Subgoals, scene_after
 
 TRIES: Final = 8  # manoeuvres tried in one situation
 SPREAD: Final = 4.0  # actions: the largest change by noise of a manoeuvre's estimated cost
