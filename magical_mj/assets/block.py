@@ -7,7 +7,7 @@ from typing import Final
 
 import mujoco
 
-from magical_mj.assets import solids, style
+from magical_mj.assets import style
 from magical_mj.assets.contacts import SETTINGS, PhysicsSettings, floor_pair, foot, foot_friction, softness, vertex
 from magical_mj.assets.meshes import Points, inset
 from magical_mj.assets.mjcf import comment, move_body, numbers, planar_body, planar_joint
@@ -37,7 +37,7 @@ def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSe
         + style.visual_geom(f"{name}_fill", f"{block.shape}_fill", BLOCK_FILL[block.colour])
         + comment("a foot with constant pressure: dry friction with the ground")
         + foot(f"{name}_foot")
-        + solids.block(f"{name}_sides", block.shape, block.colour)
+        + style.block_sides(f"{name}_sides", block.shape, block.colour)
         + f"<body>{collision_geoms(block.shape, settings)}</body>"  # a separate body: collision tests skip visual geoms
     )
     spin = softness("friction", 1, settings.dry_impedance)

@@ -137,50 +137,51 @@ def vertex(x: float, y: float, radius: float, kind: str = "vertex") -> str:
 
 
 def geom_classes(settings: PhysicsSettings = SETTINGS) -> str:
-    """The defaults of all geoms."""
+    """The defaults of all geoms, and a class of geoms for each purpose."""
     soft = softness("", settings.contact_stiffness, settings.contact_impedance, settings.contact_damping)
     finger = softness("", settings.finger_stiffness, settings.finger_impedance, settings.finger_damping)
-    sphere, ground = 'type="sphere"', f'group="{style.SOLID_GROUP}" rgba="{style.rgba(style.LIGHT_GREY)}"'
     meets_all = TOUCHES | FINGER_TOUCHES
-
-    def kind(name: str, what: str, friction: float, contype: int, conaffinity: int, more: str = "") -> str:
-        return (
-            f'{comment(what)}<default class="{name}"><geom friction="{numbers(friction)}" contype="{contype}" '
-            f'conaffinity="{conaffinity}" mass="0" {more}/></default>'
-        )
-
-    return (
-        f'<geom condim="3" group="{style.COLLISION_GROUP}" {soft}/>'
-        + kind("visual", "flat polygons, only drawn", 0, 0, 0, f'type="mesh" group="{style.DRAWN_GROUP}"')
-        + kind("solid", "what stands under them, only drawn", 0, 0, 0, f'group="{style.SOLID_GROUP}"')
-        + kind("floor", "the ground: feet press on it, by named pairs", 0, 0, 0, ground)
-        + kind(
-            "disc",
-            "round things: meet corners, edges and each other",
-            settings.friction_block,
-            TOUCHES,
-            meets_all,
-            sphere,
-        )
-        + kind("vertex", "a block's corners: meet edges, discs and walls", settings.friction_block, TOUCHES, 0, sphere)
-        + kind("edge", "a block's edges: meet corners and discs", settings.friction_block, 0, meets_all)
-        + kind(
+    classes = (
+        comment("flat polygons, only drawn"),
+        _geom_class("visual", type="mesh", group=style.DRAWN_GROUP),
+        comment("what stands under them, only drawn"),
+        _geom_class("solid", group=style.SOLID_GROUP),
+        comment("the ground: feet press on it, by named pairs"),
+        _geom_class("floor", group=style.SOLID_GROUP, rgba=style.rgba(style.LIGHT_GREY)),
+        comment("round things: meet corners, edges and each other"),
+        _geom_class("disc", friction=settings.friction_block, contype=TOUCHES, conaffinity=meets_all, type="sphere"),
+        comment("a block's corners: meet edges, discs and walls"),
+        _geom_class("vertex", friction=settings.friction_block, contype=TOUCHES, type="sphere"),
+        comment("a block's edges: meet corners and discs"),
+        _geom_class("edge", friction=settings.friction_block, conaffinity=meets_all),
+        comment("a finger's corners"),
+        _geom_class(
             "finger_vertex",
-            "a finger's corners",
-            settings.friction_finger_block,
-            FINGER_TOUCHES,
-            0,
-            f'{sphere} priority="1" {finger}',
-        )
-        + kind("finger_edge", "a finger's edges", settings.friction_finger_block, 0, TOUCHES, f'priority="1" {finger}')
-        + kind("wall", "walls for all but fingers", settings.friction_wall, 0, TOUCHES)
-        + kind(
-            "finger_wall",
-            "walls for fingers",
-            settings.friction_finger_wall,
-            0,
-            FINGER_TOUCHES,
-            f'priority="2" {finger}',
-        )
-        + kind("foot", "feet of blocks, and the robot's wheels", 0, 0, 0, f'{sphere} size="{FOOT_RADIUS}"')
+            finger,
+            friction=settings.friction_finger_block,
+            contype=FINGER_TOUCHES,
+            type="sphere",
+            priority=1,
+        ),
+        comment("a finger's edges"),
+        _geom_class("finger_edge", finger, friction=settings.friction_finger_block, conaffinity=TOUCHES, priority=1),
+        comment("walls for all but fingers"),
+        _geom_class("wall", friction=settings.friction_wall, conaffinity=TOUCHES),
+        comment("walls for fingers"),
+        _geom_class(
+            "finger_wall", finger, friction=settings.friction_finger_wall, conaffinity=FINGER_TOUCHES, priority=2
+        ),
+        comment("feet of blocks, and the robot's wheels"),
+        _geom_class("foot", type="sphere", size=FOOT_RADIUS),
     )
+    return f'<geom condim="3" group="{style.COLLISION_GROUP}" {soft}/>' + "".join(classes)
+
+
+def _geom_class(name: str, softness: str = "", **attributes: float | str) -> str:
+    """A class of geoms, which have no mass and, but for these attributes, touch nothing."""
+    values: dict[str, float | str] = {"friction": 0, "contype": 0, "conaffinity": 0, "mass": 0}
+    text = " ".join(
+        f'{attribute}="{value if isinstance(value, str) else numbers(value)}"'
+        for attribute, value in (values | attributes).items()
+    )
+    return f'<default class="{name}"><geom {text} {softness}/></default>'

@@ -1,24 +1,16 @@
-"""MJCF text: numbers as attributes, planar bodies, and indentation of files that people read."""
+"""MJCF text: numbers as attributes, and planar bodies."""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Iterator
-from typing import Final
-from xml.etree.ElementTree import Comment, Element, TreeBuilder, XMLParser, fromstring
-from xml.sax.saxutils import quoteattr
+from collections.abc import Iterable
+from xml.etree.ElementTree import Element, TreeBuilder, XMLParser, fromstring
 
 import mujoco
 import numpy as np
 
 from magical_mj.scene import Pose
-
-INDENT: Final = "  "
-LINE: Final = 120
-"""The longest line of an indented file, in characters."""
-GROUPS: Final = {"vertex": 3, "face": 3}
-"""Attribute -> how many numbers of its list form one entry, such as 3 coordinates of a vertex."""
 
 
 def numbers(*values: float) -> str:
@@ -113,47 +105,3 @@ def elements(text: str) -> list[Element]:
 def comment(text: str) -> str:
     """An XML comment."""
     return f"<!-- {text} -->"
-
-
-def indented(element: Element, depth: int = 0) -> str:
-    """An element as indented text: one per line, blank lines between sections, long lists of numbers wrapped."""
-    pad = INDENT * depth
-    if element.tag is Comment:
-        return f"{pad}<!-- {str(element.text).strip()} -->\n"
-    start = f"{pad}<{element.tag}{_attributes(element, pad)}"
-    if not len(element):
-        return f"{start}/>\n"
-    content = ""
-    for child in element:
-        is_section = depth == 0 and child.tag is Comment
-        content += ("\n" if is_section else "") + indented(child, depth + 1)
-    return f"{start}>\n{content}{pad}</{element.tag}>\n"
-
-
-def _attributes(element: Element, pad: str) -> str:
-    """The attributes of an element, wrapped where the line would be too long."""
-    text, width, deeper = "", len(pad) + len(str(element.tag)) + 1, pad + 2 * INDENT
-    line_break = f"\n{deeper}"
-    for name, value in element.items():
-        entry = f"{name}={quoteattr(value).replace('&#10;', line_break)}"
-        if "\n" not in value and len(deeper) + len(entry) > LINE and value[:1] in "-.0123456789":
-            rows = wrap(value, GROUPS.get(name, 1), LINE - len(deeper) - 3)
-            entry = f'{name}="{line_break}{line_break.join(rows)}"'
-        if width + 3 + len(entry.partition("\n")[0]) > LINE:
-            text, width = f"{text}\n{deeper}{entry}", len(deeper) + len(entry)
-        else:
-            text, width = f"{text} {entry}", width + 1 + len(entry)
-    return text
-
-
-def wrap(value: str, group: int, width: int) -> Iterator[str]:
-    """A list of numbers as lines; groups of numbers are never split."""
-    entries = value.split()
-    row = ""
-    for start in range(0, len(entries), group):
-        item = " ".join(entries[start : start + group])
-        if row and len(row) + len(item) + 2 > width:
-            yield row
-            row = ""
-        row += ("  " if row and group > 1 else " " if row else "") + item
-    yield row

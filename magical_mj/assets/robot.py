@@ -23,8 +23,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.assets import solids, style
-from magical_mj.assets.arena import EGO_CAMERA
+from magical_mj.assets import style
 from magical_mj.assets.contacts import (
     FOOT_DEPTH,
     FOOT_RADIUS,
@@ -64,22 +63,23 @@ def robot_mjcf(robot: Robot, settings: PhysicsSettings) -> str:
     """The body `robot` with its motors, fingers, face and the ego camera."""
     castor = f'armature="{numbers(CASTOR_INERTIA)}" stiffness="{numbers(CASTOR_INERTIA / TIMESTEP**2)}"'
     wheels = "".join(_spinner(name, "-1 0 0", foot(name)) for name in WHEELS)
-    content = (
-        f'<inertial pos="0 0 0" mass="{numbers(c.ROBOT_MASS)}" diaginertia="{numbers(*[c.ROBOT_INERTIA] * 3)}"/>'
-        f'<geom name="robot" class="disc" size="{numbers(c.ROBOT_RADIUS - settings.body_overlap)}"/>'
-        f"{comment('What the robot sees: it stands near the bottom and heads up')}{EGO_CAMERA}"
-        f"{comment('The drive: wheels that press on the ground with a constant force, too heavy to be slowed.')}"
-        f"{comment('The second of each pair tends to a lower speed while the gripper closes, as under a load')}"
-        f"{comment('A light castor keeps the wheels in the heading of the step before: commands come one step late')}"
-        f'<body name="castor"><joint name="castor" type="hinge" axis="0 0 1" {castor}/>{LIGHT}{wheels}</body>'
-        f"{comment('Turning: heavy rotors, which spin against the robot; dry friction with them turns it')}"
-        f"{''.join(_spinner(name, '0 0 1') for name in ROTORS)}"
-        f"{comment('Finger motors: heavy rotors likewise, one for each finger')}"
-        f"{''.join(_spinner(name, '0 0 1') for name in MOTORS.values())}"
-        f"{_finger('left', robot.fingers[0], settings)}{_finger('right', robot.fingers[1], settings)}"
-        f"{comment('Body and eyes; they follow the fingers, which they hide in the flat pictures')}"
-        f'<body name="face">{_face()}</body>'
-    )
+    content = f"""
+<inertial pos="0 0 0" mass="{numbers(c.ROBOT_MASS)}" diaginertia="{numbers(*[c.ROBOT_INERTIA] * 3)}"/>
+<geom name="robot" class="disc" size="{numbers(c.ROBOT_RADIUS - settings.body_overlap)}"/>
+<!-- What the robot sees: it stands near the bottom and heads up -->
+{style.EGO_CAMERA}
+<!-- The drive: wheels that press on the ground with a constant force, too heavy to be slowed. -->
+<!-- The second of each pair tends to a lower speed while the gripper closes, as under a load -->
+<!-- A light castor keeps the wheels in the heading of the step before: commands come one step late -->
+<body name="castor"><joint name="castor" type="hinge" axis="0 0 1" {castor}/>{LIGHT}{wheels}</body>
+<!-- Turning: heavy rotors, which spin against the robot; dry friction with them turns it -->
+{"".join(_spinner(name, "0 0 1") for name in ROTORS)}
+<!-- Finger motors: heavy rotors likewise, one for each finger -->
+{"".join(_spinner(name, "0 0 1") for name in MOTORS.values())}
+{_finger("left", robot.fingers[0], settings)}
+{_finger("right", robot.fingers[1], settings)}
+<!-- Body and eyes; they follow the fingers, which they hide in the flat pictures -->
+<body name="face">{_face()}</body>"""
     return comment("The robot") + planar_body("robot", robot.pose, content)
 
 
@@ -99,7 +99,7 @@ def _face() -> str:
     return (
         style.visual_geom("robot_outline", "robot_outline", style.DARK_GREY)
         + style.visual_geom("robot_fill", "robot_fill", style.GREY)
-        + solids.solid("robot_sides", solids.cylinder(c.ROBOT_RADIUS, style.ROBOT_HEIGHT), style.DARK_GREY)
+        + style.solid("robot_sides", style.cylinder_shape(c.ROBOT_RADIUS, style.ROBOT_HEIGHT), style.DARK_GREY)
         + style.visual_geom("eyes", "eyes", style.WHITE)
         + style.visual_geom("pupils", "pupils", style.BLACK)
     )
@@ -121,8 +121,8 @@ def _finger(side: Side, angle: float, settings: PhysicsSettings) -> str:
     thin, rim = half - settings.finger_overlap, settings.vertex_radius + settings.finger_overlap
     length = c.FINGER_FOREARM_LENGTH
     corners = (forearm(rim, length - rim), forearm(c.FINGER_THICKNESS - rim, length - rim), forearm(rim, 0))
-    upper = solids.box(0, c.FINGER_UPPER_LENGTH / 2, half, c.FINGER_UPPER_LENGTH / 2, style.FINGER_HEIGHT)
-    lower = solids.box(*forearm(half, length / 2), half, length / 2, style.FINGER_HEIGHT, bend)
+    upper = style.box_shape(0, c.FINGER_UPPER_LENGTH / 2, half, c.FINGER_UPPER_LENGTH / 2, style.FINGER_HEIGHT)
+    lower = style.box_shape(*forearm(half, length / 2), half, length / 2, style.FINGER_HEIGHT, bend)
     low, high = sorted((0.0, -sign * c.FINGER_OPEN))
     return (
         f'<body name="{name}" pos="{numbers(sign * c.FINGER_ROOT[0], c.FINGER_ROOT[1], 0)}" '
@@ -133,8 +133,8 @@ def _finger(side: Side, angle: float, settings: PhysicsSettings) -> str:
         f'<inertial pos="0 0 0" mass="{c.FINGER_MASS}" diaginertia="{numbers(inertia, inertia, inertia)}"/>'
         + style.visual_geom(f"{name}_outline", f"{name}_outline", style.GREY)
         + style.visual_geom(f"{name}_fill", f"{name}_fill", style.LIGHT_GREY)
-        + solids.solid(f"{name}_upper_sides", upper, style.GREY)
-        + solids.solid(f"{name}_forearm_sides", lower, style.GREY)
+        + style.solid(f"{name}_upper_sides", upper, style.GREY)
+        + style.solid(f"{name}_forearm_sides", lower, style.GREY)
         + f'<geom class="finger_edge" type="box" size="{numbers(thin, c.FINGER_UPPER_LENGTH / 2, 0.1)}" '
         f'pos="0 {numbers(c.FINGER_UPPER_LENGTH / 2)} 0"/>'
         f'<geom class="finger_edge" type="box" size="{numbers(thin, length / 2 - settings.finger_overlap, 0.1)}" '

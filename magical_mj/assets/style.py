@@ -1,7 +1,8 @@
-"""The look: colours, heights of the drawing layers, widths of lines.
+"""The look: colours, heights of the drawing layers, widths of lines, visual geoms, cameras and lamps.
 
 The cameras ego and allo look straight down without shading, so that each thing is a flat polygon of one colour. RGB
-values are those of the original's pictures.
+values are those of the original's pictures. Below the polygons are solid geoms with a height, for all other cameras:
+boxes and cylinders where possible, which cost less than meshes and are easier to read in an exported file.
 """
 
 from __future__ import annotations
@@ -11,7 +12,9 @@ from functools import cache
 from types import MappingProxyType
 from typing import Final
 
-from magical_mj.scene.constants import Colour
+from magical_mj.assets.mjcf import numbers, quaternion
+from magical_mj.scene import constants as c
+from magical_mj.scene.constants import Colour, Shape
 
 Rgb = tuple[int, int, int]
 Palette = Mapping[Colour, Rgb]
@@ -37,7 +40,8 @@ Z_REGION, REGION_STEP, BORDER_ABOVE_FILL = 0.001, 0.001, 0.0005
 WALL_HEIGHT, BLOCK_HEIGHT, FINGER_HEIGHT, ROBOT_HEIGHT = 0.05, 0.08, 0.09, 0.13
 LIFT: Final = 0.001  # distance between stacked polygons; in the same plane, which one is visible would be undefined
 
-# Line widths (world units)
+# Widths (world units)
+WALL_THICKNESS: Final = 0.06
 ARENA_BORDER_WIDTH: Final = 0.0085  # 1.6 times the original's, which would be thinner than a pixel at 96 px
 BLOCK_OUTLINE_WIDTH: Final = 0.015
 ROBOT_OUTLINE_WIDTH: Final = 0.01
@@ -49,6 +53,44 @@ SOLID_GROUP: Final = 1  # hidden from the cameras ego and allo: sides, ground an
 DRAWN_GROUP: Final = 2
 COLLISION_GROUP: Final = 3
 TASK_GROUP: Final = 4  # seen by the cameras ego and allo only
+
+
+CAMERA_HEIGHT: Final = 2.0
+_CAMERA: Final = f'projection="orthographic" fovy="{c.VISIBLE_SIZE}"'
+ALLO_CAMERA: Final = f'<camera name="allo" {_CAMERA} pos="{numbers(0, 0, CAMERA_HEIGHT)}"/>'
+EGO_CAMERA: Final = (
+    f'<camera name="ego" {_CAMERA} pos="{numbers(0, c.VISIBLE_SIZE * (0.5 - c.EGO_ANCHOR), CAMERA_HEIGHT)}"/>'
+)
+"""Attached to the robot, which appears in the middle near the bottom of the picture and heads up."""
+
+_SKY: Final = ".91 .91 .92"
+LOOK: Final = f"""
+<!-- For viewers: a camera above a corner that sees all, and soft light -->
+<visual>
+  <headlight ambient=".56 .56 .56" diffuse=".06 .06 .06" specular="0 0 0"/>
+  <global azimuth="128" elevation="-45" fovy="30" offwidth="2048" offheight="2048"/>
+  <map znear="0.02" zfar="8" shadowclip="0.8"/>
+  <quality shadowsize="2048"/>
+  <rgba haze="{_SKY} 1"/>
+</visual>
+<statistic extent="4" center="0.08 -0.1 0"/>
+"""
+"""For all cameras except ego and allo: a free camera that starts above a corner with all in view, and soft light."""
+SKY: Final = f'<texture type="skybox" builtin="gradient" rgb1="1 1 1" rgb2="{_SKY}" width="16" height="96"/>'
+LAMPS: Final = ((0.32, 0.18), (0.44, 0.18), (0.32, 0.30), (0.44, 0.30))
+"""The slopes of light from four lamps side by side, which make shadows with soft edges."""
+AIM: Final = -1.2
+"""Where lamps point to, x and y: in the half of MuJoCo's shadow map that is nearer to the lamp, the ground shades
+itself in speckles. So that half is outside the arena."""
+
+
+def lamps_mjcf() -> str:
+    """The lamps. They are far away, since close ones make noisy shadows."""
+    return "".join(
+        f'<light directional="true" pos="{numbers(round(AIM - 16 * x, 2), round(AIM - 16 * y, 2), 16)}" '
+        f'dir="{x} {y} -1" ambient="0 0 0" diffuse=".11 .11 .11" specular="0 0 0"/>'
+        for x, y in LAMPS
+    )
 
 
 @cache
@@ -66,3 +108,39 @@ def levels(rgb: Rgb) -> tuple[float, ...]:
 def visual_geom(name: str, mesh: str, rgb: Rgb, more: str = "") -> str:
     """A visual geom that shows a flat mesh; `more` holds further attributes."""
     return f'<geom name="{name}" class="visual" mesh="{mesh}" rgba="{rgba(rgb)}" {more}/>'
+
+
+def solid(name: str, shape: str, rgb: Rgb) -> str:
+    """A visual geom; `shape` holds MJCF attributes, such as those of `box`."""
+    return f'<geom name="{name}" class="solid" {shape} rgba="{rgba(rgb)}"/>'
+
+
+def box_shape(x: float, y: float, half_x: float, half_y: float, height: float, angle: float = 0.0) -> str:
+    """Attributes of a box on the floor at (x, y), rotated by `angle` (rad), whose top is just below `height`."""
+    height -= LIFT
+    turned = f'quat="{numbers(*quaternion(angle))}"' if angle else ""
+    return f'type="box" size="{numbers(half_x, half_y, height / 2)}" pos="{numbers(x, y, height / 2)}" {turned}'
+
+
+def cylinder_shape(radius: float, height: float) -> str:
+    """Attributes of a cylinder on the floor at the origin, whose top is just below `height`."""
+    height -= LIFT
+    return f'type="cylinder" size="{numbers(radius, height / 2)}" pos="0 0 {numbers(height / 2)}"'
+
+
+@cache
+def block_sides(name: str, shape: Shape, colour: Colour) -> str:
+    """The sides of a block."""
+    sides = f'type="mesh" mesh="{shape}_sides"'
+    if shape == "circle":
+        sides = cylinder_shape(c.BLOCK_SIZE, BLOCK_HEIGHT)
+    elif shape == "square":
+        sides = box_shape(0, 0, c.SQUARE_SIDE / 2, c.SQUARE_SIDE / 2, BLOCK_HEIGHT)
+    return solid(name, sides, BLOCK_OUTLINE[colour])
+
+
+def wall_sides(name: str, x: int, y: int) -> str:
+    """The wall on the side of the arena to which (x, y), a unit vector, points; at corners two walls overlap."""
+    middle, along = c.ARENA_HALF_WIDTH + WALL_THICKNESS / 2, c.ARENA_HALF_WIDTH + WALL_THICKNESS * abs(y)
+    half = (WALL_THICKNESS / 2, along) if x else (along, WALL_THICKNESS / 2)
+    return solid(name, box_shape(middle * x, middle * y, *half, WALL_HEIGHT), ARENA_BORDER)

@@ -16,15 +16,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.assets import solids
-from magical_mj.assets.arena import LOOK, SKY, arena_mjcf, options
+from magical_mj.assets import style
 from magical_mj.assets.block import INERTIA, SIDES, block_mjcf, block_pair, collision_geoms, rewrite_block
-from magical_mj.assets.contacts import SETTINGS, PhysicsSettings, geom_classes
+from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, TIMESTEP, PhysicsSettings, geom_classes
 from magical_mj.assets.meshes import library
-from magical_mj.assets.mjcf import comment
-from magical_mj.assets.region import blank_regions_mjcf, dash_count, regions_mjcf, rewrite_region
+from magical_mj.assets.mjcf import numbers
+from magical_mj.assets.region import BONE, blank_regions_mjcf, dash_count, regions_mjcf, rewrite_region
 from magical_mj.assets.robot import JOINTS, actuators_mjcf, rewrite_robot, robot_mjcf, robot_pairs, tendons_mjcf
 from magical_mj.scene import Block, Robot, Scene
+from magical_mj.scene import constants as c
 from magical_mj.scene.constants import Shape
 
 MEMORY: Final = '<size memory="33M"/>'
@@ -32,6 +32,10 @@ MEMORY: Final = '<size memory="33M"/>'
 glibc; with smaller ones, memory would become fragmented as models come and go: 1 MB per 300 models."""
 APART: Final = '<exclude body1="left_finger" body2="right_finger"/>'
 """The fingers do not touch each other."""
+
+
+WALLS: Final = {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}
+"""Wall -> the unit vector from the middle of the arena towards it."""
 
 
 def world_mjcf(scene: Scene, settings: PhysicsSettings = SETTINGS, regions: str | None = None) -> str:
@@ -64,18 +68,64 @@ def model_mjcf(
     actuators: str = "",
     settings: PhysicsSettings = SETTINGS,
 ) -> str:
-    """A model as MJCF text: the arena, with what is given as MJCF; without anything, the empty arena."""
-    return (
-        f'<mujoco model="magical_mj">{options(settings)}{MEMORY}{LOOK}'
-        f"{comment('What geoms are: two meet if a bit of the contype of one is in the conaffinity of the other')}"
-        f"<default>{geom_classes(settings)}</default>"
-        f"{comment('Flat polygons, in which things are drawn, and the sides of pentagons and stars')}"
-        f"<asset>{SKY}{library()}</asset>{comment('The world')}"
-        f"<worldbody>{arena_mjcf()}{bodies}</worldbody>"
-        f"<deformable>{regions}</deformable>{comment('Friction with the ground: force cap / pressure')}"
-        f"<contact>{contacts}</contact>"
-        f"{comment('Servos')}<tendon>{tendons}</tendon><actuator>{actuators}</actuator></mujoco>"
-    )
+    """A model as MJCF text: the arena, with the content of these sections; without any, the empty arena.
+
+    Elliptic cones make friction equal in all directions. Explicit Euler with a fixed step is the original's
+    integrator; implicit damping would soften servos whose gain is chosen for this step. With so few geoms, testing all
+    pairs is faster than the mid-phase, and sparse matrices make piles of blocks cheaper. Blocks at rest sleep until
+    something touches them: most blocks, most of the time.
+    """
+    integrator = f'timestep="{numbers(TIMESTEP)}" gravity="0 0 0" integrator="Euler" cone="elliptic"'
+    limits = f'iterations="{settings.iterations}" tolerance="{settings.tolerance}"'
+    return f"""
+<mujoco model="magical_mj">
+  <!-- Ten steps of 12.5 ms are one action. What has come to rest sleeps until something touches it. -->
+  <compiler angle="radian" autolimits="true" usethread="false"/>
+  <option {integrator} solver="Newton" jacobian="sparse" {limits} impratio="{numbers(settings.impratio)}">
+    <flag eulerdamp="disable" midphase="disable" sleep="enable"/>
+  </option>
+  {MEMORY}
+  {style.LOOK}
+  <!-- What geoms are: two meet if a bit of the contype of one is in the conaffinity of the other -->
+  <default>{geom_classes(settings)}</default>
+  <!-- Flat polygons, in which things are drawn, and the sides of pentagons and stars -->
+  <asset>{style.SKY}{library()}</asset>
+  <!-- The world -->
+  <worldbody>{_arena()}{bodies}</worldbody>
+  <deformable>{regions}</deformable>
+  <!-- Friction with the ground: force cap / pressure -->
+  <contact>{contacts}</contact>
+  <!-- Servos -->
+  <tendon>{tendons}</tendon>
+  <actuator>{actuators}</actuator>
+</mujoco>"""
+
+
+def _arena() -> str:
+    """The static part of the world: floor, walls, their look, lamps, the allo camera, and the regions' body."""
+    half = c.ARENA_HALF_WIDTH
+    sides = "".join(style.wall_sides(f"{wall}_wall_sides", x, y) for wall, (x, y) in WALLS.items())
+    walls = ""
+    for wall, (x, y) in WALLS.items():
+        pos, size = numbers((half + 1) * x, (half + 1) * y, 0), f"{1 + 2 * abs(y)} {1 + 2 * abs(x)} 1"
+        for kind in ("wall", "finger_wall"):  # separate bodies, so that the broad phase skips what is far from them
+            geom = f'<geom name="{wall}_{kind}" class="{kind}" type="box" size="{size}"/>'
+            walls += f'<body name="{wall}_{kind}" pos="{pos}">{geom}</body>'
+    return f"""
+<!-- The arena: the ground, the white workspace, what the flat pictures show beyond it, the line between -->
+<geom name="floor" class="floor" type="plane" size="0 0 1" pos="0 0 {numbers(FOOT_DEPTH - FOOT_RADIUS)}"/>
+{style.solid("workspace", f'type="plane" size="{numbers(half, half, 1)}"', style.WHITE)}
+{style.visual_geom("surround", "surround", style.LIGHT_GREY, f'group="{style.TASK_GROUP}"')}
+{style.visual_geom("border", "border", style.ARENA_BORDER)}
+{sides}
+<!-- Walls stand twice: of two geoms that touch the larger friction counts, and fingers have their own -->
+{walls}
+<!-- Four lamps, for soft shadows -->
+{style.lamps_mjcf()}
+<!-- The whole workspace from above; the robot has the other camera of the task -->
+{style.ALLO_CAMERA}
+<!-- Goal regions: drawn, never solid -->
+<body name="{BONE}"/>"""
 
 
 class Structure(NamedTuple):
@@ -101,7 +151,7 @@ def world_spec(structure: Structure) -> mujoco.MjSpec:
         outline = block.first_geom()
         outline.meshname, block.next_geom(outline).meshname = f"{shape}_outline", f"{shape}_fill"
         for body, geoms in (
-            (block, solids.block(f"block{index}_sides", shape, "red")),
+            (block, style.block_sides(f"block{index}_sides", shape, "red")),
             (block.first_body(), collision_geoms(shape)),
         ):
             for kind, attributes in _parsed(geoms):

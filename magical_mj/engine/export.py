@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 from xml.etree.ElementTree import Comment, Element, SubElement, TreeBuilder, XMLParser, fromstring
+from xml.sax.saxutils import quoteattr
 
 import mujoco
 
 from magical_mj._version import __version__
 from magical_mj.assets.contacts import SUBSTEPS
-from magical_mj.assets.mjcf import elements, indented, numbers
+from magical_mj.assets.mjcf import elements, numbers
 from magical_mj.assets.region import BONE, region_mjcf
 from magical_mj.assets.robot import controls
 from magical_mj.assets.world import world_mjcf
@@ -45,6 +46,12 @@ THINGS: Final = re.compile(r'(?<=[\[,])(?=\{|"(?:robot|blocks|regions|dynamics)"
 """The places where the JSON of a scene is broken into lines, one for each thing."""
 BLOCK_PARTS: Final = ("outline", "fill", "sides")
 SENSORS: Final = "For plots: where everything is and how fast, in world coordinates"
+
+INDENT: Final = "  "
+LINE: Final = 120
+"""The longest line of an indented file, in characters."""
+GROUPS: Final = {"vertex": 3, "face": 3}
+"""Attribute -> how many numbers of its list form one entry, such as 3 coordinates of a vertex."""
 
 
 def export_mjcf(source: Scene | Engine, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -97,7 +104,7 @@ def mjcf_text(source: Scene | Engine) -> str:
         about |= {"task": source.task, "variant": source.variant if drawn else None, "seed": source.seed}
         about |= {"rules": source.rules if source.task else None, "horizon": source.horizon}
     about = {name: value for name, value in about.items() if value is not None}
-    return _header(about) + indented(_model(scene, about, data))
+    return _header(about) + _indented(_model(scene, about, data))
 
 
 def _header(about: Mapping[str, Any]) -> str:
@@ -171,3 +178,47 @@ def _sensors(scene: Scene) -> Element:
         for joint in joints:
             SubElement(sensor, kind, {"name": f"{joint}{suffix}", "joint": joint})
     return sensor
+
+
+def _indented(element: Element, depth: int = 0) -> str:
+    """An element as indented text: one per line, blank lines between sections, long lists of numbers wrapped."""
+    pad = INDENT * depth
+    if element.tag is Comment:
+        return f"{pad}<!-- {str(element.text).strip()} -->\n"
+    start = f"{pad}<{element.tag}{_attributes(element, pad)}"
+    if not len(element):
+        return f"{start}/>\n"
+    content = ""
+    for child in element:
+        is_section = depth == 0 and child.tag is Comment
+        content += ("\n" if is_section else "") + _indented(child, depth + 1)
+    return f"{start}>\n{content}{pad}</{element.tag}>\n"
+
+
+def _attributes(element: Element, pad: str) -> str:
+    """The attributes of an element, wrapped where the line would be too long."""
+    text, width, deeper = "", len(pad) + len(str(element.tag)) + 1, pad + 2 * INDENT
+    line_break = f"\n{deeper}"
+    for name, value in element.items():
+        entry = f"{name}={quoteattr(value).replace('&#10;', line_break)}"
+        if "\n" not in value and len(deeper) + len(entry) > LINE and value[:1] in "-.0123456789":
+            rows = _wrapped(value, GROUPS.get(name, 1), LINE - len(deeper) - 3)
+            entry = f'{name}="{line_break}{line_break.join(rows)}"'
+        if width + 3 + len(entry.partition("\n")[0]) > LINE:
+            text, width = f"{text}\n{deeper}{entry}", len(deeper) + len(entry)
+        else:
+            text, width = f"{text} {entry}", width + 1 + len(entry)
+    return text
+
+
+def _wrapped(value: str, group: int, width: int) -> Iterator[str]:
+    """A list of numbers as lines; groups of numbers are never split."""
+    entries = value.split()
+    row = ""
+    for start in range(0, len(entries), group):
+        item = " ".join(entries[start : start + group])
+        if row and len(row) + len(item) + 2 > width:
+            yield row
+            row = ""
+        row += ("  " if row and group > 1 else " " if row else "") + item
+    yield row

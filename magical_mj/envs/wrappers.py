@@ -89,9 +89,9 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """One action."""
         observation, reward, terminated, truncated, info = super().step(action)
-        if terminated or truncated:
+        if (terminated or truncated) and not self._engine.over:  # at the task's horizon the score is reported already
             score = np.float64(self._engine.score())
             info = info | {"eval_score": score, "is_success": np.array(score == 1.0)}
-            if getattr(self.unwrapped, "reward", "none") == "score" and not self._engine.over:  # else paid already
+            if getattr(self.unwrapped, "reward", "none") == "score":
                 reward = float(score)
         return observation, reward, terminated, truncated, info

@@ -16,9 +16,9 @@ import pytest
 import magical_mj
 from magical_mj._version import __version__
 from magical_mj.assets.contacts import SUBSTEPS
-from magical_mj.assets.mjcf import LINE
 from magical_mj.assets.robot import control_signal, controls
 from magical_mj.engine import Engine
+from magical_mj.engine.export import LINE
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.utils.errors import InvalidSceneError
