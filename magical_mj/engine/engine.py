@@ -3,23 +3,106 @@
 from __future__ import annotations
 
 import secrets
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.engine.setup import Setup, check_one_start
-from magical_mj.engine.simulation import Simulation
-from magical_mj.engine.state import State, check_state
+from magical_mj.engine.simulation import Simulation, State, check_state
 from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.renderer import check_size
-from magical_mj.scene import Scene
-from magical_mj.scene.state_vector import CAMERAS, SEGMENTATIONS, StateEncoder
-from magical_mj.tasks.registry import task_spec
+from magical_mj.scene import Scene, check_scene_type
+from magical_mj.scene.geometry import check_scene
+from magical_mj.scene.state_vector import CAMERAS, SEGMENTATIONS
+from magical_mj.tasks.registry import check_rules, environment_axes, sample_scene, task_spec, variant_name
 from magical_mj.tasks.spec import Rules
-from magical_mj.utils.errors import ClosedError, PhysicsError, StateError, check_name
+from magical_mj.utils.errors import (
+    ClosedError,
+    InvalidSceneError,
+    PhysicsError,
+    SettingsError,
+    StateError,
+    check_name,
+)
 from magical_mj.variants import check_seed
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What is played.
+
+    Attributes:
+        task: one of `magical_mj.TASKS`, a task that a package announces, or ``"package.module:SPEC"``; None for plain
+            scenes, which have no score and no horizon.
+        variant: one of `magical_mj.VARIANTS` that the task has.
+        rules: "paper", or "released" for the scores and horizons of the original's released code.
+
+    Raises:
+        UnknownNameError: for an unknown task, variant or rules, or an unsupported pair.
+        TaskError: if the task of another package is invalid.
+    """
+
+    task: str | None
+    variant: str = "Demo"
+    rules: Rules = "paper"
+
+    def __post_init__(self) -> None:
+        """Checks the names."""
+        if self.task is not None:
+            object.__setattr__(self, "variant", variant_name(self.variant))
+            environment_axes(self.task, self.variant)
+        check_rules(self.rules)
+
+    @property
+    def horizon(self) -> int | None:
+        """The number of actions after which an episode ends; None: never."""
+        return None if self.task is None else task_spec(self.task).horizon(self.rules)
+
+    def check(self, scene: object) -> None:
+        """Raises `InvalidSceneError` unless it is a `Scene` in which an episode can start."""
+        scene = check_scene_type(scene)
+        check_scene(scene)
+        if self.task is not None:
+            task_spec(self.task).check(scene)
+
+    def sample(self, seed: int) -> Scene:
+        """The scene of this seed.
+
+        Raises:
+            InvalidSeedError: if the seed is not an integer, or negative.
+            SettingsError: without a task.
+        """
+        if self.task is None:
+            raise SettingsError("a plain scene has no seeds: give a scene or a state")
+        return sample_scene(self.task, self.variant, seed)
+
+    @np.errstate(all="ignore")  # no result depends on the caller's settings
+    def score(self, initial: Scene, final: Scene) -> float:
+        """The score of a final scene in [0, 1].
+
+        Raises:
+            InvalidSceneError: without a task.
+        """
+        if self.task is None:
+            raise InvalidSceneError("a plain scene has no score; name a task, or use magical_mj.score(task, ...)")
+        return task_spec(self.task).checked_score(initial, final, self.rules)
+
+    def check_start(self, *, seed: object = None, scene: object = None, state: State | None = None) -> None:
+        """Raises an error unless an episode can start here: from one thing at most, and no state that is over.
+
+        Raises:
+            SettingsError, StateError: accordingly.
+        """
+        starts = {"seed": seed, "scene": scene, "state": state}
+        names = [name for name, value in starts.items() if value is not None]
+        if len(names) > 1:
+            raise SettingsError(f"an episode starts from one of seed, scene and state, not from {' and '.join(names)}")
+        if state is not None:
+            check_state(state)
+            if self.horizon is not None and state.steps >= self.horizon:
+                raise StateError(f"the episode of this state is over, after {state.steps} steps; give an earlier state")
 
 
 class Engine:
@@ -61,9 +144,9 @@ class Engine:
         seed: int | None = None,
         renderer: str | None = None,
     ) -> None:
-        check_one_start(seed=seed, scene=scene)
         task_spec(task)  # None, too, is no task
         setup = Setup(task, variant, rules)
+        setup.check_start(seed=seed, scene=scene)
         if scene is None:
             seed = secrets.randbits(63) if seed is None else check_seed(seed)
             scene = setup.sample(seed)
@@ -89,7 +172,6 @@ class Engine:
         self.rules: Rules = setup.rules
         self.horizon = setup.horizon
         self._simulation: Simulation | None = Simulation(scene, renderer)
-        self._encoder: tuple[Scene, StateEncoder] | None = None
         self.seed, self.steps, self._broken = seed, 0, False
 
     @property
@@ -112,8 +194,7 @@ class Engine:
     @property
     def scene(self) -> Scene:
         """Where everything is now, fingers included."""
-        simulation = self.simulation
-        return simulation.world.read(simulation.data.qpos)
+        return self.simulation.scene
 
     @property
     def initial_scene(self) -> Scene:
@@ -137,11 +218,8 @@ class Engine:
             InvalidSceneError, InvalidSeedError, StateError, SettingsError: if it is invalid; if there is more than one.
         """
         simulation = self.simulation
-        check_one_start(seed=seed, scene=scene, state=state)
+        self.setup.check_start(seed=seed, scene=scene, state=state)
         if state is not None:
-            check_state(state)
-            if self.horizon is not None and state.steps >= self.horizon:
-                raise StateError(f"the episode of this state is over, after {state.steps} steps; give an earlier state")
             self.set_state(state)
             return
         if seed is not None:
@@ -188,10 +266,7 @@ class Engine:
         Raises:
             InvalidSceneError: if the scene has more blocks or regions than the vector holds.
         """
-        world, data = self.simulation.world, self.simulation.data
-        if self._encoder is None or self._encoder[0] is not world.scene:
-            self._encoder = world.scene, StateEncoder(world.scene)
-        return self._encoder[1](world.poses(data.qpos), world.poses(data.qvel), world.fingers(data.qpos))
+        return self.simulation.state_vector()
 
     def fingers(self) -> NDArray[np.float64]:
         """The angles of the left and the right finger, rad. Shape (2,)."""

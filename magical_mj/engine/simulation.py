@@ -1,8 +1,14 @@
-"""The simulation of a world: MuJoCo's model and data, with actions, pictures, and saved states."""
+"""The simulation of a world: MuJoCo's model and data, with actions, pictures, and states that can be saved.
+
+A `State` is plain data from which an episode goes on: for search, for an expert's corrections, for resets.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
+from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, Final
 
 import mujoco
@@ -17,11 +23,59 @@ from magical_mj.rendering.renderer import Views
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import action_number
 from magical_mj.scene.scene import MAX_NUMBER
-from magical_mj.utils.errors import PhysicsError, StateError
+from magical_mj.scene.state_vector import StateEncoder
+from magical_mj.utils.errors import PhysicsError, StateError, as_integer, short_repr
 
 _LEAST: Final = np.iinfo(np.int32).min
 _INTEGRATION: Final = mujoco.mjtState.mjSTATE_INTEGRATION
 _NO_ACTUATION: Final = mujoco.mjtDisableBit.mjDSBL_ACTUATION.value
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Everything that determines how an episode continues: `get_state` returns it, `set_state` restores it exactly.
+
+    It holds numbers only, so it can be copied, pickled, sent to another process, or saved in a file field by field (the
+    scene as `scene.to_json()`). It can be restored in every environment that runs the same task, or the same scene
+    without a task, whatever that environment observes. The generator that draws the scenes of later episodes is not
+    part of it.
+
+    Attributes:
+        scene: the scene in which the episode started.
+        steps: number of control steps since then.
+        simulation: MuJoCo's state, a vector with the same length for all states of episodes with this scene:
+            positions, velocities, actuators, the solver's warm start, and which blocks sleep.
+        frames: the stacks of pictures of a Gymnasium environment, by their names; empty elsewhere.
+    """
+
+    scene: Scene
+    steps: int
+    simulation: NDArray[np.float64]
+    frames: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict[str, NDArray[np.uint8]])
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the simulations are in exactly the same state. Pictures are not compared: they follow from it."""
+        if not isinstance(other, State):
+            return NotImplemented
+        return self._identity() == other._identity()
+
+    def __hash__(self) -> int:
+        return hash(self._identity())
+
+    def _identity(self) -> tuple[object, ...]:
+        return self.scene, self.steps, self.simulation.tobytes()
+
+
+def check_state(state: object) -> None:
+    """Raises `StateError` unless it is a `State`, whose simulation may still not fit."""
+    if not isinstance(state, State):
+        raise StateError(f"set_state() takes what get_state() gave, not {type(state).__name__}")
+    if as_integer(state.steps) is None:
+        raise StateError(f"the steps of a state are an integer from 0 up, not {short_repr(state.steps)}")
+    if not isinstance(state.scene, Scene):
+        raise StateError(f"the scene of a state is a magical_mj.Scene, not {short_repr(state.scene)}")
+    if not isinstance(state.frames, Mapping):
+        raise StateError(f"the frames of a state are a mapping of names to pictures, not {short_repr(state.frames)}")
 
 
 class Simulation:
@@ -29,6 +83,7 @@ class Simulation:
 
     Args:
         scene: the first scene.
+        renderer: as `magical_mj.Engine`.
 
     Attributes:
         world: the world of the present scene.
@@ -36,15 +91,38 @@ class Simulation:
         data: MuJoCo's state of that model.
     """
 
-    world: World
-    model: mujoco.MjModel
-    data: mujoco.MjData
-
     def __init__(self, scene: Scene, renderer: str | None = None) -> None:
-        self.renderer = renderer
-        self._views: Views | None = None
-        self._compile(World(scene))
+        world = World(scene)
+        self._hold(world, copy(world_model(world.structure)), renderer=renderer)
         self._begin()
+
+    @classmethod
+    def around(
+        cls, world: World, model: mujoco.MjModel, data: mujoco.MjData, cameras: Mapping[str, str] = MappingProxyType({})
+    ) -> Simulation:
+        """A simulation with a compiled model and its state, which others use too; `cameras` are those of `Views`."""
+        simulation = cls.__new__(cls)
+        simulation._hold(world, model, data, cameras=cameras)
+        return simulation
+
+    def _hold(
+        self,
+        world: World,
+        model: mujoco.MjModel,
+        data: mujoco.MjData | None = None,
+        *,
+        renderer: str | None = None,
+        cameras: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
+        self.world, self.model, self.data = world, model, data or mujoco.MjData(model)
+        self.renderer, self._cameras = renderer, cameras
+        self._views: Views | None = None
+        self._encoder: tuple[Scene, StateEncoder] | None = None
+
+    @property
+    def scene(self) -> Scene:
+        """Where everything is now, fingers included."""
+        return self.world.read(self.data.qpos)
 
     def start(self, scene: Scene) -> None:
         """Puts everything to the start of an episode in this scene, exactly as if newly compiled.
@@ -54,15 +132,12 @@ class Simulation:
         if scene != self.world.scene:
             before, self.world = self.world, World(scene)
             if self.world.structure != before.structure:
-                self._compile(self.world)
+                self.model = copy(world_model(self.world.structure))
+                self.data = mujoco.MjData(self.model)
         self._begin()
 
-    def _compile(self, world: World) -> None:
-        self.world, self.model = world, copy(world_model(world.structure))
-        self.data = mujoco.MjData(self.model)
-
     def _begin(self) -> None:
-        """Twice, since the solver starts from its last solution, and protocol 1 has always started after two."""
+        """Solves twice, since the solver starts from its last solution, and protocol 1 has always started after two."""
         model, data = self.model, self.data
         self.world.rewrite(model, data)
         mujoco.mj_resetData(model, data)
@@ -76,40 +151,54 @@ class Simulation:
 
     def copy(self) -> Simulation:
         """Another simulation in the same state, which shares the model."""
-        twin = object.__new__(type(self))
-        twin.world, twin.model, twin.data = self.world, self.model, copy(self.data)
-        twin.renderer, twin._views = self.renderer, None
+        twin = Simulation.around(self.world, self.model, copy(self.data), self._cameras)
+        twin.renderer = self.renderer
         return twin
 
     def act(self, action: Any) -> None:
-        """Simulates one action of 1/8 s.
+        """Simulates one action of 1/8 s; see `command` and `advance`."""
+        self.command(action)
+        self.advance(SUBSTEPS)
+
+    def command(self, action: Any) -> None:
+        """Writes the controls of an action.
 
         Raises:
             InvalidActionError: if the action is not one of the 18.
-            PhysicsError: if the simulation becomes unstable.
         """
         self.data.ctrl[:] = control_signal(action_number(action))
-        advance(self.model, self.data, SUBSTEPS)
 
-    def save(self) -> NDArray[np.float64]:
-        """The complete present state in a fresh array. Shape (state size + number of trees,).
+    def advance(self, steps: int) -> None:
+        """Takes some steps of MuJoCo.
 
-        It is MuJoCo's integration state and, since that lacks it, which trees (bodies with their children) sleep.
-        """
-        return save(self.model, self.data)
-
-    def restore(self, saved: NDArray[np.float64]) -> None:
-        """Restores a state that `save` returned for the same model: what follows is exactly the same.
+        The last half of its step is done first, and its first half last. So positions and what follows from them, such
+        as contacts and the places of bodies, are always those of the present state.
 
         Raises:
-            StateError: if it is not a state of this model.
+            PhysicsError: if the simulation becomes unstable.
         """
-        restore(self.model, self.data, saved)
+        model, data = self.model, self.data
+        warnings = data.warning.number
+        before = warnings.tobytes()
+        mujoco.mj_step2(model, data)
+        mujoco.mj_step(model, data, steps - 1)
+        mujoco.mj_step1(model, data)
+        if warnings.tobytes() != before:
+            counts = zip(mujoco.mjtWarning.__members__, warnings > np.frombuffer(before, warnings.dtype), strict=False)
+            names = ", ".join(name for name, new in counts if new)
+            raise PhysicsError(f"the simulation has become unstable, MuJoCo warns of {names}: the episode cannot go on")
+
+    def state_vector(self) -> NDArray[np.float32]:
+        """See `magical_mj.Engine.state_vector`."""
+        world, data = self.world, self.data
+        if self._encoder is None or self._encoder[0] is not world.scene:
+            self._encoder = world.scene, StateEncoder(world.scene)
+        return self._encoder[1](world.poses(data.qpos), world.poses(data.qvel), world.fingers(data.qpos))
 
     def draw(self, view: str, size: int, out: Picture | None = None) -> Picture:
         """A view of the present state, fresh or in `out`, top row first: see `rendering.renderer.Views.draw`."""
         if self._views is None or self._views.model is not self.model:
-            self._views = Views(self.model, self.renderer)
+            self._views = Views(self.model, self.renderer, self._cameras)
         return self._views.draw(self.data, view, size, out)
 
     def free(self) -> None:
@@ -118,66 +207,52 @@ class Simulation:
             self._views.close()
         self._views = None
 
+    def save(self) -> NDArray[np.float64]:
+        """The complete present state in a fresh array. Shape (state size + number of trees,).
 
-def advance(model: mujoco.MjModel, data: mujoco.MjData, steps: int) -> None:
-    """Takes some steps of MuJoCo.
+        It is MuJoCo's integration state and, since that lacks it, which trees (bodies with their children) sleep.
+        """
+        size = mujoco.mj_stateSize(self.model, _INTEGRATION)
+        saved = np.empty(size + self.model.ntree)
+        mujoco.mj_getState(self.model, self.data, saved[:size], _INTEGRATION)
+        saved[size:] = self.data.tree_asleep
+        return saved
 
-    The last half of its step is done first, and its first half last. So positions and what follows from them, such as
-    contacts and the places of bodies, are always those of the present state.
+    def restore(self, saved: NDArray[np.float64]) -> None:
+        """Restores a state that `save` returned for the same model: what follows is exactly the same.
 
-    Raises:
-        PhysicsError: if the simulation becomes unstable.
-    """
-    warnings = data.warning.number
-    before = warnings.tobytes()
-    mujoco.mj_step2(model, data)
-    mujoco.mj_step(model, data, steps - 1)
-    mujoco.mj_step1(model, data)
-    if warnings.tobytes() != before:
-        counts = zip(mujoco.mjtWarning.__members__, warnings > np.frombuffer(before, warnings.dtype), strict=False)
-        names = ", ".join(name for name, new in counts if new)
-        raise PhysicsError(f"the simulation has become unstable, MuJoCo warns of {names}: the episode cannot go on")
+        Raises:
+            StateError: if it is not a state of this model.
+        """
+        size = mujoco.mj_stateSize(self.model, _INTEGRATION)
+        length = size + self.model.ntree
+        whole = isinstance(saved, np.ndarray) and saved.dtype == np.float64 and saved.shape == (length,)
+        if not whole or not (np.abs(saved) <= MAX_NUMBER).all():  # beyond, MuJoCo starts again without a word
+            raise StateError(
+                f"a state of this scene is an array of {length} finite float64, none of them beyond {MAX_NUMBER:g}; "
+                "see get_state()"
+            )
+        asleep = saved[size:]
+        sleeping = asleep >= 0
+        together = np.array_equal(np.sort(asleep[sleeping]), np.flatnonzero(sleeping))
+        if not together or asleep.min() < _LEAST or (asleep % 1).any():
+            raise StateError("the state is damaged: the entries about sleeping bodies are inconsistent")
+        before = self.save()
+        try:
+            self._put(saved)
+        except mujoco.FatalError as error:
+            self._put(before)
+            raise StateError(f"the state is damaged: MuJoCo cannot continue from it ({error})") from error
 
-
-def save(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.float64]:
-    """See `Simulation.save`."""
-    size = mujoco.mj_stateSize(model, _INTEGRATION)
-    saved = np.empty(size + model.ntree)
-    mujoco.mj_getState(model, data, saved[:size], _INTEGRATION)
-    saved[size:] = data.tree_asleep
-    return saved
-
-
-def restore(model: mujoco.MjModel, data: mujoco.MjData, saved: NDArray[np.float64]) -> None:
-    """See `Simulation.restore`."""
-    size = mujoco.mj_stateSize(model, _INTEGRATION)
-    whole = isinstance(saved, np.ndarray) and saved.dtype == np.float64 and saved.shape == (size + model.ntree,)
-    if not whole or not (np.abs(saved) <= MAX_NUMBER).all():  # beyond, MuJoCo starts again without a word
-        raise StateError(
-            f"a state of this scene is an array of {size + model.ntree} finite float64, none of them beyond "
-            f"{MAX_NUMBER:g}; see get_state()"
-        )
-    asleep = saved[size:]
-    sleeping = asleep >= 0
-    together = np.array_equal(np.sort(asleep[sleeping]), np.flatnonzero(sleeping))
-    if not together or asleep.min() < _LEAST or (asleep % 1).any():
-        raise StateError("the state is damaged: the entries about sleeping bodies are inconsistent")
-    before = save(model, data)
-    try:
-        _put(model, data, saved)
-    except mujoco.FatalError as error:
-        _put(model, data, before)
-        raise StateError(f"the state is damaged: MuJoCo cannot continue from it ({error})") from error
-
-
-def _put(model: mujoco.MjModel, data: mujoco.MjData, saved: NDArray[np.float64]) -> None:
-    size = mujoco.mj_stateSize(model, _INTEGRATION)
-    mujoco.mj_resetData(model, data)
-    mujoco.mj_setState(model, data, saved[:size], _INTEGRATION)
-    mujoco.mj_fwdPosition(model, data)  # with everything awake, since MuJoCo does not update sleeping bodies
-    data.tree_asleep[:] = saved[size:]
-    _update_sleep(model, data)
-    mujoco.mj_step1(model, data)
+    def _put(self, saved: NDArray[np.float64]) -> None:
+        model, data = self.model, self.data
+        size = mujoco.mj_stateSize(model, _INTEGRATION)
+        mujoco.mj_resetData(model, data)
+        mujoco.mj_setState(model, data, saved[:size], _INTEGRATION)
+        mujoco.mj_fwdPosition(model, data)  # with everything awake, since MuJoCo does not update sleeping bodies
+        data.tree_asleep[:] = saved[size:]
+        _update_sleep(model, data)
+        mujoco.mj_step1(model, data)
 
 
 def _update_sleep(model: mujoco.MjModel, data: mujoco.MjData) -> None:

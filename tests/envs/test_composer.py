@@ -19,8 +19,7 @@ from dm_control.rl.control import PhysicsError
 from dm_env import test_utils
 
 import magical_mj
-from magical_mj.engine import Engine
-from magical_mj.engine.state import State
+from magical_mj.engine import Engine, State
 from magical_mj.envs.composer.entities import Arena
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.scene.actions import ACTIONS

@@ -19,17 +19,15 @@ from dm_env import specs
 from numpy.typing import NDArray
 
 from magical_mj.assets.contacts import SUBSTEPS, TIMESTEP
-from magical_mj.assets.robot import control_signal
 from magical_mj.assets.world import World
 from magical_mj.engine import State
-from magical_mj.engine.setup import Setup, check_one_start
-from magical_mj.engine.simulation import advance, restore, save
-from magical_mj.engine.state import check_state
+from magical_mj.engine.engine import Setup
+from magical_mj.engine.simulation import Simulation, check_state
 from magical_mj.envs.composer.entities import Arena
-from magical_mj.rendering.renderer import Views, check_size
+from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
 from magical_mj.scene import constants as c
-from magical_mj.scene.actions import ACTIONS, action_number
+from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.state_vector import CAMERAS, OBSERVATIONS, STATE_NAMES, VIEWS, StateEncoder
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
@@ -79,39 +77,39 @@ class SceneTask(composer.Task):
     ) -> None:
         self.setup, self.observations, self.image_size, self.reward = setup, tuple(observations), image_size, reward
         self.steps = 0
-        self._views: Views | None = None
+        self._simulation: Simulation | None = None
         self._arena = Arena(scene)
         self.start(scene)
         self._observables = OrderedDict((name, self._observable(name)) for name in observations)
 
     def start(self, scene: Scene, state: State | None = None) -> None:
         """Makes the next episode start in the scene, or in a state of an episode that started in it."""
+        if "state" in self.observations:
+            StateEncoder(scene)  # raises an error, while the present episode can go on, if the vector is too short
         self.world, self._state = World(scene), state
-        self._encoder = StateEncoder(scene) if "state" in self.observations else None
 
     def _observable(self, name: str) -> CurrentObservable:
         if name == "state":
-            return CurrentObservable(self._state_vector, specs.Array((len(STATE_NAMES),), np.float32, name))
+            vector = specs.Array((len(STATE_NAMES),), np.float32, name)
+            return CurrentObservable(lambda physics: self.simulation(physics).state_vector(), vector)
         size = self.image_size
         picture = specs.BoundedArray((size, size, 3), np.uint8, 0, 255, name)
-        return CurrentObservable(lambda physics: self.draw(physics, name, size), picture)
+        return CurrentObservable(lambda physics: self.simulation(physics).draw(name, size), picture)
 
-    def _state_vector(self, physics: Any) -> NDArray[np.float32]:
-        world, data = self.world, physics.data
-        encoder = self._encoder or StateEncoder(world.scene)
-        return encoder(world.poses(data.qpos), world.poses(data.qvel), world.fingers(data.qpos))
-
-    def draw(self, physics: Any, view: str, size: int, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
-        """A picture of the present state, fresh or in `out`. Shape (size, size, 3), RGB, top row first."""
-        if self._views is None or self._views.model is not physics.model.ptr:
-            self._views = Views(physics.model.ptr, cameras=CAMERA_NAMES)
-        return self._views.draw(physics.data.ptr, view, size, out)
+    def simulation(self, physics: Any) -> Simulation:
+        """The simulation of this episode in composer's model and data."""
+        model, data = physics.model.ptr, physics.data.ptr
+        if self._simulation is None or self._simulation.model is not model or self._simulation.data is not data:
+            self.free()
+            self._simulation = Simulation.around(self.world, model, data, CAMERA_NAMES)
+        self._simulation.world = self.world
+        return self._simulation
 
     def free(self) -> None:
         """Frees what it drew with."""
-        if self._views is not None:
-            self._views.close()
-        self._views = None
+        if self._simulation is not None:
+            self._simulation.free()
+        self._simulation = None
 
     @property
     def root_entity(self) -> Arena:
@@ -156,20 +154,20 @@ class SceneTask(composer.Task):
 
     def resume(self, physics: Any, state: State) -> None:
         """Restores a state of an episode that started in this scene."""
-        restore(physics.model.ptr, physics.data.ptr, state.simulation)
+        self.simulation(physics).restore(state.simulation)
         self.steps = int(state.steps)
 
     def before_step(self, physics: Any, action: Any, random_state: np.random.RandomState) -> None:
         """Writes the controls of the action."""
         del random_state
-        physics.data.ctrl[:] = control_signal(action_number(action))
+        self.simulation(physics).command(action)
         self.steps += 1
 
     def after_substep(self, physics: Any, random_state: np.random.RandomState) -> None:
         """Takes MuJoCo's other steps: composer has taken the first."""
         del random_state
         try:
-            advance(physics.model.ptr, physics.data.ptr, SUBSTEPS - 1)
+            self.simulation(physics).advance(SUBSTEPS - 1)
         except errors.PhysicsError as error:
             raise PhysicsError(str(error)) from None
 
@@ -185,7 +183,7 @@ class SceneTask(composer.Task):
 
     def score(self, physics: Any) -> float:
         """The score in [0, 1] if the episode ended now; an `InvalidSceneError` for plain scenes."""
-        return self.setup.score(self.world.scene, self.world.read(physics.data.qpos))
+        return self.setup.score(self.world.scene, self.simulation(physics).scene)
 
     def action_spec(self, physics: Any) -> specs.DiscreteArray:
         """The 18 actions."""
@@ -230,7 +228,7 @@ class Environment(composer.Environment):
     @property
     def scene(self) -> Scene:
         """Where everything is now, fingers included."""
-        return self.task.world.read(self._opened().data.qpos)
+        return self.task.simulation(self._opened()).scene
 
     @property
     def initial_scene(self) -> Scene:
@@ -249,7 +247,7 @@ class Environment(composer.Environment):
     def render(self, view: str = "allo", size: int = 384, *, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
         """A picture of the present state, as `magical_mj.Engine.render`."""
         check_name("view", view, CAMERAS)
-        return self.task.draw(self._opened(), view, check_size(size, "size"), out)
+        return self.task.simulation(self._opened()).draw(view, check_size(size, "size"), out)
 
     def add_extra_hook(self, hook_name: str, hook_callable: Callable[..., Any]) -> None:
         """Adds a function to one of composer's hooks.
@@ -279,11 +277,8 @@ class Environment(composer.Environment):
             InvalidSceneError, InvalidSeedError, StateError, SettingsError: if it is invalid; if there is more than one.
         """
         self._opened()
-        check_one_start(seed=seed, scene=scene, state=state)
+        self.task.setup.check_start(seed=seed, scene=scene, state=state)
         if state is not None:
-            check_state(state)
-            if self.horizon is not None and state.steps >= self.horizon:
-                raise StateError(f"the episode of this state is over, after {state.steps} steps; give an earlier state")
             return self._start(state.scene, state=state)
         if scene is not None:
             return self._start(scene)
@@ -329,8 +324,7 @@ class Environment(composer.Environment):
 
     def get_state(self) -> State:
         """The present state of the episode, exactly: engines and Gymnasium's environments can go on from it, too."""
-        physics = self._opened()
-        return State(self.initial_scene, self.task.steps, save(physics.model.ptr, physics.data.ptr))
+        return State(self.initial_scene, self.task.steps, self.task.simulation(self._opened()).save())
 
     def set_state(self, state: State) -> None:
         """Restores a state of this environment, or of another one with the same task: what follows is exactly the same.
@@ -343,7 +337,7 @@ class Environment(composer.Environment):
         physics = self._opened()
         check_state(state)
         if state.scene == self.initial_scene:
-            restore(physics.model.ptr, physics.data.ptr, state.simulation)  # raises an error while nothing has changed
+            self.task.simulation(physics).restore(state.simulation)  # raises an error while nothing has changed
         self._start(state.scene, state=state)
 
     def clone(self) -> Environment:
