@@ -17,7 +17,7 @@ from torch import Tensor
 from magical_mj.batched.observations import Frames, Observation, States
 from magical_mj.batched.physics import Physics, check_device
 from magical_mj.batched.scenes import Capacity, SceneSampler, WorldScenes, sample
-from magical_mj.envs.gymnasium_env import ResetOptions
+from magical_mj.envs.gymnasium_env import check_options
 from magical_mj.envs.presets import preset_named
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import constants as c
@@ -88,7 +88,6 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._horizons = torch.tensor([spec.horizon(rules) for spec in self._specs], device=self.device)
         self._steps = torch.zeros(self.num_envs, dtype=torch.int64, device=self.device)
         self._running = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-        self._options = ResetOptions("reset_mask")
 
         capacity = Capacity.of_environments(pairs)
         self._scenes = sample(pairs, [0] * self.num_envs, capacity)
@@ -121,7 +120,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             ClosedError: if the environment is closed.
         """
         self._check_open()
-        mask = self._options.checked(options).get("reset_mask")
+        mask = check_options(options, "reset_mask").get("reset_mask")
         worlds = masked(mask, self.num_envs)
         seeds = None
         if isinstance(seed, list | tuple | range) or (isinstance(seed, np.ndarray | Tensor) and seed.ndim > 0):

@@ -96,16 +96,13 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._stacks = Stacks(self._preset, size)
         check_name("reward", reward, REWARDS)
         self.reward: Reward = reward
-        self._engine = Engine(
-            task, variant, seed=0, rules=rules, renderer=renderer
-        )  # every episode begins with a reset
+        self._engine = Engine(task, variant, seed=0, rules=rules, renderer=renderer)  # episodes begin with a reset
         self._continuous = action == "continuous"
         self.action_space = continuous_space() if self._continuous else spaces.Discrete(len(ACTIONS))
         self.observation_space = observation_space(self._preset, self._stacks.shapes)
         self._score_every_step = score_every_step
         self._begun = False
         self._seeded: int | None = None
-        self._options = ResetOptions("scene", "state")
 
     @property
     def engine(self) -> Engine:
@@ -143,7 +140,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             SettingsError: if the options are no dict.
         """
         seed = None if seed is None else check_seed(seed)
-        start = self._options.checked(options)
+        start = check_options(options, "scene", "state")
         scene, state = _scene_option(start), start.get("state")
         if scene is not None or state is not None:
             self._check_observable(scene if state is None else getattr(state, "scene", None))
@@ -251,30 +248,19 @@ def _scene_option(options: Mapping[str, Any]) -> Scene | None:
     raise InvalidSceneError(f'options["scene"] must be a Scene or its JSON, not {type(scene).__name__}')
 
 
-class ResetOptions:
-    """The options that an environment's `reset` knows. It warns of others, since libraries give options of their own.
+def check_options(options: Mapping[str, Any] | None, *known: str) -> Mapping[str, Any]:
+    """The options given to an environment's `reset`. Of names that are not known it warns: libraries have their own.
 
-    Args:
-        known: their names.
+    Raises:
+        SettingsError: if they are neither a mapping nor None.
     """
-
-    def __init__(self, *known: str) -> None:
-        self._known = known
-        self._warned: set[str] = set()
-
-    def checked(self, options: Mapping[str, Any] | None) -> Mapping[str, Any]:
-        """The options given to `reset`. Of a name that is not known it warns once: resets are many.
-
-        Raises:
-            SettingsError: if they are neither a mapping nor None.
-        """
-        names = " and ".join(f'"{name}"' for name in self._known)
-        if options is None:
-            return {}
-        if not isinstance(options, Mapping):
-            raise SettingsError(f"options are a dict with {names} for keys, not {short_repr(options)}")
-        if others := options.keys() - self._warned - set(self._known):
-            self._warned |= others
-            ignored = ", ".join(sorted(map(repr, others)))
-            warnings.warn(f"reset ignores the options {ignored}; it knows {names}", stacklevel=3)
-        return options
+    names = " and ".join(f'"{name}"' for name in known)
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping):
+        raise SettingsError(f"options are a dict with {names} for keys, not {short_repr(options)}")
+    if ignored := options.keys() - set(known):
+        warnings.warn(
+            f"reset ignores the options {', '.join(sorted(map(repr, ignored)))}; it knows {names}", stacklevel=3
+        )
+    return options

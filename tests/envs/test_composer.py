@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -247,34 +245,6 @@ def test_states_go_from_here_to_engines_and_back() -> None:
     assert env.get_state() == good
 
 
-def test_copies_go_on_alike() -> None:
-    env = magical_mj.load("MoveToRegion", "All", seed=1, observations=("state",), reward="score")
-    env.reset()
-    env.step(10)
-    for twin in (env.clone(), pickle.loads(pickle.dumps(env)), copy.deepcopy(env)):
-        assert twin.get_state() == env.get_state()
-        assert twin.seed == 1
-        twin.step(4)
-        twin.reset()
-        scene = twin.initial_scene
-    env.reset()
-    assert env.initial_scene == scene
-
-
-@pytest.mark.parametrize("change", ["hook", "buffer", "tree"])
-def test_what_somebody_changed_is_not_copied_without_a_word(change: str) -> None:
-    env = magical_mj.load("MoveToRegion", seed=0, observations=("state",))
-    changes: dict[str, Callable[[], object]] = {
-        "hook": lambda: env.add_extra_hook("before_step", lambda *_: None),
-        "buffer": lambda: setattr(env.task.observables["state"], "buffer_size", 2),
-        "tree": lambda: env.task.root_entity.mjcf_model.worldbody.add("site", name="mark"),
-    }
-    changes[change]()
-    env.reset()
-    with pytest.raises(StateError, match="load another one"):
-        env.clone()
-
-
 def test_errors_say_what_is_wrong() -> None:
     for arguments in ({"observations": ("egg",)}, {"reward": "dense"}, {"rules": "old"}, {"variant": "Layot"}):
         with pytest.raises(UnknownNameError):
@@ -296,7 +266,7 @@ def test_errors_say_what_is_wrong() -> None:
     assert env.step(4).first()
     env.close()
     env.close()
-    for use in (env.reset, lambda: env.step(0), lambda: env.scene, env.render, env.get_state, env.clone):
+    for use in (env.reset, lambda: env.step(0), lambda: env.scene, env.render, env.get_state):
         with pytest.raises(ClosedError):
             use()
 

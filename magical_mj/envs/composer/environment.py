@@ -32,7 +32,7 @@ from magical_mj.scene.state_vector import CAMERAS, OBSERVATIONS, STATE_NAMES, VI
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
 from magical_mj.utils import errors
-from magical_mj.utils.errors import ClosedError, SettingsError, StateError, check_name, short_repr
+from magical_mj.utils.errors import ClosedError, SettingsError, check_name, short_repr
 from magical_mj.variants import check_seed
 
 CAMERA_NAMES: Final = {"ego": "robot/ego"}
@@ -208,7 +208,7 @@ class Environment(composer.Environment):
         """
         self._fixed, self._recompile, self._hooks_added = fixed, recompile, list[tuple[str, Callable[..., Any]]]()
         self._first_seed: int | None = None if fixed else seed
-        self._begun, self._over, self._closed = False, True, False
+        self._over, self._closed = True, False
         self.seed = self._first_seed
         """The seed of the present scene; None if it came from elsewhere."""
         self._compile(task, np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed))))
@@ -294,7 +294,7 @@ class Environment(composer.Environment):
         task = self.task
         task.setup.check(scene)
         task.start(scene, state)
-        self.seed, self._first_seed, self._begun, self._over = seed, None, True, True  # over until it has succeeded
+        self.seed, self._first_seed, self._over = seed, None, True  # over until it has succeeded
         if not self._recompile and task.world.structure != self._structure:
             task.root_entity.show(scene)  # what composer observes now
             self._compile(task, self.random_state)
@@ -340,33 +340,6 @@ class Environment(composer.Environment):
             self.task.simulation(physics).restore(state.simulation)  # raises an error while nothing has changed
         self._start(state.scene, state=state)
 
-    def clone(self) -> Environment:
-        """A copy in the same state, in as long as loading takes. Both behave the same, also in later episodes.
-
-        Raises:
-            StateError: if users have changed the hooks, observables or the MJCF tree of this environment.
-        """
-        return _copied(*self.__reduce__()[1])
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Environment:
-        return self.clone()
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """For copying and pickling: what it was loaded with, the generator, and the state of the episode."""
-        self._opened()
-        task = self.task
-        timing = {(it.enabled, it.update_interval, it.buffer_size, it.delay) for it in task.task_observables.values()}
-        mine, fresh = task.root_entity.mjcf_model, Arena(self.initial_scene).mjcf_model
-        task.root_entity.show(self.initial_scene)
-        if self._hooks_added or timing - {(True, 1, None, None)} or mine.to_xml_string() != fresh.to_xml_string():
-            raise StateError(
-                "an environment with hooks, changed observables or a changed MJCF tree cannot be copied or pickled: "
-                "load another one, make the same changes, and call its set_state() with this one's get_state()"
-            )
-        loaded = task.setup, self.initial_scene, task.observations, task.image_size, task.reward
-        seeds = self.random_state.get_state(legacy=False), self.seed, self._first_seed
-        return _copied, (loaded, seeds, self._fixed, self._recompile, self.get_state() if self._begun else None)
-
     def close(self) -> None:
         """Frees the simulation. Closing twice is fine."""
         if not self._closed:
@@ -379,18 +352,6 @@ class Environment(composer.Environment):
         if self._closed:
             raise ClosedError("the environment is closed; load another one")
         return self.physics
-
-
-def _copied(
-    loaded: tuple[Any, ...], seeds: tuple[Any, ...], fixed: bool, recompile: bool, begun: State | None
-) -> Environment:
-    """A copy of an environment, as `Environment.__reduce__` describes it."""
-    env = Environment(SceneTask(*loaded), 0, fixed=fixed, recompile=recompile)
-    if begun is not None:
-        env.set_state(begun)
-    generator, env.seed, env._first_seed = seeds
-    env.random_state.set_state(generator)
-    return env
 
 
 def load(
