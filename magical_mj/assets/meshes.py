@@ -105,14 +105,14 @@ def loops(faces: Faces) -> list[list[int]]:
     """The outlines of a flat mesh: the edges that only one triangle has, chained into closed loops of vertices."""
     edges = {(int(face[k]), int(face[(k + 1) % 3])) for face in faces for k in range(3)}
     after = {start: end for start, end in edges if (end, start) not in edges}
-    found = []
+    outlines = []
     while after:
         start = min(after)
         loop = [start]
         while (end := after.pop(loop[-1])) != start:
             loop.append(end)
-        found.append(loop)
-    return found
+        outlines.append(loop)
+    return outlines
 
 
 def _block(shape: Shape, depth: float, z: float) -> Mesh:
@@ -141,7 +141,7 @@ def meshes() -> dict[str, Mesh]:
     """The shared meshes of every model, by name."""
     half, line, lift = c.ARENA_HALF_WIDTH, style.ARENA_BORDER_WIDTH / 2, style.LIFT
     wall, block, finger, robot = style.WALL_HEIGHT, style.BLOCK_HEIGHT, style.FINGER_HEIGHT, style.ROBOT_HEIGHT
-    made = {
+    shared = {
         "surround": frame(half, SURROUND_HALF, 0),  # begins under the border line
         "border": frame(half - line, half + line, wall + lift),
         "robot_outline": convex(disc(ROBOT_SIDES, c.ROBOT_RADIUS), robot),
@@ -150,12 +150,12 @@ def meshes() -> dict[str, Mesh]:
         "pupils": _pair(disc(PUPIL_SIDES, c.PUPIL_RADIUS), *c.PUPIL_CENTRE, robot + 3 * lift),
     }
     for side, sign in (("left", -1), ("right", 1)):
-        made[f"{side}_finger_outline"] = _finger(sign, 0.0, finger)
-        made[f"{side}_finger_fill"] = _finger(sign, style.ROBOT_OUTLINE_WIDTH, finger + lift)
+        shared[f"{side}_finger_outline"] = _finger(sign, 0.0, finger)
+        shared[f"{side}_finger_fill"] = _finger(sign, style.ROBOT_OUTLINE_WIDTH, finger + lift)
     for shape in SHAPES:
-        made[f"{shape}_outline"] = _block(shape, 0.0, block)
-        made[f"{shape}_fill"] = _block(shape, style.BLOCK_OUTLINE_WIDTH, block + lift)
-    return made | {f"{shape}_sides": sides(block_outline(shape), block) for shape in ("pentagon", "star")}
+        shared[f"{shape}_outline"] = _block(shape, 0.0, block)
+        shared[f"{shape}_fill"] = _block(shape, style.BLOCK_OUTLINE_WIDTH, block + lift)
+    return shared | {f"{shape}_sides": sides(block_outline(shape), block) for shape in ("pentagon", "star")}
 
 
 @cache

@@ -83,11 +83,6 @@ def robot_mjcf(robot: Robot, settings: PhysicsSettings) -> str:
     return comment("The robot") + planar_body("robot", robot.pose, content)
 
 
-def _shares(loaded: float) -> tuple[float, float]:
-    """The shares of a cap of the two wheels, or of the two rotors."""
-    return 1 - loaded, loaded
-
-
 def _spinner(name: str, axis: str, geom: str = "") -> str:
     """The body of a heavy wheel, rotor or motor."""
     joint = f'<joint name="{name}" type="hinge" axis="{axis}" armature="{numbers(ROTOR_INERTIA)}"/>'
@@ -154,14 +149,13 @@ def robot_pairs(dynamics: Dynamics, settings: PhysicsSettings) -> str:
 
 def wheel_caps(drive_force: Floats, settings: PhysicsSettings = SETTINGS) -> dict[str, Floats]:
     """Wheel -> the largest force with which it drives; of arrays, too."""
-    first, loaded = _shares(settings.loaded_share)
-    return {WHEELS[0]: first * drive_force, WHEELS[1]: loaded * drive_force}
+    return {WHEELS[0]: (1 - settings.loaded_share) * drive_force, WHEELS[1]: settings.loaded_share * drive_force}
 
 
 def torque_caps(turn_torque: Floats, finger_torque: Floats, settings: PhysicsSettings = SETTINGS) -> dict[str, Floats]:
     """Rotor or finger motor -> the largest torque of its tendon; of arrays, too."""
-    first, loaded = _shares(settings.loaded_turn_share)
-    rotors = {ROTORS[0]: first * turn_torque, ROTORS[1]: loaded * turn_torque}
+    loaded = settings.loaded_turn_share
+    rotors = {ROTORS[0]: (1 - loaded) * turn_torque, ROTORS[1]: loaded * turn_torque}
     return rotors | dict.fromkeys(MOTORS.values(), finger_torque)
 
 

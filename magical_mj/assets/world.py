@@ -200,7 +200,7 @@ def planar(blocks: int) -> NDArray[np.int64]:
 
 
 class World:
-    """A scene in the simulator: its model, as text or rewritten from another one, and the scene that `qpos` describes.
+    """A scene in the simulator: its model, rewritten from another one, and the scene that `qpos` describes.
 
     Args:
         scene: the scene in which the world's episodes start.
@@ -214,10 +214,6 @@ class World:
         self.structure = Structure(tuple(block.shape for block in scene.blocks), tuple(map(dash_count, scene.regions)))
         self._planar = planar(len(scene.blocks))
         self._fingers = 3 * len(scene.blocks) + JOINTS.index("left_finger")
-
-    def mjcf(self) -> str:
-        """The model as text."""
-        return world_mjcf(self.scene)
 
     def rewrite(self, model: mujoco.MjModel, data: mujoco.MjData, *, nested: bool = False) -> None:
         """Turns the compiled model of a world with the same structure into the model of this world.

@@ -148,10 +148,10 @@ def _unfold_regions(root: Element, scene: Scene) -> None:
 
 
 def _find(root: Element, path: str) -> Element:
-    found = root.find(path)
-    if found is None:
+    element = root.find(path)
+    if element is None:
         raise KeyError(path)
-    return found
+    return element
 
 
 def _custom(scene: Scene, about: Mapping[str, Any]) -> Element:

@@ -133,10 +133,10 @@ def test_scenes_that_were_given_have_no_seed(tmp_path: Path) -> None:
     env = magical_mj.Engine("FindDupe", seed=5)
     env.reset()
     assert texts(exported(env, tmp_path)[0])["seed"] == "5"  # of the first episode
-    given = magical_mj.Engine("FindDupe", scene=magical_mj.sample_scene("FindDupe", "All", 3), rules="released")
-    given.reset()
-    assert texts(exported(given, tmp_path)[0]).keys() == {"scene", "task", "rules"}, "nor a variant"
-    assert texts(exported(given, tmp_path)[0])["rules"] == "released"
+    pinned = magical_mj.Engine("FindDupe", scene=magical_mj.sample_scene("FindDupe", "All", 3), rules="released")
+    pinned.reset()
+    assert texts(exported(pinned, tmp_path)[0]).keys() == {"scene", "task", "rules"}, "nor a variant"
+    assert texts(exported(pinned, tmp_path)[0])["rules"] == "released"
     env.reset(scene=magical_mj.sample_scene("FindDupe", "Demo", 4))
     assert "seed" not in texts(exported(env, tmp_path)[0])
     env.reset(seed=9)
@@ -207,9 +207,9 @@ def test_sensors_are_world_coordinates_and_only_in_files(tmp_path: Path) -> None
         ("robot", scene.robot),
         *((f"block{index}", block) for index, block in enumerate(scene.blocks)),
     ]:
-        seen = [data.sensor(f"{name}_{axis}").data[0] for axis in ("x", "y", "angle")]
-        np.testing.assert_allclose(seen, (thing.x, thing.y, thing.angle), atol=1e-12)
-        np.testing.assert_allclose(data.body(name).xpos[:2], seen[:2], atol=1e-12)
+        position = [data.sensor(f"{name}_{axis}").data[0] for axis in ("x", "y", "angle")]
+        np.testing.assert_allclose(position, (thing.x, thing.y, thing.angle), atol=1e-12)
+        np.testing.assert_allclose(data.body(name).xpos[:2], position[:2], atol=1e-12)
     assert tuple(data.sensor(f"{side}_finger").data[0] for side in ("left", "right")) == scene.robot.fingers
     assert np.hypot(*(data.sensor(f"robot_{axis}_velocity").data[0] for axis in "xy")) > 0.1
 

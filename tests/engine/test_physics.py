@@ -119,11 +119,11 @@ def test_a_carried_block_stays_in_the_gripper(name: str) -> None:
 
 
 def check_bounds(numbers: range) -> None:
-    found = together(map(worst, numbers))
-    assert found["broken"] == 0
-    assert found["warnings"] == 0
-    assert found["outside"] <= 0.01
-    assert found["overlap"] <= 0.01
+    worst_cases = together(map(worst, numbers))
+    assert worst_cases["broken"] == 0
+    assert worst_cases["warnings"] == 0
+    assert worst_cases["outside"] <= 0.01
+    assert worst_cases["overlap"] <= 0.01
 
 
 def test_rough_hands_break_nothing() -> None:

@@ -12,7 +12,7 @@ import pytest
 
 import magical_mj
 from magical_mj.assets.region import DASHES, dash_count, rewrite_region
-from magical_mj.assets.world import World, world_spec
+from magical_mj.assets.world import World, world_mjcf, world_spec
 from magical_mj.engine.simulation import Simulation
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
 from magical_mj.tasks.registry import task_spec
@@ -34,11 +34,11 @@ def arrays(parts: object) -> Iterator[tuple[str, Any]]:
             yield from ((f"{name}.{part}", inner) for part, inner in arrays(value))
 
 
-def assert_same_model(one: mujoco.MjModel, other: mujoco.MjModel) -> None:
-    found, wanted = dict(arrays(one)), dict(arrays(other))
-    assert found.keys() == wanted.keys()
-    assert {"body_pos", "skin_vert", "dof_invweight0", "stat.meaninertia", "opt.timestep"} <= found.keys()
-    for name, value in found.items():
+def assert_same_model(model: mujoco.MjModel, other: mujoco.MjModel) -> None:
+    fields, wanted = dict(arrays(model)), dict(arrays(other))
+    assert fields.keys() == wanted.keys()
+    assert {"body_pos", "skin_vert", "dof_invweight0", "stat.meaninertia", "opt.timestep"} <= fields.keys()
+    for name, value in fields.items():
         if name.startswith("stat."):  # a viewer's measures
             np.testing.assert_allclose(value, wanted[name], rtol=1e-12, err_msg=name)
         else:
@@ -59,7 +59,7 @@ def test_rewriting_equals_compiling() -> None:
         pairs = repeats(task, variant)
         assert len(pairs) >= 3
         for before, after in pairs:
-            used, fresh = Simulation(before.scene), mujoco.MjModel.from_xml_string(after.mjcf())
+            used, fresh = Simulation(before.scene), mujoco.MjModel.from_xml_string(world_mjcf(after.scene))
             assert_same_model(Simulation(after.scene).model, fresh)
             for _ in range(3):
                 used.act(10)  # a simulation that ran is no different
@@ -81,7 +81,7 @@ def test_rewriting_changes_everything_that_a_scene_holds() -> None:
     )
     used = Simulation(first)
     World(other).rewrite(used.model, used.data)
-    assert_same_model(used.model, mujoco.MjModel.from_xml_string(World(other).mjcf()))
+    assert_same_model(used.model, mujoco.MjModel.from_xml_string(world_mjcf(other)))
 
 
 def test_regions_that_outgrow_a_model_are_not_squeezed_in() -> None:
@@ -100,6 +100,6 @@ def test_a_spec_that_was_changed_leaves_the_next_one_as_it_should_be() -> None:
     block = changed.body("block0")
     block.first_body().add_geom(size=[0.1] * 3)
     block.first_geom().meshname = "star_fill"
-    fresh = mujoco.MjModel.from_xml_string(world.mjcf())
+    fresh = mujoco.MjModel.from_xml_string(world_mjcf(world.scene))
     assert changed.compile().ngeom == fresh.ngeom + 1
     assert_same_model(Simulation(world.scene).model, fresh)

@@ -122,12 +122,12 @@ def test_gymnasium_states_hold_the_frames(preset: str) -> None:
     env.step(4)
     again, _ = env.reset(options={"state": state})
     assert_same(again, observation)
-    for one in (env, twin):
-        for action, (seen, *rest) in zip(actions(2, 6), expected, strict=True):
-            now, *others = one.step(action)
-            assert_same(now, seen)
+    for world in (env, twin):
+        for action, (observation, *rest) in zip(actions(2, 6), expected, strict=True):
+            now, *others = world.step(action)
+            assert_same(now, observation)
             assert others == rest
-        one.set_state(state)
+        world.set_state(state)
     env.reset(options={"state": magical_mj.Engine("FixColour", "All", seed=3).get_state()})  # fills the stacks anew
     assert_same(env.get_state().frames, gymnasium_frames(env, seed=3))
 
@@ -139,10 +139,10 @@ def test_frames_of_another_preset_are_not_taken_for_its_own(one: str, other: str
     first.reset(seed=0)
     for action in actions(1, 6):
         first.step(action)
-    seen, _ = second.reset(options={"state": first.get_state()})
+    observation, _ = second.reset(options={"state": first.get_state()})
     now = second.engine.render("allo" if other == "LoRes4A" else "ego", 96)
     for count in range(2, 4):
-        np.testing.assert_array_equal(seen[..., 3 * count : 3 * count + 3], now)
+        np.testing.assert_array_equal(observation[..., 3 * count : 3 * count + 3], now)
 
 
 def gymnasium_frames(env: Any, seed: int) -> Any:
@@ -178,8 +178,8 @@ def test_copies_of_environments_without_a_seed_draw_the_same_scenes() -> None:
     env = gymnasium.make("magical_mj/FindDupe-TestLayout-State-v0").unwrapped
     env.reset(options={"scene": magical_mj.sample_scene("FindDupe", "Layout", 3)})
     twins = [env.clone(), pickle.loads(pickle.dumps(env))]
-    for one in (env, *twins):
-        one.reset()
+    for world in (env, *twins):
+        world.reset()
     assert [twin.initial_scene for twin in twins] == [env.initial_scene] * 2
 
 

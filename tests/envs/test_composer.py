@@ -44,8 +44,8 @@ def test_trajectories_states_and_scores_equal_an_engines_in_all_environments() -
                 env.step(action)
                 engine.step(action)
             for name in ARRAYS:
-                ours, theirs = getattr(engine.data, name), getattr(env.physics.data.ptr, name)
-                np.testing.assert_array_equal(theirs, ours, err_msg=f"{task}-{variant} {name}")
+                expected, actual = getattr(engine.data, name), getattr(env.physics.data.ptr, name)
+                np.testing.assert_array_equal(actual, expected, err_msg=f"{task}-{variant} {name}")
             assert env.get_state() == engine.get_state()
             assert (env.scene, env.score()) == (engine.scene, engine.score())
         env.close()

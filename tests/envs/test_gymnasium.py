@@ -76,9 +76,9 @@ SHAPES = {
 }
 
 
-def stacked(preset: str, seen: list[dict[str, np.ndarray]]) -> np.ndarray | dict[str, np.ndarray]:
+def stacked(preset: str, frames_so_far: list[dict[str, np.ndarray]]) -> np.ndarray | dict[str, np.ndarray]:
     """What a preset should give, said in another way than the package does."""
-    ego, allo = ([frame[view] for frame in seen] for view in ("ego", "allo"))
+    ego, allo = ([frame[view] for frame in frames_so_far] for view in ("ego", "allo"))
     if preset in ("", "LoResFingers"):
         return {"ego": ego[-1], "allo": allo[-1]}
     if preset == "LoResStack":
@@ -97,10 +97,10 @@ def test_frames_are_stacked_oldest_first(preset: str) -> None:
     def drawn() -> dict[str, np.ndarray]:
         return {view: engine.render(view, size) for view in ("ego", "allo")}
 
-    seen = [drawn()]
+    frames_so_far = [drawn()]
     observation, _ = env.reset(seed=0)
     for action in (1, 4, 4, 10, 13, 0):
-        expected = stacked(preset, [seen[0]] * 3 + seen)
+        expected = stacked(preset, [frames_so_far[0]] * 3 + frames_so_far)
         if isinstance(expected, dict):
             for view, picture in expected.items():
                 np.testing.assert_array_equal(observation[view], picture)
@@ -110,7 +110,7 @@ def test_frames_are_stacked_oldest_first(preset: str) -> None:
             assert expected.shape == SHAPES[preset]
         observation = env.step(action)[0]
         engine.step(action)
-        seen.append(drawn())
+        frames_so_far.append(drawn())
 
 
 def test_fingers_are_those_of_the_scene() -> None:
@@ -182,8 +182,8 @@ def test_seeds_and_options_pin_the_scene() -> None:
     assert scenes[0] != scenes[1]
     assert scenes_after_seven() == scenes  # the unseeded episodes follow from the seed
     wanted = magical_mj.sample_scene("FindDupe", "Shape", 3)
-    for given in (wanted, wanted.to_json()):
-        env.reset(options={"scene": given})
+    for scene in (wanted, wanted.to_json()):
+        env.reset(options={"scene": scene})
         assert env.scene.digest() == wanted.digest()
 
 
@@ -221,12 +221,12 @@ def test_vector_environments_agree_bit_for_bit(name: str) -> None:
     def trace(mode: str) -> list[np.ndarray]:
         kwargs = {"context": "spawn"} if mode == "async" else {}
         envs = gymnasium.make_vec(f"magical_mj:{name}", num_envs=2, vectorization_mode=mode, vector_kwargs=kwargs)
-        seen = [envs.reset(seed=[3, 4])[0]]
+        frames_so_far = [envs.reset(seed=[3, 4])[0]]
         for action in actions:
             observation, _, _, truncated, info = envs.step(action)
-            seen += [observation.copy(), truncated.copy(), info["eval_score"].copy()]
+            frames_so_far += [observation.copy(), truncated.copy(), info["eval_score"].copy()]
         envs.close()
-        return seen
+        return frames_so_far
 
     for one, other in zip(trace("sync"), trace("async"), strict=True):
         np.testing.assert_array_equal(one, other)
