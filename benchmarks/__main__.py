@@ -190,20 +190,27 @@ def markdown_table(measurements: Sequence[Measurement], yardstick: float | None)
 
 
 def summary(yardstick: float | None) -> str:
-    """The machine, the memory of this process, and the speed of gym-pusht."""
-    here, peak = machine(), memory()
+    """The machine, the memory of this process, and the speed of the dm_env door and of gym-pusht."""
+    from benchmarks.single import composer_share
+
+    here, peak, composer = machine(), memory(), composer_share()
     text = f"{here['cpu']}, {here['cores']} cores; {here['opengl']}"
     if peak is not None:
         text += f"; at most {peak:.0f} MB"
+    if composer is not None:
+        text += f"; dm_env without pictures: {composer:.0%} of the bare loop"
     return text if yardstick is None else f"{text}; gym-pusht's pixels: {yardstick:,.0f} steps/s"
 
 
 def facts(measurements: Sequence[Measurement], yardstick: float | None) -> dict[str, Any]:
     """Everything, times in seconds."""
+    from benchmarks.single import composer_share
+
     return {
         "machine": machine(),
         "memory_mb": memory(),
         "gym_pusht_rate": yardstick,
+        "dm_env_share": composer_share(),
         "environments": [_entry(speed) for speed in measurements],
     }
 

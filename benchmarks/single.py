@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, nullcontext
 from copy import copy
 from dataclasses import dataclass
+from functools import cache
 from importlib.util import find_spec
 from time import process_time
 from typing import Any, Final, Literal
@@ -18,6 +19,7 @@ import gymnasium
 import mujoco
 import numpy as np
 
+import magical_mj
 from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import control_signal
 from magical_mj.assets.world import World, world_model
@@ -27,12 +29,14 @@ from magical_mj.rendering.canvas import CANVAS
 from magical_mj.rendering.renderer import Renderer, on_white
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS
+from magical_mj.utils.errors import MissingExtraError
 
 Cause = Literal["rewritten", "compiled"]
 """What a reset does: rewrite the numbers of a model with the same structure, or get a model of another structure."""
 
 TURN: Final = 20
 """The number of steps after which environment and bare loop alternate, so that other load affects both equally."""
+COMPOSER_TURNS: Final = 20
 RESETS: Final = 40
 """Resets that are measured alone."""
 YARDSTICK_STEPS: Final = 100
@@ -139,6 +143,32 @@ def _reset_times(task: str, variant: str, preset: str) -> dict[Cause, list[float
             taken = process_time() - start
             times["rewritten" if env.engine.simulation.world.structure == before else "compiled"].append(taken)
     return times
+
+
+@cache
+def composer_share() -> float | None:
+    """Steps per second of `magical_mj.load` without pictures as a share of the bare loop's; None without dm_control.
+
+    The fastest of several turns counts, of either.
+    """
+    try:
+        env = magical_mj.load("MoveToRegion", seed=0, observations=())
+    except MissingExtraError:
+        return None
+
+    def play(actions: list[int]) -> None:
+        for action in actions:
+            env.step(action)
+
+    actions = np.random.default_rng(0).integers(len(ACTIONS), size=TURN).tolist()
+    times: list[tuple[float, float]] = []
+    with closing(env):
+        for _ in range(COMPOSER_TURNS):
+            env.reset(seed=0)
+            with closing(BareLoop(env.initial_scene, preset_named("State"))) as bare:
+                times.append((_seconds(play, actions), _seconds(bare.run, actions)))
+    seconds, bare_seconds = map(min, zip(*times, strict=True))
+    return bare_seconds / seconds
 
 
 class BareLoop:
