@@ -68,14 +68,16 @@ class State:
 
 def check_state(state: object) -> None:
     """Raises `StateError` unless it is a `State`, whose simulation may still not fit."""
-    if not isinstance(state, State):
-        raise StateError(f"set_state() takes what get_state() gave, not {type(state).__name__}")
-    if as_integer(state.steps) is None:
-        raise StateError(f"the steps of a state are an integer from 0 up, not {short_repr(state.steps)}")
-    if not isinstance(state.scene, Scene):
-        raise StateError(f"the scene of a state is a magical_mj.Scene, not {short_repr(state.scene)}")
-    if not isinstance(state.frames, Mapping):
-        raise StateError(f"the frames of a state are a mapping of names to pictures, not {short_repr(state.frames)}")
+    if not (
+        isinstance(state, State)
+        and isinstance(state.scene, Scene)
+        and as_integer(state.steps) is not None
+        and isinstance(state.frames, Mapping)
+    ):
+        raise StateError(
+            "a state is what get_state() returns: a scene, a number of steps from 0 up, the simulation's numbers, and "
+            f"frames by name; not {short_repr(state)}"
+        )
 
 
 class Simulation:

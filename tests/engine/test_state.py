@@ -193,18 +193,13 @@ def test_states_that_do_not_fit_are_refused_and_harm_nothing() -> None:
     for wrong in (values[:-1], np.append(values, 0), np.full_like(values, np.nan), asleep, values[None]):
         with pytest.raises(StateError):
             env.set_state(State(state.scene, 0, wrong))
-    for wrong in (None, "", {}, state, values):
-        with pytest.raises(StateError, match="the scene of a state"):
-            env.set_state(State(wrong, 0, values))
-    with pytest.raises(StateError, match="the frames of a state"):
-        env.set_state(State(state.scene, 0, values, 5))
     for wrong in (None, values.tolist(), values.astype(np.float32), values.astype(object)):
         with pytest.raises(StateError, match="finite float64"):
             env.set_state(State(state.scene, 0, wrong))
-    for wrong in (-1, 1.5, "3", None):
-        with pytest.raises(StateError, match="steps"):
-            env.set_state(State(state.scene, wrong, values))
-    for wrong in (None, state.scene, values, {"scene": state.scene}):
+    bad_parts = [State(wrong, 0, values) for wrong in (None, "", {}, state, values)]
+    bad_parts += [State(state.scene, wrong, values) for wrong in (-1, 1.5, "3", None)]
+    bad_parts += [State(state.scene, 0, values, 5)]
+    for wrong in (None, state.scene, values, {"scene": state.scene}, *bad_parts):
         with pytest.raises(StateError, match="get_state"):
             env.set_state(wrong)
     with pytest.raises(InvalidSceneError):
