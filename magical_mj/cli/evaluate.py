@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from pathlib import Path
 from statistics import fmean
 from typing import Annotated, Any, Final
@@ -36,10 +36,10 @@ from magical_mj.cli.environments import contact_sheet
 from magical_mj.cli.film import film, film_episodes, replay, views_of
 from magical_mj.evaluation.reports.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
-from magical_mj.evaluation.scores import SCORES, EpisodeResult, ScoreFile, read_settings
+from magical_mj.evaluation.scores import SCORES, EpisodeResult, open_scores, read_settings
 from magical_mj.evaluation.settings import EvaluationSettings
-from magical_mj.evaluation.worker import Unit, player
-from magical_mj.policies.loading import check_fit, sources
+from magical_mj.evaluation.worker import Player, Unit
+from magical_mj.policies.loading import playable, sources
 from magical_mj.tasks.registry import Pair, task_name, task_spec, variant_name
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, counted
@@ -120,19 +120,18 @@ def rollout(
     views = views_of(camera)
     pair = task_name(task), variant_name(variant)  # not lists of names, nor "all"
     settings = EvaluationSettings(tasks=(pair[0],), variants=(pair[1],), preset=preset, trust=trust)
-    listed = sources(policy, trust=trust)
-    for source in listed:
-        check_fit(source.load(), [pair], preset)
+    listed = playable(policy, [pair], preset, trust=trust)
     if video is not None:
         check_writable(video, force)
     screen, failed, played = console(), False, 0
+    showing = nullcontext() if video is None else film(video, size, views=views, overwrite=force)
     try:
-        with nullcontext() if video is None else film(video, size, views=views, overwrite=force) as movie:
+        with showing as movie, closing(Player()) as player:
             for source in listed:
                 units = [Unit(source, *pair, (seed + k,), settings) for k in range(episodes)]
                 scores = []
                 for unit in with_bar(screen, f"playing {source.name}", units, episodes):
-                    scores += player().play(unit)
+                    scores += player.play(unit)
                     screen.print(_line(scores[-1]), soft_wrap=True)
                     if movie is not None:
                         replay(movie, scores[-1])
@@ -197,8 +196,8 @@ def _tour(screen: Console, out: Path, settings: EvaluationSettings) -> None:
                 "give another folder by --out"
             )
         screen.print(f"replacing an earlier run in {out}", soft_wrap=True)
-        with ScoreFile(out) as scores:
-            scores.clear()
+        with open_scores(out) as scores:
+            scores.truncate(0)
     evaluation = Evaluation(TOURED, settings)  # writes the settings, by which the folder is recognised
     with files.new_file(out / SHEET, overwrite=True) as unfinished:
         contact_sheet(0, size=128).save(unfinished)
@@ -219,5 +218,5 @@ def _is_ours(folder: Path, settings: EvaluationSettings) -> bool:
     except EvaluationError:
         return False
     now = settings.recorded()
-    policies = [source.describe() for source in sources(TOURED)]
+    policies = [source.described() for source in sources(TOURED)]
     return known.get("policies") == policies and all(known.get(name) == now[name] for name in SAME)

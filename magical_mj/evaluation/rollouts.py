@@ -10,7 +10,8 @@ from __future__ import annotations
 import copy
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import gymnasium
@@ -19,21 +20,19 @@ from gymnasium.spaces import Discrete
 from gymnasium.vector.utils import iterate
 from numpy.typing import NDArray
 
-from magical_mj.envs.registration import env_id
-from magical_mj.evaluation.scores import EpisodeResult, result_of
+from magical_mj.evaluation.scores import EpisodeResult, Outcome
 from magical_mj.policies.interface import (
     Act,
     BatchPolicy,
     Episode,
     PolicyError,
     begin,
+    is_over,
     policy_errors,
     policy_name,
     reason,
-    simulation_failure,
     uses_simulation,
 )
-from magical_mj.policies.interface import play as play_actions
 from magical_mj.scene.actions import action_number
 from magical_mj.tasks.registry import task_name
 from magical_mj.tasks.spec import Rules
@@ -98,14 +97,16 @@ def rollouts(
         SettingsError: if the policy must be copied, and cannot be.
     """
     episodes = list(episodes)
-    rules = _check_fits(env, episodes)
+    facts: dict[str, Any] = {"policy": policy_name(policy), "preset": None, "rules": _check_fits(env, episodes)}
     if isinstance(env, gymnasium.vector.VectorEnv):
-        batch = policy if isinstance(policy, BatchPolicy) else PolicyCopies(policy, env)
         for start in range(0, len(episodes), env.num_envs):
-            results = play_side_by_side(env, batch, episodes[start : start + env.num_envs], rules)
-            yield from (replace(result, policy=policy_name(policy)) for result in results)
+            wave = episodes[start : start + env.num_envs]
+            outcomes = play_side_by_side(env, policy, wave)
+            yield from (EpisodeResult.of(*played, **facts) for played in zip(wave, outcomes, strict=True))
     elif callable(policy):
-        yield from (play(env, policy, episode) for episode in episodes)
+        for episode in episodes:
+            outcome = play(env, policy, episode)
+            yield EpisodeResult.of(episode, outcome, scene=engine_of(env).initial_scene.digest(), **facts)
     else:
         raise EvaluationError(f"{type(policy).__name__} takes only batches, and the environment is a single one")
 
@@ -116,46 +117,34 @@ def _check_fits(env: gymnasium.Env[Any, Any] | Envs, episodes: Sequence[Episode]
         space, spec = env.single_action_space, env.spec
         if spec is None and isinstance(env.unwrapped, gymnasium.vector.SyncVectorEnv | gymnasium.vector.AsyncVectorEnv):
             spec = env.unwrapped.get_attr("spec")[0]  # that of its first environment
-        arguments = {} if spec is None else spec.kwargs
+        arguments: Mapping[str, Any] = {} if spec is None else spec.kwargs
         task, variant, rules = arguments.get("task"), arguments.get("variant"), arguments.get("rules", "paper")
     else:
-        space, engine = env.action_space, simulation(env)
-        task, variant, rules = engine.task, engine.variant, engine.setup.rules
+        space, engine = env.action_space, engine_of(env)
+        task, variant, rules = engine.task, engine.variant, engine.rules
     if not isinstance(space, Discrete):
         raise EvaluationError(
             f"policies give one of the 18 actions, and the environment takes {space}: make it without continuous "
             "actions, and end the policy in magical_mj.scene.actions.to_discrete(vector)"
         )
-    name = None if task is None else task_name(task)
-    other = [episode for episode in episodes if name is not None and (episode.task, episode.variant) != (name, variant)]
-    if other:
-        raise EvaluationError(f"the environment is {task} {variant}, and an episode {other[0].task} {other[0].variant}")
+    pair = (None if task is None else task_name(task)), variant
+    for episode in episodes:
+        if task is not None and (episode.task, episode.variant) != pair:
+            raise EvaluationError(
+                f"the environment is {task} {variant}, and an episode {episode.task} {episode.variant}"
+            )
     return rules
 
 
-def environment_for(policy: Act, task: str, variant: str, preset: str, rules: Rules) -> Env:
-    """The environment that a policy plays in: Gymnasium's with the preset's observations, or the bare engine.
-
-    The Gymnasium environment has no wrappers of `gymnasium.make`, whose checks at each step would only take time.
-    """
-    if uses_simulation(policy):
-        from magical_mj.engine import Engine  # imported late: it loads the simulator
-
-        return Engine(task, variant, seed=0, rules=rules)
-    return gymnasium.make(env_id(task, variant, preset), rules=rules).unwrapped
-
-
-def simulation(env: Env) -> Engine:
+def engine_of(env: Env) -> Engine:
     """The engine itself, or the one inside a Gymnasium environment, which must be of this package."""
-    if not isinstance(env, gymnasium.Env):
-        return env
-    inside = getattr(env.unwrapped, "engine", None)
-    if inside is None:
+    engine = getattr(env.unwrapped, "engine", None) if isinstance(env, gymnasium.Env) else env
+    if engine is None:
         raise EvaluationError(NO_SCORE)
-    return inside
+    return engine
 
 
-def play(env: Env, policy: Act, episode: Episode) -> EpisodeResult:
+def play(env: Env, policy: Act, episode: Episode) -> Outcome:
     """Plays one episode. If the policy raises an error, or makes the simulation unstable, its score is 0.
 
     Args:
@@ -169,80 +158,75 @@ def play(env: Env, policy: Act, episode: Episode) -> EpisodeResult:
         EvaluationError: if it is no environment of this package.
         Exception: whatever else the environment raises.
     """
-    start = time.perf_counter()
+    start, engine = time.perf_counter(), engine_of(env)
     actions: list[int] = []
-    score, failure = 0.0, None
-    inside = simulation(env)
-    with usual_floats():
-        try:
-            observation = _observation(_reset(env, episode.seed))
+    score, over = 0.0, False
+    with _attempt() as attempt:
+        observation = _observation(_reset(env, episode.seed))
+        with policy_errors():
+            begin(policy, replace(episode, env=engine) if uses_simulation(policy) else episode)
+        while not over:
             with policy_errors():
-                begin(policy, replace(episode, env=inside) if uses_simulation(policy) else episode)
-
-            def chosen() -> Iterator[int]:
-                while True:
-                    with policy_errors():
-                        action = action_number(policy(observation))
-                    yield action
-
-            for action, result in play_actions(env, chosen()):
-                actions.append(action)
-                observation = _observation(result)
-            score = inside.score()
-        except PolicyError as error:
-            failure = str(error)
-        except Exception as error:  # noqa: BLE001 raised again if it is another
-            failure = simulation_failure(error)
-    facts = {"policy": policy_name(policy), "preset": None, "rules": inside.rules}
-    facts["scene"] = inside.initial_scene.digest()
-    return result_of(episode, actions, score, failure, time.perf_counter() - start, **facts)
+                action = action_number(policy(observation))
+            result = env.step(action)
+            actions.append(action)
+            observation, over = _observation(result), is_over(result)
+        score = engine.score()
+    return Outcome(actions, score, attempt.failure, time.perf_counter() - start)
 
 
-def play_side_by_side(
-    envs: Envs, policy: BatchPolicy, episodes: Sequence[Episode], rules: Rules = "paper"
-) -> list[EpisodeResult]:
-    """Plays at most one episode per environment. All of them have failed if one would have in `play`."""
-    start = time.perf_counter()
-    count = len(episodes)
-    padded = [*episodes, *[episodes[-1]] * (envs.num_envs - count)]
-    taken: list[NDArray[np.int64]] = []
-    scores, failure = np.zeros(count), None
-    with usual_floats():
-        try:
-            observations, _ = _reset(envs, [episode.seed for episode in padded])
+def play_side_by_side(envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode]) -> list[Outcome]:
+    """Plays at most one episode per environment. All of them have failed if one would have in `play`.
+
+    Raises:
+        SettingsError: if the policy acts for single observations and cannot be copied.
+        Exception: as `play`.
+    """
+    start, count = time.perf_counter(), len(episodes)
+    batch = policy if isinstance(policy, BatchPolicy) else PolicyCopies(policy, envs)
+    episodes = [*episodes, *[episodes[-1]] * (envs.num_envs - count)]
+    history: list[NDArray[np.int64]] = []
+    scores, over = np.zeros(count), False
+    with _attempt() as attempt:
+        observations, _ = _reset(envs, [episode.seed for episode in episodes])
+        with policy_errors():
+            batch.reset_batch(episodes)
+        while not over:
             with policy_errors():
-                policy.reset_batch(padded)
-
-            def chosen() -> Iterator[Any]:
-                while True:
-                    with policy_errors():
-                        actions = [action_number(action) for action in policy.act_batch(observations)]
-                        if len(actions) != len(padded):
-                            raise InvalidActionError(f"{len(actions)} actions for {len(padded)} environments")
-                    yield np.array(actions)
-
-            for actions, result in play_actions(envs, chosen()):
-                taken.append(actions)
-                observations, _, _, ended, info = result
-                scores = _scores(ended, info)
-        except PolicyError as error:
-            failure = str(error)
-        except Exception as error:  # noqa: BLE001 raised again if it is another
-            failure = simulation_failure(error)
+                actions = np.array([action_number(action) for action in batch.act_batch(observations)])
+                if len(actions) != envs.num_envs:
+                    raise InvalidActionError(f"{len(actions)} actions for {envs.num_envs} environments")
+            result = envs.step(actions)
+            history.append(actions)
+            observations, over = result[0], is_over(result)
+            scores = _scores(*result[3:])
     seconds = (time.perf_counter() - start) / count
     return [
-        result_of(
-            episode,
-            [actions[place] for actions in taken],
-            scores[place],
-            failure,
-            seconds,
-            policy=policy_name(policy),
-            preset=None,
-            rules=rules,
-        )
-        for place, episode in enumerate(episodes)
+        Outcome([actions[place] for actions in history], scores[place], attempt.failure, seconds)
+        for place in range(count)
     ]
+
+
+@dataclass
+class _Attempt:
+    failure: str | None = None
+    """Why the policy failed."""
+
+
+@contextmanager
+def _attempt() -> Iterator[_Attempt]:
+    """A context that ends without an error if the policy fails, or makes the simulation unstable.
+
+    In it numpy has its own settings: results depend on no ``np.seterr`` of the caller.
+    """
+    attempt = _Attempt()
+    with np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"):
+        try:
+            yield attempt
+        except PolicyError as error:
+            attempt.failure = str(error)
+        except PhysicsError as error:
+            attempt.failure = reason(error)
 
 
 def _scores(ended: NDArray[np.bool_], info: Any) -> Any:
@@ -257,11 +241,6 @@ def _scores(ended: NDArray[np.bool_], info: Any) -> Any:
     if "eval_score" not in info:
         raise EvaluationError(NO_SCORE)
     return info["eval_score"]
-
-
-def usual_floats() -> np.errstate:
-    """A context with numpy's own settings: results depend on no ``np.seterr`` of the caller."""
-    return np.errstate(divide="warn", over="warn", under="ignore", invalid="warn")
 
 
 def _reset(env: Env | Envs, seed: Any) -> Any:

@@ -5,18 +5,19 @@ from __future__ import annotations
 import inspect
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import cloudpickle
 
 from magical_mj._version import __version__
-from magical_mj.evaluation.scores import EpisodeResult, Key, ScoreFile, frame, load_or_start, prepare
+from magical_mj.evaluation.scores import EpisodeResult, Key, append, frame, load_or_start, open_scores, prepare
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
-from magical_mj.evaluation.worker import Unit, plan, play_unit, player
-from magical_mj.policies.interface import reason, uses_simulation
-from magical_mj.policies.loading import Source, check_fit, sources
+from magical_mj.evaluation.worker import Player, Unit, plan, play_unit
+from magical_mj.policies.interface import reason
+from magical_mj.policies.loading import Source, playable
 from magical_mj.utils.errors import EvaluationError, SettingsError, WorkerError
 from magical_mj.utils.extras import check_extra
 from magical_mj.utils.parallel import cores, map_unordered
@@ -83,26 +84,27 @@ class Evaluation:
     def __init__(self, policy: Any, settings: EvaluationSettings) -> None:
         """Checks everything and reads finished episodes; plays nothing yet. Raises the errors of `evaluate`."""
         check_extra("evaluations", "eval")
-        self.settings = settings
-        listed = sources(policy, settings.run, settings.trust)
         if settings.batched:
             check_extra("batched worlds", "gpu")
         if settings.backend != "local":
             check_extra(f"workers of {settings.backend}", settings.backend)
-        for source in listed:  # so that errors are raised now
-            policy = source.load()
-            check_fit(policy, settings.environments, settings.preset)
-            if settings.batched and uses_simulation(policy):
-                raise SettingsError(f"{source.name} uses no observations: it plays in single worlds only")
+        self.settings = settings
+        self._sources = playable(
+            policy,
+            settings.environments,
+            settings.preset,
+            first_run=settings.run,
+            trust=settings.trust,
+            batched=settings.batched,
+        )
         self._out = None if settings.out is None else Path(settings.out)
-        self._recorded = {"policies": [source.describe() for source in listed], **settings.recorded()}
+        self._recorded = {"policies": [source.described() for source in self._sources], **settings.recorded()}
         self.scores = [] if self._out is None else prepare(self._out, self._recorded, settings.resume)
-        self._sources = [source.fixed() for source in listed]
         self.units = self._remaining()
 
     def play(self) -> Iterator[EpisodeResult]:
         """Plays the remaining episodes and yields each result once it is in the file."""
-        with ScoreFile(self._out) if self._out else nullcontext() as file:
+        with open_scores(self._out) if self._out else nullcontext() as file:
             if self._out:
                 self.scores = load_or_start(self._out, self._recorded)  # another process may have added some by now
             self.units = self._remaining()
@@ -110,7 +112,7 @@ class Evaluation:
             for results in _abort_if_all_fail(self._play_units(), proven, self._first_episodes()):
                 _check_versions(results)
                 if file is not None:
-                    file.add(results)
+                    append(file, results)
                 self.scores += results
                 yield from results
 
@@ -132,11 +134,9 @@ class Evaluation:
             enough = max(1, sum(unit.steps for unit in self.units) // STEPS_PER_WORKER)
             jobs = jobs or (1 if self.settings.batched else min(cores(), enough))  # which share one accelerator
         if backend == "local" and jobs == 1:
-            try:
+            with closing(Player()) as player:
                 for unit in self.units:
-                    yield from ([result] for result in player().play(unit))
-            finally:
-                player().release()
+                    yield from ([result] for result in player.play(unit))
             return
         for source in self._sources:
             _check_pickles(source)
@@ -169,7 +169,7 @@ def _abort_if_all_fail(
         EvaluationError: if all first episodes of a policy fail with the same type of error. None are yielded.
     """
     held: dict[tuple[str, int], list[EpisodeResult]] = defaultdict(list)
-    for result in (result for results in played for result in results):
+    for result in chain.from_iterable(played):
         policy = result.policy, result.run
         held[policy].append(result)
         if policy not in proven:

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import IO, Annotated, Any, Final, Self
+from typing import IO, Annotated, Any, Final, NamedTuple
 
 import msgspec
 
@@ -32,6 +31,17 @@ SETTINGS: Final = "run.json"
 
 Key = tuple[str, int, str, str, int]
 """Identifies an episode: policy, run, task, variant, seed."""
+
+
+class Outcome(NamedTuple):
+    """What came of playing an episode."""
+
+    actions: Sequence[int]
+    score: float
+    """In [0, 1]; of no meaning if the policy failed."""
+    failure: str | None
+    """Why the policy failed; None if it did not."""
+    seconds: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +86,31 @@ class EpisodeResult:
     scene: str | None = None
     worlds: str = "single"
 
+    @classmethod
+    def of(cls, episode: Episode, outcome: Outcome, **facts: Any) -> EpisodeResult:
+        """The result of an episode that was played here and now.
+
+        Args:
+            episode: the episode.
+            outcome: what came of it.
+            facts: the fields `policy`, `rules`, `preset`, `scene` and `worlds`.
+        """
+        return cls(
+            run=episode.run,
+            task=episode.task,
+            variant=episode.variant,
+            seed=episode.seed,
+            score=0.0 if outcome.failure else float(outcome.score),
+            steps=len(outcome.actions),
+            seconds=round(outcome.seconds, 4),
+            version=__version__,
+            mujoco=MUJOCO_VERSION,
+            gl=drawn_by(),
+            actions=letters_of(outcome.actions),
+            failure=outcome.failure,
+            **facts,
+        )
+
     @property
     def key(self) -> Key:
         """Identifies this episode."""
@@ -84,37 +119,6 @@ class EpisodeResult:
     def line(self) -> str:
         """As a line of the file."""
         return json.dumps(dataclasses.asdict(self), ensure_ascii=False) + "\n"
-
-
-def result_of(
-    episode: Episode, actions: Iterable[int], score: float, failure: str | None, seconds: float, **facts: Any
-) -> EpisodeResult:
-    """The result of an episode that was played here and now.
-
-    Args:
-        episode: the episode.
-        actions: the actions.
-        score: the score; it is 0 if the policy failed.
-        failure: why the policy failed; None if it did not.
-        seconds: how long it took.
-        facts: the other fields: `policy`, `rules`, `preset`, `scene`, `worlds`.
-    """
-    letters = letters_of(actions)
-    return EpisodeResult(
-        run=episode.run,
-        task=episode.task,
-        variant=episode.variant,
-        seed=episode.seed,
-        score=0.0 if failure else float(score),
-        steps=len(letters),
-        seconds=round(seconds, 4),
-        version=__version__,
-        mujoco=MUJOCO_VERSION,
-        gl=drawn_by(),
-        actions=letters,
-        failure=failure,
-        **facts,
-    )
 
 
 _FIELDS: Final = tuple(field.name for field in dataclasses.fields(EpisodeResult))
@@ -152,7 +156,10 @@ def episodes_in(folder: Path) -> Iterator[EpisodeResult]:
     """As `read`, one after another: the file may be larger than memory."""
     path = folder / SCORES
     if not path.is_file():
-        raise _no_scores(folder)
+        remedy = f"magical-mj evaluate --out {folder} makes one"
+        if loader_in(folder) is not None:  # a training's folder
+            remedy = f"it holds a policy: magical-mj evaluate --policy {folder} --out ANOTHER evaluates it"
+        raise EvaluationError(f"{folder} holds no {SCORES}; {remedy}")
     lines: dict[Key, int] = {}
     names: dict[str, str] = {}
     with path.open("rb") as file:
@@ -181,20 +188,6 @@ def _is_half(line: bytes) -> bool:
     return not line.endswith(b"\n") and line.count(_BEGINNING) < 2
 
 
-def _no_scores(folder: Path) -> EvaluationError:
-    """The error for a folder that is not one of an evaluation."""
-    if folder.is_file():
-        return EvaluationError(
-            f"{folder} is a file, and not the folder of an evaluation; magical-mj leaderboard checks entries"
-        )
-    if loader_in(folder) is not None:
-        return EvaluationError(
-            f"{folder} holds a policy, and no evaluation of it; to make one in another folder: "
-            f"magical-mj evaluate --policy {folder} --out ANOTHER"
-        )
-    return EvaluationError(f"{folder} holds no {SCORES}; magical-mj evaluate --out {folder} makes one")
-
-
 def frame(results: Sequence[EpisodeResult]) -> Any:
     """The episodes as a pandas frame, one row each, in a fixed order."""
     import pandas as pd
@@ -203,43 +196,31 @@ def frame(results: Sequence[EpisodeResult]) -> Any:
     return pd.DataFrame(rows, columns=list(_FIELDS))
 
 
-class ScoreFile:
-    """The file ``scores.jsonl``, open for appending and locked, so that only one process writes."""
+@contextmanager
+def open_scores(folder: Path) -> Iterator[IO[bytes]]:
+    """The file of scores in a folder, open for `append`, and locked so that only one process writes.
 
-    def __init__(self, folder: Path) -> None:
-        self._path = folder / SCORES
-        self._file: IO[bytes] | None = None
-        self._open = ExitStack()
+    Raises:
+        EvaluationError: if another process has opened it.
+    """
+    path = folder / SCORES
+    busy = EvaluationError(f"another evaluation is writing to {path}")
+    with path.open("ab", buffering=0) as file, files.locked(path, busy=busy):
+        written = path.read_bytes()
+        end = written.rfind(b"\n") + 1
+        if _is_half(written[end:]):
+            file.truncate(end)
+        yield file
 
-    def __enter__(self) -> Self:
-        with ExitStack() as stack:
-            self._file = stack.enter_context(self._path.open("ab"))
-            busy = EvaluationError(f"another evaluation is writing to {self._path}")
-            stack.enter_context(files.locked(self._path, busy=busy))
-            written = self._path.read_bytes()
-            end = written.rfind(b"\n") + 1
-            if _is_half(written[end:]):
-                os.truncate(self._path, end)
-            self._open = stack.pop_all()
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        with suppress(OSError):  # of what could not be written, which `add` has told
-            self._open.close()
-
-    def clear(self) -> None:
-        """Removes all episodes."""
-        os.truncate(self._path, 0)
-
-    def add(self, results: Iterable[EpisodeResult]) -> None:
-        """Appends finished episodes in a single write."""
-        if self._file is None:
-            raise RuntimeError("enter the file first")
-        try:
-            self._file.write("".join(result.line() for result in results).encode())
-            self._file.flush()
-        except OSError as error:  # a full disk names no file
-            raise OSError(error.errno, error.strerror, str(self._path)) from error
+def append(file: IO[bytes], results: Iterable[EpisodeResult]) -> None:
+    """Appends finished episodes in a single write."""
+    lines = "".join(result.line() for result in results).encode()
+    try:
+        while lines:  # of which a full disk may take a part before it raises an error
+            lines = lines[file.write(lines) :]
+    except OSError as error:  # which names no file
+        raise OSError(error.errno, error.strerror, file.name) from error
 
 
 def prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[EpisodeResult]:
@@ -256,14 +237,14 @@ def prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[Episod
         raise EvaluationError(f"{folder / SETTINGS} is not of an evaluation; choose another folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with ScoreFile(folder):
+        with open_scores(folder):
             return load_or_start(folder, settings)
     except OSError as error:
         raise EvaluationError(f"cannot write into {folder}: {error.strerror}") from error
 
 
 def load_or_start(folder: Path, settings: dict[str, Any]) -> list[EpisodeResult]:
-    """The finished episodes in a folder whose `ScoreFile` is open; if there are none, its settings become these.
+    """The finished episodes in a folder whose scores are open; if there are none, its settings become these.
 
     Raises:
         EvaluationError, SettingsError: as `prepare`.
@@ -294,7 +275,7 @@ def read_settings(folder: Path) -> dict[str, Any]:
         known = dict(json.loads((folder / SETTINGS).read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError, RecursionError) as error:
         raise EvaluationError(f"{folder / SETTINGS} cannot be read ({error}); start again in another folder") from error
-    return {"worlds": "single", **known}  # older versions knew no others
+    return {"worlds": "single", **known}  # of which older versions write nothing
 
 
 def folders_of(folders: Iterable[Path | str]) -> list[Path]:

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-import functools
+import ctypes
+import queue
 import secrets
 import threading
+import weakref
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from concurrent.futures import Future, wait
+from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 
 import gymnasium
 
 from magical_mj.envs.registration import env_id
-from magical_mj.evaluation.rollouts import Envs, PolicyCopies, environment_for, play, play_side_by_side
-from magical_mj.evaluation.scores import EpisodeResult, Key, result_of
+from magical_mj.evaluation.rollouts import Env, Envs, play, play_side_by_side
+from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
-from magical_mj.evaluation.time_limit import TimeLimitedCaller, TimeLimitError
-from magical_mj.policies.interface import Act, BatchPolicy, Episode, reason, uses_simulation
+from magical_mj.policies.interface import Act, Episode, reason, uses_simulation
 from magical_mj.policies.loading import Source
 from magical_mj.tasks.registry import sample_scene, task_spec
 
@@ -24,8 +26,8 @@ T = TypeVar("T")
 
 SEEDS_PER_UNIT: Final = 10
 """About the number of episodes in a unit: a few seconds, so that killed runs lose little, and units cost little."""
-CLOSABLE: Final = ("environment", "vector")
-"""What a player keeps and must close."""
+GRACE: Final = 1.0
+"""Seconds that a call has to end after it was stopped."""
 
 
 @dataclass(frozen=True)
@@ -54,13 +56,13 @@ class Unit:
         return len(self.seeds) * task_spec(self.task).horizon(self.settings.rules)
 
 
-def plan(listed: Sequence[Source], settings: EvaluationSettings, done: Collection[Key]) -> list[Unit]:
+def plan(policies: Sequence[Source], settings: EvaluationSettings, done: Collection[Key]) -> list[Unit]:
     """The remaining units, the longest first, so that all workers end at about the same time."""
     units = []
     size = settings.envs * max(1, round(SEEDS_PER_UNIT / settings.envs))
     evaluation = secrets.token_hex(8)
     for task, variant in settings.environments:
-        for source in listed:
+        for source in policies:
             seeds = range(settings.episodes)
             left = [seed for seed in seeds if (source.name, source.run, task, variant, seed) not in done]
             units += [
@@ -70,26 +72,28 @@ def plan(listed: Sequence[Source], settings: EvaluationSettings, done: Collectio
     return sorted(units, key=lambda unit: -unit.steps)
 
 
+_LOCAL = threading.local()
+"""The player of this thread; a cluster's worker may have several threads."""
+
+
 def play_unit(unit: Unit) -> list[EpisodeResult]:
     """What a worker does."""
-    return list(player().play(unit))
-
-
-_LOCAL = threading.local()
-
-
-def player() -> Player:
-    """The player of this thread; a cluster's worker may have several threads."""
-    if not hasattr(_LOCAL, "player"):
-        _LOCAL.player = Player()
-    return _LOCAL.player
+    evaluation, player = getattr(_LOCAL, "player", ("", None))
+    if player is None or evaluation != unit.evaluation:
+        if player is not None:
+            player.close()
+        player = Player()
+        _LOCAL.player = unit.evaluation, player
+    return list(player.play(unit))
 
 
 class Player:
-    """Plays units on a thread that can be abandoned, and keeps the last environment and policy for the next unit."""
+    """Plays an evaluation's units on a thread that can be abandoned.
+
+    It keeps the last environment and policy for the next unit.
+    """
 
     def __init__(self) -> None:
-        self._evaluation = ""
         self._forget()
 
     def play(self, unit: Unit) -> Iterator[EpisodeResult]:
@@ -99,68 +103,60 @@ class Player:
             SettingsError: if the policy cannot be loaded.
             RenderingError: if no pictures can be drawn here.
         """
-        if unit.evaluation != self._evaluation:
-            self.release()
-            self._evaluation = unit.evaluation
-        envs = unit.settings.envs
-        for start in range(0, len(unit.seeds), envs):
-            seeds = unit.seeds[start : start + envs]
-            episodes = [Episode(unit.task, unit.variant, seed, unit.source.run) for seed in seeds]
-            policy = self._policy_of(unit)
-            preset = getattr(policy, "preset", None) if uses_simulation(policy) else unit.settings.preset
-            for result in self._results(unit, episodes):
-                scene = sample_scene(unit.task, unit.variant, result.seed).digest()
-                facts = {"preset": preset, "scene": scene, "worlds": WORLDS[unit.settings.simulator]}
-                yield replace(result, policy=unit.source.name, rules=unit.settings.rules, **facts)
+        settings, source = unit.settings, unit.source
+        for start in range(0, len(unit.seeds), settings.envs):
+            seeds = unit.seeds[start : start + settings.envs]
+            episodes = [Episode(unit.task, unit.variant, seed, source.run) for seed in seeds]
+            policy = self._policy(unit)
+            facts = {
+                "policy": source.name,
+                "rules": settings.rules,
+                "preset": getattr(policy, "preset", None) if uses_simulation(policy) else settings.preset,
+                "worlds": WORLDS[settings.simulator],
+            }
+            for episode, outcome in zip(episodes, self._outcomes(unit, episodes), strict=True):
+                scene = sample_scene(episode.task, episode.variant, episode.seed)
+                yield EpisodeResult.of(episode, outcome, scene=scene.digest(), **facts)
 
-    def release(self) -> None:
-        """Closes the environments and drops the policy; later units get new ones."""
-        if self._caller.abandoned:  # its thread may still use them
-            self._forget()
-            return
-        for what in list(self._kept):
-            self._drop(what)
+    def close(self) -> None:
+        """Closes the environments, unless an abandoned call may still use them."""
+        if not self._caller.abandoned:
+            for what in list(self._kept):
+                self._drop(what)
 
-    def _results(self, unit: Unit, episodes: list[Episode]) -> list[EpisodeResult]:
-        policy = self._policy_of(unit)
-        if unit.settings.envs > 1 and not uses_simulation(policy):
-            try:
-                limit = unit.settings.time_limit * len(episodes)
-                wave = self._caller.call(lambda: play_side_by_side(*self._vector(unit, policy), episodes), limit)
-            except TimeLimitError:
-                self._forget()
-            else:
-                if not any(result.failure for result in wave):
-                    return wave
+    def _outcomes(self, unit: Unit, episodes: list[Episode]) -> list[Outcome]:
+        policy, settings = self._policy(unit), unit.settings
+        if settings.envs > 1 and not uses_simulation(policy):
+            outcomes = self._in_time(unit, episodes, lambda: play_side_by_side(self._vector(unit), policy, episodes))
+            if not any(outcome.failure for outcome in outcomes):
+                return outcomes
         return [self._single(unit, episode) for episode in episodes]  # to find out which episodes fail
 
-    def _single(self, unit: Unit, episode: Episode) -> EpisodeResult:
-        policy, settings = self._policy_of(unit), unit.settings
-        make = functools.partial(environment_for, policy, unit.task, unit.variant, settings.preset, settings.rules)
-        env = None if settings.batched else self._keep("environment", _env_key(unit, policy), make)
+    def _single(self, unit: Unit, episode: Episode) -> Outcome:
+        policy, key = self._policy(unit), (unit.task, unit.variant)  # a new one, after a time limit
+        if unit.settings.batched:
+            playing = lambda: play_side_by_side(self._vector(unit), policy, [episode])  # noqa: E731
+        else:
+            observed = not uses_simulation(policy)
+            env = self._keep("environment", (*key, observed), lambda: _single_env(unit, observed))
+            playing = lambda: [play(env, policy, episode)]  # noqa: E731
+        return self._in_time(unit, [episode], playing)[0]
 
-        def playing() -> EpisodeResult:
-            if env is None:
-                return play_side_by_side(*self._vector(unit, policy), [episode])[0]
-            return play(env, policy, episode)
-
+    def _in_time(self, unit: Unit, episodes: list[Episode], playing: Callable[[], list[Outcome]]) -> list[Outcome]:
+        """The outcomes of the episodes, which all failed if playing them takes too long."""
+        seconds = unit.settings.time_limit * len(episodes)
         try:
-            return self._caller.call(playing, settings.time_limit)
+            return self._caller.call(playing, seconds)
         except TimeLimitError as error:
             self._forget()
-            facts = {"policy": unit.source.name, "preset": settings.preset, "rules": settings.rules}
-            return result_of(episode, (), 0.0, reason(error), settings.time_limit, **facts)
+            return [Outcome((), 0.0, reason(error), seconds)] * len(episodes)
 
-    def _policy_of(self, unit: Unit) -> Act:
-        return self._keep("policy", _policy_key(unit), lambda: self._caller.call(unit.source.load, None))
+    def _policy(self, unit: Unit) -> Act:
+        key = unit.source.name, unit.source.run
+        return self._keep("policy", key, lambda: self._caller.call(unit.source.load, None))
 
-    def _vector(self, unit: Unit, policy: Act) -> tuple[Envs, BatchPolicy]:
-        names = ("envs", "simulator", "device")
-        key = (*_env_key(unit, policy), *(getattr(unit.settings, name) for name in names))
-        envs = self._keep("vector", key, lambda: _vector_env(unit))
-        if isinstance(policy, BatchPolicy):
-            return envs, policy
-        return envs, self._keep("copies", (key, _policy_key(unit)), lambda: PolicyCopies(policy, envs))
+    def _vector(self, unit: Unit) -> Envs:
+        return self._keep("vector", (unit.task, unit.variant), lambda: _vector_env(unit))
 
     def _keep(self, what: str, key: Any, make: Callable[[], T]) -> T:
         """The object made for this key; one that was kept for another key is replaced."""
@@ -171,9 +167,8 @@ class Player:
         return self._kept[what][1]
 
     def _drop(self, what: str) -> None:
-        """Closes an environment. Policies are not closed, since they may be users' objects."""
         _, thing = self._kept.pop(what)
-        if what in CLOSABLE:
+        if what != "policy":  # which may be a user's object
             thing.close()
 
     def _forget(self) -> None:
@@ -182,33 +177,93 @@ class Player:
         self._caller = TimeLimitedCaller()
 
 
-def _policy_key(unit: Unit) -> tuple[str, str, int]:
-    """Of one policy in one evaluation, of which two may take turns; policies themselves may not be comparable."""
-    return unit.evaluation, unit.source.name, unit.source.run
+def _single_env(unit: Unit, observed: bool) -> Env:
+    """The environment for a policy: Gymnasium's with the preset's observations, or the bare engine.
 
+    The former has no wrappers of `gymnasium.make`, whose checks at each step would only take time.
+    """
+    settings = unit.settings
+    if observed:
+        return gymnasium.make(env_id(unit.task, unit.variant, settings.preset), rules=settings.rules).unwrapped
+    from magical_mj.engine import Engine  # imported late: it loads the simulator
 
-def _env_key(unit: Unit, policy: Act) -> tuple[Any, ...]:
-    return unit.task, unit.variant, unit.settings.rules, None if uses_simulation(policy) else unit.settings.preset
+    return Engine(unit.task, unit.variant, seed=0, rules=settings.rules)
 
 
 def _vector_env(unit: Unit) -> Envs:
-    if unit.settings.batched:
-        return _batch(unit)
-    kwargs: dict[str, Any] = {"autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
-    name = f"magical_mj:{env_id(unit.task, unit.variant, unit.settings.preset)}"
-    return gymnasium.make_vec(name, unit.settings.envs, "sync", vector_kwargs=kwargs, rules=unit.settings.rules)
-
-
-def _batch(unit: Unit) -> Envs:
+    settings, mode = unit.settings, gymnasium.vector.AutoresetMode.DISABLED
+    if not settings.batched:
+        name = f"magical_mj:{env_id(unit.task, unit.variant, settings.preset)}"
+        kwargs: dict[str, Any] = {"autoreset_mode": mode}
+        return gymnasium.make_vec(name, settings.envs, "sync", vector_kwargs=kwargs, rules=settings.rules)
     from magical_mj import batched  # these need PyTorch
     from magical_mj.batched.environment import Arrays
 
-    settings = unit.settings
     envs = batched.make(
         *(unit.task, unit.variant, settings.envs),
         preset=settings.preset,
         device=settings.device,
         rules=settings.rules,
-        autoreset_mode=gymnasium.vector.AutoresetMode.DISABLED,
+        autoreset_mode=mode,
     )
     return Arrays(envs)
+
+
+class TimeLimitError(Exception):
+    """A call took too long."""
+
+
+class _Stop(BaseException):
+    """Raised inside a call that took too long; not an `Exception`, so that handlers in the call do not catch it."""
+
+
+class TimeLimitedCaller:
+    """A thread that makes calls one after another, with a time limit.
+
+    An alarm signal would need no thread, but works only in the main thread, which cluster workers may not use. A call
+    that runs Python code is stopped; one that is stuck outside Python is abandoned.
+
+    Attributes:
+        abandoned: whether a call may still be running whose result nobody waits for: then this object must not be used
+            again.
+    """
+
+    def __init__(self) -> None:
+        self.abandoned = False
+        self._calls: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=_work, args=(self._calls,), daemon=True, name="magical_mj episodes")
+        self._thread.start()
+        weakref.finalize(self, self._calls.put, None)  # nobody will call any more
+
+    def call(self, function: Callable[[], T], seconds: float | None) -> T:
+        """Returns or raises what the function returns or raises.
+
+        Raises:
+            TimeLimitError: if it takes longer than `seconds`; None means no limit.
+        """
+        result: Future[T] = Future()
+        self._calls.put((function, result))
+        try:
+            wait([result], seconds)
+        finally:  # Ctrl-C, or a signal's handler, may have raised something
+            if not result.done():
+                self.abandoned = True
+                ident = self._thread.ident or 0
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(ident), ctypes.py_object(_Stop))
+                self._thread.join(GRACE)
+        if self.abandoned:
+            raise TimeLimitError(f"no end within {seconds:g} s")
+        return result.result()
+
+
+def _work(calls: queue.SimpleQueue[Any]) -> None:
+    """What the thread does. It holds neither its caller nor past calls, so that all end when nobody holds them."""
+    while (call := calls.get()) is not None:
+        function, result = call
+        try:
+            result.set_result(function())
+        except _Stop:
+            return
+        except BaseException as error:  # noqa: BLE001 the caller gets it
+            result.set_exception(error)
+        del call, function, result

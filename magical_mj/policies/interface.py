@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar, runtime_checkab
 
 import numpy as np
 
-from magical_mj.utils.errors import InvalidActionError, PhysicsError, RenderingError, TaskError, short_repr
+from magical_mj.utils.errors import InvalidActionError, RenderingError, TaskError, short_repr
 from magical_mj.utils.imports import place
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def play(env: Any, actions: Iterable[Action]) -> Iterator[tuple[Action, Any]]:
     for action in actions:
         result = env.step(action)
         yield action, result
-        if _ended(result):
+        if is_over(result):
             return
 
 
@@ -102,7 +102,8 @@ def forever(act: Callable[[], Action]) -> Iterator[Action]:
         yield act()
 
 
-def _ended(result: Any) -> bool:
+def is_over(result: Any) -> bool:
+    """Whether the step of an engine or of an environment, which returned `result`, was the last one of its episode."""
     if isinstance(result, bool):  # of an engine
         return result
     _, _, terminated, truncated, _ = result
@@ -155,13 +156,6 @@ def policy_errors() -> Iterator[None]:
         raise
     except (Exception, SystemExit) as error:  # a policy may raise anything
         raise PolicyError(_one_line(f"{_said(error)}{place(error, full=False)}")) from error
-
-
-def simulation_failure(error: Exception) -> str:
-    """One line about a simulation that a policy's actions made unstable; raises any other error again."""
-    if not isinstance(error, PhysicsError):
-        raise error
-    return reason(error)
 
 
 def reason(error: BaseException) -> str:

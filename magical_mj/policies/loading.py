@@ -7,7 +7,7 @@ import inspect
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Final
@@ -36,14 +36,15 @@ class Source:
         run: the number of the run of the method.
         origin: a built-in's name, ``module:object``, a file, a folder, or the policy itself.
         trust: whether files that hold code may be loaded.
-        digest: the hash that the policy's file must have; None: any.
+        digest: the hash of the policy's file ("sha256") or of its module's ("code"), which loading it checks; empty
+            if there is no file, or any will do.
     """
 
     name: str
     run: int
     origin: Any
     trust: bool = False
-    digest: str | None = None
+    digest: Mapping[str, str] = field(default_factory=dict)
 
     def load(self) -> Act:
         """The policy.
@@ -53,16 +54,12 @@ class Source:
         """
         was_imported = isinstance(self.origin, str) and source_of(self.origin) is not None
         policy = self._load()
-        if self.digest is not None and not was_imported and self.digest not in self._hash().values():
+        if self.digest and not was_imported and self.digest != self._hash():
             raise SettingsError(
                 f"{self.origin} was changed while it was evaluated, so that its scores would be of two policies: "
                 "evaluate a copy"
             )
         return policy
-
-    def fixed(self) -> Source:
-        """This policy as it is now, after it was loaded: if its file changes later, `load` refuses it."""
-        return replace(self, digest=next(iter(self._hash().values()), None))
 
     def _load(self) -> Act:
         if not isinstance(self.origin, str):
@@ -82,25 +79,22 @@ class Source:
             return _imported(self.origin)
         raise unknown_name("policy", self.origin, (*AGENTS, "module:object", *(f"FILE{s}" for s in LOADERS)))
 
-    def describe(self) -> dict[str, Any]:
+    def described(self) -> dict[str, Any]:
         """The facts about the policy that must be the same when an evaluation is resumed."""
         origin = self.origin if isinstance(self.origin, str) else f"a Python object: {type(self.origin).__qualname__}"
-        return {"name": self.name, "run": self.run, "origin": origin, **self._hash()}
+        return {"name": self.name, "run": self.run, "origin": origin, **self.digest}
 
     def _hash(self) -> dict[str, str]:
-        """The hash of the policy's file ("sha256") or of its module's ("code"); nothing if there is none."""
+        """The hash of the policy's file or module; empty if there is none."""
         if not isinstance(self.origin, str) or self.origin in AGENTS:
             return {}
-        policy = self._file()
-        what, file = ("sha256", policy) if policy is not None else ("code", source_of(self.origin))
-        return {} if file is None else {what: hashlib.sha256(file.read_bytes()).hexdigest()}
-
-    def _file(self) -> Path | None:
-        """The file that holds the policy, if there is one."""
         path = Path(self.origin)
-        if path.suffix in LOADERS:
-            return path
-        return path / _folder_loader(path).name if path.is_dir() else None
+        what, file = "sha256", path
+        if path.suffix not in LOADERS:
+            what, file = (
+                ("sha256", path / _folder_loader(path).name) if path.is_dir() else ("code", source_of(self.origin))
+            )
+        return {} if file is None else {what: hashlib.sha256(file.read_bytes()).hexdigest()}
 
 
 def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
@@ -127,6 +121,38 @@ def sources(policies: Any, run: int = 0, trust: bool = False) -> list[Source]:
     if not listed:
         raise SettingsError(f"give a policy: {ACCEPTED_POLICIES}")
     return listed
+
+
+def playable(
+    policies: Any,
+    pairs: Sequence[Pair],
+    preset: str,
+    *,
+    first_run: int = 0,
+    trust: bool = False,
+    batched: bool = False,
+) -> list[Source]:
+    """The policies of `sources`, each of which was loaded once and can play; if its file changes, `load` refuses it.
+
+    Args:
+        policies: as for `sources`.
+        pairs: the pairs of tasks and variants that are played.
+        preset: the preset of the observations.
+        first_run: the number of the first run.
+        trust: whether files that hold code may be loaded.
+        batched: whether MuJoCo Warp simulates the episodes.
+
+    Raises:
+        SettingsError, TaskError: if a policy cannot be loaded, or does not fit: see `check_fit`.
+    """
+    checked = []
+    for source in sources(policies, first_run, trust):
+        policy = source.load()
+        check_fit(policy, pairs, preset)
+        if batched and uses_simulation(policy):
+            raise SettingsError(f"{source.name} uses no observations: it plays in single worlds only")
+        checked.append(replace(source, digest=source._hash()))
+    return checked
 
 
 def _parse_policies(policies: Any) -> Iterator[Source]:

@@ -19,7 +19,7 @@ import pytest
 import magical_mj
 from magical_mj.evaluation import Episode, EpisodeResult
 from magical_mj.evaluation.run import Evaluation
-from magical_mj.evaluation.scores import SCORES, SETTINGS, ScoreFile, read
+from magical_mj.evaluation.scores import SCORES, SETTINGS, open_scores, read
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.utils.errors import EvaluationError, SettingsError
 from tests.helpers import agents
@@ -94,7 +94,9 @@ class Misnamed:
 
 def test_reasons_that_cannot_be_encoded_are_kept(tmp_path: Path) -> None:
     magical_mj.evaluate(Misnamed(), out=tmp_path, **SMALL)
-    assert {score.failure for score in read(tmp_path)} == {None, r"FileNotFoundError: weights-\udce9.npy"}
+    reasons = {score.failure for score in read(tmp_path)} - {None}
+    assert all(reason.startswith(r"FileNotFoundError: weights-\udce9.npy (") for reason in reasons if reason)
+    assert len(reasons) == 1
 
 
 @pytest.mark.parametrize("cut", [1, 20, -1])
@@ -150,7 +152,7 @@ def test_files_of_older_versions_are_read(tmp_path: Path) -> None:
     [
         ("noop", {"episodes": 4}, "episodes was 3 and is 4"),
         ("noop", {"rules": "released"}, 'rules was "paper" and is "released"'),
-        ("noop", {"preset": "LoRes4A"}, 'preset was "LoRes4E" and is "LoRes4A"'),
+        ("noop", {"preset": "LoRes4A"}, 'preset was "State" and is "LoRes4A"'),
         ("noop", {"variants": "Demo"}, "environments was"),
         ("random", {}, "policies was"),
     ],
@@ -179,7 +181,7 @@ def test_folders_are_not_mixed_up(tmp_path: Path) -> None:
     magical_mj.evaluate("noop", out=tmp_path, **SMALL)
     with pytest.raises(EvaluationError, match="--resume"):
         magical_mj.evaluate("noop", out=tmp_path, **SMALL)
-    with ScoreFile(tmp_path), pytest.raises(EvaluationError, match="another evaluation"):
+    with open_scores(tmp_path), pytest.raises(EvaluationError, match="another evaluation"):
         magical_mj.evaluate("noop", out=tmp_path, resume=True, **SMALL)
     with pytest.raises(EvaluationError, match="cannot write into /dev/null/folder"):
         magical_mj.evaluate("noop", out="/dev/null/folder", **SMALL)
@@ -194,7 +196,7 @@ def test_an_evaluation_without_a_finished_episode_can_be_started_anew(
     Path("failing.py").write_text("def act(observation):\n    raise KeyError('position')\n")
     with pytest.raises(EvaluationError, match="failed, so none of them is kept"):
         magical_mj.evaluate("failing:act", out="out", **SMALL)
-    with ScoreFile(Path("out")), pytest.raises(EvaluationError, match="another evaluation"):
+    with open_scores(Path("out")), pytest.raises(EvaluationError, match="another evaluation"):
         magical_mj.evaluate("noop", out="out", **SMALL)
     assert len(magical_mj.evaluate("noop", out="out", **SMALL)) == len(read(Path("out"))) == 6
     assert len(magical_mj.evaluate("noop", out="out", resume=True, **SMALL)) == 6
@@ -219,29 +221,26 @@ def test_a_file_of_settings_that_is_not_ours_is_kept(tmp_path: Path) -> None:
 
 
 def killed_and_resumed(folder: Path) -> set[tuple[Any, ...]]:
-    """The rows of an evaluation by two processes that was killed twice at random moments, each time with work left."""
+    """The rows of an evaluation by two processes that was killed at a random moment with work left."""
     command = [sys.executable, "-m", "magical_mj", "evaluate", "--policy", "random,tests.helpers.agents:Slow"]
-    command += ["--tasks", "MoveToRegion", "--variants", "Demo,Layout", "--episodes", "60", "--jobs", "2", "--resume"]
+    command += ["--tasks", "MoveToRegion", "--variants", "Demo,Layout", "--episodes", "30", "--jobs", "2", "--resume"]
     command += ["--out", str(folder)]
-    rng = random.Random(0)
-    for _ in range(2):
-        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, start_new_session=True)
-        size = lambda: (folder / SCORES).stat().st_size if (folder / SCORES).exists() else 0  # noqa: E731
-        before, start = size(), time.monotonic()
-        while size() == before and time.monotonic() - start < 60:
-            time.sleep(0.01)
-        time.sleep(rng.uniform(0, 0.3))
-        assert process.poll() is None, "it ended before it could be killed"
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, start_new_session=True)
+    start = time.monotonic()
+    while not ((folder / SCORES).exists() and (folder / SCORES).stat().st_size) and time.monotonic() - start < 60:
+        time.sleep(0.01)
+    time.sleep(random.uniform(0, 0.3))
+    assert process.poll() is None, "it ended before it could be killed"
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
     subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL, check=True)
     return rows(folder)
 
 
 @pytest.mark.slow
 def test_killed_runs_end_with_the_same_rows(tmp_path: Path) -> None:
-    settings = {"tasks": "MoveToRegion", "variants": "Demo,Layout", "episodes": 60}
+    settings = {"tasks": "MoveToRegion", "variants": "Demo,Layout", "episodes": 30}
     whole = magical_mj.evaluate("random,Slow=noop", out=tmp_path / "whole", **settings)  # does the same, but faster
-    found = killed_and_resumed(tmp_path / "killed")
-    assert len(found) == len(whole) == 240
-    assert found == rows(tmp_path / "whole")
+    resumed = killed_and_resumed(tmp_path / "killed")
+    assert len(resumed) == len(whole) == 120
+    assert resumed == rows(tmp_path / "whole")

@@ -152,7 +152,7 @@ def test_a_file_that_changes_meanwhile_is_no_policy_of_the_evaluation(tmp_path: 
         models[1].save(path)
 
     with pytest.raises(SettingsError, match=r"was changed while it was evaluated.*evaluate a copy"):
-        magical_mj.evaluate({"A": str(path), "B": "noop"}, watch=overwrite, **SMALL, **STATE)
+        magical_mj.evaluate({"A": str(path), "B": "noop"}, watch=overwrite, **SMALL)
     assert "A" in played
     assert torch.get_num_threads() == threads, "the caller's setting is left alone"
 
