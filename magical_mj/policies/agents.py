@@ -19,9 +19,8 @@ class NoopAgent:
     def reset(self, episode: Episode) -> None:
         """Nothing to do here either."""
 
-    def __call__(self, observation: Any) -> int:
+    def __call__(self, _: Any) -> int:
         """An action; the observation does not matter."""
-        del observation
         return NOOP
 
 
@@ -34,9 +33,8 @@ class RandomAgent:
         """Starts the episode's own sequence."""
         self._rng = episode.rng()
 
-    def __call__(self, observation: Any) -> int:
+    def __call__(self, _: Any) -> int:
         """An action; the observation does not matter."""
-        del observation
         return int(self._rng.integers(len(ACTIONS)))
 
 
@@ -54,9 +52,8 @@ class ExpertAgent:
             raise SettingsError("the expert needs the simulation itself; it cannot play in vector environments")
         self._next = Expert(episode.env, episode.task, episode.run)
 
-    def __call__(self, observation: Any) -> int:
+    def __call__(self, _: Any) -> int:
         """An action; the observation does not matter."""
-        del observation
         return self._next()
 
 

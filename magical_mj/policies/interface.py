@@ -61,7 +61,7 @@ class Policy(Protocol):
     def reset(self, episode: Episode) -> None:
         """Called before each episode. No state may be carried over from one episode to the next."""
 
-    def __call__(self, observation: Any) -> Any:
+    def __call__(self, observation: Any, /) -> Any:
         """The action, an integer in 0..17, for an observation of the preset."""
 
 
@@ -155,21 +155,14 @@ def policy_errors() -> Iterator[None]:
     except (RenderingError, TaskError):
         raise
     except (Exception, SystemExit) as error:  # a policy may raise anything
-        raise PolicyError(_one_line(f"{_said(error)}{place(error, full=False)}")) from error
+        raise PolicyError(reason(error, place(error, full=False))) from error
 
 
-def reason(error: BaseException) -> str:
-    """The error's type and message in one line."""
-    return _one_line(_said(error))
-
-
-def _said(error: BaseException) -> str:
+def reason(error: BaseException, where: str = "") -> str:
+    """The error's type, message and place in one line, which can be encoded: names of files may hold other bytes."""
     try:
-        return f"{type(error).__name__}: {error}"
+        message = str(error)
     except Exception:  # noqa: BLE001 a policy's exceptions may be broken, too
-        return f"{type(error).__name__}: an error without a message"
-
-
-def _one_line(text: str) -> str:
-    """A line that can be encoded: Python shows bytes of file names as characters that cannot."""
-    return " ".join(text.split()).encode(errors="backslashreplace").decode()[:REASON_LENGTH]
+        message = "an error without a message"
+    line = " ".join(f"{type(error).__name__}: {message}{where}".split())
+    return line.encode(errors="backslashreplace").decode()[:REASON_LENGTH]

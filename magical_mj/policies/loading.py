@@ -264,27 +264,24 @@ def check_fit(policy: object, pairs: Sequence[Pair], preset: str) -> None:
 
 def _check_shape(accepted: Sequence[Shape], task: str, preset: str) -> None:
     """Raises a `SettingsError` unless observations of the preset have one of these shapes."""
-    shape = _shape_of(task, preset)
-    if _fits(accepted, shape):
-        return
-    others = [name for name in PRESETS if _fits(accepted, _shape_of(task, name))]
-    remedy = f"give --preset {' or '.join(others)}" if others else "no preset has such observations"
-    raise SettingsError(
-        f"the policy takes observations of shape {accepted[0]}, and {preset} gives {shape or 'a dict'}: {remedy}"
-    )
-
-
-def _shape_of(task: str, preset: str) -> tuple[int, ...] | None:
-    """The shape of the preset's observations; None if they are dicts."""
     from magical_mj.envs.gymnasium_env import MagicalEnv  # imported late: it loads the simulator
 
-    env = MagicalEnv(task, preset=preset)
-    env.close()
-    return env.observation_space.shape
+    def shape_of(name: str) -> tuple[int, ...]:  # empty if observations are dicts
+        env = MagicalEnv(task, preset=name)
+        env.close()
+        return env.observation_space.shape or ()
 
+    def fits(name: str) -> bool:
+        shape = shape_of(name)
+        return any(
+            len(sizes) == len(shape) and all(size in (None, real) for size, real in zip(sizes, shape, strict=True))
+            for sizes in accepted
+        )
 
-def _fits(accepted: Sequence[Shape], shape: tuple[int, ...] | None) -> bool:
-    return shape is not None and any(
-        len(sizes) == len(shape) and all(size in (None, real) for size, real in zip(sizes, shape, strict=True))
-        for sizes in accepted
-    )
+    if not fits(preset):
+        others = [name for name in PRESETS if fits(name)]
+        remedy = f"give --preset {' or '.join(others)}" if others else "no preset has such observations"
+        raise SettingsError(
+            f"the policy takes observations of shape {accepted[0]}, and {preset} gives {shape_of(preset) or 'a dict'}: "
+            f"{remedy}"
+        )

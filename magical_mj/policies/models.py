@@ -22,6 +22,7 @@ from typing import Any, Final
 
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
 from magical_mj.policies.interface import Episode, reason
 from magical_mj.scene.actions import ACTIONS
@@ -97,12 +98,8 @@ def load_sb3(path: Path, trust: bool = False) -> Model:
     except ModuleNotFoundError:
         raise MissingExtraError(f"{path} needs stable-baselines3: pip install stable-baselines3") from None
     data, weights = _content(path)
-    try:
+    with _refused(f"{path} does not say how its network is built"):
         policy = _trusted(path) if trust else _rebuilt(path, data, weights)
-    except SettingsError:
-        raise
-    except Exception as error:
-        raise SettingsError(f"{path} does not say how its network is built: {reason(error)}") from error
     if not isinstance(policy.action_space, spaces.Discrete) or policy.action_space.n != len(ACTIONS):
         raise SettingsError(f"{path} acts in {policy.action_space}, and {OTHER_ACTIONS}")
     try:
@@ -114,26 +111,32 @@ def load_sb3(path: Path, trust: bool = False) -> Model:
 
 
 def _content(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The JSON and the weights of a stable-baselines3 archive; if it is damaged, reading it may raise anything."""
+    """The JSON and the weights of a stable-baselines3 archive."""
     import torch
 
-    try:
-        with zipfile.ZipFile(path) as archive:
-            data = _named(json.loads(_member(path, archive, "data", MOST_SETTINGS)))
-            packed = _member(path, archive, "policy.pth", MOST_BYTES)
-    except SettingsError:
-        raise
-    except Exception as error:
-        raise SettingsError(f"{path} is not a stable-baselines3 archive: {reason(error)}") from error
+    with _refused(f"{path} is not a stable-baselines3 archive"), zipfile.ZipFile(path) as archive:
+        data = _named(json.loads(_member(path, archive, "data", MOST_SETTINGS)))
+        packed = _member(path, archive, "policy.pth", MOST_BYTES)
     try:
         _check_packed(path, packed)
         with warnings.catch_warnings(action="ignore"):  # of pickles that are refused
             weights = _named(torch.load(io.BytesIO(packed), map_location="cpu", weights_only=True))
     except SettingsError:
         raise
-    except Exception as error:
+    except Exception as error:  # whose message advises to load pickles
         raise SettingsError(f"{path} has weights that are not tensors; it is not loaded") from error
     return data, weights
+
+
+@contextmanager
+def _refused(fault: str) -> Iterator[None]:
+    """Makes any error a `SettingsError` that begins with the fault; reading a damaged file may raise anything."""
+    try:
+        yield
+    except SettingsError:
+        raise
+    except Exception as error:
+        raise SettingsError(f"{fault}: {reason(error)}") from error
 
 
 def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
@@ -175,7 +178,7 @@ def _best_actions(policy: Any, observations: Any) -> Any:
         return chosen.get_actions(deterministic=True).cpu().numpy()
 
 
-def _check_numbers(values: Any) -> None:
+def _check_numbers(values: NDArray[Any]) -> None:
     if np.isnan(values).any():
         raise ValueError("the network's output is not a number (NaN)")
 
@@ -207,8 +210,8 @@ def _rebuilt(path: Path, data: dict[str, Any], weights: dict[str, Any]) -> Any:
             f"{LONGEST_ARGUMENTS:,} characters, and is not loaded"
         )
     space = spaces.Box(0, 255, shape, np.uint8) if pictures else spaces.Box(-np.inf, np.inf, shape, np.float32)
-    kind = ActorCriticCnnPolicy if any(name.startswith("features_extractor.cnn") for name in weights) else None
-    kind = kind or ActorCriticPolicy
+    convolutional = any(name.startswith("features_extractor.cnn") for name in weights)
+    kind = ActorCriticCnnPolicy if convolutional else ActorCriticPolicy
     outline = type("Outline", (kind,), {"device": property(lambda _: torch.device("meta"))})
     with torch.device("meta"):  # where parameters have shapes, and take no memory
         planned = outline(space, spaces.Discrete(len(ACTIONS)), lambda _: 0.0, **arguments).state_dict()
@@ -225,10 +228,9 @@ def _trusted(path: Path) -> Any:
     """Any network, loaded with the archive's pickles."""
     from stable_baselines3.common.save_util import load_from_zip_file
 
-    data, _, _ = load_from_zip_file(path, device="cpu")
-    made_of: dict[str, Any] = data or {}
-    arguments = made_of.get("policy_kwargs") or {}
-    return made_of["policy_class"](made_of["observation_space"], made_of["action_space"], lambda _: 0.0, **arguments)
+    data: Any = load_from_zip_file(path, device="cpu")[0] or {}
+    arguments = data.get("policy_kwargs") or {}
+    return data["policy_class"](data["observation_space"], data["action_space"], lambda _: 0.0, **arguments)
 
 
 def load_onnx(path: Path, trust: bool = False) -> Model:
@@ -241,10 +243,8 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
         raise SettingsError(f"{path} has more than {MOST_BYTES:,} bytes, and is not read")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    try:
+    with _refused(f"{path} is not an ONNX file that can be run"):
         session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:
-        raise SettingsError(f"{path} is not an ONNX file that can be run: {error}") from error
     (entry, *others), output = session.get_inputs(), session.get_outputs()[0]
     if others:
         raise SettingsError(f"{path} wants {1 + len(others)} inputs, and presets give one array: choose its preset")
@@ -258,8 +258,7 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
         _check_numbers(values)
         return values.reshape(len(values)) if values.size == len(values) else values.argmax(axis=1)
 
-    known = [size if isinstance(size, int) else None for size in entry.shape[1:]]
-    return Model(act, [tuple(known)])
+    return Model(act, [tuple(size if isinstance(size, int) else None for size in entry.shape[1:])])
 
 
 LOADERS: Final[dict[str, Callable[[Path, bool], Model]]] = {".zip": load_sb3, ".onnx": load_onnx}

@@ -13,17 +13,16 @@ from tests.helpers.commands import Shell
 SMALL = ("--tasks", "MoveToRegion", "--variants", "Demo,Layout", "--episodes", "2", "--jobs", "1")
 
 
-def test_from_scores_to_videos(shell: Shell, tmp_path: Path) -> None:
+def test_from_scores_to_a_comparison(shell: Shell, tmp_path: Path) -> None:
     code, out, error = shell("evaluate", "--policy", "random,still=noop", "--out", "o", *SMALL)
     assert (code, error) == (0, "")
     assert "8/8 episodes" in out
     assert "still: mean score 0.000 over 2 environments\n" in out
     assert "magical-mj report o" in out
 
-    code, out, error = shell("report", "o", "--videos", "--published")
+    code, out, error = shell("report", "o", "--published")
     assert (code, error) == (0, "")
     assert out.endswith("o/report/report.md\n")
-    assert (tmp_path / "o/report/best-still-MoveToRegion.mp4").stat().st_size > 1000
     assert "BC (ST)†" in (tmp_path / "o/report/report.md").read_text()
     assert "o/report/report.md replaces an earlier report" in shell("report", "o")[1]
     assert "give --out" in shell.fails(2, "report", "o", "o")
@@ -37,15 +36,16 @@ def test_from_scores_to_videos(shell: Shell, tmp_path: Path) -> None:
 
 
 def test_videos_replace_nothing_but_those_of_an_earlier_report(shell: Shell, tmp_path: Path) -> None:
-    shell("evaluate", "--policy", "noop", "--out", "o", *SMALL)
+    one = ("--tasks", "MoveToRegion", "--variants", "Demo", "--episodes", "1", "--jobs", "1")
+    shell("evaluate", "--policy", "noop", "--out", "o", *one)
     mine = tmp_path / "mine" / "best-noop-MoveToRegion.mp4"
     mine.parent.mkdir()
     mine.write_bytes(b"mine")
     error = shell.fails(1, "report", "o", "--videos", "--out", "mine")
     assert "best-noop-MoveToRegion.mp4 is not of an earlier report: move it" in error
     assert [path.read_bytes() for path in mine.parent.iterdir()] == [b"mine"]
-    for _ in range(2):
-        assert shell("report", "o", "--videos", "--out", "ours")[0] == 0
+    assert shell("report", "o", "--videos", "--out", "ours")[0] == 0
+    assert (tmp_path / "ours" / mine.name).stat().st_size > 1000
     (tmp_path / "ours" / "report.md").write_text("# Evaluation\n\nThis report is not finished yet.\n")  # it was killed
     assert shell("report", "o", "--videos", "--out", "ours")[0] == 0
 
@@ -70,7 +70,7 @@ def test_failures_are_counted(shell: Shell, tmp_path: Path) -> None:
     )
     code, out, _ = shell("evaluate", "--policy", "mine:Agent", "--out", "o", *SMALL)
     assert code == 0
-    assert "Agent: mean score 0.000 over 2 environments; 2 episodes failed, such as: InvalidActionError: 99" in out
+    assert "Agent: mean score 0.000 over 2 environments; 2 episodes failed: InvalidActionError: 99" in out
 
 
 def test_a_policy_that_always_fails_is_stopped(shell: Shell, tmp_path: Path) -> None:

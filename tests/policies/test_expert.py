@@ -11,8 +11,7 @@ import pytest
 import magical_mj
 from magical_mj import ENVIRONMENTS, TASKS, Block, Robot, Scene
 from magical_mj.policies.expert import Expert
-from magical_mj.policies.expert.driving import drive, steer
-from magical_mj.policies.expert.lookahead import HumanExecution, Lookahead, state_of
+from magical_mj.policies.expert.driving import HumanExecution, Lookahead, drive, steer
 from magical_mj.policies.expert.manoeuvres import manoeuvres, obstacles, simplified
 from magical_mj.policies.expert.navigation import EMPTY, SearchTree, cell_costs, cells, explore
 from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
@@ -130,7 +129,7 @@ def test_lookahead_is_what_happens() -> None:
         gripper, turn, drive = Gripper(rng.integers(2)), Turn(rng.integers(3)), Drive(rng.integers(3))
         world.act(gripper, turn, drive)
         env.step(world.trace[-1])
-        assert np.array_equal(world.state, state_of(env))
+        assert np.array_equal(world.state, env.simulation.save())
     assert world.scene() == env.scene
 
 
@@ -157,9 +156,9 @@ def test_what_is_remembered_happens_again() -> None:
 
 def test_lookahead_leaves_the_environment_alone() -> None:
     env = env_of("FindDupe")
-    before = state_of(env)
+    before = env.simulation.save()
     Expert(env, "FindDupe")()
-    assert np.array_equal(before, state_of(env))
+    assert np.array_equal(before, env.simulation.save())
 
 
 # experts

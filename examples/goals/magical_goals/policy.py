@@ -8,9 +8,8 @@ from typing import Any, Final
 
 from magical_goals.inference import InferredGoal
 from magical_mj.learners.settings import STATE
-from magical_mj.policies.expert.expert import PlanFollower
-from magical_mj.policies.expert.lookahead import Lookahead
-from magical_mj.policies.expert.planner import Planner
+from magical_mj.policies.expert.driving import Lookahead
+from magical_mj.policies.expert.planner import PlanFollower, Planner
 from magical_mj.policies.interface import Episode
 from magical_mj.utils.errors import SettingsError
 
@@ -60,7 +59,6 @@ class GoalPolicy:
 
         self._next = PlanFollower(env, env.horizon, planner, episode.rng, BUDGET)
 
-    def __call__(self, observation: Any) -> int:
+    def __call__(self, _: Any) -> int:
         """An action; there are no observations."""
-        del observation
         return self._next()

@@ -6,6 +6,6 @@ every other agent.
 
 from __future__ import annotations
 
-from magical_mj.policies.expert.expert import Expert
+from magical_mj.policies.expert.planner import Expert
 
 __all__ = ["Expert"]

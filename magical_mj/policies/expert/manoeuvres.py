@@ -11,8 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.policies.expert.driving import VIA, Patience, Point, drive, steer
-from magical_mj.policies.expert.lookahead import Lookahead
+from magical_mj.policies.expert.driving import VIA, Lookahead, Patience, Point, drive, steer
 from magical_mj.policies.expert.navigation import GRIP, Goal, Ints, SearchTree, cell_costs, cells, explore, places
 from magical_mj.scene import Pose, Scene
 from magical_mj.scene.actions import Drive, Gripper, Turn
