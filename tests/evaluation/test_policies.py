@@ -109,9 +109,9 @@ def test_a_policy_for_batches_starts_every_episode_anew(envs: int) -> None:
 
 
 def test_policies_need_not_be_comparable() -> None:
-    played = evaluate(Linear(), jobs=2, episodes=25, **STATE)
+    played = evaluate(Linear(), jobs=2, **STATE)
     assert set(played["actions"]) == {"d" * 40}
-    assert len(played) == 50
+    assert len(played) == 6
 
 
 def test_an_error_that_cannot_be_shown_costs_one_episode() -> None:
@@ -121,11 +121,10 @@ def test_an_error_that_cannot_be_shown_costs_one_episode() -> None:
     )
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_the_first_planned_episodes_decide_whether_a_policy_works(jobs: int, tmp_path: Path) -> None:
+def test_the_first_planned_episodes_decide_whether_a_policy_works(tmp_path: Path) -> None:
     kind: dict[str, Any] = {"tasks": "MoveToRegion,ClusterShape", "variants": "Demo", "episodes": 10, **STATE}
     with pytest.raises(EvaluationError, match="the first 10 episodes of pair, run 1, failed"):
-        magical_mj.evaluate({"pair": ["noop", Hopeless()]}, jobs=jobs, out=tmp_path, **kind)
+        magical_mj.evaluate({"pair": ["noop", Hopeless()]}, jobs=2, out=tmp_path, **kind)
     assert '"run": 1' not in (tmp_path / SCORES).read_text()
 
 
