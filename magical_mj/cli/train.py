@@ -18,7 +18,7 @@ from rich.text import Text
 
 from magical_mj import learners
 from magical_mj.cli.console import Bars, Trust, check_fits, console
-from magical_mj.learners.settings import PPOSettings, TrainingSettings, check_changes, check_used, users, uses
+from magical_mj.learners.settings import PPOSettings, TrainingSettings, check_changes, users, uses
 from magical_mj.policies.agents import AGENTS
 from magical_mj.utils.errors import MagicalError, SettingsError, check_name
 from magical_mj.utils.extras import check_extra
@@ -118,8 +118,7 @@ def train(
     check_name("method", method, METHODS)
     options = {"seed": seed, "augment": augment, "preset": preset, "device": device, "ppo.worlds": worlds}
     others = dict(_change(text) for text in change or [])
-    check_changes(others, ("method", "tasks", "quick", *options))
-    check_used({"preset": preset, **others}, [method])
+    check_changes(others, [method], preset, elsewhere=("method", "tasks", "quick", *options))
     check_fits(context, uses(method, "augment"), f"with {', '.join(users('augment'))}", "augment")
     settings = learners.load_settings(method, tasks, quick=quick, **options, **others)
     if len(settings.tasks) > 1 and not multi_task:

@@ -18,17 +18,6 @@ TENSOR: Final = "tensor:"
 """The prefix of a string in the JSON that refers to a tensor by name."""
 ARRAY: Final = "array:"
 """The same for a numpy array."""
-_RENAMED: Final = {
-    "alone": "mlp",
-    "answered": "out_proj",
-    "asked": "qkv",
-    "coder": "autoencoder",
-    "coder optimizer": "autoencoder optimizer",
-    "figures": "metrics",
-    "judge": "discriminator",
-    "judge optimizer": "discriminator optimizer",
-}
-"""Names of weights and values in older files -> their names now: such policies and checkpoints can still be read."""
 
 
 def write(path: Path, state: dict[str, Any]) -> None:
@@ -81,7 +70,7 @@ def _packed(value: Any, name: str, tensors: dict[str, torch.Tensor]) -> Any:
 
 def _unpacked(value: Any, tensors: dict[str, torch.Tensor]) -> Any:
     if isinstance(value, dict):
-        return {_present_name(key): _unpacked(item, tensors) for key, item in value["pairs"]}
+        return {key: _unpacked(item, tensors) for key, item in value["pairs"]}
     if isinstance(value, list):
         return [_unpacked(item, tensors) for item in value]
     if isinstance(value, str) and value.startswith(TENSOR):
@@ -89,8 +78,3 @@ def _unpacked(value: Any, tensors: dict[str, torch.Tensor]) -> Any:
     if isinstance(value, str) and value.startswith(ARRAY):
         return tensors[value.removeprefix(ARRAY)].numpy()
     return value
-
-
-def _present_name(key: Any) -> Any:
-    """A key with all its parts, as in "torso.attention.0.asked.weight", by their names now."""
-    return ".".join(_RENAMED.get(part, part) for part in key.split(".")) if isinstance(key, str) else key

@@ -19,7 +19,7 @@ from magical_mj.evaluation.scores import SCORES, SETTINGS, read_settings
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.learners.learner import device, keep_freed_memory
 from magical_mj.learners.run_folder import METRICS, RunFolder, read_metrics
-from magical_mj.learners.settings import TrainingSettings, check_changes, check_used, flattened, load_settings, uses
+from magical_mj.learners.settings import TrainingSettings, check_changes, flattened, load_settings, uses
 from magical_mj.learners.training import METHODS, Progress, train
 from magical_mj.policies.interface import uses_simulation
 from magical_mj.tasks.registry import TASKS, environments, listed, task_name, task_spec
@@ -185,8 +185,7 @@ def plan_experiment(file: Path | str, out: Path | str) -> list[Run]:
     for method in experiment.methods:
         check_name("method", method, METHODS)
     changes = flattened(experiment.settings)
-    check_changes(changes, ("method", "tasks", "quick", "seed"))
-    check_used(changes, experiment.methods)
+    check_changes(changes, experiment.methods, elsewhere=("method", "tasks", "quick", "seed"))
     planned = []
     groups = [tasks] if experiment.multi_task else [(task,) for task in tasks]
     for seed, method, group in product(experiment.seeds, experiment.methods, groups):

@@ -14,54 +14,27 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.buffers import DictRolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
-from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import DictRolloutBufferSamples, Schedule
 from stable_baselines3.common.utils import obs_as_tensor
-from torch import Tensor, nn
+from torch import Tensor
+from torch.distributions import Categorical
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from magical_mj.learners.data import Batch, Dataset, Rollout
 from magical_mj.learners.learner import Learner, restore_optimizer, seeded
-from magical_mj.learners.networks import Actor, Heads, StateTorso, Torso, as_input, standardise
+from magical_mj.learners.networks import Actor, Heads, Torso, as_input, standardise
 from magical_mj.learners.settings import TrainingSettings
-from magical_mj.learners.vector_envs import OBSERVATION, TASK, TrainingEnvs
+from magical_mj.learners.vector_envs import OBSERVATION, TASK, TrainingEnvs, training_envs
 from magical_mj.utils.extras import check_extra
 
 Samples = tuple[Tensor, Tensor, Tensor]
 """A batch on the device: observations as of `as_input`, actions (n,) and numbers of tasks (n,)."""
 
 
-class TorsoExtractor(BaseFeaturesExtractor):
-    """The torso's features with the one-hot task appended, so that the heads get it."""
-
-    def __init__(self, observation_space: spaces.Dict, torso: Torso | StateTorso) -> None:
-        tasks = observation_space[TASK].shape
-        super().__init__(observation_space, torso.features + int(np.prod(tasks or ())))
-        self.torso = torso
-
-    def forward(self, observations: Mapping[str, Tensor]) -> Tensor:
-        """Shape (n, features + tasks). Pictures come as floats from 0 to 255 made for this, the channels last."""
-        pixels = observations[OBSERVATION]
-        return torch.cat([self.torso(as_input(pixels, pixels.device)), observations[TASK]], dim=1)
-
-
-class TaskHeads(nn.Module):
-    """Heads for features with the one-hot task appended."""
-
-    def __init__(self, heads: Heads) -> None:
-        super().__init__()
-        self.heads = heads
-
-    def forward(self, joined: Tensor) -> Tensor:
-        """Shape (n, outputs), for shape (n, features + tasks)."""
-        inputs = self.heads.weight.shape[2]
-        return self.heads(joined[:, :inputs], joined[:, inputs:].argmax(1))
-
-
-class ActorCritic(ActorCriticPolicy):
-    """Stable-baselines3's policy around an `Actor`: action and value share all but the last layer (appendix).
+class ActorCritic(BasePolicy):
+    """An `Actor` and a critic as stable-baselines3 wants them: they share all but the last layer (appendix).
 
     Args:
         observation_space: the space of the environments.
@@ -81,19 +54,37 @@ class ActorCritic(ActorCriticPolicy):
         critic: Heads,
         **others: Any,
     ) -> None:
-        parts = {"features_extractor_class": TorsoExtractor, "features_extractor_kwargs": {"torso": actor.torso}}
-        super().__init__(
-            observation_space,
-            action_space,
-            lr_schedule,
-            net_arch=[],
-            ortho_init=False,
-            normalize_images=False,  # `TorsoExtractor` does it, in place
-            **parts,
-            **others,
-        )
-        self.action_net, self.value_net = TaskHeads(actor.head), TaskHeads(critic)
+        del others
+        super().__init__(observation_space, action_space)
+        self.actor, self.critic = actor, critic
         self.optimizer = torch.optim.Adam(self.parameters(), lr_schedule(1), fused=True)  # its eps is 1e-8, as rlpyt's
+
+    def distribution_and_values(self, observations: Mapping[str, Tensor]) -> tuple[Categorical, Tensor]:
+        """The distribution of actions, and values of shape (n, 1). Pictures have the channels last."""
+        tasks = observations[TASK].argmax(1)
+        features = self.actor.torso(as_input(observations[OBSERVATION], self.device))
+        # Rows with room for the one-hot task: in rows of another length, trainings would end with other last bits.
+        features = torch.cat([features, observations[TASK]], 1)[:, : self.actor.torso.features]
+        return Categorical(logits=self.actor.head(features, tasks)), self.critic(features, tasks)
+
+    def forward(self, observations: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+        """Drawn actions (n,), values (n, 1) and the actions' log probabilities (n,)."""
+        distribution, values = self.distribution_and_values(observations)
+        actions = distribution.sample()
+        return actions, values, distribution.log_prob(actions)
+
+    def evaluate_actions(self, observations: Mapping[str, Tensor], actions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Values (n, 1), and the log probabilities of actions and the entropies, (n,) each."""
+        distribution, values = self.distribution_and_values(observations)
+        return values, distribution.log_prob(actions), distribution.entropy()
+
+    def predict_values(self, observations: Mapping[str, Tensor]) -> Tensor:
+        """Values, shape (n, 1)."""
+        return self.distribution_and_values(observations)[1]
+
+    def _predict(self, observation: Any, deterministic: bool = False) -> Tensor:
+        del deterministic
+        return self(observation)[0]
 
 
 class EvenBuffer(DictRolloutBuffer):
@@ -172,7 +163,7 @@ class ExternalRewardPPO(PPO):
     ) -> None:
         ppo = settings.ppo
         super().__init__(
-            ActorCritic,
+            ActorCritic,  # pyright: ignore[reportArgumentType]  (PPO uses no more of a policy than it has)
             environments,
             learning_rate=lambda left: left * ppo.learning_rate,
             n_steps=ppo.steps,
@@ -190,12 +181,15 @@ class ExternalRewardPPO(PPO):
             device=device,
         )
         self._environments = environments
-        self._parts = nn.ModuleDict({"actor": actor, "critic": critic})
-        self._each = ppo.environments * ppo.steps
-        self._updates = ppo.total_steps // self._each
+        self._rollout_size = ppo.environments * ppo.steps
         self._scores = _Scores()
         self.set_logger(Logger(folder=None, output_formats=[]))  # the default one makes a temporary folder
-        self._setup_learn(self._updates * self._each, self._scores)
+        self._setup_learn(ppo.total_steps // self._rollout_size * self._rollout_size, self._scores)
+
+    @staticmethod
+    def _wrap_env(env: TrainingEnvs, *_: Any) -> TrainingEnvs:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """As it is: stable-baselines3 would move the channels of pictures first, which is slow."""
+        return env
 
     def collect(self) -> Rollout:
         """Plays the settings' number of steps in each environment, and returns them."""
@@ -210,7 +204,7 @@ class ExternalRewardPPO(PPO):
         with torch.no_grad():
             last = self.policy.predict_values(obs_as_tensor(self._last_obs, self.device))  # pyright: ignore[reportArgumentType]
         buffer.compute_returns_and_advantage(last, self._last_episode_starts)  # pyright: ignore[reportArgumentType]
-        self._update_current_progress_remaining(self.num_timesteps - self._each, self._total_timesteps)
+        self._update_current_progress_remaining(self.num_timesteps - self._rollout_size, self._total_timesteps)
         self.train()
         metrics = self.logger.name_to_value
         return {
@@ -223,7 +217,7 @@ class ExternalRewardPPO(PPO):
     def get_state(self) -> dict[str, Any]:
         """Weights, and the states of the optimizer, the environments and the training."""
         return {
-            "weights": self._parts.state_dict(),
+            "weights": self.policy.state_dict(),
             "optimizer": self.policy.optimizer.state_dict(),
             "environments": self._environments.get_state(),
             "starts": np.array(self._last_episode_starts),
@@ -234,7 +228,7 @@ class ExternalRewardPPO(PPO):
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Goes back to a state that `get_state` returned."""
-        self._parts.load_state_dict(state["weights"])
+        self.policy.load_state_dict(state["weights"])
         restore_optimizer(self.policy.optimizer, state["optimizer"])
         self._last_obs = self._environments.set_state(state["environments"])
         self._last_episode_starts = state["starts"]
@@ -254,7 +248,7 @@ class RewardLearner(Learner):
         self.updates = settings.ppo.total_steps // (settings.ppo.environments * settings.ppo.steps)
         self._expert = Dataset(settings, drop_noop=False)
         self._draw = torch.Generator().manual_seed(settings.seed)
-        self._environments = TrainingEnvs(settings)
+        self._environments = training_envs(settings)
         tasks = len(settings.tasks)
         with seeded(settings.seed):
             actor = Actor(settings.network, tasks, states=settings.states).to(self.device)

@@ -14,8 +14,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final, Self, cast
+from typing import Any, Final, cast
 
+import msgspec
 import torch
 from torch.utils.tensorboard.writer import SummaryWriter
 
@@ -43,21 +44,28 @@ FIRST_COLUMNS: Final = ["update", "seconds"]
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What a training goes on from.
+    """What a training goes on from, in the order of the file.
 
     Attributes:
         update: the number of updates so far.
-        updates: the number of updates of the whole training; None in checkpoints of early versions.
+        updates: the number of updates of the whole training.
         seconds: how long they took.
-        device: the type of device on which they were made; None in checkpoints of early versions.
+        device: the type of device on which they were made.
+        settings: of the training, as JSON.
         learner: the learner's state.
     """
 
     update: int
-    updates: int | None
+    updates: int
     seconds: float
-    device: str | None
-    learner: Any
+    device: str
+    settings: str
+    learner: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        """Raises a `ValueError` for numbers that cannot be."""
+        if not (0 <= self.update <= self.updates and 0 <= self.seconds < math.inf):
+            raise ValueError(f"update {self.update} of {self.updates}, after {self.seconds} seconds")
 
     @property
     def finished(self) -> bool:
@@ -146,15 +154,10 @@ class RunFolder:
             return None
         contents = checkpoint.read(path)
         try:
-            update, seconds, updates = contents["update"], contents["seconds"], contents.get("updates")
-            before = json.loads(contents.get("settings", "{}"))  # checkpoints of early versions do not tell
-            if type(update) is not int or not 0 <= update <= (update if updates is None else updates):
-                raise ValueError(f"update {short_repr(update)} of {short_repr(updates)}")
-            if not 0 <= seconds < math.inf:
-                raise ValueError(f"{short_repr(seconds)} seconds")
-            last = Checkpoint(update, updates, seconds, contents.get("device"), contents["learner"])
+            last = msgspec.convert(contents, Checkpoint)
+            before = json.loads(last.settings)
             others = [name for name, value in recorded(self._settings).items() if before.get(name, value) != value]
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (msgspec.ValidationError, ValueError, AttributeError) as error:
             raise self.unusable_checkpoint(error) from error
         if others:
             raise TrainingError(
@@ -163,15 +166,14 @@ class RunFolder:
             )
         return last
 
-    def save(self, saved: Checkpoint) -> None:
-        """Writes a checkpoint in place of the last one.
+    def save(self, update: int, updates: int, seconds: float, device: str, learner: dict[str, Any]) -> None:
+        """Writes a `Checkpoint` in place of the last one.
 
         Raises:
             TrainingError: if it cannot be written; the last one is kept.
         """
-        contents = {**vars(saved), "settings": json.dumps(recorded(self._settings))}
-        contents["learner"] = contents.pop("learner")  # last, as ever
-        checkpoint.write(self.path / CHECKPOINT, contents)
+        settings = json.dumps(recorded(self._settings))
+        checkpoint.write(self.path / CHECKPOINT, vars(Checkpoint(update, updates, seconds, device, settings, learner)))
 
     def unusable_checkpoint(self, error: Exception) -> TrainingError:
         """The error for a checkpoint with which this version can do nothing."""
@@ -242,11 +244,7 @@ class Metrics:
             self._board.flush()
         return means
 
-    def __enter__(self) -> Self:
-        """For `with`, which closes it."""
-        return self
-
-    def __exit__(self, *error: object) -> None:
+    def close(self) -> None:
         """Closes the file for TensorBoard."""
         with suppress(OSError):  # which was told before
             self._board.close()

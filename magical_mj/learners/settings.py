@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 from msgspec import Meta
@@ -24,13 +23,11 @@ STATE: Final = "State"
 """The preset of the state track."""
 LEARNABLE: Final = (*(name for name, preset in PRESETS.items() if preset.layout == "hwc"), STATE)
 """The presets that learners can look at: one stack of frames, the channels last, or states."""
-AUGMENTATIONS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        "all": ("translation", "rotation", "colour", "noise"),
-        "no-trans-rot": ("colour", "noise"),
-        "none": (),
-    }
-)
+AUGMENTATIONS: Final[Mapping[str, tuple[str, ...]]] = {
+    "all": ("translation", "rotation", "colour", "noise"),
+    "no-trans-rot": ("colour", "noise"),
+    "none": (),
+}
 """The sets of augmentations in the paper's ablations, by name."""
 HEADS: Final = 4
 """Of the attention between blocks and regions, which share the units of `NetworkSettings.entity`."""
@@ -58,9 +55,7 @@ class NetworkSettings(Settings):
     channels: Annotated[Count, Meta(description="of each of the four 3 x 3 convolutions of stride 2 that follow")] = 128
     hidden: Annotated[Count, Meta(description="units of each of the two linear layers")] = 256
     entity: Annotated[Count, Meta(description="of states: units for the robot, each block and each region")] = 64
-    attention: Annotated[
-        Annotated[int, Meta(ge=1, le=32)], Meta(description="likewise: layers of attention between them")
-    ] = 1
+    attention: Annotated[int, Meta(ge=1, le=32, description="likewise: layers of attention between them")] = 1
 
     def __post_init__(self) -> None:
         """Raises a `SettingsError` for sizes that cannot be."""
@@ -111,7 +106,7 @@ class PPOSettings(Settings):
     environments: Count = 32
     steps: Annotated[Count, Meta(description="in each environment, between two updates")] = 8
     epochs: Count = 12
-    minibatch: Annotated[Annotated[int, Meta(ge=2)], Meta(description="samples")] = 64
+    minibatch: Annotated[int, Meta(ge=2, description="samples")] = 64
     learning_rate: Annotated[Positive, Meta(description="of Adam at first; it falls linearly to 0")] = 6e-5
     discount: Share = 0.8
     gae_lambda: Share = 0.8
@@ -123,8 +118,12 @@ class PPOSettings(Settings):
     normalise_advantages: Annotated[bool, Meta(description="in each minibatch; rlpyt does not")] = False
     gradient_norm: Positive = 1.0
     averaging: Annotated[
-        Annotated[float, Meta(ge=0, lt=1)],
-        Meta(description="the share that each update leaves of the policies' moving average, which is evaluated"),
+        float,
+        Meta(
+            ge=0,
+            lt=1,
+            description="the share that each update leaves of the policies' moving average, which is evaluated",
+        ),
     ] = 0.0
     reward_deviation: Annotated[Positive, Meta(description="to which rewards are normalised")] = 0.1
 
@@ -140,7 +139,7 @@ class DiscriminatorSettings(Settings):
         Count, Meta(description="the latest, of which the policy's samples are; 4 in the released code")
     ] = 1
     batch_size: Annotated[
-        Annotated[int, Meta(ge=2, multiple_of=2)], Meta(description="half the policy's, half the expert's samples")
+        int, Meta(ge=2, multiple_of=2, description="half the policy's, half the expert's samples")
     ] = 24
     learning_rate: Annotated[Positive, Meta(description="of Adam")] = 2.5e-5
     gradient_penalty: Annotated[NotNegative, Meta(description="of WGAIL-GP")] = 100.0
@@ -170,8 +169,10 @@ class TrainingSettings(Settings):
     method: Annotated[str, Meta(description="one of `magical_mj.learners.METHODS`, or the name of one's own")]
     tasks: Annotated[tuple[str, ...], Meta(description="more than one is multi-task learning")]
     seed: Annotated[
-        Annotated[int, Meta(ge=0, le=2**63 - 1)],
-        Meta(description="Decides which demonstrations are learnt from, and all else that is drawn."),
+        int,
+        Meta(
+            ge=0, le=2**63 - 1, description="Decides which demonstrations are learnt from, and all else that is drawn."
+        ),
     ] = 0
     demonstrations: Annotated[Count, Meta(description="how many of each task's are drawn")] = 10
     preset: Annotated[str, Meta(description="What is looked at, such as LoRes4A.")] = "LoRes4E"
@@ -240,86 +241,79 @@ class TrainingSettings(Settings):
 
 ALL_PARTS: Final = tuple(item.name for item in fields(TrainingSettings) if is_dataclass(item.default_factory))
 """The settings that are tables of their own."""
-PARTS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        "bc": ("network", "bc"),
-        "gail": ("network", "ppo", "discriminator"),
-        "wgail-gp": ("network", "ppo", "discriminator"),
-        "al": ("network", "ppo", "features"),
-    }
-)
+PARTS: Final[Mapping[str, tuple[str, ...]]] = {
+    "bc": ("network", "bc"),
+    "gail": ("network", "ppo", "discriminator"),
+    "wgail-gp": ("network", "ppo", "discriminator"),
+    "al": ("network", "ppo", "features"),
+}
 """Method of this package -> the parts of the settings that it uses."""
-_USERS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        "augment": ("bc", "gail", "wgail-gp"),
-        "precision": ("bc",),
-        "discriminator.gradient_penalty": ("wgail-gp",),
-    }
-)
+_USERS: Final[Mapping[str, tuple[str, ...]]] = {
+    "augment": ("bc", "gail", "wgail-gp"),
+    "precision": ("bc",),
+    "discriminator.gradient_penalty": ("wgail-gp",),
+}
 """Setting -> the methods that use it, where these are not all that use its part."""
 _OF_PICTURES: Final = ("network.first_kernel", "network.first_stride", "network.first_channels", "network.channels")
 _OF_STATES: Final = ("network.entity", "network.attention")
 
-_SHORT: Final[Mapping[str, Any]] = MappingProxyType(
-    {
-        "ppo.steps": 16,
-        "ppo.epochs": 4,
-        "ppo.learning_rate": 3e-4,
-        "ppo.discount": 0.9,
-        "ppo.entropy": 0.003,
-        "ppo.clip": 0.2,
-        "ppo.anneal_clip": False,
-        "ppo.normalise_advantages": True,
-        "discriminator.steps": 6,
-        "discriminator.learning_rate": 1e-4,
-        "features.batches": 1_000,
-        "features.learning_rate": 1e-3,
-    }
-)
+_SHORT: Final[Mapping[str, Any]] = {
+    "ppo.steps": 16,
+    "ppo.epochs": 4,
+    "ppo.learning_rate": 3e-4,
+    "ppo.discount": 0.9,
+    "ppo.entropy": 0.003,
+    "ppo.clip": 0.2,
+    "ppo.anneal_clip": False,
+    "ppo.normalise_advantages": True,
+    "discriminator.steps": 6,
+    "discriminator.learning_rate": 1e-4,
+    "features.batches": 1_000,
+    "features.learning_rate": 1e-3,
+}
 """Of trainings that are short enough for two cores, from pictures or states."""
 
-QUICK: Final[Mapping[str, Any]] = MappingProxyType(
-    {
-        **_SHORT,
-        "network.first_stride": 4,
-        "network.first_channels": 32,
-        "network.channels": 64,
-        "evaluations": 5,
-        "checkpoints": 10,
-        "bc.batches": 1_000,
-        "bc.optimizer": "adam",
-        "bc.final_learning_rate": 1e-5,
-        "ppo.total_steps": 80_000,
-        "discriminator.batch_size": 32,
-    }
-)
+QUICK: Final[Mapping[str, Any]] = {
+    **_SHORT,
+    "network.first_stride": 4,
+    "network.first_channels": 32,
+    "network.channels": 64,
+    "evaluations": 5,
+    "checkpoints": 10,
+    "bc.batches": 1_000,
+    "bc.optimizer": "adam",
+    "bc.final_learning_rate": 1e-5,
+    "ppo.total_steps": 80_000,
+    "discriminator.batch_size": 32,
+}
 """The changes made by `quick`: a smaller network and shorter training, for two cores without an accelerator."""
 
-STATE_TRACK: Final[Mapping[str, Any]] = MappingProxyType(
-    {
-        **_SHORT,
-        "evaluations": 2,
-        "checkpoints": 10,
-        "bc.batches": 6_000,
-        "bc.batch_size": 64,
-        "bc.optimizer": "adam",
-        "bc.learning_rate": 2e-3,
-        "bc.final_learning_rate": 1e-5,
-        "bc.heads": "uniform",
-        "ppo.total_steps": 1_000_000,
-        "ppo.minibatch": 128,
-        "ppo.entropy": 0.02,
-        "ppo.clip": 0.05,
-        "ppo.averaging": 0.995,
-        "discriminator.batch_size": 128,
-        "discriminator.rollouts": 4,
-    }
-)
+STATE_TRACK: Final[Mapping[str, Any]] = {
+    **_SHORT,
+    "evaluations": 2,
+    "checkpoints": 10,
+    "bc.batches": 6_000,
+    "bc.batch_size": 64,
+    "bc.optimizer": "adam",
+    "bc.learning_rate": 2e-3,
+    "bc.final_learning_rate": 1e-5,
+    "bc.heads": "uniform",
+    "ppo.total_steps": 1_000_000,
+    "ppo.minibatch": 128,
+    "ppo.entropy": 0.02,
+    "ppo.clip": 0.05,
+    "ppo.averaging": 0.995,
+    "discriminator.batch_size": 128,
+    "discriminator.rollouts": 4,
+}
 """The changes for the preset State, which the paper does not have."""
 
-SHORT_AL: Final[Mapping[str, Any]] = MappingProxyType(
-    {"ppo.learning_rate": 6e-5, "ppo.entropy": 1e-5, "ppo.clip": 0.01, "features.samples": 4096}
-)
+SHORT_AL: Final[Mapping[str, Any]] = {
+    "ppo.learning_rate": 6e-5,
+    "ppo.entropy": 1e-5,
+    "ppo.clip": 0.01,
+    "features.samples": 4096,
+}
 """The paper's PPO in short trainings of AL, whose rewards change more than others' from one update to the next."""
 
 
@@ -349,16 +343,9 @@ def load_settings(
     return changed(settings, {**short, **changes})
 
 
-def check_changes(changes: Iterable[str], elsewhere: Collection[str]) -> None:
-    """Raises a `SettingsError` if one of the changes is among what is given in another place."""
-    for name in changes:
-        if name in elsewhere:
-            raise SettingsError(f"{name} is given by itself, and not among the settings that are changed")
-
-
 def announced_methods() -> Mapping[str, EntryPoint]:
     """The entry points of methods of installed packages, by name."""
-    return MappingProxyType({point.name: point for point in entry_points(group=GROUP) if point.name not in PARTS})
+    return {point.name: point for point in entry_points(group=GROUP) if point.name not in PARTS}
 
 
 def load_method(name: str) -> Any:
@@ -393,10 +380,24 @@ def uses(method: str, name: str) -> bool:
     return not dot or part in parts_of(method)
 
 
-def check_used(changes: Mapping[str, Any], methods: Collection[str]) -> None:
-    """Raises a `SettingsError` if a change is of a setting that none of the methods uses, or not with this preset."""
-    preset = changes.get("preset", TrainingSettings.preset)
+def check_changes(
+    changes: Mapping[str, Any], methods: Collection[str], preset: Any = None, *, elsewhere: Collection[str]
+) -> None:
+    """Checks that changes have an effect.
+
+    Args:
+        changes: of settings.
+        methods: for which they are.
+        preset: what is looked at; None: as the changes say, or the default.
+        elsewhere: the settings that are given in another place.
+
+    Raises:
+        SettingsError: if a change is given elsewhere, or none of the methods uses it, or not with this preset.
+    """
+    preset = preset or changes.get("preset", TrainingSettings.preset)
     for name in changes:
+        if name in elsewhere:
+            raise SettingsError(f"{name} is given by itself, and not among the settings that are changed")
         if name in (_OF_PICTURES if preset == STATE else _OF_STATES):
             kind = "pictures" if preset == STATE else "states"
             raise SettingsError(f"{name} is for {kind}, and of no use with the preset {preset}")
@@ -449,13 +450,10 @@ def flattened(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def toml_value(value: Any) -> str:
-    """A value as TOML."""
+    """A value as TOML. What cannot be encoded, such as bytes of a file's name that are no UTF-8, is escaped twice."""
     if isinstance(value, tuple):
-        return f"[{', '.join(toml_value(item) for item in value)}]"
-    return _quoted(value) if isinstance(value, str) else json.dumps(value) if isinstance(value, bool) else repr(value)
-
-
-def _quoted(text: str) -> str:
-    """A text as TOML. What cannot be encoded, such as bytes of a file's name that are no UTF-8, is escaped twice."""
-    plain = text.encode(errors="backslashreplace").decode()
-    return json.dumps(plain, ensure_ascii=False).replace("\x7f", "\\u007f")
+        return f"[{', '.join(map(toml_value, value))}]"
+    if isinstance(value, str):
+        text = value.encode(errors="backslashreplace").decode()
+        return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return json.dumps(value) if isinstance(value, bool) else repr(value)

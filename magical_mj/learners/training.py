@@ -8,7 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, MappingProxyType
@@ -21,7 +21,7 @@ from magical_mj.learners.apprenticeship import Apprenticeship
 from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.gail import GAIL, WGAILGP
 from magical_mj.learners.learner import Method, device, threads_for
-from magical_mj.learners.run_folder import Checkpoint, Metrics, RunFolder
+from magical_mj.learners.run_folder import Metrics, RunFolder
 from magical_mj.learners.settings import TrainingSettings, announced_methods, load_method
 from magical_mj.policies.interface import Policy
 from magical_mj.policies.models import torch_threads
@@ -98,13 +98,13 @@ def train(
     last = folder.last_checkpoint()
     if last is not None and last.finished and (policy := folder.policy()) is not None:
         return policy
-    with torch_threads(threads_for(settings, folder.threads)), _enough_memory(folder.path):
-        method = (learner or METHODS[settings.method])(settings)
-        try:
-            with folder.locked():
-                return _Training(folder, settings, method).run(watch)
-        finally:
-            method.close()
+    with (
+        torch_threads(threads_for(settings, folder.threads)),
+        _enough_memory(folder.path),
+        closing((learner or METHODS[settings.method])(settings)) as method,
+        folder.locked(),
+    ):
+        return _Training(folder, settings, method).run(watch)
 
 
 @contextmanager
@@ -157,7 +157,12 @@ class _Training:
         self._device = device(settings.device).type
         last = folder.last_checkpoint()  # again, for another process may have gone on meanwhile
         if last is not None:
-            self._check_device(last.device or self._device)
+            if last.device != self._device:  # here, it would go on otherwise
+                raise TrainingError(
+                    f"{folder.path} was trained on {last.device}, and this is {self._device}: continue where there is "
+                    f"{last.device} or train anew in another folder; magical-mj evaluate --policy "
+                    f"{shlex.quote(str(folder.path))} plays what it has learnt so far"
+                )
             self._update, self._seconds = last.update, last.seconds
             try:
                 if last.update > learner.updates:
@@ -167,23 +172,13 @@ class _Training:
                 raise folder.unusable_checkpoint(error) from error
         self._saved = self._update
 
-    def _check_device(self, before: str) -> None:
-        """Raises an error unless the training comes from this kind of device: here, it would go on otherwise."""
-        path = self._folder.path
-        if before != self._device:
-            raise TrainingError(
-                f"{path} was trained on {before}, and this is {self._device}: continue where there is {before} "
-                f"or train anew in another folder; magical-mj evaluate --policy {shlex.quote(str(path))} plays "
-                "what it has learnt so far"
-            )
-
     def run(self, watch: Callable[[Progress], None]) -> Policy:
         """Trains to the end, and returns the policy."""
         policy = self._learner.policy()
         if self._update == self._learner.updates and self._folder.policy() is None:
             self._learner.save_policy(self._folder.path)
         self._started = time.monotonic() - self._seconds
-        with Metrics(self._folder.path, self._update) as table:
+        with closing(Metrics(self._folder.path, self._update)) as table:
             whole = True  # no update is half done
             try:
                 while self._update < self._learner.updates:
@@ -251,7 +246,7 @@ class _Training:
         learner, path = self._learner, self._folder.path
         if self._saved:  # before the checkpoint, since a run with the last checkpoint is finished
             learner.save_policy(path)
-        self._folder.save(Checkpoint(self._update, learner.updates, self._seconds, self._device, learner.get_state()))
+        self._folder.save(self._update, learner.updates, self._seconds, self._device, learner.get_state())
         if not self._saved:  # after the checkpoint: where there is a policy, there is one
             learner.save_policy(path)
         self._saved = self._update

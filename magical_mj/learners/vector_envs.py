@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecTransposeImage
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from magical_mj.envs.gymnasium_env import MagicalEnv
 from magical_mj.learners.learner import device
@@ -38,11 +38,11 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     """
 
     def __init__(self, settings: TrainingSettings, number: int) -> None:
-        self._task = task_number(settings, number)
-        self._env = MagicalEnv(settings.tasks[self._task], "Demo", settings.preset)
+        task = task_numbers(settings)[number]
+        self._env = MagicalEnv(settings.tasks[task], "Demo", settings.preset)
         self.observation_space = space(settings, self._env.observation_space)
         self.action_space = self._env.action_space
-        self._one_hot = np.eye(len(settings.tasks), dtype=np.float32)[self._task]
+        self._one_hot = np.eye(len(settings.tasks), dtype=np.float32)[task]
         self._seed, self._number = settings.seed, number
         self._random_start = random_start(settings, number)
         self._states = settings.states
@@ -95,6 +95,7 @@ class SerialVecEnv(DummyVecEnv):
     """All environments of a run, in this process, since sending pictures takes longer than a step."""
 
     def __init__(self, settings: TrainingSettings) -> None:
+        self.tasks = task_numbers(settings)
         self._task_envs = [TaskEnv(settings, number) for number in range(settings.ppo.environments)]
         super().__init__([lambda env=env: env for env in self._task_envs])
 
@@ -125,20 +126,20 @@ class BatchedVecEnv(VecEnv):
         check_extra("batched worlds", "gpu")
         from magical_mj.batched.environment import Arrays, BatchedEnv
 
-        tasks = [task_number(settings, number) for number in range(settings.ppo.environments)]
+        self.tasks = task_numbers(settings)
         self._batch = BatchedEnv(
-            [(settings.tasks[task], "Demo") for task in tasks],
+            [(settings.tasks[task], "Demo") for task in self.tasks],
             preset=settings.preset,
             device=str(device(settings.device)),
             seed=settings.seed,
         )
         self._arrays = Arrays(self._batch)
-        self._one_hot = np.eye(len(settings.tasks), dtype=np.float32)[tasks]
-        self._random_starts = np.array([random_start(settings, number) for number in range(len(tasks))])
+        self._one_hot = np.eye(len(settings.tasks), dtype=np.float32)[self.tasks]
+        self._random_starts = np.array([random_start(settings, number) for number in range(len(self.tasks))])
         self._seed, self._states = settings.seed, settings.states
         self._history: History | None = None
         observed = space(settings, self._batch.single_observation_space)
-        super().__init__(len(tasks), observed, self._batch.single_action_space)
+        super().__init__(len(self.tasks), observed, self._batch.single_action_space)
 
     def reset(self) -> Observations:
         """All worlds begin so that their random actions end together."""
@@ -201,42 +202,25 @@ class BatchedVecEnv(VecEnv):
         """The batch's own attribute, for each world."""
         return [getattr(self._batch, attr_name)] * len(list(self._get_indices(indices)))
 
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refused: worlds have no attributes of their own."""
+    def _refuse(self, *_: Any, **__: Any) -> Any:
+        """Worlds have no attributes, methods and wrappers of their own."""
         raise NotImplementedError
 
-    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """Refused: worlds have no methods of their own."""
-        raise NotImplementedError
-
-    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Always False."""
-        del wrapper_class
-        return [False] * len(list(self._get_indices(indices)))
+    set_attr = env_method = env_is_wrapped = _refuse
 
 
-class TrainingEnvs(VecTransposeImage):
-    """The environments of a run: each for itself, or all in one batch.
+TrainingEnvs = SerialVecEnv | BatchedVecEnv
+"""Vector environments with the numbers of their tasks, ascending, as `tasks`, and with `get_state` and `set_state`."""
 
-    Stable-baselines3 would move the channels of pictures first, which is slow; this wrapper, told to skip
-    that, prevents it.
 
-    Attributes:
-        tasks: the number of the task of each environment, ascending. Shape (environments,).
-    """
+def training_envs(settings: TrainingSettings) -> TrainingEnvs:
+    """The environments of a run: each for itself, or all in one batch."""
+    return BatchedVecEnv(settings) if settings.ppo.worlds == "batched" else SerialVecEnv(settings)
 
-    def __init__(self, settings: TrainingSettings) -> None:
-        self.tasks = np.array([task_number(settings, number) for number in range(settings.ppo.environments)])
-        self._envs = BatchedVecEnv(settings) if settings.ppo.worlds == "batched" else SerialVecEnv(settings)
-        super().__init__(self._envs, skip=True)
 
-    def get_state(self) -> Any:
-        """Where all of them are."""
-        return self._envs.get_state()
-
-    def set_state(self, state: Any) -> Observations:
-        """Goes back to a state; returns all observations, as `reset` does."""
-        return self._envs.set_state(state)
+def task_numbers(settings: TrainingSettings) -> NDArray[np.int64]:
+    """The number of the task of each environment, ascending; all tasks have the same number of environments."""
+    return np.repeat(np.arange(len(settings.tasks)), settings.ppo.environments // len(settings.tasks))
 
 
 def space(settings: TrainingSettings, single: spaces.Space[Any]) -> spaces.Dict:
@@ -254,9 +238,4 @@ def random_start(settings: TrainingSettings, number: int) -> int:
     default.
     """
     siblings = settings.ppo.environments // len(settings.tasks)
-    return number % siblings * task_spec(settings.tasks[task_number(settings, number)]).horizon() // siblings
-
-
-def task_number(settings: TrainingSettings, number: int) -> int:
-    """The number of the task of an environment."""
-    return number * len(settings.tasks) // settings.ppo.environments
+    return number % siblings * task_spec(settings.tasks[number // siblings]).horizon() // siblings

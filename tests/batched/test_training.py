@@ -17,7 +17,7 @@ from magical_mj.cli.app import app
 from magical_mj.learners import TrainingSettings, checkpoint, load_policy, train
 from magical_mj.learners.run_folder import CHECKPOINT
 from magical_mj.learners.state_features import HISTORY
-from magical_mj.learners.vector_envs import OBSERVATION, TASK, TrainingEnvs
+from magical_mj.learners.vector_envs import OBSERVATION, TASK, BatchedVecEnv, SerialVecEnv
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import MissingExtraError, SettingsError
 from tests.helpers.learners import playing
@@ -34,19 +34,19 @@ def in_batch(method: str = "gail", tasks: str = TWO, **changes: Any) -> Training
 
 
 @pytest.fixture
-def worlds(request: pytest.FixtureRequest) -> Iterator[TrainingEnvs]:
-    envs = TrainingEnvs(in_batch(**getattr(request, "param", {})))
+def worlds(request: pytest.FixtureRequest) -> Iterator[BatchedVecEnv]:
+    envs = BatchedVecEnv(in_batch(**getattr(request, "param", {})))
     yield envs
     envs.close()
 
 
-def test_learners_see_what_they_see_in_single_worlds(worlds: TrainingEnvs) -> None:
+def test_learners_see_what_they_see_in_single_worlds(worlds: BatchedVecEnv) -> None:
     """Pictures, tasks, ends and what is said of them, beside the copies of the environments."""
-    copies = TrainingEnvs(playing(tasks=TWO, **SMALL))
+    copies = SerialVecEnv(playing(tasks=TWO, **SMALL))
     assert worlds.tasks.tolist() == copies.tasks.tolist() == [0, 1]
     assert worlds.observation_space == copies.observation_space
     observations, wanted = worlds.reset(), copies.reset()
-    worlds._envs._batch._steps[1] = 38  # an episode that is nearly over
+    worlds._batch._steps[1] = 38  # an episode that is nearly over
     for step in range(2):
         assert observations[OBSERVATION].dtype == wanted[OBSERVATION].dtype
         np.testing.assert_array_equal(observations[TASK], wanted[TASK])
@@ -65,26 +65,26 @@ def test_learners_see_what_they_see_in_single_worlds(worlds: TrainingEnvs) -> No
     copies.close()
 
 
-def test_nothing_is_expected_after_a_broken_state(worlds: TrainingEnvs) -> None:
+def test_nothing_is_expected_after_a_broken_state(worlds: BatchedVecEnv) -> None:
     """Its episode is over, and not merely cut off: PPO adds no value of what would come next."""
     worlds.reset()
-    worlds._envs._batch.physics._state["qvel"][1] = float("nan")
+    worlds._batch.physics._state["qvel"][1] = float("nan")
     _, _, dones, infos = worlds.step(np.array([1, 1]))
     assert dones.tolist() == [False, True]
     assert not infos[1]["TimeLimit.truncated"]
 
 
 @pytest.mark.parametrize("worlds", [{"tasks": "MoveToRegion", "preset": "State"}], indirect=True)
-def test_histories_of_states_begin_with_their_episode(worlds: TrainingEnvs) -> None:
+def test_histories_of_states_begin_with_their_episode(worlds: BatchedVecEnv) -> None:
     """Two worlds of one task: the second has a head start of half an episode."""
     single = MagicalEnv("MoveToRegion", "Demo", "State")
     first = np.tile(single.reset(seed=0)[0], (HISTORY, 1))
     before = worlds.reset()[OBSERVATION]
     assert before.shape == (2, HISTORY, len(STATE_NAMES))
-    assert worlds._envs._batch._steps.tolist() == [0, 20]
+    assert worlds._batch._steps.tolist() == [0, 20]
     np.testing.assert_allclose(before[0], first, atol=1e-6)
     assert np.abs(before[1, -1] - first[-1]).max() > 0.01
-    worlds._envs._batch._steps[1] = 39
+    worlds._batch._steps[1] = 39
     observations, _, dones, infos = worlds.step(np.array([1, 3]))
     assert dones.tolist() == [False, True]
     np.testing.assert_array_equal(observations[OBSERVATION][0, :-1], before[0, 1:])

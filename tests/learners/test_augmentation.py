@@ -12,7 +12,6 @@ from torch import Tensor
 
 from magical_mj.learners.augmentation import Augmentation, move, recolour
 from magical_mj.learners.settings import AUGMENTATIONS, TrainingSettings
-from magical_mj.utils.errors import UnknownNameError
 
 HEIGHT, WIDTH = 32, 48
 
@@ -66,13 +65,6 @@ def test_frames_of_a_stack_are_changed_alike_and_stacks_differently() -> None:
             assert (frames[first] - frames[second]).abs().mean() > 0.01
 
 
-@pytest.mark.parametrize("part", ["translation", "rotation", "colour", "noise"])
-def test_each_part_changes_pictures(part: str) -> None:
-    stacks = random_stacks()
-    change = (only(part)(stacks, seeded()) - stacks).abs().amax((1, 2, 3))
-    assert (change > 0.005).all()
-
-
 def test_translation_reaches_its_bounds_and_keeps_them() -> None:
     result = only("translation")(blob(0, 0).repeat(1000, 1, 1, 1), seeded())
     for shift, side in zip(centres(result[:, 0]), (WIDTH, HEIGHT), strict=True):
@@ -94,11 +86,6 @@ def test_rotation_reaches_its_bounds_and_keeps_them() -> None:
     torch.testing.assert_close(torch.hypot(right, down), torch.full((1000,), 12.0), atol=0.02, rtol=0)
 
 
-def test_rotation_leaves_the_centre() -> None:
-    result = only("rotation")(blob(0, 0).repeat(20, 1, 1, 1), seeded())
-    torch.testing.assert_close(torch.stack(centres(result[:, 0])), torch.zeros(2, 20), atol=0.01, rtol=0)
-
-
 def test_move_goes_where_it_says() -> None:
     """Clockwise about the centre, then to the right and down."""
     degrees = torch.tensor([5.0])
@@ -118,15 +105,7 @@ def test_what_comes_in_is_mirrored() -> None:
     assert only("translation", "rotation")(white, seeded()).min() > 1 - 1e-5
 
 
-def test_zero_parameters_change_nothing() -> None:
-    stacks, zeros = random_stacks(), torch.zeros(3)
-    torch.testing.assert_close(move(stacks, torch.zeros(3, 2), zeros), stacks, atol=1e-4, rtol=0)
-    torch.testing.assert_close(recolour(stacks, zeros + 1, zeros), stacks, atol=1e-4, rtol=0)
-    dark = stacks / 20  # the lines at the feet of the curves
-    torch.testing.assert_close(recolour(dark, zeros + 1, zeros), dark, atol=1e-4, rtol=0)
-
-
-@pytest.mark.parametrize("grey", [0.02, 0.2, 0.5, 0.9])
+@pytest.mark.parametrize("grey", [0.02, 0.9])
 def test_luminance_reaches_its_bounds_and_keeps_them(grey: float) -> None:
     before, _, _ = lab_of(plain(grey, grey, grey).double())
     after, chroma, _ = lab_of(only("colour")(plain(grey, grey, grey, 1000).double(), seeded()))
@@ -137,7 +116,7 @@ def test_luminance_reaches_its_bounds_and_keeps_them(grey: float) -> None:
     assert chroma.max() < 0.02  # greys stay grey
 
 
-@pytest.mark.parametrize("colour", [(0.6, 0.4, 0.3), (0.3, 0.5, 0.4), (0.35, 0.4, 0.6)])
+@pytest.mark.parametrize("colour", [(0.6, 0.4, 0.3), (0.35, 0.4, 0.6)])
 def test_hue_reaches_its_bounds_and_keeps_them(colour: tuple[float, float, float]) -> None:
     light, chroma, hue = lab_of(plain(*colour).double())
     new_light, new_chroma, new_hue = lab_of(only("colour")(plain(*colour, 1000).double(), seeded()))
@@ -176,51 +155,23 @@ def test_noise_is_normal_and_independent() -> None:
         assert torch.corrcoef(pairs)[0, 1].abs() < 4 / math.sqrt(pairs.shape[1])
 
 
-def test_a_red_square_stays_a_red_square() -> None:
-    side = 96
-    stacks = torch.full((20, 12, side, side), 0.8)  # on light grey
-    square = torch.tensor([0.85, 0.2, 0.2]).repeat(4)[:, None, None]
-    stacks[:, :, 30:50, 56:76] = square  # its centre 18 to the right, 8 up
-    result = Augmentation()(stacks, seeded())
-    red, green, blue = result.unflatten(1, (4, 3)).flatten(0, 1).unbind(1)
-    mask = (red - torch.maximum(green, blue) > 0.3).double()
-    assert ((mask.sum((1, 2)) - 400).abs() < 30).all()
-    right, down = centres(mask)
-    furthest = 4.8 + math.hypot(18, 8) * math.radians(5) + 0.5
-    assert (right - 17.5 - 0.5).abs().max() < furthest
-    assert (down + 7.5 + 0.5).abs().max() < furthest
-    rows, columns = mask.amax(2).sum(1), mask.amax(1).sum(1)
-    assert rows.max() <= 24  # turned by 5 degrees, it is 21.7 high
-    assert columns.max() <= 24
-    assert min(rows.min(), columns.min()) >= 18
-    background = torch.stack([red, green, blue], 1)[:, :, -20:]
-    assert background.min() > 0.7  # nothing dark comes in at the edges
-    assert background.max() < 0.9
-
-
 def test_the_sets_are_those_that_settings_allow() -> None:
     assert set(get_args(get_type_hints(TrainingSettings)["augment"])) == set(AUGMENTATIONS)
 
 
 @pytest.mark.parametrize("preset", AUGMENTATIONS)
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("memory_format", [torch.contiguous_format, torch.channels_last])
-def test_the_result_is_like_the_input(preset: str, dtype: torch.dtype, memory_format: torch.memory_format) -> None:
-    stacks = random_stacks().mul(1.5).sub(0.25).clamp(0, 1).to(dtype).contiguous(memory_format=memory_format)
-    original = stacks.clone()
-    result = Augmentation(preset)(stacks, seeded())
-    assert result.shape == stacks.shape
-    assert result.dtype == dtype
-    assert result.stride() == stacks.stride()
-    assert result.min() >= 0
-    assert result.max() <= 1
-    assert torch.equal(stacks, original)
-
-
-def test_values_do_not_depend_on_the_memory_format() -> None:
-    stacks = random_stacks()
-    other = stacks.contiguous(memory_format=torch.channels_last)
-    torch.testing.assert_close(Augmentation()(stacks, seeded()), Augmentation()(other, seeded()), atol=1e-5, rtol=0)
+def test_the_result_is_like_the_input(preset: str) -> None:
+    """Whatever its type and memory format, which change no value."""
+    stacks = random_stacks().mul(1.5).sub(0.25).clamp(0, 1)
+    first = Augmentation(preset)(stacks, seeded())
+    for dtype in (torch.float32, torch.float64):
+        for memory_format in (torch.contiguous_format, torch.channels_last):
+            inputs = stacks.to(dtype).contiguous(memory_format=memory_format)
+            result = Augmentation(preset)(inputs, seeded())
+            assert (result.shape, result.dtype, result.stride()) == (stacks.shape, dtype, inputs.stride())
+            assert 0 <= result.min() <= result.max() <= 1
+            assert torch.equal(inputs, stacks.to(dtype))
+            torch.testing.assert_close(result.float(), first, atol=1e-4, rtol=0)
 
 
 def test_all_randomness_comes_from_the_generator() -> None:
@@ -247,11 +198,6 @@ def test_none_changes_nothing() -> None:
     stacks, generator = random_stacks(), seeded()
     assert Augmentation("none")(stacks, generator) is stacks
     assert torch.equal(generator.get_state(), seeded().get_state())
-
-
-def test_unknown_presets_are_refused() -> None:
-    with pytest.raises(UnknownNameError, match="no-trans-rot"):
-        Augmentation("no-trans-rots")
 
 
 def test_recolouring_a_few_at_a_time_is_the_same_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,15 +30,15 @@ EXPERIMENT = """
 methods = ["bc"]
 tasks = ["MoveToRegion", "FixColour"]
 seeds = [0, 1]
-quick = true
+quick = false
 [settings]
+preset = "State"
 evaluations = 0
 checkpoints = 1
 demonstrations = 2
 bc.batches = 4
 bc.batch_size = 4
-network.first_stride = 4
-network.channels = 4
+network.hidden = 8
 [evaluation]
 variants = "Demo"
 episodes = 2
@@ -56,7 +56,7 @@ def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
         f"bc-{task}-{seed}" for task in ("FixColour", "MoveToRegion") for seed in (0, 1)
     ]
     page = Path(lines[4]).read_text()
-    assert "BC (ST), ours, quick" in page
+    assert "BC (ST, State), ours" in page
     assert "GAIL (ST)†" in page
     before = (out / "runs" / "bc-FixColour-1" / POLICY).read_bytes()
     for path in (out / "runs" / "bc-FixColour-1").glob("*.safetensors"):
@@ -85,21 +85,16 @@ def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
         ('["bc"]', '["bd"]', "unknown method"),
         ('["bc"]', "[]", "must give methods"),
         ("seeds = [0, 1]", "", "must give seeds"),
-        ("quick = true", "quik = true", "quick"),
+        ("quick = false", "quik = true", "quick"),
         ("FixColour", "FixColor", "FixColour"),
         ("bc.batches = 4", "bc.batch = 4", "bc.batches"),
         ('"Demo"', '"Demos"', "Demo"),
         ("episodes = 2", "runs = 2", "episodes"),
-        ("episodes = 2", 'episodes = "x"', "episodes"),
         ("episodes = 2", "episodes = 1_000_000_000", "at most 1000000"),
-        ("episodes = 2", "episodes = 0", "episodes"),
         ("seeds = [0, 1]", "seeds = 3", "seeds"),
-        ("seeds = [0, 1]", 'seeds = ["x"]', "seeds"),
-        ("quick = true", 'quick = "no"', "quick"),
+        ("quick = false", 'quick = "no"', "quick"),
         ('["bc"]', '"bc"', "methods"),
-        ('["bc"]', '[["bc"]]', "methods"),
         ('["bc"]', '["bc", "bc"]', "methods is given twice"),
-        ("seeds = [0, 1]", "seeds = [0, 1, 0]", "seeds is given twice"),
         ("seeds = [0, 1]", "seeds = [2_000_000_000]", "at most"),
         ('"FixColour"', '"MoveToRegion"', "tasks is given twice"),
         ("bc.batches = 4", "seed = 4", "seed is given by itself"),
@@ -118,7 +113,7 @@ def test_wrong_experiments_are_refused(old: str, new: str, says: str, tmp_path: 
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({'["bc"]': '["bc", "goals"]'}, "goals are inferred from states"),
+        ({'["bc"]': '["bc", "goals"]', 'preset = "State"\n': ""}, "goals are inferred from states"),
         ({"demonstrations = 2": "demonstrations = 26"}, "there are 25"),
         ({"evaluations = 0": 'evaluations = 0\ndevice = "abacus"'}, "no device 'abacus' here"),
         ({}, "report.md is not of an earlier report"),
@@ -154,21 +149,21 @@ def test_an_experiment_tells_how_far_its_runs_are(
 
 def test_how_far_a_run_is_is_read_from_its_files(tmp_path: Path) -> None:
     (tmp_path / "e.toml").write_text(EXPERIMENT)
-    one = plan_experiment(tmp_path / "e.toml", tmp_path / "out")[0]
-    assert one.standing(since=0) == ""  # nothing has begun
-    one.trained.mkdir(parents=True)
-    (one.trained / METRICS).write_text("update,seconds\n")
-    assert one.standing(since=0) == "bc-MoveToRegion-0: 0 updates"
-    (one.trained / METRICS).write_text("update,seconds\n2,0.1\n3,0.2\n")
-    assert one.standing(since=0) == "bc-MoveToRegion-0: 3 updates"
-    assert one.standing(since=time.time() + 60) == ""  # it was another process, long ago
-    one.scores.mkdir(parents=True)
-    os.utime(one.trained / METRICS, (1, 1))
+    run = plan_experiment(tmp_path / "e.toml", tmp_path / "out")[0]
+    assert run.standing(since=0) == ""  # nothing has begun
+    run.trained.mkdir(parents=True)
+    (run.trained / METRICS).write_text("update,seconds\n")
+    assert run.standing(since=0) == "bc-MoveToRegion-0: 0 updates"
+    (run.trained / METRICS).write_text("update,seconds\n2,0.1\n3,0.2\n")
+    assert run.standing(since=0) == "bc-MoveToRegion-0: 3 updates"
+    assert run.standing(since=time.time() + 60) == ""  # it was another process, long ago
+    run.scores.mkdir(parents=True)
+    os.utime(run.trained / METRICS, (1, 1))
     for count, line in ((0, "0 of 2 episodes evaluated"), (1, "1 of 2 episodes evaluated")):
-        (one.scores / SCORES).write_text("{}\n" * count)
-        assert one.standing(since=0) == f"bc-MoveToRegion-0: {line}"
-    (one.scores / SCORES).write_text("{}\n" * 2)
-    assert one.standing(since=0) == ""  # it is finished
+        (run.scores / SCORES).write_text("{}\n" * count)
+        assert run.standing(since=0) == f"bc-MoveToRegion-0: {line}"
+    (run.scores / SCORES).write_text("{}\n" * 2)
+    assert run.standing(since=0) == ""  # it is finished
 
 
 def test_an_experiment_that_is_stopped_says_how_to_continue(tmp_path: Path) -> None:
@@ -206,8 +201,8 @@ def test_the_order_of_environments_is_compared_with_the_papers(tmp_path: Path) -
 def test_changed_settings_show_in_the_methods_name(tmp_path: Path) -> None:
     file = tmp_path / "experiment.toml"
     file.write_text(EXPERIMENT)
-    changed = "demonstrations 2, bc.batches 4, bc.batch_size 4, network.first_stride 4, network.channels 4"
-    assert {run.method for run in plan_experiment(file, tmp_path)} == {f"BC (ST), ours, quick, {changed}"}
+    changed = "demonstrations 2, bc.batches 4, bc.batch_size 4, network.hidden 8"
+    assert {run.method for run in plan_experiment(file, tmp_path)} == {f"BC (ST, State), ours, {changed}"}
 
 
 @pytest.mark.parametrize("file", sorted(EXPERIMENTS.glob("*.toml")), ids=lambda file: file.stem)

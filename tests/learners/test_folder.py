@@ -28,23 +28,16 @@ def state(**changes: Any) -> TrainingSettings:
 
 
 @pytest.fixture(scope="module")
-def stopped_ones(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def stopped_one(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("stopped")
-    stopped(folder / "state", state())
-    stopped(folder / "pictures")
+    stopped(folder, state())
     return folder
 
 
 @pytest.fixture
-def begun(stopped_ones: Path, tmp_path: Path) -> Path:
+def begun(stopped_one: Path, tmp_path: Path) -> Path:
     """A training from states that was stopped after its third update."""
-    return shutil.copytree(stopped_ones / "state", tmp_path / "begun")
-
-
-@pytest.fixture
-def begun_on_pictures(stopped_ones: Path, tmp_path: Path) -> Path:
-    """The same of one on pictures."""
-    return shutil.copytree(stopped_ones / "pictures", tmp_path / "begun")
+    return shutil.copytree(stopped_one, tmp_path / "begun")
 
 
 def with_tree(path: Path, tree: str) -> None:
@@ -95,35 +88,22 @@ def test_checkpoints_that_make_no_sense_are_refused(begun: Path) -> None:
         assert (begun / CHECKPOINT).read_bytes() == before
 
 
-def test_policies_that_make_no_sense_are_refused(begun_on_pictures: Path) -> None:
-    saved = checkpoint.read(begun_on_pictures / POLICY)
+def test_policies_that_make_no_sense_are_refused(begun: Path) -> None:
+    saved = checkpoint.read(begun / POLICY)
     for change in (
-        *({"network": {name: 0}} for name in ("hidden", "first_stride", "entity")),
+        *({"network": {name: 0}} for name in ("hidden", "attention", "entity")),
         *({"network": wrong} for wrong in (None, {"hidden": 10**5}, {"first_stride": 1.5}, {"hiden": 3})),
         *({"tasks": wrong} for wrong in (None, [], [3], 7)),
         *({"preset": wrong} for wrong in (None, "LoRes5E", [])),
         {"weights": None},
     ):
-        checkpoint.write(begun_on_pictures / POLICY, {**saved, **change})
+        checkpoint.write(begun / POLICY, {**saved, **change})
         with pytest.raises(TrainingError, match="something else than a policy"):
-            load_policy(begun_on_pictures)
-
-
-def test_files_with_the_names_of_earlier_versions_are_read(begun: Path) -> None:
-    """Of weights, in policies and checkpoints; the training goes on from them as from its own."""
-    train(state(), whole := begun.with_name("whole"))
-    for name in (CHECKPOINT, POLICY):
-        with safe_open(begun / name, "pt") as file:
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-            tree = file.metadata()["tree"]
-        for now, before in (("qkv", "asked"), ("out_proj", "answered"), ("mlp", "alone")):
-            tree = tree.replace(f".{now}.", f".{before}.")
-            tensors = {name.replace(f".{now}.", f".{before}."): tensor for name, tensor in tensors.items()}
-        assert ".asked." in tree
-        save_file(tensors, begun / name, {"tree": tree})
-    load_policy(begun)
-    train(state(), begun, resume=True)
-    assert (begun / POLICY).read_bytes() == (whole / POLICY).read_bytes()
+            load_policy(begun)
+    for damaged in (b"not a safetensors file at all", (begun / POLICY).read_bytes()[:-1000], None):
+        (begun / POLICY).unlink() if damaged is None else (begun / POLICY).write_bytes(damaged)
+        with pytest.raises(TrainingError, match=r"policy\.safetensors"):
+            load_policy(begun)
 
 
 def test_another_trainings_files_are_not_taken_for_ones_own(tmp_path: Path) -> None:
@@ -183,14 +163,14 @@ def test_a_training_that_ends_around_its_first_checkpoint_goes_on(
 
 def test_a_training_goes_on_with_as_many_threads_as_it_began(tmp_path: Path) -> None:
     """On pictures: with another number, sums are rounded differently."""
-    before, seen = torch.get_num_threads(), set[int]()
+    before, numbers = torch.get_num_threads(), set[int]()
     try:
         torch.set_num_threads(1)
         train(tiny(), tmp_path / "whole")
         stopped(tmp_path / "cut")
         torch.set_num_threads(2)
-        train(tiny(), tmp_path / "cut", resume=True, watch=lambda _: seen.add(torch.get_num_threads()))
-        assert (seen, torch.get_num_threads()) == ({1}, 2)
+        train(tiny(), tmp_path / "cut", resume=True, watch=lambda _: numbers.add(torch.get_num_threads()))
+        assert (numbers, torch.get_num_threads()) == ({1}, 2)
     finally:
         torch.set_num_threads(before)
     assert read_toml(tmp_path / "cut" / CONFIG)["made"]["threads"] == 1
@@ -198,12 +178,12 @@ def test_a_training_goes_on_with_as_many_threads_as_it_began(tmp_path: Path) -> 
     assert all(torch.equal(whole[name], cut[name]) for name in whole)
 
 
-def test_a_wrong_number_of_threads_is_refused(begun_on_pictures: Path) -> None:
-    config = begun_on_pictures / CONFIG
+def test_a_wrong_number_of_threads_is_refused(begun: Path) -> None:
+    config = begun / CONFIG
     for number in ("0", "1.5", "true", '"2"', "100000"):
         config.write_text(config.read_text().rpartition("threads")[0] + f"threads = {number}\n")
         with pytest.raises(SettingsError, match="threads"):
-            train(tiny(), begun_on_pictures, resume=True)
+            train(state(), begun, resume=True)
 
 
 class Greedy(BehaviouralCloning):

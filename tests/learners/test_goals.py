@@ -87,12 +87,12 @@ CORNERS = [(-0.8, 0.8), (0.0, 0.8), (0.8, 0.7), (-0.7, -0.8), (0.0, -0.7)]
 
 def scene_of(*kinds: str, regions: tuple[GoalRegion, ...] = ()) -> Scene:
     """A scene with blocks such as "red star", all in other places."""
-    found: list[Any] = [kind.split() for kind in kinds]
-    blocks = tuple(Block(shape, colour, *at, 0.0) for (colour, shape), at in zip(found, CORNERS, strict=False))
+    words: list[Any] = [kind.split() for kind in kinds]
+    blocks = tuple(Block(shape, colour, *at, 0.0) for (colour, shape), at in zip(words, CORNERS, strict=False))
     return Scene(ROBOT, blocks, regions)
 
 
-def short_repr(scene: Scene, places: dict[int, tuple[float, float]], count: int = 10) -> list[Example]:
+def demonstrations_of(scene: Scene, places: dict[int, tuple[float, float]], count: int = 10) -> list[Example]:
     """Demonstrations that bring some blocks near to these places, each a little elsewhere."""
     rng = np.random.default_rng(0)
     ends = []
@@ -107,30 +107,30 @@ def short_repr(scene: Scene, places: dict[int, tuple[float, float]], count: int 
 
 def test_what_relates_things_is_preferred_to_colours_and_shapes_as_such() -> None:
     scene = scene_of("red star", "green circle", "blue square", regions=(LEFT,))
-    goal = infer(short_repr(scene, {0: IN_LEFT}))[0]  # it is red, it is a star, and it has the region's colour
+    goal = infer(demonstrations_of(scene, {0: IN_LEFT}))[0]  # it is red, it is a star, and it has the region's colour
     assert goal.relation == Belonging(((COLOUR, True),))
 
 
 def test_what_the_relation_cannot_explain_is_told_by_colours_and_shapes() -> None:
     scene = scene_of("red star", "green circle", "blue square", regions=(LEFT,))
     other = replace(scene, regions=(replace(LEFT, colour="blue"),))
-    found = infer([*short_repr(scene, {0: IN_LEFT}, 5), *short_repr(other, {0: IN_LEFT}, 5)])
-    assert found[0].relation in (Belonging((("is red", True),)), Belonging((("is a star", True),)))
+    goals = infer([*demonstrations_of(scene, {0: IN_LEFT}, 5), *demonstrations_of(other, {0: IN_LEFT}, 5)])
+    assert goals[0].relation in (Belonging((("is red", True),)), Belonging((("is a star", True),)))
 
 
 def test_each_block_in_the_region_of_its_colour() -> None:
     scene = scene_of("red star", "blue star", "green star", regions=(LEFT, RIGHT))
-    assert infer(short_repr(scene, {0: IN_LEFT, 1: IN_RIGHT}))[0].relation == Belonging(((COLOUR, True),))
+    assert infer(demonstrations_of(scene, {0: IN_LEFT, 1: IN_RIGHT}))[0].relation == Belonging(((COLOUR, True),))
 
 
 def test_limits_are_as_strict_as_the_demonstrations() -> None:
     scene = scene_of("red star", "blue star", "red circle")
-    found = short_repr(scene, {0: (-0.6, -0.6), 1: (-0.6, -0.6), 2: (-0.6, -0.6)})
-    goal = infer(found)[0]
+    demonstrations = demonstrations_of(scene, {0: (-0.6, -0.6), 1: (-0.6, -0.6), 2: (-0.6, -0.6)})
+    goal = infer(demonstrations)[0]
     assert goal.relation == Near("every block", "bottom left corner")
-    farthest = max(np.hypot(block.x + 1, block.y + 1) for _, end in found for block in end.blocks)
+    farthest = max(np.hypot(block.x + 1, block.y + 1) for _, end in demonstrations for block in end.blocks)
     assert goal.limits == pytest.approx((farthest,))
-    assert all(goal.score(*example) == 1.0 for example in found)
+    assert all(goal.score(*example) == 1.0 for example in demonstrations)
     assert goal.score(scene, scene) == 0.0
 
 

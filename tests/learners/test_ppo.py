@@ -10,14 +10,13 @@ import pytest
 import torch
 from stable_baselines3.common.utils import obs_as_tensor
 
-from magical_mj import MagicalEnv
 from magical_mj.learners.data import Dataset, Rollout
 from magical_mj.learners.learner import seeded
 from magical_mj.learners.networks import ONE_HOT, Actor, Heads, Torso, as_input, standardise
 from magical_mj.learners.policy import load_policy, save_policy
 from magical_mj.learners.ppo import EvenBuffer, ExternalRewardPPO, RewardNormaliser
 from magical_mj.learners.settings import TrainingSettings
-from magical_mj.learners.vector_envs import OBSERVATION, TASK, TrainingEnvs
+from magical_mj.learners.vector_envs import OBSERVATION, TASK, training_envs
 from magical_mj.policies.interface import Episode
 from tests.helpers.learners import playing
 
@@ -28,44 +27,37 @@ def improver(settings: TrainingSettings) -> ExternalRewardPPO:
     with seeded(settings.seed):
         actor = Actor(settings.network, len(settings.tasks))
         critic = Heads(len(settings.tasks), actor.torso.features, 1)
-        return ExternalRewardPPO(settings, TrainingEnvs(settings), actor, critic, torch.Generator().manual_seed(0), CPU)
+        generator = torch.Generator().manual_seed(0)
+        return ExternalRewardPPO(settings, training_envs(settings), actor, critic, generator, CPU)
 
 
 @pytest.fixture
 def ppo() -> Iterator[ExternalRewardPPO]:
-    made = improver(playing())
-    yield made
-    made.env.close()
+    learner = improver(playing())
+    yield learner
+    learner.env.close()
 
 
 def test_copies_are_split_evenly_between_tasks() -> None:
-    environments = TrainingEnvs(playing(tasks="MoveToRegion,FixColour"))
+    environments = training_envs(playing(tasks="MoveToRegion,FixColour"))
     assert environments.tasks.tolist() == [0, 0, 1, 1]
-    seen = environments.reset()
-    assert seen[OBSERVATION].shape == (4, 96, 96, 12)
-    assert seen[OBSERVATION].dtype == np.uint8
-    np.testing.assert_array_equal(seen[TASK], [[1, 0], [1, 0], [0, 1], [0, 1]])
+    observations = environments.reset()
+    assert observations[OBSERVATION].shape == (4, 96, 96, 12)
+    assert observations[OBSERVATION].dtype == np.uint8
+    np.testing.assert_array_equal(observations[TASK], [[1, 0], [1, 0], [0, 1], [0, 1]])
     environments.close()
-
-
-def test_the_preset_is_the_settings() -> None:
-    environments, one = TrainingEnvs(playing(preset="LoRes4A")), MagicalEnv("MoveToRegion", "Demo", "LoRes4A")
-    first = one.reset(seed=0)[0]
-    np.testing.assert_array_equal(environments.reset()[OBSERVATION][0], first)  # the demo variant has one scene
-    environments.close()
-    one.close()
 
 
 def test_copies_start_at_different_times_of_their_episodes() -> None:
     """Copies of each of the tasks, whose episodes have 40 steps: two of them begin in the middle of one."""
-    environments = TrainingEnvs(playing(tasks="MoveToRegion,MoveToCorner"))
+    environments = training_envs(playing(tasks="MoveToRegion,MoveToCorner"))
     environments.reset()
-    assert [len(one["actions"]) for one in environments.get_state()] == [0, 20, 0, 40]
+    assert [len(state["actions"]) for state in environments.get_state()] == [0, 20, 0, 40]
     environments.close()
 
 
 def test_an_episode_that_ends_is_truncated_and_the_next_one_begins() -> None:
-    environments = TrainingEnvs(playing())
+    environments = training_envs(playing())
     environments.reset()
     ends = []
     for _ in range(40):
@@ -78,13 +70,13 @@ def test_an_episode_that_ends_is_truncated_and_the_next_one_begins() -> None:
     assert infos[0]["TimeLimit.truncated"]
     assert infos[0]["terminal_observation"][OBSERVATION].shape == (96, 96, 12)
     assert 0 <= infos[0]["eval_score"] <= 1
-    assert [one["episode"] for one in environments.get_state()] == [1, 1, 1, 1]
+    assert [state["episode"] for state in environments.get_state()] == [1, 1, 1, 1]
     environments.close()
 
 
 def test_environments_are_restored_in_mid_episode() -> None:
-    settings = playing(tasks="MoveToRegion,FixColour")
-    first, second = TrainingEnvs(settings), TrainingEnvs(settings)
+    settings = playing(tasks="MoveToRegion,FixColour", preset="State")
+    first, second = training_envs(settings), training_envs(settings)
     rng = np.random.default_rng(0)
     first.reset()
     for _ in range(30):
@@ -127,7 +119,7 @@ def test_minibatches_are_even_over_tasks() -> None:
 
 
 def improver_spaces() -> tuple:
-    environments = TrainingEnvs(playing())
+    environments = training_envs(playing())
     environments.close()
     return environments.observation_space, environments.action_space
 
@@ -152,7 +144,7 @@ def test_rollouts_are_drawn_evenly_over_tasks() -> None:
 def test_pictures_are_scaled_once_and_stay_fast(ppo: ExternalRewardPPO) -> None:
     """What the torso gets is exactly what `as_input` makes of the stacks, channels last in memory."""
     got = []
-    ppo.policy.features_extractor.torso.register_forward_pre_hook(lambda _, inputs: got.append(inputs[0]))
+    ppo.policy.actor.torso.register_forward_pre_hook(lambda _, inputs: got.append(inputs[0]))
     rollout = ppo.collect()
     ppo.improve(np.zeros((4, 4), np.float32))
     assert len(got) == 4 + 1 + 1 + 4  # collecting; its last values, and ours; two epochs of two minibatches
@@ -172,7 +164,7 @@ def test_the_saved_policy_has_the_logits_of_the_one_that_plays(tmp_path: Path, m
     save_policy(tmp_path, ppo.policy_kwargs["actor"], settings)
     saved = load_policy(tmp_path)
     with torch.inference_mode():
-        logits = ppo.policy.get_distribution(obs_as_tensor(seen, CPU)).distribution.logits
+        logits = ppo.policy.distribution_and_values(obs_as_tensor(seen, CPU))[0].logits
         actor = ppo.policy_kwargs["actor"]
         theirs = saved._actor(as_input(seen[OBSERVATION], CPU), torch.tensor([0, 0, 1, 1])).log_softmax(1)
         np.testing.assert_array_equal(
@@ -192,12 +184,12 @@ def test_a_task_trains_its_own_heads_only() -> None:
     second = {key: value[2:] for key, value in seen.items()}
     values, log_probs, entropy = ppo.policy.evaluate_actions(second, torch.tensor([3, 4]))
     (values.sum() + log_probs.sum() + entropy.sum()).backward()
-    for heads in (ppo.policy.action_net.heads, ppo.policy.value_net.heads):
+    for heads in (ppo.policy.actor.head, ppo.policy.critic):
         for weights in heads.parameters():
             assert weights.grad is not None
             assert not weights.grad[0].any()
             assert weights.grad[1].any()
-    assert ppo.policy.features_extractor.torso.linear[0].weight.grad.any()
+    assert ppo.policy.actor.torso.linear[0].weight.grad.any()
     ppo.env.close()
 
 

@@ -45,8 +45,8 @@ START = (
 
 def test_a_folder_holds_everything(tmp_path: Path) -> None:
     settings = state(evaluations=2, episodes=2)
-    seen = []
-    train(settings, tmp_path / "run", watch=seen.append)
+    reports = []
+    train(settings, tmp_path / "run", watch=reports.append)
     names = {path.name for path in (tmp_path / "run").iterdir()}
     assert names == {CONFIG, "metrics.csv", CHECKPOINT, POLICY, "tensorboard"}
     assert recorded(from_toml(tmp_path / "run" / CONFIG)) == recorded(settings)
@@ -57,8 +57,8 @@ def test_a_folder_holds_everything(tmp_path: Path) -> None:
     assert [int(row["update"]) for row in rows] == list(range(1, 13))
     assert all(float(row["loss"]) > 0 and 0 <= float(row["accuracy"]) <= 1 for row in rows)
     assert [bool(row["score MoveToRegion"]) for row in rows] == [update in (6, 12) for update in range(1, 13)]
-    assert [progress.update for progress in seen] == list(range(1, 13))
-    assert [bool(progress.scores) for progress in seen] == [update in (6, 12) for update in range(1, 13)]
+    assert [progress.update for progress in reports] == list(range(1, 13))
+    assert [bool(progress.scores) for progress in reports] == [update in (6, 12) for update in range(1, 13)]
     assert any((tmp_path / "run" / "tensorboard").iterdir())
     assert is_done(tmp_path / "run")
 
@@ -97,7 +97,7 @@ def test_what_a_training_forked_does_not_keep_its_folder_locked(tmp_path: Path) 
 
 def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
     """Kill -9 in the middle; then the same weights, to the bit, and the same figures as without a break."""
-    settings = "tiny(**{'bc.batches': 60, 'checkpoints': 10})"
+    settings = "tiny(preset='State', **{'bc.batches': 60, 'checkpoints': 10})"
     train(eval(settings), tmp_path / "whole")
     process = subprocess.Popen([sys.executable, "-c", f"{START}train({settings}, {str(tmp_path / 'cut')!r})"])
     deadline = time.monotonic() + 120
@@ -161,16 +161,16 @@ def test_a_run_that_ends_between_its_files_is_finished_later(tmp_path: Path, mon
 
 
 def test_a_finished_run_resumes_to_itself(tmp_path: Path) -> None:
-    train(tiny(), tmp_path / "run")
+    train(state(), tmp_path / "run")
     before = {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()}
-    train(tiny(), tmp_path / "run", resume=True, watch=lambda progress: pytest.fail("there is nothing left to do"))
+    train(state(), tmp_path / "run", resume=True, watch=lambda progress: pytest.fail("there is nothing left to do"))
     assert {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()} == before
     for damaged in (b"", before[tmp_path / "run" / POLICY][:100]):
         (tmp_path / "run" / POLICY).write_bytes(damaged)
-        train(tiny(), tmp_path / "run", resume=True)
+        train(state(), tmp_path / "run", resume=True)
         assert (tmp_path / "run" / POLICY).read_bytes() == before[tmp_path / "run" / POLICY]
     (tmp_path / "run" / POLICY).unlink()
-    train(tiny(), tmp_path / "run", resume=True)
+    train(state(), tmp_path / "run", resume=True)
     assert (tmp_path / "run" / POLICY).read_bytes() == before[tmp_path / "run" / POLICY]
 
 
@@ -184,18 +184,6 @@ def test_on_another_kind_of_device_a_run_does_not_go_on(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match="was trained on cuda, and this is cpu: continue where there is cuda"):
         train(state(), tmp_path / "begun", resume=True)
     assert isinstance(train(state(), tmp_path / "finished", resume=True), TrainedPolicy)
-
-
-def test_runs_of_earlier_versions_stay_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Their policies held more, and their checkpoints less. The folder's name is that of an agent."""
-    monkeypatch.chdir(tmp_path)
-    train(state(), "noop")
-    kept, policy = checkpoint.read(Path("noop", CHECKPOINT)), checkpoint.read(Path("noop", POLICY))
-    checkpoint.write(Path("noop", CHECKPOINT), {name: kept[name] for name in ("update", "seconds", "learner")})
-    checkpoint.write(Path("noop", POLICY), {**policy, "progress": [12, 12]})
-    before = Path("noop", POLICY).read_bytes()
-    assert isinstance(train(state(), "noop", resume=True), TrainedPolicy)
-    assert Path("noop", POLICY).read_bytes() == before
 
 
 def test_a_policy_that_is_saved_on_the_way_is_as_it_would_be_evaluated(tmp_path: Path) -> None:
@@ -217,7 +205,7 @@ def test_damaged_figures_are_refused_and_kept(tmp_path: Path) -> None:
 
 
 def test_a_checkpoint_of_another_version_is_refused_and_kept(tmp_path: Path) -> None:
-    settings = playing()
+    settings = playing(preset="State")
     stopped(tmp_path / "run", settings)
     kept = checkpoint.read(tmp_path / "run" / CHECKPOINT)
     del kept["learner"]["average"]

@@ -151,14 +151,16 @@ def test_a_policy_is_trained_kept_and_evaluated(tmp_path: Path) -> None:
     assert scores[0].tolist() == scores[1].tolist() == scores[2].tolist()
     with pytest.raises(SettingsError, match="preset State"):
         magical_mj.evaluate(trained, tasks="MoveToRegion", variants="Demo", episodes=1)
+    with pytest.raises(SettingsError, match="cannot act in MakeLine: give --tasks MoveToRegion"):
+        magical_mj.evaluate(trained, tasks="MakeLine", preset="State", episodes=1)
 
 
 def test_demonstrations_at_hand_are_those_of_the_package() -> None:
     """As they are, and as the states and actions of their episodes."""
     settings = tiny(preset="State", **{"bc.batches": 3})
-    found = demos.load("MoveToRegion")
-    seen = [demos.transitions([one], "State", drop_noop=False) for one in found]
-    policies = [clone(settings, given) for given in (None, {"MoveToRegion": found}, {"MoveToRegion": seen})]
+    shipped = demos.load("MoveToRegion")
+    transitions = [demos.transitions([demonstration], "State", drop_noop=False) for demonstration in shipped]
+    policies = [clone(settings, given) for given in (None, {"MoveToRegion": shipped}, {"MoveToRegion": transitions})]
     weights = [torch.cat([w.flatten() for w in policy._actor.parameters()]) for policy in policies]
     assert torch.equal(weights[0], weights[1])
     assert torch.equal(weights[0], weights[2])
@@ -207,24 +209,19 @@ def test_the_average_of_the_policies_is_what_plays_and_is_saved(tmp_path: Path) 
     assert not torch.equal(kept[0][0], kept[2][0])
     learner.save_policy(tmp_path)
     for policy in (learner.policy(), load_policy(tmp_path)):
-        for found, weights in zip(policy._actor.parameters(), expected, strict=True):
-            torch.testing.assert_close(found, weights)
-    for one in (learner, plain):
-        one.close()
-
-
-def test_quick_is_for_pictures() -> None:
-    with pytest.raises(SettingsError, match="quick is for pictures"):
-        load_settings("bc", "FindDupe", quick=True, preset="State")
+        for weights, wanted in zip(policy._actor.parameters(), expected, strict=True):
+            torch.testing.assert_close(weights, wanted)
+    learner.close()
+    plain.close()
 
 
 def test_training_from_states_uses_one_thread(tmp_path: Path) -> None:
     """More would wait for each other on busy cores, and round differently."""
-    before, seen = torch.get_num_threads(), set[int]()
+    before, numbers = torch.get_num_threads(), set[int]()
     torch.set_num_threads(2)
     try:
         settings = load_settings("bc", "MoveToRegion", preset="State", **{"bc.batches": 3, "evaluations": 0})
-        train(settings, tmp_path / "run", watch=lambda _: seen.add(torch.get_num_threads()))
-        assert (seen, torch.get_num_threads()) == ({1}, 2)
+        train(settings, tmp_path / "run", watch=lambda _: numbers.add(torch.get_num_threads()))
+        assert (numbers, torch.get_num_threads()) == ({1}, 2)
     finally:
         torch.set_num_threads(before)
