@@ -53,22 +53,11 @@ def test_help_fits_any_terminal_and_can_be_read(columns: int, shell: Shell, monk
     assert row.index("Go on") <= (6 if columns == 40 else 32)
 
 
-def test_demos_alone_prints_its_commands(shell: Shell) -> None:
-    assert "verify" in shell("demos")[1]
-
-
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
-def test_terminals_that_cannot_show_every_sign(encoding: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_terminals_that_cannot_show_every_sign(monkeypatch: pytest.MonkeyPatch) -> None:
     for command, code in ((("demos", "info", "--tasks", "MoveToRegion"), 0), (("view", "Größe"), 2)):
         for name in ("stdout", "stderr"):
-            monkeypatch.setattr(sys, name, io.TextIOWrapper(io.BytesIO(), encoding=encoding))
+            monkeypatch.setattr(sys, name, io.TextIOWrapper(io.BytesIO(), encoding="ascii"))
         assert main(command) == code
-
-
-def test_a_reader_that_has_seen_enough_is_no_error() -> None:
-    command = f"'{sys.executable}' -m magical_mj list | true; exit ${{PIPESTATUS[0]}}"
-    result = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
-    assert (result.returncode, result.stderr) == (0, "")
 
 
 def test_work_goes_on_when_nobody_reads_its_output(tmp_path: Path) -> None:
