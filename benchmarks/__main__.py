@@ -5,14 +5,11 @@ From the checkout's folder. Single environments are measured in processor time, 
 
 from __future__ import annotations
 
-import cProfile
 import json
 import platform
-import pstats
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -21,7 +18,7 @@ from rich.table import Table
 
 from magical_mj._version import __version__
 from magical_mj.cli.app import run
-from magical_mj.cli.console import Output, Tasks, Variants, check_fits, complain, console, some_of, with_bar
+from magical_mj.cli.console import Output, Tasks, Variants, check_fits, console, some_of, with_bar
 from magical_mj.envs.presets import PRESETS, preset_named
 from magical_mj.tasks.registry import environments, listed
 from magical_mj.utils.extras import check_extra
@@ -31,16 +28,8 @@ if TYPE_CHECKING:
     from benchmarks.batched import BatchedMeasurement
     from benchmarks.single import Cause, Measurement
 
-PROFILED: Final = 30  # functions shown
-HEAD: Final = (
-    "Environment",
-    "Preset",
-    "steps/s",
-    "bare loop",
-    "share",
-    "reset, same structure",
-    "reset, new structure",
-)
+RESETS: Final = ("reset, same structure", "reset, new structure")
+HEAD: Final = ("Environment", "Preset", "steps/s", "bare loop", "share", *RESETS)
 NAMES: Final = 2  # columns that hold no numbers
 CAUSES: Final[tuple[Cause, ...]] = ("rewritten", "compiled")
 WORLDS: Final = "256,1024,4096,16384"
@@ -55,7 +44,7 @@ Markdown = Annotated[bool, typer.Option("--markdown", help="Print a Markdown tab
 Batched = Annotated[bool, typer.Option("--batched", help="Measure batched worlds instead (extra gpu).")]
 NumEnvs = Annotated[str, typer.Option(help="With --batched: numbers of worlds, separated by commas.")]
 Device = Annotated[str, typer.Option(help="With --batched: cuda, cuda:1 or cpu.")]
-Profile = Annotated[bool, typer.Option("--profile", help="Print where the time goes instead.")]
+Profile = Annotated[bool, typer.Option("--profile", help="With --batched: print the time of each kernel.")]
 
 
 def bench(
@@ -72,9 +61,9 @@ def bench(
     device: Device = "cuda",
 ) -> None:
     """Measure steps per second of processor time, with resets, beside the bare MuJoCo loop; and the time of resets."""
-    if as_json + markdown + profile > 1:
-        raise typer.BadParameter("give one of --json, --markdown and --profile.")
-    check_fits(context, batched, "with --batched", "num_envs", "device")
+    if as_json and markdown:
+        raise typer.BadParameter("give one of --json and --markdown.")
+    check_fits(context, batched, "with --batched", "num_envs", "device", "profile")
     check_fits(context, not batched, "without --batched", "steps", "as_json", "markdown")
     names = listed(presets, PRESETS)
     for name in names:
@@ -83,16 +72,22 @@ def bench(
     if batched:
         _print_batched(chosen, _counts(num_envs), device, profile)
         return
-    with cProfile.Profile() if profile else nullcontext() as profiler:
-        measurements, yardstick = _measure(chosen, steps)
-    if profiler is not None:
-        pstats.Stats(profiler).sort_stats("tottime").print_stats(PROFILED)
-    elif as_json:
-        typer.echo(json.dumps(facts(measurements, yardstick), indent=2))
+    from benchmarks.single import composer_share, measure
+
+    work = with_bar(Output(stderr=True), "measuring", chosen, len(chosen))
+    measurements = [measure(task, variant, name, steps) for task, variant, name in work]
+    if as_json:
+        facts = {
+            "machine": machine(),
+            "memory_mb": memory(),
+            "dm_env_share": composer_share(),
+            "environments": [_entry(speed) for speed in measurements],
+        }
+        typer.echo(json.dumps(facts, indent=2))
     elif markdown:
-        typer.echo(markdown_table(measurements, yardstick))
+        typer.echo(markdown_table(measurements))
     else:
-        _print_table(measurements, yardstick)
+        _print_table(measurements)
 
 
 def _counts(text: str) -> list[int]:
@@ -138,20 +133,7 @@ def _batched_lines(speed: BatchedMeasurement, single: float, profile: bool) -> I
         yield f"  {called}: {kernel.launches:,.0f} launches, {took}"
 
 
-def _measure(chosen: Sequence[tuple[str, str, str]], steps: int) -> tuple[list[Measurement], float | None]:
-    """Measures one environment after another, alternating with gym-pusht; shows progress on standard error."""
-    from benchmarks.single import Yardstick, measure
-
-    screen, yardstick, measurements = Output(stderr=True), Yardstick(), []
-    if yardstick.problem is not None:
-        complain(f"gym-pusht is installed but does not work, so it is not measured for comparison: {yardstick.problem}")
-    for task, variant, name in with_bar(screen, "measuring", chosen, len(chosen)):
-        yardstick.run()
-        measurements.append(measure(task, variant, name, steps))
-    return measurements, yardstick.rate
-
-
-def _print_table(measurements: Sequence[Measurement], yardstick: float | None) -> None:
+def _print_table(measurements: Sequence[Measurement]) -> None:
     table = Table(box=None, header_style="bold", pad_edge=False)
     for column, title in enumerate(HEAD):
         table.add_column(title, justify="right" if column >= NAMES else "left")
@@ -159,7 +141,7 @@ def _print_table(measurements: Sequence[Measurement], yardstick: float | None) -
         table.add_row(*row)
     out = console()
     out.print(table)
-    out.print(summary(yardstick), soft_wrap=True)
+    out.print(summary(), soft_wrap=True)
 
 
 def rows(measurements: Sequence[Measurement]) -> list[tuple[str, ...]]:
@@ -182,37 +164,22 @@ def _milliseconds(speed: Measurement, cause: Cause) -> str:
     return "" if median is None or most is None else f"{1000 * median:.1f} ms ({1000 * most:.1f})"
 
 
-def markdown_table(measurements: Sequence[Measurement], yardstick: float | None) -> str:
+def markdown_table(measurements: Sequence[Measurement]) -> str:
     """The table, and below it a description of the machine."""
     lines = [HEAD, [*["---"] * NAMES, *["---:"] * (len(HEAD) - NAMES)], *rows(measurements)]
     table = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
-    return f"{table}\n\n{summary(yardstick)}"
+    return f"{table}\n\n{summary()}"
 
 
-def summary(yardstick: float | None) -> str:
-    """The machine, the memory of this process, and the speed of the dm_env door and of gym-pusht."""
+def summary() -> str:
+    """The machine, the memory of this process, and the speed of the dm_env door."""
     from benchmarks.single import composer_share
 
     here, peak, composer = machine(), memory(), composer_share()
     text = f"{here['cpu']}, {here['cores']} cores; {here['opengl']}"
     if peak is not None:
         text += f"; at most {peak:.0f} MB"
-    if composer is not None:
-        text += f"; dm_env without pictures: {composer:.0%} of the bare loop"
-    return text if yardstick is None else f"{text}; gym-pusht's pixels: {yardstick:,.0f} steps/s"
-
-
-def facts(measurements: Sequence[Measurement], yardstick: float | None) -> dict[str, Any]:
-    """Everything, times in seconds."""
-    from benchmarks.single import composer_share
-
-    return {
-        "machine": machine(),
-        "memory_mb": memory(),
-        "gym_pusht_rate": yardstick,
-        "dm_env_share": composer_share(),
-        "environments": [_entry(speed) for speed in measurements],
-    }
+    return text if composer is None else f"{text}; dm_env without pictures: {composer:.0%} of the bare loop"
 
 
 def _entry(speed: Measurement) -> Mapping[str, Any]:

@@ -11,11 +11,9 @@ from contextlib import closing, nullcontext
 from copy import copy
 from dataclasses import dataclass
 from functools import cache
-from importlib.util import find_spec
 from time import process_time
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
-import gymnasium
 import mujoco
 import numpy as np
 
@@ -39,8 +37,6 @@ TURN: Final = 20
 COMPOSER_TURNS: Final = 20
 RESETS: Final = 40
 """Resets that are measured alone."""
-YARDSTICK_STEPS: Final = 100
-"""Of the yardstick at a time, in turn with what is measured."""
 
 
 @dataclass(frozen=True)
@@ -205,41 +201,3 @@ class BareLoop:
     def close(self) -> None:
         """Frees the renderer."""
         self._renderer.close()
-
-
-class Yardstick:
-    """Another simulated pushing task with 96 px pictures, gym-pusht, under random actions, resets included.
-
-    Attributes:
-        problem: why it cannot be used though it is installed; None if it can, or is not there.
-    """
-
-    def __init__(self) -> None:
-        self.steps, self.seconds = 0, 0.0
-        self.problem: str | None = None
-        self._env: gymnasium.Env[Any, Any] | None = None
-        self._actions = np.random.default_rng(0)
-        if find_spec("gym_pusht"):
-            try:
-                self._env = gymnasium.make("gym_pusht:gym_pusht/PushT-v0", obs_type="pixels")
-                self._env.reset(seed=0)
-            except Exception as error:  # noqa: BLE001  # whatever is wrong with it, ours can be measured
-                self._env, self.problem = None, f"{type(error).__name__}: {error}"
-
-    def run(self) -> None:
-        """Takes a few more steps."""
-        if self._env is None:
-            return
-        targets = self._actions.uniform(0, 512, (YARDSTICK_STEPS, 2)).astype(np.float32)
-        start = process_time()
-        for target in targets:
-            _, _, terminated, truncated, _ = self._env.step(target)
-            if terminated or truncated:
-                self._env.reset()
-        self.seconds += process_time() - start
-        self.steps += YARDSTICK_STEPS
-
-    @property
-    def rate(self) -> float | None:
-        """Steps per second of processor time; None if it is not installed."""
-        return self.steps / self.seconds if self.steps else None

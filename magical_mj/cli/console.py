@@ -7,6 +7,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Annotated, Any, Final, TypeVar
@@ -37,14 +38,9 @@ from magical_mj.utils.settings import Names, described
 Result = TypeVar("Result")
 
 PLAIN_WIDTH: Final = 120  # columns where the output is a file or a pipe
-
-
-LABEL: Final = TextColumn("{task.description}", markup=False)
-"""The first column of progress bars."""
-FIRST: Final = 10.0
-"""Seconds until the first line where no bar can be shown."""
-MINUTE: Final = 60.0
-"""Seconds between two such lines."""
+LABEL: Final = TextColumn("{task.description}", markup=False)  # the first column of progress bars
+FIRST: Final = 10.0  # seconds until the first line where no bar can be shown
+MINUTE: Final = 60.0  # seconds between two such lines
 
 
 def one_of(names: Iterable[str]) -> Callable[[str], list[str]]:
@@ -87,22 +83,18 @@ Force = Annotated[bool, typer.Option("--force", help="Replace what is there alre
 def add_options(command: Callable[..., None], settings: type) -> None:
     """Adds options to a command that takes `**options`: one for each setting that it does not name itself."""
     *named, _ = inspect.signature(command, eval_str=True).parameters.values()
-    options = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=getattr(settings, name), annotation=option)
-        for name, option in _options(settings)
-        if name not in [parameter.name for parameter in named]
-    ]
-    command.__signature__ = inspect.Signature([*named, *options])
-
-
-def _options(settings: type) -> Iterator[tuple[str, Any]]:
+    parameters = {parameter.name: parameter for parameter in named}
     for name, setting in described(settings).items():
-        declared = [f"--{name.replace('_', '-')}"] if setting.kind is bool else []
-        kind = str if setting.kind == Names else setting.kind  # lists are separated by commas
-        option = typer.Option(
-            *declared, help=setting.description, min=setting.least, autocompletion=COMPLETIONS.get(name)
-        )
-        yield name, Annotated[kind, option]
+        if name not in parameters:
+            declared = [f"--{name.replace('_', '-')}"] if setting.kind is bool else []
+            kind = str if setting.kind == Names else setting.kind  # lists are separated by commas
+            option = typer.Option(
+                *declared, help=setting.description, min=setting.least, autocompletion=COMPLETIONS.get(name)
+            )
+            parameters[name] = inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=setting.default, annotation=Annotated[kind, option]
+            )
+    command.__signature__ = inspect.Signature(list(parameters.values()))
 
 
 def check_fits(context: typer.Context, fits: bool, condition: str, *options: str) -> None:
@@ -201,11 +193,10 @@ class Left(TimeRemainingColumn):
 
     def render(self, task: Work) -> Text:
         """As text; empty if the amount of work is unknown, or as good as endless."""
-        try:
-            left = super().render(task)
-        except OverflowError:
-            return Text()
-        return left.append(" left") if left else left
+        with suppress(OverflowError):
+            if left := super().render(task):
+                return left.append(" left")
+        return Text()
 
 
 class Bars(Progress):

@@ -40,9 +40,9 @@ def test_launches_are_counted_with_their_memory() -> None:
         wp.launch(double, dim=0, inputs=[values], device="cpu")  # which Warp does not launch
     assert (wp.launch, wp.launch_tiled) == before
     assert values.numpy().tolist() == 8 * [4.0]
-    (one,) = kernels
-    assert (one.part, one.name, one.launches, one.bytes) == ("test_batched_speed", "double", 2, 2 * 32)
-    assert one.seconds > 0
+    (kernel,) = kernels
+    assert (kernel.part, kernel.name, kernel.launches, kernel.bytes) == ("test_batched_speed", "double", 2, 2 * 32)
+    assert kernel.seconds > 0
 
 
 def test_memory_in_structs_counts() -> None:
@@ -51,9 +51,9 @@ def test_memory_in_structs_counts() -> None:
     out = torch.zeros((1, 96, 96, 3), dtype=torch.uint8)
     with recorded_launches("cpu") as kernels:
         painter.draw("allo", out)
-    (one,) = kernels
-    assert (one.part, one.name, one.launches) == ("kernels", "paint", 1)
-    assert one.bytes > out.nbytes + 1000  # outlines as well
+    (kernel,) = kernels
+    assert (kernel.part, kernel.name, kernel.launches) == ("kernels", "paint", 1)
+    assert kernel.bytes > out.nbytes + 1000  # outlines as well
 
 
 def test_parts_are_sums_of_kernels() -> None:
@@ -69,8 +69,8 @@ def test_the_model_by_hand() -> None:
 
 def test_the_command_prints_parts_or_kernels() -> None:
     kernels = [Kernel("solver", "a", 2, 1.0, 10_000_000), Kernel("solver", "b", 1, 0.5, 0)]
-    made = BatchedMeasurement("FindDupe", "All", "State", 8, 50.0, 0.1, 0.2, 0.3, kernels, Work(3, 2e6, 4e6), 95_000)
-    parts, every = list(_batched_lines(made, 25.0, profile=False)), list(_batched_lines(made, 25.0, profile=True))
+    speed = BatchedMeasurement("FindDupe", "All", "State", 8, 50.0, 0.1, 0.2, 0.3, kernels, Work(3, 2e6, 4e6), 95_000)
+    parts, every = list(_batched_lines(speed, 25.0, profile=False)), list(_batched_lines(speed, 25.0, profile=True))
     assert parts[0] == "FindDupe All, State, 8 worlds: 50 steps/s"
     assert "2 times" in parts[1]
     assert "physics 100.00 ms a step, observations 200.00 ms, a reset of all worlds 300.00 ms" in parts[3]

@@ -83,15 +83,15 @@ def test_an_interrupted_rollout_says_what_it_leaves(shell: Shell, tmp_path: Path
 
 def test_films_say_what_is_shown() -> None:
     frames: list[np.ndarray] = []
-    made = Film(frames.append, size=96, views=("allo", "ego"), pause=3)
+    movie = Film(frames.append, size=96, views=("allo", "ego"), pause=3)
     views = np.zeros((96, 192, 3), np.uint8)
-    made.begin("FindDupe All, seed 3: expert", views, 0.0)
-    made.add(views, 1, 13, 0.0)
-    made.add(views, 2, 13, 0.5)
-    made.end()
+    movie.begin("FindDupe All, seed 3: expert", views, 0.0)
+    movie.add(views, 1, 13, 0.0)
+    movie.add(views, 2, 13, 0.5)
+    movie.end()
     assert len(frames) == 3 + 2 + 3
-    assert {frame.shape for frame in frames} == {(made.height, made.width, 3)}
-    assert made.height % 2 == 0
+    assert {frame.shape for frame in frames} == {(movie.height, movie.width, 3)}
+    assert movie.height % 2 == 0
     start, first, second, last = frames[0], frames[3], frames[4], frames[-1]
     assert (start[:96] != 0).any()  # the title lies over the views
     assert (first[:96] == 0).all()
@@ -101,8 +101,8 @@ def test_films_say_what_is_shown() -> None:
 
 def test_long_titles_fit() -> None:
     frames: list[np.ndarray] = []
-    made = Film(frames.append, size=192, views=("allo",), pause=1)
-    made.begin("FindDupe CountPlus, seed 3: expert", np.zeros((192, 192, 3), np.uint8), 0.0)
+    movie = Film(frames.append, size=192, views=("allo",), pause=1)
+    movie.begin("FindDupe CountPlus, seed 3: expert", np.zeros((192, 192, 3), np.uint8), 0.0)
     band = frames[0][86:106]
     assert len(np.unique(band)) > 1
     assert len(np.unique(band[:, [0, 1, 2, -3, -2, -1]])) == 1  # no letter is cut at the sides
@@ -113,9 +113,9 @@ def test_what_appears_under_a_videos_name_meanwhile_is_kept(tmp_path: Path, over
     path, picture = tmp_path / "a.mp4", np.zeros((32, 32, 3), np.uint8)
     with (
         nullcontext() if overwrite else pytest.raises(FileExistsError, match="exists already"),
-        film(path, 32, views=("allo",), overwrite=overwrite) as made,
+        film(path, 32, views=("allo",), overwrite=overwrite) as movie,
     ):
-        made.begin("", picture, 0.0)
+        movie.begin("", picture, 0.0)
         path.write_bytes(b"mine")
     assert (path.read_bytes() == b"mine") != overwrite
     assert [file.name for file in tmp_path.iterdir()] == ["a.mp4"]
