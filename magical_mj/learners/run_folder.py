@@ -97,7 +97,7 @@ class RunFolder:
             if not resume:
                 raise TrainingError(f"{path} holds a training already; --resume continues it (resume=True)")
             self.threads = self._check_config()
-        elif path.exists() and not (path.is_dir() and files.is_empty(path)):
+        elif path.exists() and not (path.is_dir() and all(map(files.is_unfinished, path.iterdir()))):
             raise TrainingError(f"{path} holds something else than a training; give a new folder")
         policy = loader_in(path)
         if policy is not None and not (path / CHECKPOINT).exists():

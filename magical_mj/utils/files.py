@@ -7,12 +7,10 @@ import hashlib
 import os
 import platform
 import re
-import secrets
 import shutil
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from glob import escape
 from pathlib import Path
 from typing import Any, Final
 
@@ -61,8 +59,8 @@ def write(path: Path | str, data: str | bytes, *, overwrite: bool = False, mode:
 def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
     """For code that writes a file by itself: yields a temporary path next to `path`, and renames that file at the end.
 
-    If the block raises, the temporary file is removed. The yielded path has the same suffix as `path`. A lock lies
-    beside it as long as it is being written, and tells others that its process lives.
+    If the block raises, the temporary file is removed; if its process dies, the next call does that. The yielded path
+    has the same suffix as `path`. Other processes of this machine that write the same file wait.
 
     Raises:
         FileExistsError, OSError: as `write`.
@@ -74,18 +72,19 @@ def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
         raise IsADirectoryError(errno.EISDIR, "is a folder", str(path))
     if not path.parent.is_dir():  # which the lock would make
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
-    host_and_name = hashlib.sha256(f"{platform.node()}/{path.name}".encode(errors="surrogateescape")).hexdigest()[:8]
-    beginning = f".{path.stem[:_LONGEST_STEM]}.{host_and_name}-"
-    lock = path.with_name(f"{beginning}{secrets.token_hex(4)}.lock")
+    # Machines have temporary files of their own: file systems that they share may not share locks.
+    host, name = (hashlib.sha256(os.fsencode(text)).hexdigest()[:8] for text in (platform.node(), path.name))
+    lock = path.with_name(f".{path.stem[:_LONGEST_STEM]}.{host}-{name}.lock")
     unfinished = lock.with_suffix(f".part{path.suffix}")
     try:
-        _clear_up(path, beginning)
         with _held(lock):
+            unfinished.unlink(missing_ok=True)
             try:
                 if path.exists() and not overwrite:
                     raise _exists(path)
                 yield unfinished
-                _to_disk(unfinished)
+                with unfinished.open("r+b") as file:  # Windows flushes only what is open for writing
+                    os.fsync(file.fileno())
                 _rename(unfinished, path, overwrite)
             finally:
                 with suppress(OSError):
@@ -133,11 +132,6 @@ def _restore(replaced: Path, path: Path) -> None:
 def is_unfinished(path: Path) -> bool:
     """Whether this is a temporary file or a lock of this module, which a process that was killed may have left."""
     return _UNFINISHED.fullmatch(path.name) is not None
-
-
-def is_empty(folder: Path) -> bool:
-    """Whether there is nothing in a folder but unfinished files, which a process that was killed has left."""
-    return all(map(is_unfinished, folder.iterdir()))
 
 
 @contextmanager
@@ -207,24 +201,8 @@ def _held(path: Path, timeout: float = -1) -> Iterator[None]:
                 path.unlink()
 
 
-def _clear_up(path: Path, beginning: str) -> None:
-    """Removes temporary files of this path whose processes are gone: nobody holds their locks.
-
-    Locks see through all namespaces of a machine; those of other machines, whose file systems may not share locks, have
-    other names.
-    """
-    for lock in path.parent.glob(f"{escape(beginning)}*.lock"):
-        with suppress(OSError), _held(lock, timeout=0):
-            lock.with_suffix(f".part{path.suffix}").unlink(missing_ok=True)
-
-
 def _exists(path: Path) -> FileExistsError:
     return FileExistsError(errno.EEXIST, "exists already", str(path))
-
-
-def _to_disk(path: Path) -> None:
-    with path.open("r+b") as file:  # Windows flushes only what is open for writing
-        os.fsync(file.fileno())
 
 
 def _rename(unfinished: Path, path: Path, overwrite: bool) -> None:

@@ -113,33 +113,33 @@ def test_a_full_disk_names_the_file_and_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_a_killed_process_left_goes_with_the_next_attempt(tmp_path: Path) -> None:
-    """By its lock, which nobody holds any more; that of a process which lives stays, whatever /proc says of it."""
+def test_writers_take_turns_and_what_a_killed_one_left_goes_with_the_next(tmp_path: Path) -> None:
     program = (
-        "import sys, time\n"
+        "import sys\n"
         "from magical_mj.utils import files\n"
+        "print('ready', flush=True)\n"
         "with files.new_file(sys.argv[1]) as unfinished:\n"
         "    unfinished.write_text(sys.argv[2])\n"
-        "    print('ready', flush=True)\n"
+        "    print('written', flush=True)\n"
         "    sys.stdin.readline()\n"
     )
     path = tmp_path / "a[1].txt"
-    command = [sys.executable, "-c", program, str(path)]
-    dead, living = (
-        subprocess.Popen([*command, text], stdin=subprocess.PIPE, stdout=subprocess.PIPE) for text in ("half", "whole")
-    )
-    for process in (dead, living):
+    processes = []
+    for text, lines in (("half", ("ready", "written")), ("whole", ("ready",))):
+        process = subprocess.Popen(
+            [sys.executable, "-c", program, str(path), text], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
         assert process.stdout is not None
-        assert process.stdout.readline() == b"ready\n"
-    assert len(list(tmp_path.iterdir())) == 4
-    assert files.is_empty(tmp_path)
-    dead.kill()
-    dead.communicate()
-    with pytest.raises(ValueError, match="no"), files.new_file(path):
-        raise ValueError("no")
+        for line in lines:
+            assert process.stdout.readline() == f"{line}\n"
+        processes.append(process)
+    first, second = processes
     assert len(list(tmp_path.iterdir())) == 2
-    living.communicate(b"\n")
-    assert living.returncode == 0
+    assert all(map(files.is_unfinished, tmp_path.iterdir()))
+    first.kill()
+    first.communicate()
+    second.communicate("\n")
+    assert second.returncode == 0
     assert list(tmp_path.iterdir()) == [path]
     assert path.read_text() == "whole"
 
