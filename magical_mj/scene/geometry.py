@@ -148,11 +148,11 @@ def region_solid(region: GoalRegion) -> Solid:
     return Solid(x, y, math.hypot(region.width, region.height) / 2, (Part(box),))
 
 
-def touch(one: Solid, other: Solid, tolerance: float = 0.0) -> bool:
+def touch(solid: Solid, other: Solid, tolerance: float = 0.0) -> bool:
     """Whether the solids touch. With a `tolerance` (world units), each is first shrunk by half of it."""
-    if math.hypot(one.x - other.x, one.y - other.y) > one.reach + other.reach:
+    if math.hypot(solid.x - other.x, solid.y - other.y) > solid.reach + other.reach:
         return False
-    for a in one.parts:
+    for a in solid.parts:
         for b in other.parts:
             if _meet(a, b) and (tolerance == 0.0 or _meet(_shrunk(a, tolerance / 2), _shrunk(b, tolerance / 2))):
                 return True
