@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from importlib.resources import files as resources
+from itertools import combinations
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from magical_mj.evaluation.reports.tables import DAGGER, NONE, Group, Rows, Table, markdown
+from magical_mj.evaluation.reports.tables import DAGGER, NONE, Group, Table, markdown
 from magical_mj.leaderboard.standings import (
     LEAST_RUNS,
     OVERALL,
@@ -27,8 +28,6 @@ from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError
 from magical_mj.utils.escape import html
 
-Cells = Callable[[Standing], tuple[str, ...]]
-
 TITLE: Final = "MAGICAL on MuJoCo: leaderboard"
 INTRODUCTION: Final = (
     "Each entry holds every episode of every run with its actions, and was checked by playing episodes again. "
@@ -41,6 +40,7 @@ HEADINGS: Final = {
     "improvement": "Who beats whom",
     "profiles": "How the scores are spread",
     "costs": "What it cost",
+    "entries": "Entries",
 }
 SHADED: Final = ("scores", "drops", "improvement", "profiles")
 HTML: Final = "leaderboard.html"
@@ -50,19 +50,14 @@ BEGINNINGS: Final = {
     MARKDOWN: f"# {TITLE}\n",
 }
 """By which an earlier page is recognised, and may be replaced."""
-WIDTH: Final = 910
-NAMES: Final = 310
-"""The width in pixels of the column with the methods' names."""
-ROW: Final = 26
-LEGEND: Final = 20
-"""The height in pixels of a line of the profiles' legend."""
-HEIGHT: Final = 320
-"""Of the profiles."""
-LETTER: Final = 6.3
-"""The mean width of a letter in pixels."""
-COLOURS: Final = 10
-"""Different ones; see style.css."""
-STAR = "★"
+WIDTH: Final = 910  # pixels, as all that follow
+NAMES: Final = 310  # the width of the column with the methods' names
+LETTER: Final = 6.3  # the mean width of a letter
+ROW: Final = 26  # the height of a method's line
+LEGEND: Final = 20  # the height of a line of the profiles' legend
+HEIGHT: Final = 320  # of the profiles
+COLOURS: Final = 10  # in style.css
+STAR: Final = "★"
 GROUPS: dict[Kind, str] = {
     "official": f"Official {STAR}: all {len(ENVIRONMENTS)} environments, {LEAST_RUNS} runs or more",
     "partial": "Partial",
@@ -87,38 +82,32 @@ def write_pages(methods: Sequence[Standing], out: Path) -> list[Path]:
     """
     check_free(out)
     contents = tables(methods)
-    pages = {HTML: _html(methods, contents), MARKDOWN: _markdown(contents)}
+    sections = [f"## {HEADINGS[table.name]}\n\n{markdown(table)}" for table in contents]
+    pages = {
+        HTML: _html(methods, contents),
+        MARKDOWN: "\n".join([BEGINNINGS[MARKDOWN], f"{INTRODUCTION}\n", *sections]),
+    }
     for name, text in pages.items():
         files.write(out / name, text, overwrite=True)
     return [out / name for name in pages]
 
 
-def _markdown(contents: Sequence[Table]) -> str:
-    parts = [BEGINNINGS[MARKDOWN].strip(), INTRODUCTION]
-    for table in contents:
-        parts += [f"## {HEADINGS[table.name]}", markdown(table).strip()]
-    return "\n\n".join(parts) + "\n"
-
-
 def _html(methods: Sequence[Standing], contents: Sequence[Table]) -> str:
-    drawn = {"scores": intervals(methods), "profiles": profiles(methods)}
+    contents_of = {table.name: _table(table) for table in contents}
+    contents_of["scores"] = intervals(methods) + contents_of["scores"]
+    contents_of["profiles"] = profiles(methods) + contents_of["profiles"]
+    contents_of["entries"] = "".join(map(_card, methods))
     sections = "\n".join(
-        _section(table.name, HEADINGS[table.name], drawn.get(table.name, "") + _table(table)) for table in contents
+        f'<section id="{name}"><h2>{heading}</h2>{contents_of[name]}</section>' for name, heading in HEADINGS.items()
     )
-    headings = {**HEADINGS, "entries": "Entries"}
-    links = " ".join(f'<a href="#{name}">{heading}</a>' for name, heading in headings.items())
+    links = " ".join(f'<a href="#{name}">{heading}</a>' for name, heading in HEADINGS.items())
     style = (resources("magical_mj.leaderboard") / "style.css").read_text(encoding="utf-8")
     return (
         f"{BEGINNINGS[HTML]}"
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<style>\n{style}</style></head>\n<body><header><h1>{TITLE}</h1><p>{INTRODUCTION}</p>\n"
-        f"<nav>{links}</nav></header>\n<main>\n{sections}\n"
-        f"{_section('entries', headings['entries'], ''.join(_cards(methods)))}</main></body></html>\n"
+        f"<nav>{links}</nav></header>\n<main>\n{sections}</main></body></html>\n"
     )
-
-
-def _section(name: str, heading: str, content: str) -> str:
-    return f'<section id="{name}"><h2>{heading}</h2>{content}</section>'
 
 
 def _table(table: Table) -> str:
@@ -127,9 +116,9 @@ def _table(table: Table) -> str:
     for heading, rows in table.groups:
         if heading:
             body += f'<tr><th class="group" colspan="{len(table.header)}">{html(heading)}</th></tr>'
-        for first, *cells in rows:
-            shown = "".join(_cell(cell, table.name in SHADED) for cell in cells)
-            body += f"<tr><th>{html(first)}</th>{shown}</tr>"
+        for method, *cells in rows:
+            figures = "".join(_cell(cell, table.name in SHADED) for cell in cells)
+            body += f"<tr><th>{html(method)}</th>{figures}</tr>"
     notes = "".join(f"<li>{html(note)}</li>" for note in table.notes)
     caption = html(table.caption)
     return (
@@ -149,23 +138,24 @@ def _cell(text: str, shaded: bool) -> str:
     return f'<td class="figure" style="--share: {share}%">{figure[1]}{below}</td>'
 
 
-def _cards(methods: Sequence[Standing]) -> Iterator[str]:
-    for method in methods:
-        if method.entry is not None:
-            entry, card = method.entry, method.entry.card
-            links = " ".join(f'<a href="{html(link)}">{html(link)}</a>' for link in card.links or ())
-            facts = {
-                "by": card.authors,
-                "other data": card.demonstrations.other,
-                "runs": ", ".join(map(str, entry.runs)),
-                "episodes": len(entry.episodes),
-                "protocol": entry.protocol,
-                "magical_mj": ", ".join(entry.versions.version),
-                "MuJoCo": ", ".join(entry.versions.mujoco),
-            }
-            said = "".join(f"<dt>{name}</dt><dd>{html(fact)}</dd>" for name, fact in facts.items() if fact)
-            text = html(card.description or "")
-            yield f"<article><h3>{html(method.name)}</h3><p>{text} {links}</p><dl>{said}</dl></article>"
+def _card(method: Standing) -> str:
+    """What an entry says of itself; nothing for published methods."""
+    if method.entry is None:
+        return ""
+    entry, card = method.entry, method.entry.card
+    links = " ".join(f'<a href="{html(link)}">{html(link)}</a>' for link in card.links or ())
+    facts = {
+        "by": card.authors,
+        "other data": card.demonstrations.other,
+        "runs": ", ".join(map(str, entry.runs)),
+        "episodes": len(entry.episodes),
+        "protocol": entry.protocol,
+        "magical_mj": ", ".join(entry.versions.version),
+        "MuJoCo": ", ".join(entry.versions.mujoco),
+    }
+    items = "".join(f"<dt>{name}</dt><dd>{html(fact)}</dd>" for name, fact in facts.items() if fact)
+    text = html(card.description or "")
+    return f"<article><h3>{html(method.name)}</h3><p>{text} {links}</p><dl>{items}</dl></article>"
 
 
 def intervals(methods: Sequence[Standing]) -> str:
@@ -187,20 +177,20 @@ def profiles(methods: Sequence[Standing]) -> str:
     for tick in (0.0, 0.5, 1.0):
         y = (1 - tick) * (HEIGHT - ROW)
         rows += f'<text x="{WIDTH - 15}" y="{y + 4:.0f}">{tick:g}</text>'
-    whole = [method for method in methods if method.everywhere]
-    names = [label(method) for method in whole if method.kind != "published"]
-    for index, method in enumerate(whole):
-        points = " ".join(
-            f"{_x(x)},{(1 - y) * (HEIGHT - ROW):.1f}" for x, y in zip(THRESHOLDS, method.profile, strict=True)
-        )
-        line = _line(index) if method.kind != "published" else "published"
+    legend: list[tuple[str, str]] = []
+    for index, method in enumerate(method for method in methods if method.everywhere):
+        places = zip(THRESHOLDS, method.profile, strict=True)
+        points = " ".join(f"{_x(x)},{(1 - y) * (HEIGHT - ROW):.1f}" for x, y in places)
+        line = f"c{index % COLOURS} d{index // COLOURS}" if method.kind != "published" else "published"  # see style.css
+        if method.kind != "published":
+            legend.append((label(method), line))
         rows += f'<polyline class="{line}" points="{points}"><title>{html(label(method))}</title></polyline>'
-    lines = [*map(_line, range(len(names))), "published"]
-    for index, (name, line) in enumerate(zip([*names, f"methods of the paper{DAGGER}"], lines, strict=True)):
+    legend.append((f"methods of the paper{DAGGER}", "published"))
+    for index, (name, line) in enumerate(legend):
         y = LEGEND * (index + 0.7)
         rows += _name(name, NAMES - 65, y)
         rows += f'<polyline class="{line}" points="{NAMES - 58},{y - 4:.0f} {NAMES - 28},{y - 4:.0f}"/>'
-    height = max(HEIGHT, math.ceil(LEGEND * (len(lines) + 1)))
+    height = max(HEIGHT, LEGEND * (len(legend) + 1))
     return _svg(height, rows, "Share of environments and runs with a mean score of at least so much")
 
 
@@ -210,11 +200,6 @@ def _name(name: str, right: float, y: float) -> str:
     short = name if len(name) <= most else f"{name[: most - 1]}…"
     whole = f"<title>{html(name)}</title>" if short != name else ""
     return f'<text x="{right}" y="{y:.0f}" text-anchor="end">{html(short)}{whole}</text>'
-
-
-def _line(index: int) -> str:
-    """The colour and the dashes of a method's line, as classes of the style sheet."""
-    return f"c{index % COLOURS} d{index // COLOURS}"
 
 
 def _grid(height: float) -> str:
@@ -247,16 +232,17 @@ def label(method: Standing) -> str:
 
 def _scores(methods: Sequence[Standing]) -> Table:
     columns = (OVERALL, *VARIANTS)
+
+    def cells(method: Standing) -> tuple[str, ...]:
+        return rules_of(method), _looks_at(method), *(_score(method, name) for name in columns)
+
     return Table(
         "scores",
         "Interquartile mean of the mean scores of runs in environments, with its 95 % interval (stratified bootstrap), "
         "and the number of environments if some are missing; of published methods, and of those with different "
         "numbers of runs, it is taken of the mean scores over runs",
         ("Method", "rules", "looks at", *columns),
-        _grouped(
-            methods,
-            lambda method: (rules_of(method), _looks_at(method), *(_score(method, name) for name in columns)),
-        ),
+        _grouped(methods, cells),
         tuple(f"{method.name} is partial: {', '.join(method.gaps)}." for method in methods if method.gaps),
     )
 
@@ -279,40 +265,35 @@ def _looks_at(method: Standing) -> str:
 
 
 def _drops(methods: Sequence[Standing]) -> Table:
+    def cells(method: Standing) -> tuple[str, ...]:
+        means = [values.mean() for (_, variant), values in method.means.items() if variant == "Demo"]
+        demo = Estimate(float(np.mean(means))) if means else None
+        drops = (_text(method.drops.get(name)) for name in VARIANTS[1:])
+        return f"{_text(demo)} {share(method, 'Demo')}".strip(), *drops, method.weakest or NONE
+
     return Table(
         "drops",
         "How far the mean score falls from Demo, on the tasks that have the variant; and the variant in which it falls "
         "most on the tasks that have all of them",
         ("Method", "Demo", *VARIANTS[1:], "falls most in"),
-        _grouped(
-            methods,
-            lambda method: (
-                f"{_text(_demo(method))} {share(method, 'Demo')}".strip(),
-                *(_text(method.drops.get(name)) for name in VARIANTS[1:]),
-                method.weakest or NONE,
-            ),
-        ),
+        _grouped(methods, cells),
     )
 
 
-def _demo(method: Standing) -> Estimate | None:
-    """The mean score in the demo variants."""
-    means = [values.mean() for (_, variant), values in method.means.items() if variant == "Demo"]
-    return Estimate(float(np.mean(means))) if means else None
-
-
 def _improvements(methods: Sequence[Standing]) -> Table:
-    mine = [method for method in methods if method.kind != "published"]
-    count = len(mine)
-    cells = {(a, b): improvement(mine[a], mine[b]) for a in range(count) for b in range(a + 1, count)}
-    # who loses is who does not win
-    cells |= {(b, a): Estimate(1 - cell.value, 1 - cell.high, 1 - cell.low) for (a, b), cell in cells.items()}
-    rows = [(label(method), *(_text(cells.get((a, b))) for b in range(count))) for a, method in enumerate(mine)]
+    entered = [method for method in methods if method.kind != "published"]
+    chances: dict[tuple[int, int], Estimate] = {}
+    for a, b in combinations(range(len(entered)), 2):
+        chance = chances[a, b] = improvement(entered[a], entered[b])
+        chances[b, a] = Estimate(1 - chance.value, 1 - chance.high, 1 - chance.low)  # who does not win loses
+    rows = [
+        (label(method), *(_text(chances.get((a, b))) for b in range(len(entered)))) for a, method in enumerate(entered)
+    ]
     return Table(
         "improvement",
         "How probable it is that a run of the method on the left beats one of the method above, over the environments "
         f"that both have played ({NONE} if there are none, or they were scored by different rules)",
-        ("Method", *(method.name for method in mine)),
+        ("Method", *(method.name for method in entered)),
         (("", tuple(rows)),),
     )
 
@@ -336,9 +317,10 @@ def _costs(methods: Sequence[Standing]) -> Table:
     for method in methods:
         if method.entry is not None:
             card = method.entry.card
-            training, shown = card.training, card.demonstrations
-            facts = (shown.per_task, shown.set, training.hours, training.device, training.steps)
-            rows.append((label(method), _score(method, OVERALL), *map(_said, facts), _said(card.hardware)))
+            training, data = card.training, card.demonstrations
+            facts = (data.per_task, data.set, training.hours, training.device, training.steps, card.hardware)
+            texts = (NONE if fact is None else " ".join(str(fact).split()) for fact in facts)
+            rows.append((label(method), _score(method, OVERALL), *texts))
     return Table(
         "costs",
         f"What a run cost ({NONE} where the entry does not say)",
@@ -347,19 +329,12 @@ def _costs(methods: Sequence[Standing]) -> Table:
     )
 
 
-def _said(value: object) -> str:
-    return NONE if value is None else " ".join(str(value).split())
-
-
-def _grouped(methods: Sequence[Standing], cells: Cells) -> tuple[Group, ...]:
-    return tuple(_groups(methods, cells))
-
-
-def _groups(methods: Sequence[Standing], cells: Cells) -> Iterator[Group]:
-    for kind, heading in GROUPS.items():
-        rows: Rows = tuple((label(method), *cells(method)) for method in methods if method.kind == kind)
-        if rows:
-            yield heading, rows
+def _grouped(methods: Sequence[Standing], cells: Callable[[Standing], tuple[str, ...]]) -> tuple[Group, ...]:
+    """The rows of methods by their kinds, of those that there are."""
+    rows = {
+        kind: tuple((label(method), *cells(method)) for method in methods if method.kind == kind) for kind in GROUPS
+    }
+    return tuple((GROUPS[kind], group) for kind, group in rows.items() if group)
 
 
 def _text(estimate: Estimate | None) -> str:

@@ -10,21 +10,20 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from magical_mj.evaluation.reports.results import PUBLISHED_RULES, published_results
 from magical_mj.evaluation.reports.statistics import (
     SCORE_TOLERANCE,
+    Floats,
     bootstrap,
     interquartile_mean,
     mean_interval,
-    summarise,
+    robust_mean,
 )
 from magical_mj.leaderboard.entry import SEEDS, SUFFIX, Entry, entry_files, read_entry
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, Pair
 from magical_mj.utils.errors import counted
 
-Floats = NDArray[np.float64]
 Kind = Literal["official", "partial", "published"]
 
 LEAST_RUNS: Final = 5
@@ -70,12 +69,10 @@ class Standing:
         for variant in (OVERALL, *VARIANTS):
             pairs = [pair for pair in self.means if variant in (OVERALL, pair[1])]
             if pairs and self.episodes:
-                summary = summarise([list(self.episodes[pair].values()) for pair in pairs])
-                scores[variant] = Estimate(summary.iqm, summary.iqm_low, summary.iqm_high)
+                scores[variant] = Estimate(*robust_mean([list(self.episodes[pair].values()) for pair in pairs]))
             elif pairs:
-                scores[variant] = Estimate(
-                    float(interquartile_mean(np.concatenate([self.means[pair] for pair in pairs])))
-                )
+                values = np.concatenate([self.means[pair] for pair in pairs])
+                scores[variant] = Estimate(float(interquartile_mean(values)))
         return scores
 
     @cached_property
@@ -86,17 +83,16 @@ class Standing:
         """
         drops = {}
         for variant in VARIANTS[1:]:
-            pairs = [((task, "Demo"), (task, variant)) for task in TASKS]
-            pairs = [pair for pair in pairs if self.means.keys() >= set(pair)]
-            if pairs:
-                value = float(np.mean([self.means[demo].mean() - self.means[other].mean() for demo, other in pairs]))
-                paired = self.episodes and all(
-                    list(self.episodes[demo]) == list(self.episodes[other]) for demo, other in pairs
-                )
-                interval = (
-                    mean_interval([self.means[demo] - self.means[other] for demo, other in pairs]) if paired else ()
-                )
-                drops[variant] = Estimate(value, *interval)
+            both = [((task, "Demo"), (task, variant)) for task in TASKS]
+            both = [pair for pair in both if self.means.keys() >= set(pair)]
+            if both:
+                value = float(np.mean([self.means[demo].mean() - self.means[other].mean() for demo, other in both]))
+                runs = [[list(self.episodes.get(pair, ())) for pair in pairs] for pairs in both]
+                if all(ours == others != [] for ours, others in runs):
+                    interval = mean_interval([self.means[demo] - self.means[other] for demo, other in both])
+                    drops[variant] = Estimate(value, *interval)
+                else:
+                    drops[variant] = Estimate(value)
         return drops
 
     @property

@@ -61,23 +61,25 @@ def summarise(tasks: Sequence[Sequence[Floats]]) -> Summary:
     Args:
         tasks: for each task, for each run, the scores of its episodes.
     """
-    means = [np.array([scores.mean() for scores in runs]) for runs in tasks]
-    strata = [values if len(values) > 1 else runs[0] for values, runs in zip(means, tasks, strict=True)]
-    counts = {len(runs) for runs in tasks}
-    iqm = _iqm_of_means if 1 in counts or len(counts) > 1 else _iqm_of_values
-    low, high = mean_interval(strata)
-    iqm_low, iqm_high = bootstrap(strata, iqm)
+    means, strata = _means_and_strata(tasks)
     mean = float(_mean_of_means(*means))
     variance = np.mean([np.square(values - mean).mean() for values in means])
-    return Summary(
-        mean=mean,
-        std=float(np.sqrt(variance)) if sum(map(len, means)) > 1 else np.nan,
-        low=low,
-        high=high,
-        iqm=float(iqm(*means)),
-        iqm_low=iqm_low,
-        iqm_high=iqm_high,
-    )
+    std = float(np.sqrt(variance)) if sum(map(len, means)) > 1 else np.nan
+    return Summary(mean, std, *mean_interval(strata), *robust_mean(tasks))
+
+
+def robust_mean(tasks: Sequence[Sequence[Floats]]) -> tuple[float, float, float]:
+    """The interquartile mean over tasks, given as for `summarise`, and the bounds of its interval."""
+    means, strata = _means_and_strata(tasks)
+    counts = {len(runs) for runs in tasks}
+    statistic = _iqm_of_means if 1 in counts or len(counts) > 1 else _iqm_of_values
+    return float(statistic(*means)), *bootstrap(strata, statistic)
+
+
+def _means_and_strata(tasks: Sequence[Sequence[Floats]]) -> tuple[list[Floats], list[Floats]]:
+    """For each task, the means of its runs, and what is resampled: these, or the scores of an only run."""
+    means = [np.array([scores.mean() for scores in runs]) for runs in tasks]
+    return means, [values if len(values) > 1 else runs[0] for values, runs in zip(means, tasks, strict=True)]
 
 
 def bootstrap(strata: Sequence[Floats], statistic: Any, resamples: int = RESAMPLES) -> tuple[float, float]:
