@@ -331,10 +331,12 @@ def _costs(methods: Sequence[Standing]) -> Table:
 
 def _grouped(methods: Sequence[Standing], cells: Callable[[Standing], tuple[str, ...]]) -> tuple[Group, ...]:
     """The rows of methods by their kinds, of those that there are."""
-    rows = {
-        kind: tuple((label(method), *cells(method)) for method in methods if method.kind == kind) for kind in GROUPS
-    }
-    return tuple((GROUPS[kind], group) for kind, group in rows.items() if group)
+    groups = []
+    for kind, heading in GROUPS.items():
+        rows = tuple((label(method), *cells(method)) for method in methods if method.kind == kind)
+        if rows:
+            groups.append((heading, rows))
+    return tuple(groups)
 
 
 def _text(estimate: Estimate | None) -> str:
