@@ -20,8 +20,8 @@ from tests.helpers.evaluations import TEMPLATE, example, write
 def side(folder: Path, values: dict[Pair, list[float]], run: int = 0) -> list[EpisodeResult]:
     return [
         replace(TEMPLATE, policy=folder.name, run=run, task=task, variant=variant, seed=seed, score=value)
-        for (task, variant), given in values.items()
-        for seed, value in enumerate(given)
+        for (task, variant), scores in values.items()
+        for seed, value in enumerate(scores)
     ]
 
 
@@ -54,15 +54,15 @@ def test_means_of_the_same_scores_are_equal(tmp_path: Path) -> None:
     for name, order in (("a", (1 / 3, 1.0, 1.0)), ("b", (1.0, 1.0, 1 / 3))):
         folder = tmp_path / name
         runs = [side(folder, {("FindDupe", "Demo"): [score]}, run) for run, score in enumerate(order)]
-        write(folder, [one for run in runs for one in run])
+        write(folder, [score for run in runs for score in run])
     assert np.mean([1 / 3, 1, 1]) != np.mean([1, 1, 1 / 3])
     assert tuple(compare(tmp_path / "a", tmp_path / "b").iloc[0][["better", "worse"]]) == (0, 0)
 
 
 def test_equal_policies_do_not_differ(tmp_path: Path) -> None:
     folder = write(tmp_path, example())
-    found = compare(f"{folder}:noop", f"{folder}:noop")
-    assert (found[["difference", "low", "high"]] == 0).all(axis=None)
+    table = compare(f"{folder}:noop", f"{folder}:noop")
+    assert (table[["difference", "low", "high"]] == 0).all(axis=None)
 
 
 def test_names_of_policies_and_folders_may_hold_colons(tmp_path: Path) -> None:

@@ -11,24 +11,24 @@ import pytest
 from msgspec.structs import replace
 
 from magical_mj.cli import main
-from magical_mj.leaderboard import submit
+from magical_mj.leaderboard import read_entry, submit
 from magical_mj.leaderboard.entry import packed, unpacked
 from magical_mj.utils.errors import EvaluationError, SettingsError
 from tests.helpers.entries import EPISODES, rewrite, tampered_score, whole
 
 
-@pytest.mark.parametrize("name", ["leaderboard.html", "leaderboard.md"])
-def test_pages_of_others_are_kept(name: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_pages_of_others_are_kept(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """And the command says so before it replays anything; pages of its own are replaced."""
     submit([folder], tmp_path / "entry.json.xz")
     for _ in range(2):
         assert main(["leaderboard", str(tmp_path)]) == 0
-    (tmp_path / name).write_text("# Mine, on the leaderboard\n")
-    capsys.readouterr()
-    assert main(["leaderboard", str(tmp_path)]) == 1
-    out, error = capsys.readouterr()
-    assert (out, f"{name} is not a page of an earlier leaderboard: move it" in error) == ("", True)
-    assert (tmp_path / name).read_text() == "# Mine, on the leaderboard\n"
+    for name in ("leaderboard.md", "leaderboard.html"):
+        (tmp_path / name).write_text("# Mine, on the leaderboard\n")
+        capsys.readouterr()
+        assert main(["leaderboard", str(tmp_path)]) == 1
+        out, error = capsys.readouterr()
+        assert (out, f"{name} is not a page of an earlier leaderboard: move it" in error) == ("", True)
+        assert (tmp_path / name).read_text() == "# Mine, on the leaderboard\n"
     assert main(["leaderboard", str(tmp_path), "--out", "/dev/null/pages"]) == 1
     out, error = capsys.readouterr()
     assert (out, "cannot write into /dev/null/pages" in error) == ("", True)
@@ -54,7 +54,15 @@ def test_the_commands_say_what_they_found(folder: Path, tmp_path: Path, capsys: 
     assert f"expert: {EPISODES} episodes of 1 run," in out
     assert "the card does not say: description, authors, links, demonstrations.set, demonstrations.per_task" in out
     assert "a partial entry: 1 of 5 runs, 1 of 60 environments, 96 of 100 episodes missing in the " in out
+    (tmp_path / "card.toml").write_text('method = "Mine"')
+    rewrite(folder, lambda rows: [row.update(run=1) for row in rows])
+    options = ["--card", str(tmp_path / "card.toml"), "--policy", "expert", "--extend", str(path)]
+    assert main(["submit", str(folder), "--out", str(tmp_path / "two.json.xz"), *options]) == 0
+    entry = read_entry(tmp_path / "two.json.xz")
+    assert (entry.method, entry.runs) == ("Mine", [0, 1])
+    rewrite(folder, lambda rows: [row.update(run=0) for row in rows])
     rewrite(folder, tampered_score)
+    capsys.readouterr()
     assert main(["verify", str(folder)]) == 1
     out, error = capsys.readouterr()
     assert f"{EPISODES} episodes replayed" in out
@@ -72,6 +80,7 @@ def test_a_leaderboard_names_bad_entries_and_shows_the_others(
     submit([folder], entries / "good.json.xz")
     assert main(["leaderboard", str(entries), "--all"]) == 0
     assert f"good.json.xz: expert; {EPISODES} episodes replayed" in capsys.readouterr().out
+    (entries / "twin.json.xz").write_bytes((entries / "good.json.xz").read_bytes())
     (entries / "cut.json.xz").write_bytes((entries / "good.json.xz").read_bytes()[:-20])
     (entries / "folder.json.xz").mkdir()
     (entries / "half.json.xz").write_bytes(lzma.compress(b'{"card": "\\ud800"}'))
@@ -80,23 +89,15 @@ def test_a_leaderboard_names_bad_entries_and_shows_the_others(
     submit([folder], entries / "lie.json.xz", card=tmp_path / "card.toml")
     assert main(["leaderboard", str(entries), "--all", "--out", str(tmp_path / "pages")]) == 1
     error = capsys.readouterr().err
+    assert "twin.json.xz is not shown: it has the name of the method in good.json.xz" in error
     assert "cut.json.xz is cut short" in error
     assert "folder.json.xz is not a plain file" in error
     assert "half.json.xz is no entry" in error
     assert "lie.json.xz differs: run 0, MoveToRegion Layout, seed 2: the score is 0.5" in error
-    assert "entries that are not what they claim, and are not on the page: 4" in error
+    assert "entries that are not what they claim, and are not on the page: 5" in error
     text = (tmp_path / "pages" / "leaderboard.md").read_text()
     assert "| expert | paper | no observations |" in text
     assert "Liar" not in text
-
-
-def test_a_name_is_one_methods(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name in "ab":
-        submit([folder], tmp_path / f"{name}.json.xz")
-    assert main(["leaderboard", str(tmp_path), "--replay", "1"]) == 1
-    out, error = capsys.readouterr()
-    assert "b.json.xz is not shown: it has the name of the method in a.json.xz" in error
-    assert "a.json.xz: expert; 1 episode replayed" in out
 
 
 def test_one_training_is_one_run(folder: Path, tmp_path: Path) -> None:
@@ -118,13 +119,3 @@ def test_names_are_what_they_look_like(folder: Path, tmp_path: Path) -> None:
             submit([folder], tmp_path / "entry.json.xz", card=tmp_path / "card.toml")
         with pytest.raises(EvaluationError, match="method"):
             unpacked(packed(replace(entry, card=replace(entry.card, method=name))))
-
-
-def test_a_card_and_further_runs_are_given_to_the_command(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "card.toml").write_text('method = "Mine"')
-    one, two = str(tmp_path / "one.json.xz"), str(tmp_path / "two.json.xz")
-    assert main(["submit", str(folder), "--out", one, "--card", str(tmp_path / "card.toml")]) == 0
-    rewrite(folder, lambda rows: [row.update(run=1) for row in rows])
-    assert main(["submit", str(folder), "--policy", "expert", "--out", two, "--extend", one]) == 0
-    entry = unpacked(Path(two).read_bytes())
-    assert (entry.method, entry.runs) == ("Mine", [0, 1])

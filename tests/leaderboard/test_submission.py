@@ -62,6 +62,12 @@ def test_what_is_no_evaluation_of_one_method_is_explained(folder: Path, tmp_path
     (training / "policy.safetensors").touch()
     with pytest.raises(EvaluationError, match=r"training holds a policy, .* --policy .*training --out ANOTHER"):
         submit([training], tmp_path / "entry.json.xz")
+    rewrite(folder, lambda rows: rows[0].update(preset="LoRes4E"))
+    with pytest.raises(EvaluationError, match="different preset"):
+        submit([folder], tmp_path / "entry.json.xz")
+    rewrite(folder, lambda rows: rows[0].update(preset=None, task="PushOut"))
+    with pytest.raises(EvaluationError, match="PushOut"):
+        submit([folder], tmp_path / "entry.json.xz")
     rewrite(folder, lambda rows: rows[0].update(policy="bc-1"))
     with pytest.raises(SettingsError, match=r"bc-1, expert: .*\(--policy NAME\).*--policy BC=runs/a,BC=runs/b"):
         submit([folder], tmp_path / "entry.json.xz")
@@ -74,9 +80,9 @@ def test_an_entry_is_extended_by_further_runs(folder: Path, tmp_path: Path) -> N
     with pytest.raises(SettingsError, match=r"is of 'Oracle', and the folders hold 'expert': .*\(--policy expert, or"):
         submit([folder], tmp_path / "two.json.xz", extend=tmp_path / "one.json.xz")
     two = submit([folder], tmp_path / "two.json.xz", policy="expert", extend=tmp_path / "one.json.xz")
-    entry, found = check(tmp_path / "two.json.xz", most=None)
+    entry, findings = check(tmp_path / "two.json.xz", most=None)
     assert (tmp_path / "two.json.xz").read_bytes() == packed(entry) == packed(two)
-    assert (entry.runs, found.episodes, found.differing) == ([0, 1], 2 * EPISODES, [])
+    assert (entry.runs, findings.episodes, findings.differing) == ([0, 1], 2 * EPISODES, [])
     assert entry.card == read_entry(tmp_path / "one.json.xz").card
     assert len(entry.versions.mujoco) == 2
     with pytest.raises(EvaluationError, match=r"two.json.xz with these folders holds an episode twice"):

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from magical_mj.evaluation.reports.statistics import (
-    COLUMNS,
     SCORE_TOLERANCE,
+    Summary,
     by_environment,
     by_variant,
     mean_interval,
@@ -172,9 +172,9 @@ def results(folders: Sequence[Path], with_published: bool = False, mixed_presets
 
     scores = gather(folders, mixed_presets)
     shows_published = with_published and bool(set(scores["task"].cat.categories) & set(TASKS))
-    ours = list(scores["policy"].cat.categories)
-    theirs = list(dict.fromkeys(published_results()["policy"])) if shows_published else []
-    if taken := [name for name in ours if name in theirs]:
+    own = list(scores["policy"].cat.categories)
+    papers = list(dict.fromkeys(published_results()["policy"])) if shows_published else []
+    if taken := [name for name in own if name in papers]:
         raise EvaluationError(
             f"the paper has methods named {', '.join(map(repr, taken))} as well: evaluate yours under another name "
             "(--policy NAME=...), or leave out the published results"
@@ -187,7 +187,7 @@ def results(folders: Sequence[Path], with_published: bool = False, mixed_presets
         marks = {"published": True, "rules": PUBLISHED_RULES}
         environments = pd.concat([environments, published_by_environment().assign(**marks)])
         variants = pd.concat([variants, published_by_variant().assign(**marks)])
-    environments, variants = (_sorted(table, [*ours, *theirs]) for table in (environments, variants))
+    environments, variants = (_sorted(table, [*own, *papers]) for table in (environments, variants))
     variants["missing"] = _missing(environments, variants)
     return Results(scores, environments, variants, with_published and not shows_published)
 
@@ -207,21 +207,16 @@ def _sorted(table: pd.DataFrame, policies: list[str]) -> pd.DataFrame:
 
 def _missing(environments: pd.DataFrame, variants: pd.DataFrame) -> list[str]:
     """For each row of `variants`, the names of the tasks that it lacks, separated by commas."""
-    played = environments[~environments["published"]]
-    counted = counted_tasks(played["task"])
-    pairs = list(zip(played["task"], played["variant"], strict=True))
-    needed = ENVIRONMENTS if set(counted) & set(TASKS) else list(dict.fromkeys(pairs))
-    of_policies = set(zip(played["policy"], *zip(*pairs, strict=True), strict=True))
-    return [
-        ""
-        if row.published
-        else ", ".join(
-            task
-            for task, variant in needed
-            if variant == row.variant and (row.policy, task, variant) not in of_policies
-        )
-        for row in variants.itertuples()
-    ]
+    own = environments.loc[~environments["published"], ["policy", "task", "variant"]]
+    played = set(own.itertuples(index=False, name=None))
+    pairs = (
+        ENVIRONMENTS if set(own["task"]) & set(TASKS) else dict.fromkeys(zip(own["task"], own["variant"], strict=True))
+    )
+
+    def lacked(policy: str, variant: str) -> str:
+        return ", ".join(task for task, other in pairs if other == variant and (policy, task, variant) not in played)
+
+    return ["" if row.published else lacked(row.policy, row.variant) for row in variants.itertuples()]
 
 
 def published_results() -> pd.DataFrame:
@@ -257,7 +252,7 @@ def published_by_variant() -> pd.DataFrame:
 
 
 def _completed(table: pd.DataFrame) -> pd.DataFrame:
-    return table.assign(**{name: np.nan for name in COLUMNS if name not in table})
+    return table.assign(**{name: np.nan for name in Summary._fields if name not in table})
 
 
 def choose(which: Path | str) -> tuple[str, pd.DataFrame]:
@@ -302,14 +297,14 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
     check_extra("comparisons", "eval")
     import pandas as pd
 
-    (name, ours), (other, theirs) = choose(first), choose(second)
-    played = pd.concat([side.astype(dict.fromkeys(NAMES, object)) for side in (ours, theirs)], ignore_index=True)
+    (name, ours), (other, others) = choose(first), choose(second)
+    played = pd.concat([side.astype(dict.fromkeys(NAMES, object)) for side in (ours, others)], ignore_index=True)
     check_same(played, "rules", "they cannot be compared")
     check_same(played, "worlds", "scores of batched worlds are approximate, and compared among themselves")
     check_scenes(played)
     sides = [
         side.astype({"variant": str, "task": str}).groupby(["variant", "task", "seed"])["score"].mean()
-        for side in (ours, theirs)
+        for side in (ours, others)
     ]
     both = pd.concat(sides, axis=1, keys=["first", "second"])
     paired = both.dropna()

@@ -32,12 +32,9 @@ AT_ONCE: Final = 50_000_000
 SCORE_TOLERANCE: Final = 1e-9
 """Scores that differ by less than this are equal."""
 
-COLUMNS: Final = ("mean", "std", "low", "high", "iqm", "iqm_low", "iqm_high")
-"""The statistics; `low` and `high` bound the mean."""
-
 
 class Summary(NamedTuple):
-    """The statistics of some run means; NaN where there are too few."""
+    """The statistics of some run means, with the bounds of the two means' intervals; NaN where there are too few."""
 
     mean: float
     std: float
@@ -154,29 +151,27 @@ def by_environment(scores: pd.DataFrame) -> pd.DataFrame:
     Args:
         scores: a row for each episode.
     """
-    import pandas as pd
-
-    rows = []
-    for (policy, task, variant), group in scores.groupby(["policy", "task", "variant"], sort=False, observed=True):
-        runs = _by(group, "run")
-        counts = {"runs": len(runs), "episodes": len(group), "failures": int(group["failure"].notna().sum())}
-        statistics = summarise([[run["score"].to_numpy(float) for run in runs]])._asdict()
-        rows.append({"policy": policy, "task": task, "variant": variant, **statistics, **counts})
-    return pd.DataFrame(rows)
+    return _by(["policy", "task", "variant"], scores).drop(columns="tasks")
 
 
 def by_variant(scores: pd.DataFrame) -> pd.DataFrame:
     """The statistics of each policy in each variant, one row each: over the tasks that were played."""
+    return _by(["policy", "variant"], scores).drop(columns="failures")
+
+
+def _by(keys: list[str], scores: pd.DataFrame) -> pd.DataFrame:
+    """A row for each value of the keys, in their order."""
     import pandas as pd
 
     rows = []
-    for (policy, variant), group in scores.groupby(["policy", "variant"], sort=False, observed=True):
-        tasks = [[run["score"].to_numpy(float) for run in _by(task, "run")] for task in _by(group, "task")]
+    for values, group in scores.groupby(keys, sort=False, observed=True):
+        tasks = [
+            [run.to_numpy(float) for _, run in task.groupby("run")["score"]]
+            for _, task in group.groupby("task", observed=True)
+        ]
         counts = {"tasks": len(tasks), "runs": max(map(len, tasks)), "episodes": len(group)}
-        rows.append({"policy": policy, "variant": variant, **summarise(tasks)._asdict(), **counts})
+        failures = int(group["failure"].notna().sum())
+        rows.append(
+            {**dict(zip(keys, values, strict=True)), **summarise(tasks)._asdict(), **counts, "failures": failures}
+        )
     return pd.DataFrame(rows)
-
-
-def _by(scores: pd.DataFrame, column: str) -> list[pd.DataFrame]:
-    """The rows of each of a column's values, in the order of these."""
-    return [group for _, group in scores.groupby(column, observed=True)]

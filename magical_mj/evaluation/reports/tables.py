@@ -147,27 +147,24 @@ def _rows(results: Results, frame: pd.DataFrame, text: Callable[[Any], str], tas
         cells[str(row.policy)][str(row.variant)] = row
     rows = []
     for policy in (policy for policy in results.policies if policy in cells):
-        mine = cells[policy]
-        name = marked(policy, next(iter(mine.values())).published)
-        rows.append((name, *(text(mine[variant]) if variant in mine else _gap(task, variant) for variant in VARIANTS)))
+        by_variant = cells[policy]
+        method = marked(policy, next(iter(by_variant.values())).published)
+        gaps = {variant: "missing" if (task, variant) in ENVIRONMENTS else NONE for variant in VARIANTS}
+        rows.append((method, *(text(by_variant[name]) if name in by_variant else gap for name, gap in gaps.items())))
     return tuple(rows)
 
 
 def _iqm_rows(results: Results) -> Rows:
     """Two rows for each method: the interquartile means, and below them their intervals."""
-    mine = results.variants[~results.variants["published"]]
-    means = _rows(results, mine, lambda row: f"{row.iqm:.2f} {share(row)}".rstrip())
-    intervals = _rows(results, mine, lambda row: f"[{row.iqm_low:.2f}, {row.iqm_high:.2f}]".replace("[nan, nan]", NONE))
+    own = results.variants[~results.variants["published"]]
+    means = _rows(results, own, lambda row: f"{row.iqm:.2f} {share(row)}".rstrip())
+    intervals = _rows(results, own, lambda row: f"[{row.iqm_low:.2f}, {row.iqm_high:.2f}]".replace("[nan, nan]", NONE))
     return tuple(row for mean, interval in zip(means, intervals, strict=True) for row in (mean, ("", *interval[1:])))
 
 
 def marked(policy: str, published: bool) -> str:
     """The method's name, with a dagger if its results are published ones."""
     return policy + DAGGER if published else policy
-
-
-def _gap(task: str | None, variant: str) -> str:
-    return "missing" if (task, variant) in ENVIRONMENTS else NONE
 
 
 def _mean_and_std(row: Any) -> str:
