@@ -100,15 +100,6 @@ def test_a_leaderboard_names_bad_entries_and_shows_the_others(
     assert "Liar" not in text
 
 
-def test_one_training_is_one_run(folder: Path, tmp_path: Path) -> None:
-    """The file of a policy, evaluated twice, is recorded with the same hash."""
-    settings = json.loads((folder / "run.json").read_text())
-    settings["policies"] = [{"name": "expert", "run": run, "origin": "a", "sha256": "c0ffee"} for run in (0, 1)]
-    (folder / "run.json").write_text(json.dumps(settings))
-    with pytest.raises(EvaluationError, match=r"the runs 0, 1 of expert played with equal policies \(sha256 c0ffee"):
-        submit([folder], tmp_path / "entry.json.xz")
-
-
 def test_names_are_what_they_look_like(folder: Path, tmp_path: Path) -> None:
     """Neither a card nor an entry's file may name a method so that it looks like another line of a table."""
     entry = whole(runs=1)

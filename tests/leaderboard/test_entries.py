@@ -118,13 +118,20 @@ DAMAGED = {
     "another format": gzip.compress(b"{}"),
     "bits": lzma.compress(b"{}")[:10] + b"\xff" * 20,
     "deep": lzma.compress(b"[" * 10**5),
+    "bytes": lzma.compress(b" " * (MOST_UNPACKED + 1)),
+    "values": lzma.compress(b"[],".join([b""] * 3_000_000)),
 }
 
 
 def test_damaged_files_are_named(tmp_path: Path) -> None:
+    """And what is no plain file, and small files that expand to much, in bytes or in values."""
     for name, data in DAMAGED.items():
         (tmp_path / f"{name}.json.xz").write_bytes(data)
-        with pytest.raises(EvaluationError, match=rf"{name}\.json\.xz"):
+    os.mkfifo(tmp_path / "pipe.json.xz")
+    (tmp_path / "device.json.xz").symlink_to("/dev/zero")
+    problems = {"pipe": "plain file", "device": "plain file", "bytes": "60 MB", "values": "2,000,000 values"}
+    for name in {**DAMAGED, **problems}:
+        with pytest.raises(EvaluationError, match=problems.get(name, rf"{name}\.json\.xz")):
             read_entry(tmp_path / f"{name}.json.xz")
 
 
@@ -155,15 +162,3 @@ def test_an_entry_without_the_protocols_scenes_is_not_shown(tmp_path: Path) -> N
     lone = recorded(0, "MoveToRegion", "Demo", 100, 0.0, "", "ValueError: no")
     (tmp_path / "entry.json.xz").write_bytes(packed(replace(whole(runs=1), episodes=[lone])))
     assert check(tmp_path / "entry.json.xz")[1].unfit == ["none of its episodes starts in the scenes of seeds 0 to 99"]
-
-
-def test_what_is_no_plain_file_or_too_large_is_refused(tmp_path: Path) -> None:
-    """Small files that expand to much, in bytes or in values, and what would never end."""
-    os.mkfifo(tmp_path / "pipe.json.xz")
-    (tmp_path / "device.json.xz").symlink_to("/dev/zero")
-    (tmp_path / "bytes.json.xz").write_bytes(lzma.compress(b" " * (MOST_UNPACKED + 1)))
-    (tmp_path / "values.json.xz").write_bytes(lzma.compress(b"[],".join([b""] * 3_000_000)))
-    problems = {"pipe": "plain file", "device": "plain file", "bytes": "60 MB", "values": "2,000,000 values"}
-    for name, problem in problems.items():
-        with pytest.raises(EvaluationError, match=problem):
-            read_entry(tmp_path / f"{name}.json.xz")
