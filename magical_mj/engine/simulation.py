@@ -95,7 +95,8 @@ class Simulation:
 
     def __init__(self, scene: Scene, renderer: str | None = None) -> None:
         world = World(scene)
-        self._hold(world, copy(world_model(world.structure)), renderer=renderer)
+        self._hold(world, copy(world_model(world.structure)))
+        self.renderer = renderer
         self._begin()
 
     @classmethod
@@ -104,7 +105,7 @@ class Simulation:
     ) -> Simulation:
         """A simulation with a compiled model and its state, which others use too; `cameras` are those of `Views`."""
         simulation = cls.__new__(cls)
-        simulation._hold(world, model, data, cameras=cameras)
+        simulation._hold(world, model, data, cameras)
         return simulation
 
     def _hold(
@@ -112,12 +113,11 @@ class Simulation:
         world: World,
         model: mujoco.MjModel,
         data: mujoco.MjData | None = None,
-        *,
-        renderer: str | None = None,
         cameras: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self.world, self.model, self.data = world, model, data or mujoco.MjData(model)
-        self.renderer, self._cameras = renderer, cameras
+        self.renderer: str | None = None
+        self._cameras = cameras
         self._views: Views | None = None
         self._encoder: tuple[Scene, StateEncoder] | None = None
 

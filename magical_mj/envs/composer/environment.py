@@ -423,10 +423,7 @@ def _loaded(
     recompile: bool,
 ) -> Environment:
     if not isinstance(observations, list | tuple):
-        example = observations if isinstance(observations, str) and observations in OBSERVATIONS else "ego"
-        raise SettingsError(
-            f'observations must be a list or a tuple of names, such as ("{example}",), not {short_repr(observations)}'
-        )
+        raise SettingsError(f'observations are a list or a tuple of names, ("ego",), not {short_repr(observations)}')
     for name in observations:
         check_name("observation", name, OBSERVATIONS)
     seed = None if seed is None else check_seed(seed)
