@@ -33,10 +33,11 @@ DAY: Final = 86400.0
 PAUSE: Final = 10.0
 """Seconds between two looks at what other processes have done."""
 
+SETTINGS: Final = described(TrainingSettings)
+
 Method = Annotated[str, typer.Argument(help="bc, gail, wgail-gp, al, or another package's.", show_default=False)]
 Tasks = Annotated[str, typer.Option(help="A task; with --multi-task several, separated by commas, or all.")]
 Out = Annotated[Path, typer.Option(help="The run's folder.", show_default=False)]
-SETTINGS = described(TrainingSettings)
 Seed = Annotated[int, typer.Option(min=0, help=SETTINGS["seed"].description)]
 MultiTask = Annotated[bool, typer.Option("--multi-task", help="One policy for all the tasks.")]
 Augment = Annotated[str, typer.Option(help=SETTINGS["augment"].description)]
@@ -117,7 +118,11 @@ def train(
 
     check_name("method", method, METHODS)
     options = {"seed": seed, "augment": augment, "preset": preset, "device": device, "ppo.worlds": worlds}
-    others = dict(_change(text) for text in change or [])
+    others = {}
+    for text in change or []:
+        name, equals, others[name] = text.partition("=")
+        if not equals:
+            raise SettingsError(f"--set wants NAME=VALUE, such as ppo.clip=0.02, not {text!r}")
     check_changes(others, [method], preset, elsewhere=("method", "tasks", "quick", *options))
     check_fits(context, uses(method, "augment"), f"with {', '.join(users('augment'))}", "augment")
     settings = learners.load_settings(method, tasks, quick=quick, **options, **others)
@@ -132,13 +137,6 @@ def train(
     folder = shlex.quote(f"./{out}" if str(out) in AGENTS else str(out))
     again = f"magical-mj evaluate --policy {folder} --tasks {','.join(settings.tasks)} --preset {settings.preset}"
     screen.print(f"the policy is in {out}; to evaluate it: {again} --out ...", soft_wrap=True)
-
-
-def _change(text: str) -> tuple[str, str]:
-    name, equals, value = text.partition("=")
-    if not equals:
-        raise SettingsError(f"--set wants NAME=VALUE, such as ppo.clip=0.02, not {text!r}")
-    return name, value
 
 
 def bars(screen: Console) -> Bars:

@@ -51,6 +51,11 @@ def convolutions(network: NetworkSettings) -> list[tuple[int, int, int]]:
     return [(network.first_channels, network.first_kernel, network.first_stride)] + 4 * [(network.channels, 3, 2)]
 
 
+def last_layers(inputs: int, hidden: int, features: int) -> nn.Sequential:
+    """The two linear layers with which both torsos end."""
+    return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, features), nn.ReLU())
+
+
 class Torso(nn.Module):
     """The layers that all tasks share: from stacks of frames to features.
 
@@ -89,9 +94,7 @@ class Torso(nn.Module):
             layers.append(nn.ReLU())
             channels = outputs
         self.convolutions = nn.Sequential(*layers).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-        self.linear = nn.Sequential(
-            nn.Linear(inputs, network.hidden), nn.ReLU(), nn.Linear(network.hidden, self.features), nn.ReLU()
-        )
+        self.linear = last_layers(inputs, network.hidden, self.features)
 
     def forward(self, stacks: Tensor, actions: Tensor | None = None) -> Tensor:
         """Features, shape (n, features), of stacks (n, 3k, 96, 96) in [0, 1] and actions (n,), if it has any."""
@@ -120,9 +123,7 @@ class StateTorso(nn.Module):
         check_size(network.attention * layer + size**2 + (inputs + self.features) * network.hidden)
         self.entity = nn.Sequential(nn.Linear(ROBOT_FEATURES + ENTITY_FEATURES, size), nn.ReLU(), nn.Linear(size, size))
         self.attention = nn.ModuleList(Attention(size) for _ in range(network.attention))
-        self.linear = nn.Sequential(
-            nn.Linear(inputs, network.hidden), nn.ReLU(), nn.Linear(network.hidden, self.features), nn.ReLU()
-        )
+        self.linear = last_layers(inputs, network.hidden, self.features)
 
     def forward(self, observations: Tensor, actions: Tensor | None = None) -> Tensor:
         """Features, shape (n, features), of histories (n, HISTORY, names) and actions (n,), if it has any."""

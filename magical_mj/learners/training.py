@@ -199,9 +199,9 @@ class _Training:
     def _improve(self) -> Mapping[str, float]:
         metrics = self._learner.update()
         self._update += 1
-        wrong = [name for name, value in metrics.items() if not math.isfinite(value)]
-        if wrong:
-            self._give_up(f"{wrong[0]} is {metrics[wrong[0]]}")
+        for name, value in metrics.items():
+            if not math.isfinite(value):
+                self._give_up(f"{name} is {value}")
         return metrics
 
     def _report(self, table: Metrics, policy: Policy) -> Progress:
@@ -226,16 +226,9 @@ class _Training:
 
     def _scores(self, policy: Policy) -> dict[str, float]:
         """Mean scores in the demo variant by task."""
-        episodes = self._settings.episodes
-        frame = evaluate(
-            policy,
-            tasks=self._settings.tasks,
-            variants="Demo",
-            episodes=episodes,
-            preset=self._settings.preset,
-            envs=min(episodes, 10),
-            jobs=1,
-        )
+        settings = self._settings
+        asked = {"tasks": settings.tasks, "preset": settings.preset, "episodes": settings.episodes}
+        frame = evaluate(policy, variants="Demo", envs=min(settings.episodes, 10), jobs=1, **asked)
         return {str(task): float(score) for task, score in frame.groupby("task")["score"].mean().items()}
 
     def _row(self, table: Metrics, scores: Mapping[str, float]) -> Mapping[str, float]:

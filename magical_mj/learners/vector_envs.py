@@ -200,7 +200,7 @@ class BatchedVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """The batch's own attribute, for each world."""
-        return [getattr(self._batch, attr_name)] * len(list(self._get_indices(indices)))
+        return [getattr(self._batch, attr_name) for _ in self._get_indices(indices)]
 
     def _refuse(self, *_: Any, **__: Any) -> Any:
         """Worlds have no attributes, methods and wrappers of their own."""
