@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, nullcontext
 from itertools import chain
 from pathlib import Path
@@ -17,7 +17,7 @@ from magical_mj.evaluation.scores import EpisodeResult, Key, append, frame, load
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
 from magical_mj.evaluation.worker import Player, Unit, plan, play_unit
 from magical_mj.policies.interface import reason
-from magical_mj.policies.loading import Source, playable
+from magical_mj.policies.loading import playable
 from magical_mj.utils.errors import EvaluationError, SettingsError, WorkerError
 from magical_mj.utils.extras import check_extra
 from magical_mj.utils.parallel import cores, map_unordered
@@ -108,8 +108,7 @@ class Evaluation:
             if self._out:
                 self.scores = load_or_start(self._out, self._recorded)  # another process may have added some by now
             self.units = self._remaining()
-            proven = {(result.policy, result.run) for result in self.scores}
-            for results in _abort_if_all_fail(self._play_units(), proven, self._first_episodes()):
+            for results in self._trusted_results():
                 _check_versions(results)
                 if file is not None:
                     append(file, results)
@@ -119,13 +118,33 @@ class Evaluation:
     def _remaining(self) -> list[Unit]:
         return plan(self._sources, self.settings, {result.key for result in self.scores})
 
-    def _first_episodes(self) -> dict[tuple[str, int], list[Key]]:
-        """The first remaining episodes of each policy."""
-        first: dict[tuple[str, int], list[Key]] = defaultdict(list)
+    def _trusted_results(self) -> Iterator[list[EpisodeResult]]:
+        """All results; those of a policy are held back until one of its first episodes succeeds or fails differently.
+
+        The first planned episodes decide, not the first finished ones, which depend on the number of workers.
+
+        Raises:
+            EvaluationError: if all first episodes of a policy fail with the same type of error. None are yielded.
+        """
+        planned: dict[tuple[str, int], list[Key]] = defaultdict(list)
         for unit in self.units:
-            name, run = unit.source.name, unit.source.run
-            first[name, run] += [(name, run, unit.task, unit.variant, seed) for seed in unit.seeds]
-        return {policy: keys[:FIRST_EPISODES] for policy, keys in first.items()}
+            policy = unit.source.name, unit.source.run
+            planned[policy] += [(*policy, unit.task, unit.variant, seed) for seed in unit.seeds]
+        proven = {(result.policy, result.run) for result in self.scores}
+        held: dict[tuple[str, int], list[EpisodeResult]] = defaultdict(list)
+        for result in chain.from_iterable(self._play_units()):
+            policy = result.policy, result.run
+            held[policy].append(result)
+            if policy not in proven:
+                first = planned[policy][:FIRST_EPISODES]
+                deciding = [result for result in held[policy] if result.key in first]
+                types = {None if result.failure is None else result.failure.partition(":")[0] for result in deciding}
+                if len(types) > 1 or None in types:
+                    proven.add(policy)
+                elif len(deciding) == len(first):
+                    raise _all_failed_error(deciding)
+            if policy in proven:
+                yield held.pop(policy)
 
     def _play_units(self) -> Iterator[list[EpisodeResult]]:
         """The results of all units in order of completion."""
@@ -138,49 +157,21 @@ class Evaluation:
                 for unit in self.units:
                     yield from ([result] for result in player.play(unit))
             return
-        for source in self._sources:
-            _check_pickles(source)
+        self._check_pickles()
         try:
             yield from map_unordered(play_unit, self.units, jobs, backend, self.settings.address)
         except WorkerError as error:
             raise EvaluationError(f"{error}; --resume continues (resume=True)") from error
 
-
-def _check_pickles(source: Source) -> None:
-    try:
-        cloudpickle.dumps(source)
-    except Exception as error:
-        raise SettingsError(
-            f"{source.name} cannot be sent to other processes ({reason(error)}): give it as module:object, or jobs=1"
-        ) from error
-
-
-def _abort_if_all_fail(
-    played: Iterable[list[EpisodeResult]], proven: set[tuple[str, int]], first: Mapping[tuple[str, int], list[Key]]
-) -> Iterator[list[EpisodeResult]]:
-    """The results; those of a policy are held back until one of its first episodes succeeds or fails differently.
-
-    Args:
-        played: results in order of completion, which depends on the number of workers.
-        proven: names and runs of the policies whose results are not held back.
-        first: the first planned episodes of each policy, which therefore decide.
-
-    Raises:
-        EvaluationError: if all first episodes of a policy fail with the same type of error. None are yielded.
-    """
-    held: dict[tuple[str, int], list[EpisodeResult]] = defaultdict(list)
-    for result in chain.from_iterable(played):
-        policy = result.policy, result.run
-        held[policy].append(result)
-        if policy not in proven:
-            deciding = [result for result in held[policy] if result.key in first[policy]]
-            types = {None if result.failure is None else result.failure.partition(":")[0] for result in deciding}
-            if len(types) > 1 or None in types:
-                proven.add(policy)
-            elif len(deciding) == len(first[policy]):
-                raise _all_failed_error(deciding)
-        if policy in proven:
-            yield held.pop(policy)
+    def _check_pickles(self) -> None:
+        for source in self._sources:
+            try:
+                cloudpickle.dumps(source)
+            except Exception as error:
+                raise SettingsError(
+                    f"{source.name} cannot be sent to other processes ({reason(error)}): give it as module:object, or "
+                    "jobs=1"
+                ) from error
 
 
 def _all_failed_error(results: list[EpisodeResult]) -> EvaluationError:

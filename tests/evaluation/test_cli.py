@@ -36,8 +36,8 @@ def test_from_scores_to_a_comparison(shell: Shell, tmp_path: Path) -> None:
 
 
 def test_videos_replace_nothing_but_those_of_an_earlier_report(shell: Shell, tmp_path: Path) -> None:
-    one = ("--tasks", "MoveToRegion", "--variants", "Demo", "--episodes", "1", "--jobs", "1")
-    shell("evaluate", "--policy", "noop", "--out", "o", *one)
+    tiny = ("--tasks", "MoveToRegion", "--variants", "Demo", "--episodes", "1", "--jobs", "1")
+    shell("evaluate", "--policy", "noop", "--out", "o", *tiny)
     mine = tmp_path / "mine" / "best-noop-MoveToRegion.mp4"
     mine.parent.mkdir()
     mine.write_bytes(b"mine")

@@ -105,14 +105,14 @@ def test_a_half_written_last_line_is_played_again(tmp_path: Path, cut: int) -> N
     magical_mj.evaluate("random", out=tmp_path, **SMALL)
     before = rows(tmp_path)
     path = tmp_path / SCORES
-    *kept, last = path.read_bytes().splitlines(keepends=True)
-    path.write_bytes(b"".join(kept) + last[:cut])
+    *whole, last = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join(whole) + last[:cut])
     assert len(read(tmp_path)) == 5  # reports need no repair
     played: list[EpisodeResult] = []
     magical_mj.evaluate("random", out=tmp_path, resume=True, watch=played.append, **SMALL)
     assert len(played) == 1
     assert rows(tmp_path) == before
-    assert path.read_bytes().startswith(b"".join(kept))
+    assert path.read_bytes().startswith(b"".join(whole))
 
 
 def test_lines_that_have_lost_their_ends_are_kept(tmp_path: Path) -> None:

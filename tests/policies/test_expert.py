@@ -260,6 +260,6 @@ def test_a_place_out_of_reach_is_approached() -> None:
     tree = SearchTree(np.array([(0.0, 0.0, 0.0), (0.0, 0.1, 0.0)]), np.array([-1, 0]), np.array([0, 1]))
     scene = magical_mj.sample_scene("MoveToRegion", "Demo", 0)
     free = cell_costs(obstacles(scene), loaded=False)
-    (found,) = manoeuvres(tree, free, scene, Subgoal(None, (0.5, 0.5), 0.1), Noise(np.random.default_rng(0), 1.0))
-    assert found.route[-1] == (0.5, 0.5)
-    assert found.estimate == 1.0
+    (manoeuvre,) = manoeuvres(tree, free, scene, Subgoal(None, (0.5, 0.5), 0.1), Noise(np.random.default_rng(0), 1.0))
+    assert manoeuvre.route[-1] == (0.5, 0.5)
+    assert manoeuvre.estimate == 1.0

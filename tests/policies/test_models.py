@@ -46,10 +46,10 @@ def test_standard_networks_need_no_trust(tmp_path: Path, kind: str, name: str, k
     loaded = load_sb3(tmp_path / "model.zip")
     env = gymnasium.make(name)
     observation, _ = env.reset(seed=3)
-    seen = [observation, *(env.step(action)[0] for action in (1, 4, 10, 13))]
-    expected = [int(model.predict(observation, deterministic=True)[0]) for observation in seen]
-    assert [int(loaded(observation)) for observation in seen] == expected
-    np.testing.assert_array_equal(loaded.act_batch(np.stack(seen)), expected)
+    observations = [observation, *(env.step(action)[0] for action in (1, 4, 10, 13))]
+    expected = [int(model.predict(observation, deterministic=True)[0]) for observation in observations]
+    assert [int(loaded(observation)) for observation in observations] == expected
+    np.testing.assert_array_equal(loaded.act_batch(np.stack(observations)), expected)
 
 
 def test_evaluating_an_archive(tmp_path: Path) -> None:
