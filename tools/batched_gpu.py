@@ -94,22 +94,24 @@ def parts(device: str, out: Path, amounts: Amounts) -> Mapping[str, list[str]]:
     """By name, the command of each part."""
     on = ["--device", device]
     tasks = ["--tasks", ",".join(amounts.tasks)]
-    made = {
+    commands = {
         "fidelity-actions": [*FIDELITY, "actions", *on, "--states", str(amounts.states)],
         "fidelity-replays": [*FIDELITY, "replays", *on, "--count", str(amounts.replays), *tasks],
     }
     for task in amounts.tasks:
         for variant, preset in product(amounts.variants, amounts.presets):
-            chosen = ["--tasks", task, "--variants", variant, "--presets", preset, "--num-envs", amounts.worlds]
-            made[f"speed-{task}-{variant}-{preset}"] = [sys.executable, "-m", "benchmarks", "--batched", *on, *chosen]
+            options = ["--tasks", task, "--variants", variant]
+            options += ["--presets", preset, "--num-envs", amounts.worlds]
+            name = f"speed-{task}-{variant}-{preset}"
+            commands[name] = [sys.executable, "-m", "benchmarks", "--batched", *on, *options]
     where = ["--tasks", "MoveToRegion", "--preset", "LoRes4E"]
     for name, settings in amounts.trainings.items():
         run, scores = str(out / name), str(out / f"{name}-scores")
-        given = [*where, "--worlds", "batched", *on, "--set", "evaluations=0", *settings, "--out", run]
-        made[name] = [*COMMAND, "train", "gail", *given, "--resume"]
+        options = [*where, "--worlds", "batched", *on, "--set", "evaluations=0", *settings, "--out", run]
+        commands[name] = [*COMMAND, "train", "gail", *options, "--resume"]
         played = ["--policy", run, *where, "--variants", "Demo", "--episodes", str(amounts.episodes)]
-        made[f"{name}-score"] = [*COMMAND, "evaluate", *played, "--out", scores, "--resume"]
-    return made
+        commands[f"{name}-score"] = [*COMMAND, "evaluate", *played, "--out", scores, "--resume"]
+    return commands
 
 
 def run(command: list[str], done: Path) -> str:

@@ -78,8 +78,8 @@ def check(scores: Sequence[EpisodeResult]) -> None:
 
 
 if __name__ == "__main__":
-    found = read(Path(sys.argv[1]))
-    check(found)
-    texts = {PAGE: page(found), EXPERT: episodes(found)}  # both, before either is written
+    scores = read(Path(sys.argv[1]))
+    check(scores)
+    texts = {PAGE: page(scores), EXPERT: episodes(scores)}  # both, before either is written
     for path, text in texts.items():
         path.write_text(text, encoding="utf-8")

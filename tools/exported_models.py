@@ -33,8 +33,8 @@ def main(folder: str, out: str) -> None:
     """All models of the folder side by side."""
     pictures = [picture(path) for path in sorted(Path(folder).glob("*.xml"))]
     sheet = Image.new("RGB", (SIDE * len(pictures), SIDE))
-    for index, made in enumerate(pictures):
-        sheet.paste(made, (SIDE * index, 0))
+    for index, model in enumerate(pictures):
+        sheet.paste(model, (SIDE * index, 0))
     sheet.quantize(256, dither=Image.Dither.NONE).save(out, optimize=True)
     print(f"{out}: {len(pictures)} models, drawn by MuJoCo {mujoco.__version__}")
 

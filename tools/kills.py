@@ -103,8 +103,8 @@ def lines(out: Path) -> Found:
 
 def rows(out: Path) -> Found:
     """The episodes of an evaluation, without the time that they took."""
-    found = [json.loads(line) | {"seconds": 0} for line in lines(out).values()]
-    return {json.dumps(row, sort_keys=True): b"" for row in found}
+    episodes = [json.loads(line) | {"seconds": 0} for line in lines(out).values()]
+    return {json.dumps(row, sort_keys=True): b"" for row in episodes}
 
 
 def pages(out: Path) -> Found:
@@ -125,20 +125,20 @@ def training(out: Path) -> Found:
     from magical_mj.learners.policy import POLICY
     from magical_mj.learners.run_folder import CHECKPOINT, read_metrics
 
-    found = {"metrics": repr([row | {"seconds": ""} for row in read_metrics(out)]).encode()}
+    digests = {"metrics": repr([row | {"seconds": ""} for row in read_metrics(out)]).encode()}
     for name in (CHECKPOINT, POLICY):
         if (out / name).exists():
-            kept = checkpoint.read(out / name)
-            found[name] = repr(sorted(tensors(kept))).encode()
-    return found
+            tree = checkpoint.read(out / name)
+            digests[name] = repr(sorted(tensors(tree))).encode()
+    return digests
 
 
 def tensors(tree: object, name: str = "") -> list[tuple[str, str]]:
     """The digest of each tensor and value in nested dicts and lists, the seconds that a training took apart."""
     if isinstance(tree, dict):
-        return [found for key, item in tree.items() if key != "seconds" for found in tensors(item, f"{name}/{key}")]
+        return [digest for key, item in tree.items() if key != "seconds" for digest in tensors(item, f"{name}/{key}")]
     if isinstance(tree, list):
-        return [found for key, item in enumerate(tree) for found in tensors(item, f"{name}/{key}")]
+        return [digest for key, item in enumerate(tree) for digest in tensors(item, f"{name}/{key}")]
     data = tree.numpy().tobytes() if hasattr(tree, "numpy") else repr(tree).encode()  # type: ignore[union-attr]
     return [(name, hashlib.sha256(data).hexdigest())]
 
@@ -254,15 +254,15 @@ def killed(command: tuple[str, ...], latest: float, rng: random.Random) -> tuple
 
 def session(leader: int) -> list[int]:
     """The processes of a session."""
-    found = []
+    processes = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             fields = stat.read_text().rpartition(")")[2].split()
         except OSError:  # it has just ended
             continue
         if int(fields[3]) == leader and fields[0] != "Z":
-            found.append(int(stat.parent.name))
-    return found
+            processes.append(int(stat.parent.name))
+    return processes
 
 
 def variables() -> dict[str, str]:
@@ -276,12 +276,12 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=20, help="of each command")
     parser.add_argument("--kinds", default="all", help="which commands, separated by commas")
     parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     signal.signal(signal.SIGINT, signal.default_int_handler)  # shells ignore it in what they start in the background
     with tempfile.TemporaryDirectory() as name:
         scores = Path(name) / "scores"
         every = kinds(scores)
-        chosen = list(every) if given.kinds == "all" else given.kinds.split(",")
+        chosen = list(every) if arguments.kinds == "all" else arguments.kinds.split(",")
         if unknown := set(chosen) - set(every):
             parser.error(f"there are the kinds {', '.join(every)}, and not {', '.join(unknown)}")
         if "report" in chosen:
@@ -289,7 +289,7 @@ def main() -> None:
         for kind in chosen:
             folder = Path(name) / kind
             folder.mkdir()
-            kill(every[kind], kind, folder, given.kills, random.Random(given.seed))  # noqa: S311  no secret
+            kill(every[kind], kind, folder, arguments.kills, random.Random(arguments.seed))  # noqa: S311  no secret
 
 
 if __name__ == "__main__":

@@ -18,8 +18,8 @@ def losses(log: str) -> tuple[list[int], list[float]]:
     every = EVERY.search(log)
     if every is None:
         raise SystemExit("this is no log of lerobot-train: it does not print its settings")
-    found = [float(loss) for loss in LOSS.findall(log)]
-    return [int(every[1]) * number for number in range(1, len(found) + 1)], found
+    values = [float(loss) for loss in LOSS.findall(log)]
+    return [int(every[1]) * number for number in range(1, len(values) + 1)], values
 
 
 def main(picture: str, *logs: str) -> None:

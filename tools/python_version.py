@@ -20,5 +20,5 @@ class PythonVersion(MetadataHookInterface):
         """Changes nothing in the metadata."""
         del metadata
         if sys.version_info < OLDEST:
-            found, needed = (".".join(map(str, version)) for version in (sys.version_info[:2], OLDEST))
-            raise RuntimeError(f"magical_mj needs Python {needed} or newer, and this is Python {found}")
+            present, needed = (".".join(map(str, version)) for version in (sys.version_info[:2], OLDEST))
+            raise RuntimeError(f"magical_mj needs Python {needed} or newer, and this is Python {present}")

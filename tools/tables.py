@@ -80,9 +80,9 @@ def presets() -> str:
     return table(("Preset", "Observation"), rows)
 
 
-def _mean(one: Standing, variants: Iterable[str]) -> float:
+def _mean(standing: Standing, variants: Iterable[str]) -> float:
     """Over the environments of these variants; NaN if there are none."""
-    means = [float(values.mean()) for (_, variant), values in one.means.items() if variant in variants]
+    means = [float(values.mean()) for (_, variant), values in standing.means.items() if variant in variants]
     return sum(means) / len(means) if means else float("nan")
 
 
@@ -90,50 +90,50 @@ def _number(value: float) -> str:
     return "" if value != value else f"{value:.2f}"
 
 
-def overview(found: Iterable[Standing]) -> str:
+def overview(standings: Iterable[Standing]) -> str:
     """Of each method the mean score over tasks in each variant; (m/n): of m of the n tasks."""
     rows = []
-    for one in found:
-        name = AGENTS.get(one.name, label(one))
-        looks_at = "pictures" if one.entry is None else one.entry.observations or "nothing"
-        runs = "5" if one.entry is None else str(len(one.entry.runs))
-        rows.append((name, looks_at, runs, *(_over_tasks(one, variant) for variant in VARIANTS)))
+    for standing in standings:
+        name = AGENTS.get(standing.name, label(standing))
+        looks_at = "pictures" if standing.entry is None else standing.entry.observations or "nothing"
+        runs = "5" if standing.entry is None else str(len(standing.entry.runs))
+        rows.append((name, looks_at, runs, *(_over_tasks(standing, variant) for variant in VARIANTS)))
     return table(("Method", "Looks at", "Runs", *VARIANTS), rows)
 
 
-def _over_tasks(one: Standing, variant: str) -> str:
+def _over_tasks(standing: Standing, variant: str) -> str:
     wanted = [pair for pair in ENVIRONMENTS if pair[1] == variant]
-    there = [pair for pair in wanted if pair in one.means]
+    there = [pair for pair in wanted if pair in standing.means]
     part = f" ({len(there)}/{len(wanted)})" if len(there) < len(wanted) else ""
-    return f"{_mean(one, (variant,)):.2f}{part}" if there else ""
+    return f"{_mean(standing, (variant,)):.2f}{part}" if there else ""
 
 
 def agreement(learnt: Mapping[str, Standing], paper: Sequence[Standing]) -> str:
     """Of each of the paper's methods that we trained, its rank correlation with the paper's over the environments."""
     rows = [
-        (label(one), *(_number(rank_correlation(one.means, other.means)) for other in paper))
-        for one in learnt.values()
-        if one.name.split(" (")[0] in {other.name.split(" (")[0] for other in paper}
+        (label(standing), *(_number(rank_correlation(standing.means, other.means)) for other in paper))
+        for standing in learnt.values()
+        if standing.name.split(" (")[0] in {other.name.split(" (")[0] for other in paper}
     ]
     return table(("", *COMPARED), rows)
 
 
 def ablations(learnt: Iterable[Standing], paper: Iterable[Standing]) -> str:
     """Of BC and BC with less: mean scores over the tasks, the paper's in brackets, and their rank correlation."""
-    theirs = {one.name: one for one in paper}
-    ours = {one.name.replace(", quick", ""): one for one in learnt if ", quick" in one.name}
+    papers = {standing.name: standing for standing in paper}
+    ours = {standing.name.replace(", quick", ""): standing for standing in learnt if ", quick" in standing.name}
     rows = []
     for name in ABLATIONS:
-        pairs = ((_mean(ours[name], (variant,)), _mean(theirs[name], (variant,))) for variant in VARIANTS)
-        order = _number(rank_correlation(ours[name].means, theirs[name].means))
+        pairs = ((_mean(ours[name], (variant,)), _mean(papers[name], (variant,))) for variant in VARIANTS)
+        order = _number(rank_correlation(ours[name].means, papers[name].means))
         rows.append((name, *(f"{here:.2f} ({there:.2f})" for here, there in pairs), order))
     return table(("", *VARIANTS, "Rank correlation"), rows)
 
 
-def environments(one: Standing) -> str:
+def environments(standing: Standing) -> str:
     """A method's mean scores, and the standard deviations of its runs if there are several."""
-    played = [task for task in TASKS if any(pair[0] == task for pair in one.means)]
-    rows = [(task, *(_cell(one.means.get((task, variant))) for variant in VARIANTS)) for task in played]
+    played = [task for task in TASKS if any(pair[0] == task for pair in standing.means)]
+    rows = [(task, *(_cell(standing.means.get((task, variant))) for variant in VARIANTS)) for task in played]
     return table(("", *VARIANTS), rows)
 
 
@@ -154,7 +154,7 @@ def _but(missing: Sequence[str]) -> str:
 def readme() -> dict[str, str]:
     """The tables of README.md by name."""
     learnt, agents, paper = _results()
-    official = [one for one in learnt.values() if one.kind == "official"]
+    official = [standing for standing in learnt.values() if standing.kind == "official"]
     return {"tasks": tasks(), "variants": variants(), "results": overview([*official, *agents, *paper])}
 
 
@@ -170,33 +170,33 @@ def results() -> dict[str, str]:
 
 def results_from_states() -> dict[str, str]:
     """Of each entry that learnt from states, by the name of its file: its scores in each environment."""
-    return {name: environments(one) for name, one in _results()[0].items() if _sees_states(one)}
+    return {name: environments(standing) for name, standing in _results()[0].items() if _sees_states(standing)}
 
 
 def results_from_pictures() -> dict[str, str]:
     """The same for pictures."""
-    return {name: environments(one) for name, one in _results()[0].items() if not _sees_states(one)}
+    return {name: environments(standing) for name, standing in _results()[0].items() if not _sees_states(standing)}
 
 
-def _sees_states(one: Standing) -> bool:
-    return one.entry is not None and one.entry.observations == "State"
+def _sees_states(standing: Standing) -> bool:
+    return standing.entry is not None and standing.entry.observations == "State"
 
 
-def _place(one: Standing) -> tuple[bool, bool, float]:
+def _place(standing: Standing) -> tuple[bool, bool, float]:
     """By which methods are sorted."""
-    return one.kind != "official", not one.everywhere, -_mean(one, VARIANTS)
+    return standing.kind != "official", not standing.everywhere, -_mean(standing, VARIANTS)
 
 
 @cache
 def _results() -> tuple[dict[str, Standing], list[Standing], list[Standing]]:
     """Our own learners by the names of their files, the complete ones and the best first; the agents; the paper's."""
     own = own_standings(ROOT / "results")
-    learnt = {name: one for name, one in own.items() if one.name not in AGENTS}
-    paper = [one for one in published() if one.name in COMPARED]
+    learnt = {name: standing for name, standing in own.items() if standing.name not in AGENTS}
+    paper = [standing for standing in published() if standing.name in COMPARED]
     return (
         dict(sorted(learnt.items(), key=lambda item: _place(item[1]))),
-        [one for one in own.values() if one.name in AGENTS],
-        sorted(paper, key=lambda one: COMPARED.index(one.name)),
+        [standing for standing in own.values() if standing.name in AGENTS],
+        sorted(paper, key=lambda standing: COMPARED.index(standing.name)),
     )
 
 
@@ -216,7 +216,7 @@ def filled(text: str, tables: Mapping[str, str]) -> str:
         start, end = f"<!-- {name}: written by make docs -->", f"<!-- end of {name} -->"
         text, count = re.subn(f"{start}.*?{end}", f"{start}\n{body}\n{end}", text, flags=re.DOTALL)
         if count != 1:
-            raise ValueError(f"the page needs exactly one pair of markers {start} and {end}")
+            raise ValueError(f"the page needs exactly standing pair of markers {start} and {end}")
     return text
 
 

@@ -55,7 +55,7 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
             (("ego", 1), ("allo", 1)), "dict", 96, "a dict of both current frames and the angles of the fingers", True
         ),
         "LoResCHW4E": Preset((("ego", 4),), "chw", 96, "LoRes4E with the channels first, as PyTorch wants them"),
-        "State": Preset((), "state", 96, "the state vector (magical_mj.scene.state_vector.STATE_NAMES)"),
+        "State": Preset((), "state", 96, "the state vector (magical_mj.observations.STATE_NAMES)"),
     }
 )
 """The presets by name; the empty name is used when an environment is made without a preset."""

@@ -103,20 +103,20 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=10**9, help="of each kind at most")
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--case", help="repeat one, such as files:12, and show everything")
-    given = parser.parse_args()
-    kinds = given.kinds.split(",")
-    kind, _, number = (given.case or f"{kinds[0]}:0").partition(":")
+    arguments = parser.parse_args()
+    kinds = arguments.kinds.split(",")
+    kind, _, number = (arguments.case or f"{kinds[0]}:0").partition(":")
     if not {kind, *kinds} <= set(KINDS) or not number.isdecimal():
         parser.error(f"there are the kinds {', '.join(KINDS)}, and cases such as {KINDS[0]}:12")
     with tempfile.TemporaryDirectory() as name:
-        if given.case:
+        if arguments.case:
             numbers = f"{number}:{int(number) + 1}"
             command = [sys.executable, str(Path(__file__).parent / "cases.py"), kind, numbers, "0", name, "--loud"]
             return subprocess.run(command, check=False, env=_variables()).returncode
-        campaign, end = Campaign(Path(name)), time.monotonic() + 60 * given.minutes
-        while time.monotonic() < end and any(campaign.tried[kind] < given.cases for kind in kinds):
+        campaign, end = Campaign(Path(name)), time.monotonic() + 60 * arguments.minutes
+        while time.monotonic() < end and any(campaign.tried[kind] < arguments.cases for kind in kinds):
             for kind in kinds:
-                campaign.go_on(kind, min(SLICE, end - time.monotonic()), given.cases)
+                campaign.go_on(kind, min(SLICE, end - time.monotonic()), arguments.cases)
             counts = ", ".join(f"{kind} {campaign.tried[kind]}" for kind in campaign.tried)
             print(f"tried so far: {counts}; finds: {len(campaign.finds)}", flush=True)
     for kind, tried in campaign.tried.items():

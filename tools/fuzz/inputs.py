@@ -77,9 +77,9 @@ SLOW: Final = ("all", "1e9", "None")
 @cache
 def stock(folder: Path) -> Path:
     """A folder with a sound file of each kind."""
-    made = folder / "stock"
-    if made.exists():
-        return made
+    stock = folder / "stock"
+    if stock.exists():
+        return stock
     shutil.rmtree(folder / "making", ignore_errors=True)  # of a process that died
     with contextlib.chdir(_folder(folder / "making")), contextlib.redirect_stdout(io.StringIO()):
         for name in ("demos", "entries"):
@@ -96,8 +96,8 @@ def stock(folder: Path) -> Path:
         for command in (SHORT, ("submit", "scores", "--out", "entries/a.json.xz"), TRAIN):
             if main(list(command)) != 0:
                 raise RuntimeError(f"cannot make the stock: {command}")
-    (folder / "making").rename(made)
-    return made
+    (folder / "making").rename(stock)
+    return stock
 
 
 def _folder(path: Path) -> Path:

@@ -44,9 +44,9 @@ class FindError(Exception):
 def value(rng: random.Random) -> Any:
     """Anything at all."""
     pool = rng.choice((JSON, OTHERS, NUMBERS, TEXTS))
-    found = rng.choice(pool)
+    value = rng.choice(pool)
     wrap = rng.random()
-    return [found] if wrap < 0.05 else (found, found) if wrap < 0.1 else {"scene": found} if wrap < 0.13 else found
+    return [value] if wrap < 0.05 else (value, value) if wrap < 0.1 else {"scene": value} if wrap < 0.13 else value
 
 
 def json_value(rng: random.Random) -> Any:
