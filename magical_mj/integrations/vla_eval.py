@@ -18,7 +18,7 @@ from magical_mj.demos.export.lerobot import IMAGE_SIZE
 from magical_mj.engine import Engine
 from magical_mj.scene.actions import to_discrete
 from magical_mj.scene.state_vector import VIEWS
-from magical_mj.tasks.registry import Pair, environments, task_spec
+from magical_mj.tasks.registry import environments, task_spec
 from magical_mj.utils.errors import MissingExtraError, check_name
 
 try:
@@ -60,7 +60,6 @@ class MagicalBenchmark(StepBenchmark):
             check_name("view", view, VIEWS)
         self._size = image_size
         self._env: Engine | None = None
-        self._made_for: Pair | None = None
 
     @classmethod
     def configure_render(cls, mode: str) -> dict[str, str]:
@@ -77,11 +76,8 @@ class MagicalBenchmark(StepBenchmark):
 
     def reset(self, task: Mapping[str, Any]) -> Pictures:
         """Starts the episode in the scene of the seed ``task["episode_idx"]``."""
-        pair = task["task"], task["variant"]
-        if self._env is None or self._made_for != pair:
-            self.cleanup()
-            self._env, self._made_for = Engine(*pair, seed=0), pair
-        self._env.reset(seed=int(task.get("episode_idx", 0)))
+        self.cleanup()
+        self._env = Engine(task["task"], task["variant"], seed=int(task.get("episode_idx", 0)))
         return self._pictures(self._env)
 
     def step(self, action: Mapping[str, ArrayLike]) -> StepResult:

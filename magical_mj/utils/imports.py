@@ -73,12 +73,8 @@ def check_named(reference: object, origin: object) -> None:
     Raises:
         UntrustedNameError: if it is a reference that the user has not named.
     """
-    if isinstance(reference, str) and is_reference(reference) and not _is_trusted(reference):
+    if isinstance(reference, str) and is_reference(reference) and not (_TRUST.everything or reference in _TRUST.named):
         raise UntrustedNameError(reference, origin)
-
-
-def _is_trusted(reference: str) -> bool:
-    return _TRUST.everything or reference in _TRUST.named
 
 
 @contextmanager

@@ -21,7 +21,6 @@ from magical_mj.utils.errors import (
     DemonstrationError,
     InvalidActionError,
     MagicalError,
-    SettingsError,
     UnknownNameError,
 )
 
@@ -113,7 +112,7 @@ def test_states_instead_of_pictures(plugin: Any, tmp_path: Path) -> None:
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
     demos = magical_mj.demos.load("FixColour")[:1]
     to_lerobot(demos, tmp_path / "set")
-    with pytest.raises(DemonstrationError, match="exists already"):
+    with pytest.raises(FileExistsError):
         to_lerobot(demos, tmp_path / "set")
     with pytest.raises(DemonstrationError, match="one environment"):
         to_lerobot([*demos, *magical_mj.demos.load("FindDupe")[:1]], tmp_path / "other")
@@ -211,5 +210,3 @@ def test_unknown_environments_are_named(plugin: Any) -> None:
         plugin.MagicalConfig(task="MoveToRegoin").create_envs(1)
     with pytest.raises(UnknownNameError, match="unknown choice of views 'top'"):
         plugin.LeRobotEnv("MoveToRegion", "Demo", "top")
-    with pytest.raises(SettingsError, match="n_envs must be at least 1, not 0"):
-        plugin.MagicalConfig(task="MoveToRegion").create_envs(0)

@@ -41,7 +41,7 @@ from magical_mj.scene.actions import to_discrete
 from magical_mj.scene.state_vector import FINGERS as WHERE_FINGERS
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.tasks.registry import environments, task_spec
-from magical_mj.utils.errors import SettingsError, check_name, short_repr
+from magical_mj.utils.errors import SettingsError, check_name
 
 try:
     import torch
@@ -143,10 +143,7 @@ class MagicalConfig(EnvConfig):
 
         Raises:
             UnknownNameError: if there is no such task or variant.
-            SettingsError: if `n_envs` is less than 1.
         """
-        if n_envs < 1:
-            raise SettingsError(f"n_envs must be at least 1, not {short_repr(n_envs)}")
         mode = gymnasium.vector.AutoresetMode.SAME_STEP
         suites: dict[str, dict[int, gymnasium.vector.VectorEnv[Any, Any, Any]]] = {}
         for task, variant in environments(self.task or "all", self.variant):
@@ -218,13 +215,14 @@ def _observed(folder: Path, config: Any) -> tuple[str, bool]:
     """Which of `VIEWS` a checkpoint sees, and whether the angles of the fingers."""
     observed = {name: tuple(feature.shape) for name, feature in config.input_features.items()}
     actions = {name: tuple(feature.shape) for name, feature in config.output_features.items()}
-    for views, fingers in itertools.product(VIEWS, (False, True)):
-        if observed == _features(views, fingers) and actions == {"action": (3,)}:
-            return views, fingers
-    known = "\n".join(f"  {_features(views, fingers)}" for views in VIEWS for fingers in (False, True))
+    known = {choice: _features(*choice) for choice in itertools.product(VIEWS, (False, True))}
+    for choice, features in known.items():
+        if observed == features and actions == {"action": (3,)}:
+            return choice
+    lines = "\n".join(f"  {features}" for features in known.values())
     raise SettingsError(
         f"the checkpoint {folder} makes {actions} of {observed}, and evaluations take {{'action': (3,)}} made of one of"
-        f"\n{known}\nTrain it on a data set of magical-mj demos export --to lerobot."
+        f"\n{lines}\nTrain it on a data set of magical-mj demos export --to lerobot."
     )
 
 
