@@ -192,7 +192,10 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
         f"{same_score} of {len(outcomes)} replay to the same score, {exact} through the same states, {pictures} with "
         "the same pictures"
     )
-    problems = (problem_of(path, verdict) for path, verdict in sorted(outcomes, key=str))
+    problems = (
+        verdict if isinstance(verdict, str | None) else verdict.problem and f"{path} {verdict.problem}"
+        for path, verdict in sorted(outcomes, key=str)
+    )
     for problem in dict.fromkeys(filter(None, problems)):  # that a task must be named is said once
         complain(problem)
     if sum(verdict.good for verdict in verdicts) < len(outcomes):
@@ -208,15 +211,6 @@ def check(wanted: Collection[Pair] | None, path: Path) -> tuple[Path, Verdict | 
         return path, str(error)
     except MagicalError as error:
         return path, f"{path}: {error}"
-
-
-def problem_of(path: Path, verdict: Verdict | str | None) -> str | None:
-    """What is wrong with a file, as a sentence; None if nothing is."""
-    if isinstance(verdict, str | None):
-        return verdict
-    if not verdict.scene:
-        return f"{path} does not start in the scene that its variant and seed have in this version of the world"
-    return None if verdict.good else f"{path} does not replay to its score in this version of the world"
 
 
 @app.command()

@@ -46,7 +46,14 @@ class Verdict(NamedTuple):
     @property
     def good(self) -> bool:
         """Whether the demonstration is what it says it is."""
-        return self.scene and self.score and self.replay
+        return self.problem is None
+
+    @property
+    def problem(self) -> str | None:
+        """What is wrong, to be said after the demonstration's name; None if nothing is."""
+        if not self.scene:
+            return "does not start in the scene that its variant and seed have in this version of the world"
+        return None if self.score and self.replay else "does not replay to its score in this version of the world"
 
 
 def verify(demo: Demonstration) -> Verdict:

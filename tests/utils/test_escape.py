@@ -40,13 +40,13 @@ def elements(text: str) -> dict[str, list[str]]:
     return contents
 
 
-@pytest.mark.parametrize("text", HOSTILE)
-def test_markdown_is_read_as_the_text(text: str) -> None:
-    read = elements(escape.markdown(text))
-    assert read.keys() == {"paragraph_open", "inline", "text", "paragraph_close"}
-    assert "".join(read["text"]) == text
-    link = elements(escape.markdown_link(text, "file.mp4"))
-    assert ("".join(link["text"]), link["link_open"]) == (text, [""])
+def test_markdown_is_read_as_the_text() -> None:
+    for text in HOSTILE:
+        read = elements(escape.markdown(text))
+        assert read.keys() == {"paragraph_open", "inline", "text", "paragraph_close"}
+        assert "".join(read["text"]) == text
+        link = elements(escape.markdown_link(text, "file.mp4"))
+        assert ("".join(link["text"]), link["link_open"]) == (text, [""])
 
 
 def test_control_characters_are_shown() -> None:
