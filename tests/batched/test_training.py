@@ -19,7 +19,7 @@ from magical_mj.learners.run_folder import CHECKPOINT
 from magical_mj.learners.state_features import HISTORY
 from magical_mj.learners.vector_envs import OBSERVATION, TASK, BatchedVecEnv, SerialVecEnv
 from magical_mj.scene.state_vector import STATE_NAMES
-from magical_mj.utils.errors import MissingExtraError, SettingsError
+from magical_mj.utils.errors import MissingExtraError, SettingsError, UnknownNameError
 from tests.helpers.learners import playing
 
 pytestmark = [pytest.mark.xdist_group("warp"), pytest.mark.filterwarnings("default")]
@@ -134,7 +134,7 @@ def test_the_command_line_trains_in_batched_worlds(tmp_path: Path) -> None:
 def test_what_cannot_be_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SettingsError, match="bc learns without playing"):
         in_batch("bc")
-    with pytest.raises(SettingsError, match=r"ppo\.worlds must be single or batched, not 'many'"):
+    with pytest.raises(UnknownNameError, match=r"ppo\.worlds 'many'"):
         playing(**{"ppo.worlds": "many"})
     find = importlib.util.find_spec
     monkeypatch.setattr("magical_mj.utils.extras.find_spec", lambda name: None if name == "mujoco_warp" else find(name))
