@@ -48,35 +48,33 @@ episodes = 2
 def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
     """Two processes; done again, with one run damaged, only that is trained anew."""
     file = tmp_path / "experiment.toml"
-    file.write_text(EXPERIMENT)
+    file.write_text(text := EXPERIMENT.replace('"MoveToRegion", "FixColour"', '"FixColour"'))
     out = tmp_path / "lr=0.1, twice"
     lines = list(run_experiment(plan_experiment(str(file), str(out)), str(out), jobs=2))
-    assert len(lines) == 5
-    assert sorted(line.partition(":")[0] for line in lines[:4]) == [
-        f"bc-{task}-{seed}" for task in ("FixColour", "MoveToRegion") for seed in (0, 1)
-    ]
-    page = Path(lines[4]).read_text()
+    assert len(lines) == 3
+    assert sorted(line.partition(":")[0] for line in lines[:2]) == ["bc-FixColour-0", "bc-FixColour-1"]
+    page = Path(lines[2]).read_text()
     assert "BC (ST, State), ours" in page
     assert "GAIL (ST)†" in page
     before = (out / "runs" / "bc-FixColour-1" / POLICY).read_bytes()
     for path in (out / "runs" / "bc-FixColour-1").glob("*.safetensors"):
         path.unlink()
-    seen: list[tuple[str, int]] = []
+    updates: list[tuple[str, int]] = []
     again = list(
         run_experiment(
-            plan_experiment(file, out), out, watch=lambda name, progress: seen.append((name, progress.update))
+            plan_experiment(file, out), out, watch=lambda name, progress: updates.append((name, progress.update))
         )
     )
-    assert seen == [("bc-FixColour-1", update) for update in range(1, 5)]
-    assert [line.split(":")[0] for line in again[:4] if ": trained;" in line] == ["bc-FixColour-1"]
-    assert sum("was trained before" in line for line in again) == 3
+    assert updates == [("bc-FixColour-1", update) for update in range(1, 5)]
+    assert [line.split(":")[0] for line in again[:2] if ": trained;" in line] == ["bc-FixColour-1"]
+    assert sum("was trained before" in line for line in again) == 1
     assert (out / "runs" / "bc-FixColour-1" / POLICY).read_bytes() == before  # in another process
     moved = out.rename(tmp_path / "moved")
-    assert sum("was trained before" in line for line in run_experiment(plan_experiment(file, moved), moved)) == 4
-    file.write_text(EXPERIMENT.replace("[0, 1]", "[2, 0, 1]").replace("episodes = 2", "episodes = 3"))
+    assert all("was trained before" in run.play() for run in plan_experiment(file, moved))
+    file.write_text(text.replace("[0, 1]", "[2, 0, 1]").replace("episodes = 2", "episodes = 3"))
     with pytest.raises(SettingsError, match="episodes was 2 and is 3"):
         next(run_experiment(plan_experiment(file, moved), moved))
-    assert not (moved / "runs" / "bc-MoveToRegion-2").exists()
+    assert not (moved / "runs" / "bc-FixColour-2").exists()
 
 
 @pytest.mark.parametrize(
@@ -132,9 +130,8 @@ def test_what_cannot_be_is_told_before_the_first_run(change: dict[str, str], say
     assert not (out / "runs").exists()
 
 
-@pytest.mark.parametrize("jobs", ["1", "2"])
 def test_an_experiment_tells_how_far_its_runs_are(
-    jobs: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Where there is no terminal, also of runs in other processes, and of evaluations."""
     for name in ("FIRST", "MINUTE"):
@@ -142,7 +139,7 @@ def test_an_experiment_tells_how_far_its_runs_are(
     monkeypatch.setattr("magical_mj.cli.train.PAUSE", 0.02)
     file = tmp_path / "e.toml"
     file.write_text(EXPERIMENT.replace("seeds = [0, 1]", "seeds = [0]").replace(', "FixColour"', ""))
-    assert run(["experiment", str(file), "--out", str(tmp_path / "out"), "--jobs", jobs]) == 0
+    assert run(["experiment", str(file), "--out", str(tmp_path / "out"), "--jobs", "1"]) == 0
     printed = capfd.readouterr().out
     assert re.search(r"experiment 0/1 runs bc-MoveToRegion-0: \d of 2 episodes evaluated|bc-\S+: \d updates", printed)
 
