@@ -58,6 +58,7 @@ docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the READ
 	$(BIN)/magical-mj export MatchRegions All --seed 4 --out out/models
 	$(BIN)/python tools/exported_models.py out/models docs/exported-models.png
 	$(BIN)/python tools/experts_picture.py
+	$(BIN)/python -m tools.architecture_picture
 	$(BIN)/python research/physics_picture.py
 	$(BIN)/python tools/tables.py
 

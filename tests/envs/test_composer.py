@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from collections.abc import Iterator
 from itertools import pairwise
 
@@ -295,3 +297,30 @@ def test_arenas_show_one_scene_after_another() -> None:
         used.show(scene)
         assert used.mjcf_model.to_xml_string() == Arena(scene).mjcf_model.to_xml_string()
     assert isinstance(used, composer.Entity)
+
+
+def test_copies_go_on_exactly_alike() -> None:
+    with magical_mj.load("FindDupe", "All", seed=3, observations=("state",)) as env:
+        env.reset()
+        env.step(5)
+        twins = env.clone(), pickle.loads(pickle.dumps(env)), copy.deepcopy(env)
+        assert all(twin.get_state() == env.get_state() for twin in twins)
+        after = env.step(7).observation["state"]
+        assert all(np.array_equal(twin.step(7).observation["state"], after) for twin in twins)
+        env.reset()
+        for twin in twins:
+            twin.reset()
+            assert (twin.seed, twin.scene) == (env.seed, env.scene)
+
+
+@pytest.mark.parametrize("change", ["hook", "observable", "tree"])
+def test_what_somebody_changed_is_not_copied_without_a_word(change: str) -> None:
+    with magical_mj.load("MoveToRegion", seed=0) as env:
+        if change == "hook":
+            env.add_extra_hook("before_step", lambda physics, action, random_state: None)
+        elif change == "observable":
+            env.task.observables["ego"].delay = 1
+        else:
+            env.task.root_entity.mjcf_model.worldbody.add("site")
+        with pytest.raises(StateError, match="cannot be copied"):
+            env.clone()

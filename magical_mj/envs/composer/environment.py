@@ -32,7 +32,7 @@ from magical_mj.scene.state_vector import CAMERAS, OBSERVATIONS, STATE_NAMES, VI
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
 from magical_mj.utils import errors
-from magical_mj.utils.errors import ClosedError, SettingsError, check_name, short_repr
+from magical_mj.utils.errors import ClosedError, SettingsError, StateError, check_name, short_repr
 from magical_mj.variants import check_seed
 
 CAMERA_NAMES: Final = {"ego": "robot/ego"}
@@ -340,6 +340,33 @@ class Environment(composer.Environment):
             self.task.simulation(physics).restore(state.simulation)  # raises an error while nothing has changed
         self._start(state.scene, state=state)
 
+    def clone(self) -> Environment:
+        """A copy in the same state, in as long as loading takes. Both behave the same, also in later episodes.
+
+        Raises:
+            StateError: if users have changed the hooks, observables or the MJCF tree of this environment.
+        """
+        return _copied(*self.__reduce__()[1])
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Environment:
+        return self.clone()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For copying and pickling: what it was loaded with, the generator, and the state of the episode."""
+        self._opened()
+        task, tree = self.task, self.task.root_entity
+        timing = {(it.enabled, it.update_interval, it.buffer_size, it.delay) for it in task.task_observables.values()}
+        tree.show(self.initial_scene)
+        fresh = Arena(self.initial_scene).mjcf_model.to_xml_string()
+        if self._hooks_added or timing - {(True, 1, None, None)} or tree.mjcf_model.to_xml_string() != fresh:
+            raise StateError(
+                "an environment with hooks, changed observables or a changed MJCF tree cannot be copied or pickled: "
+                "load another one, make the same changes, and call its set_state() with this one's get_state()"
+            )
+        loaded = task.setup, self.initial_scene, task.observations, task.image_size, task.reward
+        seeds = self.random_state.get_state(legacy=False), self.seed, self._first_seed
+        return _copied, (loaded, seeds, self._fixed, self._recompile, None if self._over else self.get_state())
+
     def close(self) -> None:
         """Frees the simulation. Closing twice is fine."""
         if not self._closed:
@@ -352,6 +379,18 @@ class Environment(composer.Environment):
         if self._closed:
             raise ClosedError("the environment is closed; load another one")
         return self.physics
+
+
+def _copied(
+    loaded: tuple[Any, ...], seeds: tuple[Any, ...], fixed: bool, recompile: bool, state: State | None
+) -> Environment:
+    """A copy of an environment, as `Environment.__reduce__` describes it; without a state, at the end of an episode."""
+    env = Environment(SceneTask(*loaded), 0, fixed=fixed, recompile=recompile)
+    if state is not None:
+        env.set_state(state)
+    generator, env.seed, env._first_seed = seeds
+    env.random_state.set_state(generator)
+    return env
 
 
 def load(
