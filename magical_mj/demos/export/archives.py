@@ -6,6 +6,7 @@ itself. Actions are vectors (drive, turn, grip); no-ops stay.
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -112,16 +113,19 @@ def to_robomimic(
     path = files.to_path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     name, kwargs = env_id(demos[0].task, demos[0].variant), {"action": "continuous", "reward": "score"}
-    with files.new_file(path, overwrite=overwrite) as unfinished, h5py.File(unfinished, "w") as file:
-        data = file.create_group("data")
-        data.attrs["total"] = sum(len(demo.actions) for demo in demos)
-        data.attrs["env_args"] = json.dumps({"env_name": name, "type": GYM, "env_kwargs": kwargs})
-        for number, demo in enumerate(demos):
-            group = data.create_group(f"demo_{number}")
-            group.attrs["num_samples"] = len(demo.actions)
-            group.attrs["seed"] = str(demo.scene_seed)
-            for key, rows in _columns(demo, views).items():
-                group.create_dataset(key, data=rows, compression="gzip" if rows.dtype == np.uint8 else None)
+    content = io.BytesIO()  # since HDF5 ends the process if the disk is full
+    with files.new_file(path, overwrite=overwrite) as unfinished:
+        with h5py.File(content, "w") as file:
+            data = file.create_group("data")
+            data.attrs["total"] = sum(len(demo.actions) for demo in demos)
+            data.attrs["env_args"] = json.dumps({"env_name": name, "type": GYM, "env_kwargs": kwargs})
+            for number, demo in enumerate(demos):
+                group = data.create_group(f"demo_{number}")
+                group.attrs["num_samples"] = len(demo.actions)
+                group.attrs["seed"] = str(demo.scene_seed)
+                for key, rows in _columns(demo, views).items():
+                    group.create_dataset(key, data=rows, compression="gzip" if rows.dtype == np.uint8 else None)
+        unfinished.write_bytes(content.getvalue())
 
 
 def _columns(demo: Demonstration, views: str) -> dict[str, NDArray[Any]]:

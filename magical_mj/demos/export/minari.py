@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import gymnasium
 import numpy as np
@@ -18,6 +20,9 @@ from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError
 from magical_mj.utils.extras import check_extra
+
+HDF5_BYTES: Final = 32_000
+"""What HDF5 writes for each episode besides its arrays, at most."""
 
 
 def minari_name(demos: Sequence[Demonstration], preset: str) -> str:
@@ -98,6 +103,22 @@ def dataset_path(name: str) -> Path:
     return get_dataset_path(name)
 
 
+def _size(data: Any) -> int:
+    """The number of bytes of the arrays in nested dicts."""
+    return sum(map(_size, data.values())) if isinstance(data, dict) else getattr(data, "nbytes", 0)
+
+
+def _check_space(folder: Path, size: int) -> None:
+    """Raises an `OSError` that names the folder if there is no space for `size` bytes: HDF5 would end the process."""
+    if not hasattr(os, "posix_fallocate"):
+        return
+    with tempfile.TemporaryFile(dir=folder) as file:
+        try:
+            os.posix_fallocate(file.fileno(), 0, size)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(folder)) from None
+
+
 def _fill(
     folder: Path, name: str, env: gymnasium.Env[Any, Any], about: dict[str, Any], episodes: list[dict[str, Any]]
 ) -> None:
@@ -111,6 +132,7 @@ def _fill(
     if namespace and namespace not in list_local_namespaces():
         create_namespace(namespace)
     folder.mkdir()
+    _check_space(folder, sum(HDF5_BYTES + _size(episode) for episode in [*episodes, {}, {}]))
     spec = env.spec
     storage = MinariStorage.new(folder / "data", env.observation_space, env.action_space, spec, jpeg_encoding=False)
     metadata: dict[str, Any] = {"dataset_id": name, "author": {"magical_mj"}, "minari_version": minari.__version__}
