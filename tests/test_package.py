@@ -35,7 +35,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
 
 def test_wheel_holds_the_whole_package(wheel: zipfile.ZipFile) -> None:
     held = set(wheel.namelist())
-    files = (path for path in (ROOT / "magical_mj").rglob("*") if path.is_file() and path.suffix != ".pyc")
+    files = (path for path in (ROOT / "magical_mj").rglob("*") if path.is_file() and path.parent.name != "__pycache__")
     assert {path.relative_to(ROOT).as_posix() for path in files} <= held
     assert "magical_mj/py.typed" in held
     assert not any(name.startswith(("tests/", "tools/", "research/", "docs/")) for name in held)

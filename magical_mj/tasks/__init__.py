@@ -11,7 +11,8 @@ from types import MappingProxyType
 from typing import Final
 
 from magical_mj.tasks import (
-    cluster,
+    cluster_colour,
+    cluster_shape,
     find_dupe,
     fix_colour,
     make_line,
@@ -30,8 +31,8 @@ _SPECS: Final = (
     make_line.SPEC,
     find_dupe.SPEC,
     fix_colour.SPEC,
-    cluster.COLOUR_SPEC,
-    cluster.SHAPE_SPEC,
+    cluster_colour.SPEC,
+    cluster_shape.SPEC,
 )
 
 SPECS: Final[Mapping[str, TaskSpec]] = MappingProxyType({spec.name: spec for spec in _SPECS})

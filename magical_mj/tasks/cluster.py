@@ -1,8 +1,4 @@
-"""ClusterColour and ClusterShape: push the blocks into clusters, one for each colour, or one for each shape.
-
-Goal
-    Every block lies with the blocks of its colour (or its shape), away from the others, anywhere. The other attribute
-    does not matter.
+"""What ClusterColour and ClusterShape have in common: blocks in clusters by one of their attributes.
 
 What varies
     Colour and Shape draw every block's colour or shape, with at least one block of each, in both tasks. The poses stay,
@@ -34,42 +30,14 @@ from typing import Final, Literal, TypeVar
 
 import numpy as np
 
-from magical_mj.scene import Block, Robot, Scene
+from magical_mj.scene import Block, Scene
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.tasks.planning import Noise, Subgoal, cluster_targets, each_to
 from magical_mj.tasks.rules import coloured, pick_each, require, require_regions, shaped, shuffled, uniform_integer
-from magical_mj.tasks.spec import Rules, TaskSpec
+from magical_mj.tasks.spec import Rules, ScoreFunction, TaskSpec
 
 Attribute = Literal["colour", "shape"]
 _T = TypeVar("_T")
-
-COLOUR_DEMO: Final = Scene(
-    robot=Robot(0.71692, -0.34374, 0.83693),
-    blocks=(
-        Block("circle", "blue", -0.5147, 0.14149, -0.38871),
-        Block("star", "blue", -0.1347, -0.71414, 1.0533),
-        Block("square", "blue", -0.74247, -0.097592, 1.1571),
-        Block("pentagon", "green", -0.077363, -0.42964, -0.64379),
-        Block("pentagon", "green", 0.51978, 0.1853, -1.1762),
-        Block("square", "red", -0.5278, -0.21642, 2.9356),
-        Block("star", "yellow", -0.54039, 0.48292, 0.072818),
-        Block("pentagon", "yellow", -0.16761, 0.64303, -2.3255),
-    ),
-)
-
-SHAPE_DEMO: Final = Scene(
-    robot=Robot(0.286, -0.202, -1.878),
-    blocks=(
-        Block("square", "yellow", -0.414, 0.297, -1.731),
-        Block("pentagon", "blue", 0.068, 0.705, 2.184),
-        Block("pentagon", "red", 0.821, 0.22, 0.65),
-        Block("pentagon", "red", -0.461, -0.749, -2.673),
-        Block("circle", "green", 0.867, -0.149, -2.215),
-        Block("star", "yellow", -0.785, -0.14, -0.405),
-        Block("star", "blue", -0.305, -0.226, 1.341),
-        Block("circle", "green", 0.758, -0.708, -2.14),
-    ),
-)
 
 STEPS: Final = 320
 RELEASED_STEPS: Final = 240
@@ -133,7 +101,7 @@ def blocks_right(scene: Scene, attribute: Attribute, rules: Rules = "paper") -> 
     return right
 
 
-def score(initial: Scene, final: Scene, rules: Rules = "paper", *, attribute: Attribute) -> float:
+def score(final: Scene, attribute: Attribute, rules: Rules = "paper") -> float:
     """The share of blocks that are right, above the share that scores 0, scaled to [0, 1]."""
     share = blocks_right(final, attribute, rules) / len(final.blocks)
     nothing = ZERO_SCORE_SHARE[rules]
@@ -147,7 +115,7 @@ def plan(initial: Scene, now: Scene, noise: Noise, attribute: Attribute) -> list
     return each_to(cluster_targets(points, kinds, NEARER, noise), tolerance=0.09)
 
 
-def _spec(name: str, attribute: Attribute, demo: Scene) -> TaskSpec:
+def spec(name: str, attribute: Attribute, demo: Scene, score: ScoreFunction) -> TaskSpec:
     """The task of clustering by an attribute."""
     return TaskSpec(
         name=name,
@@ -155,14 +123,10 @@ def _spec(name: str, attribute: Attribute, demo: Scene) -> TaskSpec:
         demo=demo,
         steps=STEPS,
         released_steps=RELEASED_STEPS,
-        score=partial(score, attribute=attribute),
+        score=score,
         check=partial(check, attribute=attribute, task=name),
         plan=partial(plan, attribute=attribute),
         colour=colour,
         shape=shape,
         count=count,
     )
-
-
-COLOUR_SPEC: Final = _spec("ClusterColour", "colour", COLOUR_DEMO)
-SHAPE_SPEC: Final = _spec("ClusterShape", "shape", SHAPE_DEMO)

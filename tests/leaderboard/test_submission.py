@@ -52,7 +52,7 @@ def test_what_is_no_evaluation_of_one_method_is_explained(folder: Path, tmp_path
     training = tmp_path / "training"
     training.mkdir()
     (training / "policy.safetensors").touch()
-    with pytest.raises(EvaluationError, match=r"training holds a policy, .* --policy .*training --out ANOTHER"):
+    with pytest.raises(EvaluationError, match=r"holds a policy: .* --policy .*training --out ANOTHER"):
         submit([training], tmp_path / "entry.json.xz")
     rewrite(folder, lambda rows: rows[0].update(preset="LoRes4E"))
     with pytest.raises(EvaluationError, match="different preset"):

@@ -16,7 +16,7 @@ from magical_mj.utils.errors import UntrustedNameError
 from tests.helpers.commands import Shell
 from tests.helpers.evaluations import TEMPLATE, write
 
-TASK = "theirs.payload:SPEC"
+TASK = "somebody.payload:SPEC"
 PAYLOAD = """
 from dataclasses import replace
 from pathlib import Path
@@ -29,12 +29,12 @@ SPEC = replace(OURS, name="Theirs")
 @pytest.fixture(autouse=True)
 def theirs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A working folder with a module that tells when it runs."""
-    (tmp_path / "theirs").mkdir()
-    (tmp_path / "theirs" / "payload.py").write_text(PAYLOAD)
+    (tmp_path / "somebody").mkdir()
+    (tmp_path / "somebody" / "payload.py").write_text(PAYLOAD)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry])
     yield tmp_path / "ran"
-    for name in [name for name in sys.modules if name.partition(".")[0] == "theirs"]:
+    for name in [name for name in sys.modules if name.partition(".")[0] == "somebody"]:
         del sys.modules[name]
 
 
