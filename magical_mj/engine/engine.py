@@ -124,7 +124,6 @@ class Engine:
         seed: the seed of the present episode's scene; None if it came from elsewhere.
         steps: the number of actions since the start of the episode.
         horizon: the number of actions of an episode; None if it never ends, as in plain scenes.
-        simulation: MuJoCo's model and data.
 
     Raises:
         UnknownNameError: for an unknown task, variant or rules, or an unsupported pair.
