@@ -22,6 +22,7 @@ from magical_mj.scene import Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS, to_discrete
 from magical_mj.scene.state_vector import CAMERAS, VIEWS, StateEncoder
+from magical_mj.tasks.registry import TASKS
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
 from magical_mj.utils.errors import InvalidSceneError, SettingsError, check_name, short_repr
 from magical_mj.variants import check_seed
@@ -147,7 +148,10 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             self._engine.reset(scene=scene, state=state)
         else:
             again = self._seeded if seed is None else seed
-            self._engine.reset(seed=int(self.np_random.integers(2**63)) if again is None else again)
+            again = int(self.np_random.integers(2**63)) if again is None else again
+            if self._preset.layout == "state" and self._engine.task not in TASKS:  # the benchmark's own scenes fit
+                self._check_observable(self._engine.setup.sample(again))
+            self._engine.reset(seed=again)
         super().reset(seed=seed)  # last, so that a reset that is refused leaves the generator as it was
         self._begun = True
         self._seeded = seed if scene is None and state is None else None
