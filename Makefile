@@ -81,8 +81,8 @@ readme: $(VENV)/.installed-dev  ## run README.md in a new environment that has o
 	$(BIN)/python tools/readme_run.py $(ARGS)
 
 demonstrations: $(VENV)/.installed-dev  ## after a change of the physics: the shipped demonstrations, docs/experts.md and the site's episodes, anew
-	rm -rf magical_mj/demos/data
-	$(BIN)/magical-mj demos generate --count 25 --out magical_mj/demos/data
+	$(BIN)/magical-mj demos generate --count 25 --out out/demonstrations
+	$(BIN)/python tools/pack_demonstrations.py out/demonstrations
 	rm -rf out/experts
 	$(BIN)/magical-mj evaluate --policy expert --episodes 20 --out out/experts
 	$(BIN)/python tools/experts.py out/experts

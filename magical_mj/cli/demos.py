@@ -180,11 +180,11 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
     differ where machines or versions do.
     """
     screen = console()
-    chosen = files_of(paths, tasks, variants)
+    chosen = sources_of(paths, tasks, variants)
     work = map_unordered(partial(check, asked_for(tasks, variants)), chosen, jobs)
     outcomes = [outcome for outcome in with_bar(screen, "verifying", work, len(chosen)) if outcome[1] is not None]
     if not outcomes:
-        raise DemonstrationError(f"none of the {len(chosen)} files is of these tasks and variants")
+        raise DemonstrationError(f"none of the {len(chosen)} demonstrations is of these tasks and variants")
     verdicts = [verdict for _, verdict in outcomes if not isinstance(verdict, str | None)]
     same_score = sum(verdict.score and verdict.replay for verdict in verdicts)
     exact, pictures = (sum(getattr(verdict, name) for verdict in verdicts) for name in ("exact", "pictures"))
@@ -193,8 +193,8 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
         "the same pictures"
     )
     problems = (
-        verdict if isinstance(verdict, str | None) else verdict.problem and f"{path} {verdict.problem}"
-        for path, verdict in sorted(outcomes, key=str)
+        verdict if isinstance(verdict, str | None) else verdict.problem and f"{name} {verdict.problem}"
+        for name, verdict in sorted(outcomes, key=str)
     )
     for problem in dict.fromkeys(filter(None, problems)):  # that a task must be named is said once
         complain(problem)
@@ -202,15 +202,16 @@ def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "
         raise typer.Exit(1)
 
 
-def check(wanted: Collection[Pair] | None, path: Path) -> tuple[Path, Verdict | str | None]:
-    """The work of one process: checks one file; (path, None) if its environment was not asked for."""
+def check(wanted: Collection[Pair] | None, source: Path | Demonstration) -> tuple[str, Verdict | str | None]:
+    """The work of one process: checks one demonstration; (its name, None) if its environment was not asked for."""
+    name = str(source) if isinstance(source, Path) else f"{source.name} {source.scene_seed}"
     try:
-        demo = read_asked(path, wanted)
-        return path, None if isinstance(demo, str) else magical_mj.demos.verify(demo)
+        demo = read_asked(source, wanted)
+        return name, None if isinstance(demo, str) else magical_mj.demos.verify(demo)
     except (DemonstrationError, UntrustedNameError) as error:
-        return path, str(error)
+        return name, str(error)
     except MagicalError as error:
-        return path, f"{path}: {error}"
+        return name, f"{name}: {error}"
 
 
 @app.command()
@@ -276,9 +277,10 @@ def export(
             f"one data set holds one environment, but these are of {', '.join(groups)}: drop --out."
         )
     targets = {name: out or default_target(to, name, group, preset, fingers=fingers) for name, group in groups.items()}
-    sources = {file.resolve().parent for file in files_of(paths, tasks, variants)}
+    sources = sources_of(paths, tasks, variants)
+    folders = {source.resolve().parent for source in sources if isinstance(source, Path)}
     for target in targets.values():  # before the first one is made
-        _check_target(to, target, sources, force)
+        _check_target(to, target, folders, force)
     for name, target in targets.items():
         options = {"drop_noop": drop_noop, "video": video, "fingers": fingers, "overwrite": force}
         make_data_set(to, groups[name], target, preset, **options)
@@ -303,11 +305,11 @@ def _check_target(to: str, target: str, sources: set[Path], force: bool) -> None
         raise FileExistsError(f"there is a data set {path} already; give {other}")
 
 
-def files_of(paths: Sequence[Path] | None, tasks: str, variants: str) -> list[Path]:
-    """The files, each once, even if it is given in several ways; by default those that come with the tasks."""
+def sources_of(paths: Sequence[Path] | None, tasks: str, variants: str) -> Sequence[Path | Demonstration]:
+    """The files, each once, even if it is given in several ways; by default the demonstrations that come with tasks."""
     pairs = environments(tasks, variants)
     if not paths:
-        return [path for task in dict.fromkeys(task for task, _ in pairs) for path in magical_mj.demos.paths_of(task)]
+        return [demo for task in dict.fromkeys(task for task, _ in pairs) for demo in magical_mj.demos.load(task)]
     chosen: dict[Path, Path] = {}
     for path in paths:
         if path.is_dir():
@@ -327,7 +329,7 @@ def files_of(paths: Sequence[Path] | None, tasks: str, variants: str) -> list[Pa
 def read_chosen(paths: Sequence[Path] | None, tasks: str, variants: str) -> list[Demonstration]:
     """The demonstrations of these tasks and variants in files and folders, by default those that come with tasks."""
     wanted = asked_for(tasks, variants)
-    demos_and_names = [read_asked(path, wanted) for path in files_of(paths, tasks, variants)]
+    demos_and_names = [read_asked(source, wanted) for source in sources_of(paths, tasks, variants)]
     chosen = [demo for demo in demos_and_names if not isinstance(demo, str)]
     if not chosen:
         others = sorted({name for name in demos_and_names if isinstance(name, str)})
@@ -340,11 +342,11 @@ def asked_for(tasks: str, variants: str) -> list[Pair] | None:
     return None if (tasks, variants) == ("all", "all") else environments(tasks, variants)
 
 
-def read_asked(path: Path, wanted: Collection[Pair] | None) -> Demonstration | str:
-    """The demonstration in a file; the name of its environment or task if others were asked for.
+def read_asked(source: Path | Demonstration, wanted: Collection[Pair] | None) -> Demonstration | str:
+    """The demonstration, read if it is a file; the name of its environment or task if others were asked for.
 
     Args:
-        path: the file.
+        source: a file, or a demonstration that came with a task.
         wanted: as `asked_for` returns it; only the code of these tasks may run.
 
     Raises:
@@ -352,7 +354,11 @@ def read_asked(path: Path, wanted: Collection[Pair] | None) -> Demonstration | s
         UntrustedNameError: if reading it runs the code of a task, and nothing in particular was asked for.
     """
     try:
-        demo = magical_mj.demos.read(path, trusted=[task for task, _ in wanted or ()])
+        demo = (
+            magical_mj.demos.read(source, trusted=[task for task, _ in wanted or ()])
+            if isinstance(source, Path)
+            else source
+        )
     except UntrustedNameError as error:
         if wanted is None:
             raise

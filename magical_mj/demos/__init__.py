@@ -8,7 +8,6 @@ Example:
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
 
 from magical_mj.demos.demonstration import Demonstration, files_in, keep, read, write
 from magical_mj.demos.export.archives import to_npz
@@ -16,8 +15,8 @@ from magical_mj.demos.export.minari import to_minari
 from magical_mj.demos.learning import Transitions, observations, stream, transitions
 from magical_mj.demos.recording import MAX_BYTES, Imported, Recorder, demonstrate, from_recording
 from magical_mj.demos.replay import Diversity, Verdict, diversity, render_demo, verify
-from magical_mj.tasks.registry import TASKS, task_name, task_spec
-from magical_mj.utils import files
+from magical_mj.demos.shipped import load_shipped
+from magical_mj.tasks.registry import task_name, task_spec
 from magical_mj.utils.errors import DemonstrationError
 
 __all__ = [
@@ -35,7 +34,6 @@ __all__ = [
     "keep",
     "load",
     "observations",
-    "paths_of",
     "read",
     "render_demo",
     "stream",
@@ -45,9 +43,6 @@ __all__ = [
     "verify",
     "write",
 ]
-
-SHIPPED: Final = Path(__file__).parent / "data"
-"""The folder of the shipped demonstrations."""
 
 
 def load(task: str, folder: Path | str | None = None) -> list[Demonstration]:
@@ -59,23 +54,15 @@ def load(task: str, folder: Path | str | None = None) -> list[Demonstration]:
         UnknownNameError: if there is no such task.
         DemonstrationError: if there are none, or a file is damaged.
     """
-    return [read(path, task_name(task)) for path in paths_of(task, folder)]
-
-
-def paths_of(task: str, folder: Path | str | None = None) -> list[Path]:
-    """The files that `load` reads.
-
-    Raises:
-        UnknownNameError: if there is no such task.
-        DemonstrationError: if there are none.
-    """
     task, spec = task_name(task), task_spec(task)
-    folder = files.to_path(spec.demonstrations or SHIPPED if folder is None else folder)
-    paths = files_in(folder, f"{spec.name}-")
+    folder = spec.demonstrations if folder is None else folder
+    if folder is None and (demos := load_shipped(task, spec.name)):
+        return demos
+    paths = [] if folder is None else files_in(folder, f"{spec.name}-")
     if paths:
-        return paths
+        return [read(path, task) for path in paths]
     command = f"play {task} --record" if spec.plan is None else f"demos generate --tasks {task} --out"
     where = f"in {folder}; to make some: magical-mj {command} {folder}"
-    if folder == SHIPPED and spec.name not in TASKS:
+    if folder is None:
         where = f"here: name a folder in its TaskSpec (demonstrations=...), and fill it: magical-mj {command} FOLDER"
     raise DemonstrationError(f"there are no demonstrations of {task} {where}")

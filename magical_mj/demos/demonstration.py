@@ -76,6 +76,11 @@ class Demonstration:
         """Such as ``"FindDupe-Demo"``: the name of the task, also if that is given by reference, and the variant."""
         return f"{task_spec(self.task).name}-{self.variant}"
 
+    @property
+    def digest(self) -> str:
+        """The SHA-256 digest of everything in it, which its file holds, too."""
+        return packed(self)[0]["digest"]
+
     def scenes(self) -> list[Scene]:
         """The scene before the first action and after each."""
         world = World(self.scene)
@@ -102,16 +107,25 @@ def write(demo: Demonstration, path: Path | str) -> None:
     path = files.to_path(path)
     if path.suffix != SUFFIX:
         raise DemonstrationError(f"{path} must end in {SUFFIX}")
-    fields = _checked_fields(vars(demo))
-    _check_arrays(demo)
-    arrays = {name: getattr(demo, name) for name in ARRAYS}
-    header = {"format": FORMAT, **fields, "scene": json.loads(demo.scene.to_json())}
-    header["digest"] = _digest(header, arrays)
+    header, arrays = packed(demo)
     path.parent.mkdir(parents=True, exist_ok=True)
     archive = io.BytesIO()
     text = np.frombuffer(json.dumps(header).encode(), np.uint8)
     np.savez_compressed(archive, allow_pickle=False, header=text, **arrays)
     files.write(path, archive.getvalue())
+
+
+def packed(demo: Demonstration) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """What a file holds of a demonstration: the header with the digest, and the arrays.
+
+    Raises:
+        DemonstrationError, SettingsError: as `write`.
+    """
+    fields = _checked_fields(vars(demo))
+    _check_arrays(demo)
+    arrays = {name: getattr(demo, name) for name in ARRAYS}
+    header = {"format": FORMAT, **fields, "scene": json.loads(demo.scene.to_json())}
+    return {**header, "digest": _digest(header, arrays)}, arrays
 
 
 def keep(demo: Demonstration, folder: Path | str) -> tuple[Path, bool]:
@@ -170,8 +184,15 @@ def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] 
         OSError: if there is no such file, or it cannot be read.
     """
     path = files.to_path(path)
-    arrays = _unpacked(path, files.read_foreign(path, most=MOST_BYTES, error=DemonstrationError))
-    header = _header(path, arrays.pop("header"), arrays)
+    arrays = _members(path, files.read_foreign(path, most=MOST_BYTES, error=DemonstrationError))
+    return unpacked(path, arrays.pop("header").tobytes(), arrays, task, trusted)
+
+
+def unpacked(
+    path: Path, text: bytes, arrays: Mapping[str, NDArray[Any]], task: str | None, trusted: Collection[str] = ()
+) -> Demonstration:
+    """The demonstration of a header's text and of arrays that came from `path`; otherwise as `read`."""
+    header = _header(path, text, arrays)
     if task is not None and header["task"] != announced_name(task):
         raise DemonstrationError(f"{path} is a demonstration of {header['task']}, not of {task}")
     if header["task"] not in (task, *trusted):
@@ -186,7 +207,7 @@ def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] 
     return demo
 
 
-def _unpacked(path: Path, content: bytes) -> dict[str, Any]:
+def _members(path: Path, content: bytes) -> dict[str, Any]:
     """The header, as bytes, and the arrays in a file's content."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -204,10 +225,10 @@ def _unpacked(path: Path, content: bytes) -> dict[str, Any]:
         raise DemonstrationError(f"{path} is damaged or cut short, or not a demonstration at all") from error
 
 
-def _header(path: Path, text: NDArray[Any], arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+def _header(path: Path, text: bytes, arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     """The fields in the header, if it is one of this format and of these arrays; the task by its present name."""
     try:
-        header = json.loads(text.tobytes())
+        header = json.loads(text)
         number, digest = header.get("format"), header.pop("digest", None)
         is_whole = digest == _digest(header, arrays)
     except (ValueError, AttributeError, RecursionError):

@@ -49,7 +49,7 @@ def test_generate_verify_info_video_and_export(shell: Shell) -> None:
     said(shell, "export", "made", "--out", "x.npz", "--preset", "State")
     assert Path("x.npz").exists()
     assert "would lie among" in said(shell, "export", "made", "--out", folder / "x.npz", code=2)
-    assert "none of the 3 files" in said(shell, "verify", "made", "--tasks", "MakeLine", "--jobs", 1, code=2)
+    assert "none of the 3 demonstrations" in said(shell, "verify", "made", "--tasks", "MakeLine", "--jobs", 1, code=2)
 
 
 def test_generate_takes_what_another_process_was_faster_to_make(demo: Demonstration, tmp_path: Path) -> None:

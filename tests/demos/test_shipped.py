@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import lzma
+import zipfile
+from pathlib import Path
+
 import pytest
 
 import magical_mj
 from magical_mj import TASKS, demos
+from magical_mj.demos import shipped
 from magical_mj.demos.recording import REST
 from magical_mj.tasks.registry import task_spec
+from magical_mj.utils.errors import DemonstrationError
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -20,6 +26,26 @@ def test_25_demonstrations_of_each_task_are_shipped_and_differ(task: str) -> Non
     assert all(len(d.actions) == task_spec(task).horizon() or not d.actions[-REST:].any() for d in shipped)
     assert len({d.actions.tobytes() for d in shipped}) == 25
     assert demos.diversity(demo for demo in shipped).ways > 0.05
+
+
+def test_packed_demonstrations_are_the_same_and_tell_of_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shipped, "FOLDER", tmp_path)
+    assert shipped.load_shipped("FixColour", "FixColour") == []
+    monkeypatch.undo()
+    ours = demos.load("FixColour")
+    monkeypatch.setattr(shipped, "FOLDER", tmp_path)
+    demos.write(ours[7], tmp_path / "single.npz")
+    shipped.pack([ours[3], demos.read(tmp_path / "single.npz")], tmp_path / "FixColour.npz.xz")
+    again = demos.load("FixColour")
+    assert [demo.digest for demo in again] == [ours[3].digest, ours[7].digest]
+    assert again[1].qvel.tobytes() == ours[7].qvel.tobytes()
+    with pytest.raises(DemonstrationError, match="not of MakeLine"):
+        shipped.load_shipped("MakeLine", "FixColour")
+    content = bytearray(lzma.decompress((tmp_path / "FixColour.npz.xz").read_bytes()))
+    content[content.index(b"expert")] ^= 1
+    (tmp_path / "FixColour.npz.xz").write_bytes(lzma.compress(content))
+    with pytest.raises((DemonstrationError, zipfile.BadZipFile)):
+        demos.load("FixColour")
 
 
 @pytest.mark.slow

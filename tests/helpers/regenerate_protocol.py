@@ -96,9 +96,8 @@ def model_digest(model: mujoco.MjModel) -> str:
 
 
 def demonstrations(task: str) -> str:
-    """The files of the shipped demonstrations."""
-    files = sorted((Path(magical_mj.__file__).parent / "demos" / "data").glob(f"{task}-*"))
-    return _digest([(file.name, hashlib.sha256(file.read_bytes()).hexdigest()) for file in files])
+    """The shipped demonstrations."""
+    return _digest([demo.digest for demo in magical_mj.demos.load(task)])
 
 
 def present() -> dict[str, Any]:

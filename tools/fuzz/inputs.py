@@ -17,7 +17,7 @@ from values import TEXTS, FindError, json_value, spoilt_bytes, spoilt_tree
 
 import magical_mj
 from magical_mj.cli import main
-from magical_mj.demos.demonstration import ARRAYS, _digest, read
+from magical_mj.demos.demonstration import ARRAYS, _digest
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.utils.errors import MagicalError
 
@@ -84,9 +84,8 @@ def stock(folder: Path) -> Path:
     with contextlib.chdir(_folder(folder / "making")), contextlib.redirect_stdout(io.StringIO()):
         for name in ("demos", "entries"):
             _folder(Path(name))
-        shipped = magical_mj.demos.SHIPPED / "MoveToRegion-Demo-000.npz"
-        shutil.copy(shipped, "demos")
-        demo = read(shipped)
+        demo = magical_mj.demos.load("MoveToRegion")[0]
+        magical_mj.demos.write(demo, "demos/MoveToRegion-Demo-000.npz")
         played = {"format": 1, "protocol": PROTOCOL, "task": "MoveToRegion", "variant": "Demo", "seed": 0}
         Path("played.json").write_text(
             json.dumps(played | {"actions": demo.actions.tolist() + [0] * (40 - len(demo.actions))})
