@@ -1,10 +1,13 @@
-"""Kills commands at random moments, and checks that nothing is lost, and that no process stays behind.
+"""Stops and kills commands at random moments, and checks that nothing is lost, and that no process stays behind.
 
     python tools/kills.py [--kills 20] [--kinds evaluate,train-bc] [--seed 0]
 
 - After each kill, what was finished before is still there, unchanged, and every file is whole.
 - The command goes on with what is there, and what it has made in the end is, to the bit, what it makes undisturbed.
 - A few seconds after each kill, no process that the command had started is left.
+- SIGTERM and SIGINT end it without a traceback; after SIGSTOP and SIGCONT it goes on as if nothing had been.
+
+Ends with a table of the signals that reached each command while it ran.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,9 +31,13 @@ from typing import Final
 
 from PIL import Image
 
-from magical_mj import demos
+from magical_mj import Engine, demos, sample_scene
+from magical_mj.tasks.protocol import PROTOCOL
 
-SIGNALS: Final = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+SIGNALS: Final = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGSTOP)
+"""A stopped command goes on a little later."""
+PAUSE: Final = 1.0
+"""Seconds for which a command is stopped."""
 PATIENCE: Final = 20.0
 """Seconds within which all processes must be gone."""
 PLAYING: Final = 8.0
@@ -50,11 +58,16 @@ import pathlib, sys
 from magical_mj.utils import files
 from magical_mj.batched.scenes import Capacity, SceneSampler
 out, number = pathlib.Path(sys.argv[-1]), 0
-out.mkdir(exist_ok=True)
+out.mkdir(parents=True, exist_ok=True)
 sampler = SceneSampler([("FindDupe", "All")] * 256, Capacity(10, 3), workers=2)
 while number := number + 1:
     files.write(out / str(number), sampler.scenes(range(256)).poses.tobytes(), overwrite=True)
 """  # the scenes of batched worlds, sampled ahead by workers without end; without a guard for `__main__`
+EVALUATE: Final = (
+    *("evaluate", "--policy", "random", "--tasks", "MoveToRegion,FixColour"),
+    *("--variants", "Demo,Jitter", "--episodes", "60", "--resume", "--jobs", "2"),
+)
+ENTRY: Final = "random.json.xz"
 TINY: Final = ("network.hidden=8", "demonstrations=2", "evaluations=2", "episodes=2", "checkpoints=16")
 PICTURES: Final = ("network.first_stride=4", "network.first_channels=4", "network.channels=4")
 GAIL: Final = (
@@ -71,19 +84,21 @@ class Kind:
     """A command that is killed.
 
     Attributes:
-        command: without its --out.
+        command: {} stands for the folder, or the file, that it writes.
         finished: what is finished in the folder, which must be there after each kill as it was before. It raises an
             error if something there is not whole.
         result: what depends on nothing but the command; None of one that never ends by itself.
+        code: with which it ends.
     """
 
     command: tuple[str, ...]
     finished: Callable[[Path], Found]
     result: Callable[[Path], Found] | None
+    code: int = 0
 
     def into(self, out: Path) -> tuple[str, ...]:
         """The whole command."""
-        return (*self.command, "--record" if "play" in self.command else "--out", str(out))
+        return tuple(word.replace("{}", str(out)) for word in self.command)
 
 
 def demonstrations(out: Path) -> Found:
@@ -95,14 +110,16 @@ def demonstrations(out: Path) -> Found:
 
 
 def lines(out: Path) -> Found:
-    """The whole lines of an evaluation's file, by their numbers."""
-    path = out / "scores.jsonl"
-    text = path.read_text().split("\n")[:-1] if path.exists() else []
-    return {str(number): line.encode() for number, line in enumerate(text)}
+    """The whole lines of evaluations' files, by their numbers."""
+    return {
+        f"{path.relative_to(out)}:{number}": line.encode()
+        for path in out.rglob("scores.jsonl")
+        for number, line in enumerate(path.read_text().split("\n")[:-1])
+    }
 
 
 def rows(out: Path) -> Found:
-    """The episodes of an evaluation, without the time that they took."""
+    """The episodes of evaluations, without the time that they took."""
     episodes = [json.loads(line) | {"seconds": 0} for line in lines(out).values()]
     return {json.dumps(row, sort_keys=True): b"" for row in episodes}
 
@@ -143,6 +160,22 @@ def tensors(tree: object, name: str = "") -> list[tuple[str, str]]:
     return [(name, hashlib.sha256(data).hexdigest())]
 
 
+def contents(out: Path) -> Found:
+    """All files, by their digests; of HDF5's, which hold the time, the names."""
+    digests = {}
+    for path in out.rglob("*"):
+        name = str(path.relative_to(out))
+        if path.is_file() and not any(part.startswith(".") for part in path.relative_to(out).parts):
+            data = b"" if path.suffix == ".hdf5" else path.read_bytes()
+            digests[name] = hashlib.sha256(data).digest()
+    return digests
+
+
+def nothing(_out: Path) -> Found:
+    """What a command leaves that only reads."""
+    return {}
+
+
 def scenes(out: Path) -> Found:
     """The files of scenes."""
     return {path.name: path.read_bytes() for path in out.glob("[0-9]*")}
@@ -162,57 +195,116 @@ def train(method: str, look: tuple[str, ...], *settings: str) -> Kind:
     """A training of a second or two, beside the time that the command takes to start."""
     words = [word for setting in (*TINY, *settings) for word in ("--set", setting)]
     command = (*MAIN, "train", method, "--tasks", "MoveToRegion", "--device", "cpu", "--resume", *look, *words)
+    command += ("--out", "{}")
     return Kind(command, updates, training)
 
 
-def kinds(scores: Path) -> dict[str, Kind]:
-    """All commands, by name; the report is one of an evaluation in this folder."""
-    evaluate = ("evaluate", "--policy", "random", "--tasks", "MoveToRegion,FixColour", "--episodes", "60", "--resume")
+def prepare(inputs: Path) -> None:
+    """Makes what the commands read: an evaluation, an entry of it, recordings, and a file of an experiment."""
+    kind = Kind((*MAIN, *EVALUATE, "--out", "{}"), lines, rows)
+    undisturbed(kind, inputs / "scores")
+    undisturbed(Kind((*MAIN, "submit", str(inputs / "scores"), "--out", "{}"), contents, None), inputs / ENTRY)
+    for seed in range(8):
+        scene, env = sample_scene("MoveToRegion", "All", seed), Engine("MoveToRegion", "All", seed=seed)
+        while not env.over:
+            env.step(seed)
+        robot = env.scene.robot
+        final = {"robot": [robot.x, robot.y, robot.angle], "fingers": robot.fingers, "blocks": scene.blocks}
+        names = {"format": 1, "protocol": PROTOCOL, "task": "MoveToRegion", "variant": "All", "seed": seed}
+        actions = [seed] * env.steps
+        (inputs / f"{seed}.json").write_text(json.dumps(names | {"actions": actions, "final": final}))
+    settings = ('preset = "State"', *TINY, "bc.batches=40", "network.entity=8")
+    text = ('methods = ["bc"]', 'tasks = ["MoveToRegion"]', "seeds = [0, 1]", "[settings]", *settings)
+    (inputs / "e.toml").write_text("\n".join((*text, "[evaluation]", 'variants = "Demo"', "episodes = 8")))
+
+
+def kinds(inputs: Path) -> dict[str, Kind]:
+    """All commands, by name, of the inputs in this folder."""
+    scores, entry = str(inputs / "scores"), str(inputs / ENTRY)
     generate = ("demos", "generate", "--tasks", "FixColour,MoveToRegion", "--count", "20", "--jobs", "2")
-    play = ("play", "MoveToRegion", "Jitter", "--size", "16")
+    play = ("play", "MoveToRegion", "Jitter", "--size", "16", "--record", "{}")
+    chosen = ("--tasks", "FixColour,MoveToRegion", "--variants", "Demo")
+    export = ("demos", "export", "--tasks", "MoveToRegion", "--variants", "Demo", "--preset", "State", "--force")
+    rollout = ("rollout", "MoveToRegion", "--policy", "random", "--episodes", "2", "--size", "64", "--force")
+    minari = ("--to", "minari", "--out", "magical-mj/killed-v0")
+    recordings = tuple(str(inputs / f"{seed}.json") for seed in range(8))
+    demo = ("demo", "--tasks", "MoveToRegion", "--episodes", "1", "--jobs", "2", "--out", "{}")
+    leaderboard = ("leaderboard", entry, "--jobs", "2", "--replay", "8", "--seed", "0", "--out", "{}")
+
+    def whole(*command: str) -> Kind:
+        """A command that leaves all its files or none, and the same ones each time."""
+        return Kind((*MAIN, *command), contents, contents)
+
+    def reads(*command: str, code: int = 0) -> Kind:
+        return Kind((*MAIN, *command), nothing, nothing, code)
+
     return {
-        "evaluate": Kind((*MAIN, *evaluate, "--jobs", "2"), lines, rows),
-        "report": Kind((*MAIN, "report", str(scores)), pages, pages),
-        "generate": Kind((*MAIN, *generate), demonstrations, demonstrations),
+        "evaluate": Kind((*MAIN, *EVALUATE, "--out", "{}"), lines, rows),
+        "rollout": whole(*rollout, "--video", "{}/a.mp4"),
+        "view": whole("view", "--grid", "--size", "16", "--out", "{}/a.png", "--force"),
+        "export": whole("export", "FindDupe", "All", "--out", "{}", "--force"),
+        "report": Kind((*MAIN, "report", scores, "--out", "{}"), pages, pages),
+        "compare": reads("compare", scores, scores),
+        "verify": reads("verify", scores, "--jobs", "2", code=1),  # not all episodes are there
+        "submit": whole("submit", scores, "--out", f"{{}}/{ENTRY}"),
+        "leaderboard": whole(*leaderboard),
+        "list": reads("list"),
+        "doctor": reads("doctor"),
+        "demo": Kind((*MAIN, *demo), lines, rows),
+        "generate": Kind((*MAIN, *generate, "--out", "{}"), demonstrations, demonstrations),
+        "import": Kind((*MAIN, "demos", "import", *recordings, "--out", "{}"), demonstrations, demonstrations),
+        "demos-info": reads("demos", "info", *chosen),
+        "demos-verify": reads("demos", "verify", *chosen, "--jobs", "2"),
+        "demos-video": whole("demos", "video", "--tasks", "FixColour", "--count", "1", "--out", "{}/a.mp4", "--force"),
+        "demos-npz": whole(*export, "--out", "{}/a.npz"),
+        "demos-minari": Kind(("env", "MINARI_DATASETS_PATH={}", *MAIN, *export, *minari), contents, contents),
+        "demos-robomimic": whole(*export, "--to", "robomimic", "--out", "{}/a.hdf5"),
         "play": Kind((sys.executable, "-c", PLAYER, *play), demonstrations, None),
-        "scenes": Kind((sys.executable, "-c", SAMPLER), scenes, None),
+        "play-web": Kind((*MAIN, "play", "--web", "--port", "0", "--collect", "{}"), nothing, None),
+        "scenes": Kind((sys.executable, "-c", SAMPLER, "{}"), scenes, None),
         "train-bc-state": train("bc", ("--preset", "State"), "network.entity=8", "bc.batches=800"),
         "train-bc": train("bc", ("--quick",), *PICTURES, "bc.batches=32", "bc.batch_size=8"),
         "train-gail": train("gail", ("--quick",), *PICTURES, *GAIL),
+        "experiment": Kind((*MAIN, "experiment", str(inputs / "e.toml"), "--jobs", "2", "--out", "{}"), lines, rows),
     }
 
 
-def kill(kind: Kind, name: str, folder: Path, kills: int, rng: random.Random) -> None:
-    """Kills a command again and again, and lets it end; an error tells what is not as it must be."""
+def kill(kind: Kind, name: str, folder: Path, kills: int, rng: random.Random) -> Counter[str]:
+    """Kills a command again and again, and lets it end; an error tells what is not as it must be.
+
+    Returns:
+        How often each signal reached it.
+    """
     expected, seconds = None, PLAYING
     if kind.result is not None:
         start = time.monotonic()
         undisturbed(kind, folder / "undisturbed")
         seconds = time.monotonic() - start
         expected = kind.result(folder / "undisturbed")
-    out, ends = folder / "killed", 0
+    out, landed, most = folder / "killed", Counter[str](), 0
     for number in range(kills):
         before = kind.finished(out)
+        sent = SIGNALS[number % len(SIGNALS)]
         start = time.monotonic()
-        how, ended = killed(kind.into(out), seconds, rng)
+        how, reached, ended = killed(kind, out, rng.uniform(0, seconds), sent, rng)
         now = kind.finished(out)
         lost = [thing for thing in before if now.get(thing) != before[thing]]
         if lost:
             raise SystemExit(f"{name}, {how}: lost or changed: {', '.join(lost)}")
         print(f"{name} {number}: {how}; {len(now) - len(before)} more, {len(now)} in all", flush=True)
-        if ended and kind.result is None:
-            raise SystemExit(f"{name} ended by itself; run the command to see why: {' '.join(kind.into(out))}")
+        landed[sent.name] += reached
+        most = max(most, len(now))
         if ended and kind.result is not None:
-            ends, seconds = ends + 1, min(seconds, time.monotonic() - start)
+            seconds = seconds if reached else min(seconds, time.monotonic() - start)
             compare(name, kind.result(out), expected)
-            shutil.rmtree(out)
+        if ended or (kind.finished is contents and "--force" not in kind.command):  # these refuse what is there
+            shutil.rmtree(out, ignore_errors=True)
     if kind.result is not None:
         undisturbed(kind, out)
         compare(name, kind.result(out), expected)
-    elif not kind.finished(out):
+    elif kind.finished is not nothing and not most:
         raise SystemExit(f"{name} has finished nothing between {kills} kills; allow more (--kills)")
-    same = "" if kind.result is None else ", the same in the end"
-    print(f"{name}: {kills} kills, {ends} of them too late; nothing lost, no process left{same}")
+    return landed
 
 
 def compare(name: str, found: Found, expected: Found | None) -> None:
@@ -227,29 +319,46 @@ def compare(name: str, found: Found, expected: Found | None) -> None:
 def undisturbed(kind: Kind, out: Path) -> None:
     """Lets a command end."""
     result = subprocess.run(kind.into(out), capture_output=True, text=True, check=False, env=variables())
-    if result.returncode != 0:
+    if result.returncode != kind.code:
         raise SystemExit(f"{' '.join(kind.into(out))}: {result.stderr}")
 
 
-def killed(command: tuple[str, ...], latest: float, rng: random.Random) -> tuple[str, bool]:
-    """Starts a command and kills it within so many seconds; returns how and when, and whether it had ended before."""
-    process = subprocess.Popen(
-        command, start_new_session=True, env=variables(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    moment, how, ended = rng.uniform(0, latest), rng.choice(SIGNALS), False
-    try:
-        process.wait(moment)
-        ended = True
-    except subprocess.TimeoutExpired:
-        process.send_signal(how)  # to the process alone; its workers must notice by themselves
-        process.wait()
-    start = time.monotonic()
-    while left := session(process.pid):
-        if time.monotonic() - start > PATIENCE:
-            raise SystemExit(f"{how.name} after {moment:.1f} s left processes: {left}")
-        time.sleep(0.05)
+def killed(kind: Kind, out: Path, moment: float, sent: signal.Signals, rng: random.Random) -> tuple[str, bool, bool]:
+    """Starts a command, and sends it a signal some seconds later.
+
+    Returns:
+        What happened, whether the signal reached it, and whether it ended as if there had been none.
+    """
+    with tempfile.TemporaryFile("w+") as errors:
+        process = subprocess.Popen(
+            kind.into(out), start_new_session=True, env=variables(), stdout=subprocess.DEVNULL, stderr=errors
+        )
+        time.sleep(moment)
+        reached = process.poll() is None
+        if reached:
+            process.send_signal(sent)  # to the process alone; its workers must notice by themselves
+        if reached and sent is signal.SIGSTOP:
+            if whole_group := rng.random() < 0.5:  # as Ctrl-Z does
+                os.killpg(process.pid, sent)
+            time.sleep(PAUSE)
+            (os.killpg if whole_group else os.kill)(process.pid, signal.SIGCONT)
+            if kind.result is None:
+                time.sleep(PAUSE)
+                process.kill()
+        code = process.wait()
+        start = time.monotonic()
+        while left := session(process.pid):
+            if time.monotonic() - start > PATIENCE:
+                raise SystemExit(f"{sent.name} after {moment:.1f} s left processes: {left}")
+            time.sleep(0.05)
+        errors.seek(0)
+        if "Traceback" in (text := errors.read()):
+            raise SystemExit(f"{kind.command} was told of {sent.name} after {moment:.1f} s, and said {text}")
+    ended = kind.result is not None and (not reached or sent is signal.SIGSTOP)
+    if (ended and code != kind.code) or (not reached and kind.result is None):
+        raise SystemExit(f"{' '.join(kind.into(out))} ended with {code}: {text}")
     gone = f"all gone {time.monotonic() - start:.1f} s later"
-    return (f"had ended before {moment:.1f} s" if ended else f"{how.name} after {moment:.1f} s, {gone}"), ended
+    return f"{sent.name} after {moment:.1f} s, {gone}" if reached else "had ended before", reached, ended
 
 
 def session(leader: int) -> list[int]:
@@ -279,17 +388,29 @@ def main() -> None:
     arguments = parser.parse_args()
     signal.signal(signal.SIGINT, signal.default_int_handler)  # shells ignore it in what they start in the background
     with tempfile.TemporaryDirectory() as name:
-        scores = Path(name) / "scores"
-        every = kinds(scores)
+        inputs, every = Path(name) / "inputs", kinds(Path(name) / "inputs")
         chosen = list(every) if arguments.kinds == "all" else arguments.kinds.split(",")
         if unknown := set(chosen) - set(every):
             parser.error(f"there are the kinds {', '.join(every)}, and not {', '.join(unknown)}")
-        if "report" in chosen:
-            undisturbed(every["evaluate"], scores)
+        inputs.mkdir()
+        prepare(inputs)
+        landed, failed = dict[str, Counter[str]](), dict[str, SystemExit]()
         for kind in chosen:
             folder = Path(name) / kind
             folder.mkdir()
-            kill(every[kind], kind, folder, arguments.kills, random.Random(arguments.seed))  # noqa: S311  no secret
+            try:
+                landed[kind] = kill(every[kind], kind, folder, arguments.kills, random.Random(arguments.seed))  # noqa: S311  no secret
+            except SystemExit as error:
+                failed[kind] = error
+                print(f"{kind} FAILED: {error}", flush=True)
+    print("\n| command | " + " | ".join(sent.name for sent in SIGNALS) + " |")
+    print("| --- |" + " ---: |" * len(SIGNALS))
+    for kind, counts in landed.items():
+        print(f"| {kind} | " + " | ".join(str(counts[sent.name]) for sent in SIGNALS) + " |")
+    total = sum(counts.total() for counts in landed.values())
+    print(f"{total} signals reached {len(landed)} commands; nothing lost, no process left, the same in the end")
+    if failed:
+        raise SystemExit(f"failed: {', '.join(failed)}")
 
 
 if __name__ == "__main__":

@@ -101,7 +101,7 @@ def fitting(name: str, value: Any, kind: Any, *, text: bool = False) -> Any:
             kind = str | tuple[str, ...]
             value = value if isinstance(value, str) else tuple(value)
         return msgspec.convert(value, kind, strict=not text, dec_hook=lambda cls, given: cls(given))
-    except (msgspec.ValidationError, TypeError):  # the latter of what is not iterable
+    except (msgspec.ValidationError, TypeError, UnicodeError):  # what is not iterable; text that is no Unicode
         raise SettingsError(f"{name} must be {_wanted(plain, kind, value)}, not {short_repr(value)}") from None
 
 
