@@ -111,7 +111,8 @@ def learn(chosen: Demonstrations, task: str, seed: int, episodes: int) -> tuple[
     for _ in range(learner.updates):
         learner.update()
     policy = TrainedPolicy(learner.actor, settings.tasks, settings.preset)
-    frame = evaluate(policy, tasks=task, variants="Demo,Jitter", episodes=episodes, preset="State", envs=100, jobs=1)
+    played = {"tasks": task, "variants": "Demo,Jitter", "split": "dev", "episodes": episodes, "preset": "State"}
+    frame = evaluate(policy, envs=100, jobs=1, **played)
     scores = frame.groupby("variant")["score"].mean()
     seen = drawn(task, seed, LEARNT_FROM, len(chosen))
     rest = [demo for number, demo in enumerate(chosen) if number not in seen]

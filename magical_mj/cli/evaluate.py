@@ -37,10 +37,10 @@ from magical_mj.cli.film import film, film_episodes, replay, views_of
 from magical_mj.evaluation.reports.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES, EpisodeResult, open_scores, read_settings
-from magical_mj.evaluation.settings import EvaluationSettings
+from magical_mj.evaluation.settings import EvaluationSettings, Split
 from magical_mj.evaluation.worker import Player, Unit
 from magical_mj.policies.loading import playable, sources
-from magical_mj.tasks.registry import Pair, task_name, task_spec, variant_name
+from magical_mj.tasks.registry import SPLITS, Pair, task_name, task_spec, variant_name
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, counted
 from magical_mj.utils.extras import check_extra
@@ -107,6 +107,7 @@ def rollout(
     policy: AnyPolicy = "expert",
     episodes: Number = 1,
     seed: Seed = 0,
+    split: Split = "test",
     preset: Preset = "LoRes4E",
     video: Video = None,
     size: Size = 384,
@@ -119,7 +120,7 @@ def rollout(
     check_suffix(video, ".mp4")
     views = views_of(camera)
     pair = task_name(task), variant_name(variant)  # not lists of names, nor "all"
-    settings = EvaluationSettings(tasks=(pair[0],), variants=(pair[1],), preset=preset, trust=trust)
+    settings = EvaluationSettings(tasks=(pair[0],), variants=(pair[1],), split=split, preset=preset, trust=trust)
     listed = playable(policy, [pair], preset, trust=trust)
     if video is not None:
         check_writable(video, force)
@@ -128,7 +129,7 @@ def rollout(
     try:
         with showing as movie, closing(Player()) as player:
             for source in listed:
-                units = [Unit(source, *pair, (seed + k,), settings) for k in range(episodes)]
+                units = [Unit(source, *pair, (SPLITS[split] + seed + k,), settings) for k in range(episodes)]
                 scores = []
                 for unit in with_bar(screen, f"playing {source.name}", units, episodes):
                     scores += player.play(unit)

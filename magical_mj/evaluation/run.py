@@ -13,7 +13,16 @@ from typing import TYPE_CHECKING, Any, Final
 import cloudpickle
 
 from magical_mj._version import __version__
-from magical_mj.evaluation.scores import EpisodeResult, Key, append, frame, load_or_start, open_scores, prepare
+from magical_mj.evaluation.scores import (
+    EpisodeResult,
+    Key,
+    append,
+    frame,
+    load,
+    open_scores,
+    prepare,
+    write_settings,
+)
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
 from magical_mj.evaluation.worker import Player, Unit, plan, play_unit
 from magical_mj.policies.interface import reason
@@ -106,7 +115,8 @@ class Evaluation:
         """Plays the remaining episodes and yields each result once it is in the file."""
         with open_scores(self._out) if self._out else nullcontext() as file:
             if self._out:
-                self.scores = load_or_start(self._out, self._recorded)  # another process may have added some by now
+                self.scores = load(self._out, self._recorded)  # another process may have added some by now
+                write_settings(self._out, self._recorded)
             self.units = self._remaining()
             for results in self._trusted_results():
                 _check_versions(results)
@@ -129,7 +139,7 @@ class Evaluation:
         planned: dict[tuple[str, int], list[Key]] = defaultdict(list)
         for unit in self.units:
             policy = unit.source.name, unit.source.run
-            planned[policy] += [(*policy, unit.task, unit.variant, seed) for seed in unit.seeds]
+            planned[policy] += unit.keys
         proven = {(result.policy, result.run) for result in self.scores}
         held: dict[tuple[str, int], list[EpisodeResult]] = defaultdict(list)
         for result in chain.from_iterable(self._play_units()):

@@ -1,7 +1,7 @@
 """The folder of an evaluation: ``run.json`` with its settings, and ``scores.jsonl`` with a line per finished episode.
 
 Lines are appended, and none is altered. A line counts once it has its end: what a killed process left half written is
-not read, and cut off before more is appended. An evaluation is resumed only with the settings it was started with.
+not read, and cut off before more is appended. An evaluation that is resumed may grow, but keeps its other settings.
 """
 
 from __future__ import annotations
@@ -29,8 +29,12 @@ from magical_mj.utils.settings import check_unchanged
 SCORES: Final = "scores.jsonl"
 SETTINGS: Final = "run.json"
 
-Key = tuple[str, int, str, str, int]
-"""Identifies an episode: policy, run, task, variant, seed."""
+Key = tuple[str, int, str, str, int, str]
+"""Identifies an episode: policy, run, task, variant, seed, shift."""
+GROWING: Final = ("policies", "environments", "shifts")
+"""The settings of which a resumed evaluation may have more; of seeds it may, too."""
+OLDER: Final = {"worlds": "single", "split": "test", "first_seed": 0, "shifts": [""], "wrap": "", "like": ""}
+"""Settings of which older versions write nothing."""
 
 
 class Outcome(NamedTuple):
@@ -66,6 +70,9 @@ class EpisodeResult:
         failure: why the policy failed; None if it did not.
         scene: the digest of the scene in which the episode started; None in files of older versions.
         worlds: "single" if MuJoCo itself simulated it; the scores of "batched" worlds are approximate.
+        split: the split of the seed; see `magical_mj.tasks.registry.SPLITS`.
+        shift: what was shifted, such as "camera:3"; empty if nothing was.
+        wrap: the wrapper around the environment, such as "mine:Wrapper"; empty without one.
     """
 
     policy: str
@@ -85,6 +92,9 @@ class EpisodeResult:
     failure: str | None = None
     scene: str | None = None
     worlds: str = "single"
+    split: str = "test"
+    shift: str = ""
+    wrap: str = ""
 
     @classmethod
     def of(cls, episode: Episode, outcome: Outcome, **facts: Any) -> EpisodeResult:
@@ -93,7 +103,7 @@ class EpisodeResult:
         Args:
             episode: the episode.
             outcome: what came of it.
-            facts: the fields `policy`, `rules`, `preset`, `scene` and `worlds`.
+            facts: the fields `policy`, `rules`, `preset`, `scene` and those after it.
         """
         return cls(
             run=episode.run,
@@ -114,14 +124,22 @@ class EpisodeResult:
     @property
     def key(self) -> Key:
         """Identifies this episode."""
-        return self.policy, self.run, self.task, self.variant, self.seed
+        return self.policy, self.run, self.task, self.variant, self.seed, self.shift
+
+    @property
+    def method(self) -> str:
+        """What played, as reports call it: the policy, and the wrapper if it was played in one."""
+        return f"{self.policy} in {self.wrap}" if self.wrap else self.policy
 
     def line(self) -> str:
-        """As a line of the file."""
-        return json.dumps(dataclasses.asdict(self), ensure_ascii=False) + "\n"
+        """As a line of the file, which leaves out what is as usual and older versions did not write."""
+        values = dataclasses.asdict(self)
+        usual = [name for name, value in _USUAL.items() if values[name] == value]
+        return json.dumps({name: values[name] for name in values if name not in usual}, ensure_ascii=False) + "\n"
 
 
 _FIELDS: Final = tuple(field.name for field in dataclasses.fields(EpisodeResult))
+_USUAL: Final = {"split": "test", "shift": "", "wrap": ""}
 _BEGINNING: Final = b'{"policy": '
 """Of each line."""
 
@@ -173,10 +191,9 @@ def episodes_in(folder: Path) -> Iterator[EpisodeResult]:
                     f"{path}, line {number}: {error}. Mend the line, or delete it: evaluate --resume plays what is "
                     "missing"
                 ) from error
-            policy, run, task, variant, seed = result.key
             # each name once: the keys of a million episodes then take 200 MB instead of 400
-            policy, task, variant = (names.setdefault(name, name) for name in (policy, task, variant))
-            if (other := lines.setdefault((policy, run, task, variant, seed), number)) != number:
+            key: Any = tuple(names.setdefault(part, part) if isinstance(part, str) else part for part in result.key)
+            if (other := lines.setdefault(key, number)) != number:
                 raise EvaluationError(f"{path}, line {number}: the same episode as line {other}; delete one")
             yield result
     if not lines:
@@ -238,22 +255,66 @@ def prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[Episod
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with open_scores(folder):
-            return load_or_start(folder, settings)
+            done = load(folder, settings)
+            if not done:
+                write_settings(folder, settings)
+            return done
     except OSError as error:
         raise EvaluationError(f"cannot write into {folder}: {error.strerror}") from error
 
 
-def load_or_start(folder: Path, settings: dict[str, Any]) -> list[EpisodeResult]:
-    """The finished episodes in a folder whose scores are open; if there are none, its settings become these.
+def load(folder: Path, settings: dict[str, Any]) -> list[EpisodeResult]:
+    """The finished episodes in a folder, if an evaluation with these settings can be added to them.
 
     Raises:
         EvaluationError, SettingsError: as `prepare`.
     """
-    if (folder / SCORES).stat().st_size:
-        check_unchanged(folder, _without_paths(read_settings(folder)), _without_paths(settings))
-        return read(folder)
+    if not (folder / SCORES).stat().st_size:
+        return []
+    check_continues(folder, settings)
+    return read(folder)
+
+
+def write_settings(folder: Path, settings: dict[str, Any]) -> None:
+    """Writes the settings of the evaluation in a folder, in place of those of a smaller one."""
     files.write(folder / SETTINGS, json.dumps(settings, indent=2) + "\n", overwrite=True)
-    return []
+
+
+def check_continues(folder: Path, settings: dict[str, Any]) -> None:
+    """Raises a `SettingsError` unless an evaluation with these settings continues, or adds to, the one in a folder."""
+    before, now = (_without_paths(known) for known in (read_settings(folder), settings))
+    for name in (name for name in GROWING if name in now and isinstance(before.get(name), list)):
+        if absent := [item for item in before[name] if item not in now[name]]:
+            listed = ", ".join(map(_named, absent))
+            raise SettingsError(
+                f"{folder} holds {name} that are left out here, or have changed: {listed}. An evaluation that is "
+                "resumed may have more, but not less"
+            )
+    played, asked = _scenes(before), _scenes(now)
+    if played and not (played[0] in asked and played[-1] in asked):
+        raise SettingsError(
+            f"{folder} holds the scenes {played[0]} to {played[-1]} of its split, and {asked[0]} to {asked[-1]} are "
+            "asked for: an evaluation that is resumed may have more, but not less"
+        )
+    free = (*GROWING, "episodes", "first_seed")
+    new = {name for name in now if name.startswith("code of ") and name not in before}
+    check_unchanged(folder, before, {name: now[name] for name in now if name not in free and name not in new})
+
+
+def _named(item: Any) -> str:
+    """What is left out, in words: a policy with its hash, by which it may have changed."""
+    if not isinstance(item, dict):
+        return str(item)
+    hashes = [f"{name} {item[name][:12]}..." for name in ("sha256", "code") if isinstance(item.get(name), str)]
+    return f"{item.get('name')} ({hashes[0]})" if hashes else str(item.get("name"))
+
+
+def _scenes(settings: dict[str, Any]) -> range:
+    """The numbers of an evaluation's scenes in their split; none if the settings do not say them."""
+    try:
+        return range(settings["first_seed"], settings["first_seed"] + settings["episodes"])
+    except (KeyError, TypeError):
+        return range(0)
 
 
 def _without_paths(settings: dict[str, Any]) -> dict[str, Any]:
@@ -275,7 +336,7 @@ def read_settings(folder: Path) -> dict[str, Any]:
         known = dict(json.loads((folder / SETTINGS).read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError, RecursionError) as error:
         raise EvaluationError(f"{folder / SETTINGS} cannot be read ({error}); start again in another folder") from error
-    return {"worlds": "single", **known}  # of which older versions write nothing
+    return {**OLDER, **known}
 
 
 def folders_of(folders: Iterable[Path | str]) -> list[Path]:

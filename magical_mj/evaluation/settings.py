@@ -14,12 +14,14 @@ from magical_mj.envs.presets import preset_named
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.tasks.plugins import code_digest
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
-from magical_mj.tasks.registry import TASKS, Pair, environments
+from magical_mj.tasks.registry import SPLITS, TASKS, Pair, environments
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import SettingsError, short_repr
 from magical_mj.utils.parallel import Backend, check_backend
 from magical_mj.utils.settings import LARGEST_SETTING, Count, Names, Natural, Settings
 
+Split = Literal["test", "dev"]
+"""See `magical_mj.tasks.registry.SPLITS`."""
 Simulator = Literal["mujoco", "warp"]
 WORLDS: Final = {"mujoco": "single", "warp": "batched"}
 """Simulator -> what files call it: worlds that MuJoCo simulates one by one, or MuJoCo Warp in batches."""
@@ -46,8 +48,13 @@ class EvaluationSettings(Settings):
         Names, Meta(description="Variants, separated by commas; pairs that do not exist are left out.")
     ] = "all"
     episodes: Annotated[
-        Count, Meta(description="Episodes in each environment: those of seeds 0, 1, ... The paper plays 100.")
+        Count, Meta(description="Episodes in each environment, in successive scenes. The paper plays 100.")
     ] = 100
+    split: Annotated[
+        Split,
+        Meta(description="test: the scenes of seeds 0, 1, ..., for results. dev: others, to look at and tune."),
+    ] = "test"
+    first_seed: Annotated[Natural, Meta(description="The number of the first scene in its split.")] = 0
     preset: Annotated[str, Meta(description="The observations: a preset's name, or an empty one.")] = "LoRes4E"
     rules: Annotated[Rules, Meta(description="Scores and horizons of the paper, or of its released code.")] = "paper"
     out: Annotated[Path | None, Meta(description="The folder for the scores.")] = None
@@ -94,12 +101,19 @@ class EvaluationSettings(Settings):
         """The pairs of tasks and variants that are played."""
         return environments(self.tasks, self.variants)
 
+    @property
+    def seeds(self) -> range:
+        """The seeds of the scenes."""
+        first = SPLITS[self.split] + self.first_seed
+        return range(first, first + self.episodes)
+
     def recorded(self) -> dict[str, Any]:
         """The settings that determine scores; an evaluation can be resumed only if they are the same."""
         others = dict.fromkeys(task for task, _ in self.environments if task not in TASKS)
         return {
             "environments": [f"{task}-{variant}" for task, variant in self.environments],
-            **{name: getattr(self, name) for name in ("episodes", "preset", "rules", "time_limit")},
+            **{name: getattr(self, name) for name in ("split", "first_seed", "episodes")},
+            **{name: getattr(self, name) for name in ("preset", "rules", "time_limit")},
             "worlds": WORLDS[self.simulator],
             "protocol": PROTOCOL,
             "demonstrations": DEMONSTRATIONS,

@@ -9,7 +9,7 @@ import threading
 import weakref
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, TypeVar
 
 import gymnasium
@@ -41,6 +41,7 @@ class Unit:
         seeds: the seeds of the scenes.
         settings: the settings of the evaluation.
         evaluation: identifies the evaluation. A policy that was loaded for another one may have changed since.
+        shift: what is shifted, such as "camera:3".
     """
 
     source: Source
@@ -49,6 +50,13 @@ class Unit:
     seeds: tuple[int, ...]
     settings: EvaluationSettings
     evaluation: str = ""
+    shift: str = ""
+
+    @property
+    def keys(self) -> list[Key]:
+        """Of its episodes."""
+        source = self.source
+        return [(source.name, source.run, self.task, self.variant, seed, self.shift) for seed in self.seeds]
 
     @property
     def steps(self) -> int:
@@ -63,12 +71,9 @@ def plan(policies: Sequence[Source], settings: EvaluationSettings, done: Collect
     evaluation = secrets.token_hex(8)
     for task, variant in settings.environments:
         for source in policies:
-            seeds = range(settings.episodes)
-            left = [seed for seed in seeds if (source.name, source.run, task, variant, seed) not in done]
-            units += [
-                Unit(source, task, variant, tuple(left[start : start + size]), settings, evaluation)
-                for start in range(0, len(left), size)
-            ]
+            every = Unit(source, task, variant, tuple(settings.seeds), settings, evaluation)
+            left = tuple(seed for key, seed in zip(every.keys, every.seeds, strict=True) if key not in done)
+            units += [replace(every, seeds=left[start : start + size]) for start in range(0, len(left), size)]
     return sorted(units, key=lambda unit: -unit.steps)
 
 
@@ -113,6 +118,7 @@ class Player:
                 "rules": settings.rules,
                 "preset": getattr(policy, "preset", None) if uses_simulation(policy) else settings.preset,
                 "worlds": WORLDS[settings.simulator],
+                "split": settings.split,
             }
             for episode, outcome in zip(episodes, self._outcomes(unit, episodes), strict=True):
                 scene = sample_scene(episode.task, episode.variant, episode.seed)

@@ -234,6 +234,12 @@ def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders
         return first
 
     for episode, folder in sources:
+        if episode.split != "test":
+            raise EvaluationError(f"{folder} was played on the split {episode.split}, and entries are of test")
+        if episode.wrap:
+            raise EvaluationError(
+                f"{folder} was played in the wrapper {episode.wrap}, and entries are of no other worlds"
+            )
         if episode.worlds != "single":
             raise EvaluationError(f"{folder} was played in batched worlds, and cannot be an entry: {UNOFFICIAL}")
     episodes = [episode for episode, _ in sources]

@@ -15,7 +15,7 @@ from magical_mj.evaluation.reports.report import check_free, report
 from magical_mj.evaluation.reports.results import gather, published_results
 from magical_mj.evaluation.reports.statistics import by_environment, rank_correlation
 from magical_mj.evaluation.run import evaluate
-from magical_mj.evaluation.scores import SCORES, SETTINGS, read_settings
+from magical_mj.evaluation.scores import SCORES, SETTINGS, check_continues
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.learners.learner import device, keep_freed_memory
 from magical_mj.learners.run_folder import METRICS, RunFolder, read_metrics
@@ -27,14 +27,14 @@ from magical_mj.utils.errors import SettingsError, check_name
 from magical_mj.utils.files import read_toml
 from magical_mj.utils.imports import check_named
 from magical_mj.utils.parallel import check_backend, map_unordered
-from magical_mj.utils.settings import Names, Settings, check_unchanged, with_values
+from magical_mj.utils.settings import Names, Settings, with_values
 
 SIDE_BY_SIDE: Final = {"pictures": 10, "states": 100}
 """Episodes that are played at once, for networks like batches; pictures fill the memory."""
 NAMED: Final = ("preset", "augment", "device", "evaluations", "episodes", "checkpoints")
 """Settings that are not listed in a method's name: it shows them otherwise, or they do not affect the result."""
 ABLATIONS: Final = {"all": "", "none": ", no aug.", "no-trans-rot": ", no trans./rot. aug."}
-EVALUATION: Final = {name: getattr(EvaluationSettings, name) for name in ("variants", "episodes", "rules")}
+EVALUATION: Final = {name: getattr(EvaluationSettings, name) for name in ("variants", "episodes", "split", "rules")}
 """The settings that the table `evaluation` of an experiment's file may hold."""
 LEAST_PAIRS: Final = 5
 """The least number of environments for which a rank correlation is printed."""
@@ -237,9 +237,7 @@ def _check_runs(planned: list[Run], out: Path, here: bool) -> None:
     for run in planned:
         RunFolder(run.trained, run.settings, resume=True)
         if (run.scores / SETTINGS).exists():
-            check_unchanged(
-                run.scores, read_settings(run.scores), with_values(EvaluationSettings, run.played).recorded()
-            )
+            check_continues(run.scores, with_values(EvaluationSettings, run.played).recorded())
         if here:
             device(run.settings.device)
     for run in {(run.settings.method, run.settings.tasks): run for run in planned}.values():

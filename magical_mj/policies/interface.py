@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar, runtime_checkab
 
 import numpy as np
 
-from magical_mj.utils.errors import InvalidActionError, RenderingError, TaskError, short_repr
+from magical_mj.utils.errors import InvalidActionError, RenderingError, SettingsError, TaskError, short_repr
 from magical_mj.utils.imports import place
 
 if TYPE_CHECKING:
@@ -154,6 +154,8 @@ def policy_errors() -> Iterator[None]:
         yield
     except (RenderingError, TaskError):
         raise
+    except ImportError as error:
+        raise SettingsError(f"the policy lacks a package: {reason(error, place(error, full=False))}") from error
     except (Exception, SystemExit) as error:  # a policy may raise anything
         raise PolicyError(reason(error, place(error, full=False))) from error
 

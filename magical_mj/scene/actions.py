@@ -8,6 +8,7 @@ appendix "Action and observation space"). For learners of continuous actions, th
 from __future__ import annotations
 
 import itertools
+import math
 from enum import IntEnum
 from typing import Any, Final, NamedTuple
 
@@ -79,9 +80,19 @@ def action_number(action: Any) -> int:
     if number is None:
         raise InvalidActionError(
             f"{short_repr(action)} is not an action: actions are the integers 0..{len(ACTIONS) - 1} "
-            "(9 * gripper + 3 * turn + drive; see magical_mj.scene.actions.ACTIONS)"
+            f"(9 * gripper + 3 * turn + drive; see magical_mj.scene.actions.ACTIONS){_hint(action)}"
         )
     return number
+
+
+def _hint(action: Any) -> str:
+    """What to do with arrays that networks and batches give instead of an action."""
+    shape = (len(action),) if isinstance(action, list) else getattr(action, "shape", ())
+    if not isinstance(shape, tuple) or not shape:
+        return ""
+    if math.prod(shape) == len(ACTIONS):
+        return "; of a value for each of them, take the argmax: int(np.argmax(values))"
+    return "; take its only entry: int(action[0])" if shape == (1,) else ""
 
 
 THRESHOLD: Final = 0.5

@@ -33,6 +33,12 @@ ENVIRONMENTS: Final[tuple[Pair, ...]] = tuple(
 """All (task, variant) pairs of the benchmark; which exist follows from the axes that each task supports."""
 
 
+SPLITS: Final = {"test": 0, "dev": 10_000_000}
+"""Split -> the seed of its first scene. Scores are reported on "test", from seed 0 on; "dev" is for looking and tuning.
+
+Poses, counts and dynamics of dev scenes are never those of test scenes. Variants that draw from few scenes, such as the
+four of MoveToCorner-Colour, have the same ones in both."""
+
 Names = str | Iterable[str]
 """Names as a list, or as one string separated by commas; "all" stands for all of them."""
 

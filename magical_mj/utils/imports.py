@@ -150,7 +150,7 @@ def with_place(error: BaseException) -> str:
 
 
 def place(error: BaseException, *, full: bool = True) -> str:
-    """The last place from which the error came that is neither in this package nor in Python, if there is one.
+    """The last place from which the error came in the user's code, or else in another package than this, if any.
 
     Args:
         error: the error.
@@ -159,8 +159,9 @@ def place(error: BaseException, *, full: bool = True) -> str:
     frames = [frame for frame in extract_tb(error.__traceback__) if _is_theirs(frame.filename)]
     if not frames:
         return ""
-    file = Path(frames[-1].filename)
-    return f" ({file if full else file.name}, line {frames[-1].lineno})"
+    last = next((frame for frame in reversed(frames) if "site-packages" not in Path(frame.filename).parts), frames[-1])
+    file = Path(last.filename)
+    return f" ({file if full else file.name}, line {last.lineno})"
 
 
 def _is_theirs(file: str) -> bool:

@@ -19,7 +19,7 @@ import pytest
 import magical_mj
 from magical_mj.evaluation import Episode, EpisodeResult
 from magical_mj.evaluation.run import Evaluation
-from magical_mj.evaluation.scores import SCORES, SETTINGS, open_scores, read
+from magical_mj.evaluation.scores import SCORES, SETTINGS, open_scores, read, read_settings
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.utils.errors import EvaluationError, SettingsError
 from tests.helpers import agents
@@ -32,7 +32,7 @@ def test_file_holds_everything(tmp_path: Path) -> None:
     frame = magical_mj.evaluate("random", out=tmp_path, **SMALL)
     assert len(read(tmp_path)) == len(frame) == 6
     entry = json.loads((tmp_path / SCORES).read_text().splitlines()[0])
-    assert set(entry) == set(frame.columns)
+    assert set(entry) == set(frame.columns) - {"split", "shift", "wrap"}  # which are written where they are unusual
     assert entry["version"] == magical_mj.__version__
     assert entry["rules"] == "paper"
     assert entry["preset"] is None  # random looks at nothing
@@ -60,7 +60,7 @@ def test_a_policy_whose_code_has_changed_is_another_one(tmp_path: Path, monkeypa
     Path("still.py").write_text("def policy(observation):\n    return 0\n")
     magical_mj.evaluate("still:policy", out="scores", **SMALL)
     Path("still.py").write_text("def policy(observation):\n    return 1\n")
-    with pytest.raises(SettingsError, match="was started with other settings: policies was"):
+    with pytest.raises(SettingsError, match="holds policies that are left out here, or have changed: policy"):
         magical_mj.evaluate("still:policy", out="scores", resume=True, **SMALL)
 
 
@@ -150,11 +150,12 @@ def test_files_of_older_versions_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("policy", "change", "difference"),
     [
-        ("noop", {"episodes": 4}, "episodes was 3 and is 4"),
+        ("noop", {"episodes": 2}, "holds the scenes 0 to 2 of its split, and 0 to 1 are asked for"),
+        ("noop", {"first_seed": 1}, "holds the scenes 0 to 2 of its split, and 1 to 3 are asked for"),
         ("noop", {"rules": "released"}, 'rules was "paper" and is "released"'),
         ("noop", {"preset": "LoRes4A"}, 'preset was "State" and is "LoRes4A"'),
-        ("noop", {"variants": "Demo"}, "environments was"),
-        ("random", {}, "policies was"),
+        ("noop", {"variants": "Demo"}, "environments that are left out here, or have changed: MoveToRegion-Layout."),
+        ("random", {}, "policies that are left out here, or have changed: noop."),
     ],
 )
 def test_changed_settings_are_refused(tmp_path: Path, policy: str, change: dict[str, Any], difference: str) -> None:
@@ -205,12 +206,25 @@ def test_an_evaluation_without_a_finished_episode_can_be_started_anew(
 def test_settings_are_those_of_the_evaluation_that_plays(tmp_path: Path) -> None:
     """Not of one that was prepared in the same folder meanwhile."""
     first, second = (
-        Evaluation("noop", EvaluationSettings(out=tmp_path, **{**SMALL, "episodes": count})) for count in (1, 2)
+        Evaluation("noop", EvaluationSettings(out=tmp_path, **{**SMALL, "episodes": count})) for count in (2, 1)
     )
     list(first.play())
-    with pytest.raises(SettingsError, match="episodes was 1 and is 2"):
+    with pytest.raises(SettingsError, match="holds the scenes 0 to 1 of its split, and 0 to 0 are asked for"):
         list(second.play())
-    assert len(read(tmp_path)) == 2
+    assert len(read(tmp_path)) == 4
+    assert read_settings(tmp_path)["episodes"] == 2
+
+
+def test_an_evaluation_grows_in_every_direction(tmp_path: Path) -> None:
+    """Episodes, tasks, variants and policies: what is missing is played, and all is as if it was played at once."""
+    grown = {**SMALL, "tasks": "MoveToRegion,FixColour", "variants": "Demo,Layout,Jitter", "episodes": 4}
+    magical_mj.evaluate("random", out=tmp_path / "grown", first_seed=1, **SMALL)
+    played: list[EpisodeResult] = []
+    magical_mj.evaluate("random,still=noop", out=tmp_path / "grown", resume=True, watch=played.append, **grown)
+    magical_mj.evaluate("random,still=noop", out=tmp_path / "whole", **grown)
+    assert rows(tmp_path / "grown") == rows(tmp_path / "whole")
+    assert len(played) == len(rows(tmp_path / "whole")) - 6
+    assert read_settings(tmp_path / "grown") == read_settings(tmp_path / "whole")
 
 
 def test_a_file_of_settings_that_is_not_ours_is_kept(tmp_path: Path) -> None:

@@ -76,6 +76,11 @@ def test_folders_add_up(tmp_path: Path, out: Path) -> None:
     assert report(folders, tmp_path / "out").read_text() == (out / "report.md").read_text()
 
 
+def test_folders_that_share_episodes_count_them_once(tmp_path: Path, out: Path) -> None:
+    folders = [write(tmp_path / name, rows) for name, rows in (("a", example()[:30]), ("b", example()[20:]))]
+    assert report(folders, tmp_path / "out").read_text() == (out / "report.md").read_text()
+
+
 def test_missing_environments_are_said_and_marked(out: Path) -> None:
     page = (out / "report.md").read_text()
     assert "BC_4 & more: incomplete in All: without MoveToRegion, MatchRegions, MakeLine, " in page
@@ -211,7 +216,7 @@ def test_the_papers_methods_keep_their_names(tmp_path: Path) -> None:
 
 def test_what_does_not_go_together_is_refused(tmp_path: Path) -> None:
     scores = write(tmp_path / "scores", example())
-    again = write(tmp_path / "again", example())
+    again = write(tmp_path / "again", [*example()[:3], replace(example()[3], score=1.0, failure=None)])
     rules = write(tmp_path / "rules", [replace(score, run=2 + score.run, rules="released") for score in example()])
     other = [replace(score, policy="allo", preset="LoRes4A") for score in example() if score.policy != "noop"]
     presets = write(tmp_path / "presets", other)

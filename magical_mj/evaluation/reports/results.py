@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+from zlib import crc32
 
 import numpy as np
 
@@ -29,10 +30,13 @@ from magical_mj.utils.extras import check_extra
 if TYPE_CHECKING:
     import pandas as pd
 
-KEY: Final = ["policy", "run", "task", "variant", "seed"]
+KEY: Final = ["policy", "run", "task", "variant", "shift", "seed"]
 """What identifies an episode."""
-NAMES: Final = ("policy", "task", "variant", "rules", "preset", "version", "mujoco", "gl", "scene", "worlds", "failure")
+KINDS: Final = ("rules", "preset", "scene", "worlds", "split", "failure")
+NAMES: Final = ("policy", "task", "variant", "shift", *KINDS, "version", "mujoco", "gl")
 """The columns of texts, which are categories; a last one, `folder`, says where an episode stands."""
+SAME: Final = [*KEY, *KINDS, "score", "actions"]
+"""What two records of one episode must agree in."""
 
 PUBLISHED_RULES: Final = "released"
 """The paper's results were scored by the authors' code, in its simulator: AL scores 0.00 on ClusterShape's demo, where
@@ -76,11 +80,12 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False) -> pd.DataFrame
     """The scores of all folders, a row for each episode, in a fixed order.
 
     Returns:
-        A frame with the columns `NAMES`, `folder`, `run`, `seed` and `score`.
+        A frame with the columns `NAMES`, `folder`, `run`, `seed`, `score`, and `actions`, a checksum. What several
+        folders hold is there once. Methods that were played in a wrapper are called after it, too.
 
     Raises:
         EvaluationError: if there are no folders, one is not an evaluation or names an unknown variant, two hold the
-            same episode, or rules, worlds, presets or scenes differ.
+            same episode with different results, or rules, worlds, splits, presets or scenes differ.
     """
     if not folders:
         raise EvaluationError("give at least one folder of an evaluation")
@@ -91,19 +96,22 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False) -> pd.DataFrame
             raise EvaluationError(
                 f"{folder} holds results in the variant {short_repr(name)}; there are: {', '.join(VARIANTS)}"
             )
+    check_same(scores, "rules", "their scores cannot be compared; --rules scores all by the same again")
+    check_same(scores, "worlds", "scores of batched worlds are approximate, and reported by themselves")
+    check_same(scores, "split", "results are those on test; report dev by itself")
+    scores = scores.drop_duplicates(SAME)  # a folder that was copied, or added to, agrees with the other
     twice = scores[scores.duplicated(KEY, keep=False)]
     if len(twice):
         first, second = twice.iloc[0], twice.iloc[1]
         raise EvaluationError(
             f"{first.folder} and {second.folder} both hold run {first.run} of {first.policy} in {first.task} "
-            f"{first.variant}, seed {first.seed}; evaluate one of them with another --run or NAME=POLICY"
+            f"{first.variant}, seed {first.seed}, with different results; evaluate one of them with another --run or "
+            "NAME=POLICY"
         )
-    check_same(scores, "rules", "their scores cannot be compared")
-    check_same(scores, "worlds", "scores of batched worlds are approximate, and reported by themselves")
     if not mixed_presets:
         check_same(scores, "preset", "--mixed-presets (mixed_presets=True) reports them together anyway")
     check_scenes(scores)
-    return scores
+    return scores.reset_index(drop=True)
 
 
 def _read(folders: Sequence[Path]) -> pd.DataFrame:
@@ -111,14 +119,16 @@ def _read(folders: Sequence[Path]) -> pd.DataFrame:
 
     categories: dict[str, dict[str | None, int]] = {name: {None: -1} for name in NAMES}
     codes = {name: array("i") for name in (*NAMES, "folder")}
-    numbers = {"run": array("q"), "seed": array("q"), "score": array("d")}
+    numbers = {"run": array("q"), "seed": array("q"), "score": array("d"), "actions": array("q")}
     for index, folder in enumerate(folders):
         for score in episodes_in(folder):
             for name, known in categories.items():
-                codes[name].append(known.setdefault(getattr(score, name), len(known) - 1))
+                text = score.method if name == "policy" else getattr(score, name)
+                codes[name].append(known.setdefault(text, len(known) - 1))
+            numbers["actions"].append(crc32(score.actions.encode()))
             try:
-                for name, column in numbers.items():
-                    column.append(getattr(score, name))
+                for name in ("run", "seed", "score"):
+                    numbers[name].append(getattr(score, name))
             except OverflowError:
                 raise EvaluationError(f"{folder} holds a run or a seed that is too large: {score.key}") from None
             codes["folder"].append(index)
@@ -150,7 +160,7 @@ def check_scenes(scores: pd.DataFrame) -> None:
 
     Scenes whose digest was not recorded match any.
     """
-    scene = ["task", "variant", "seed"]
+    scene = ["task", "variant", "shift", "seed"]
     digests = scores.dropna(subset=["scene"]).drop_duplicates([*scene, "scene"])
     differing = digests[digests.duplicated(scene, keep=False)].sort_values([*scene, "folder"], kind="stable")
     if len(differing):
@@ -274,7 +284,7 @@ def choose(which: Path | str) -> tuple[str, pd.DataFrame]:
 
 
 def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
-    """How much better the first policy is than the second, in each variant and in all, on the scenes that both played.
+    """How much better the first policy is than the second, in each variant and shift, on the scenes that both played.
 
     Scores of several runs in one scene are averaged first. The interval of the difference comes from a bootstrap that
     resamples the scenes within each environment; all environments have equal weight.
@@ -284,10 +294,10 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
         second: likewise.
 
     Returns:
-        A row for each variant, and one for all: the mean scores (`first`, `second`), their `difference` and its 95 %
-        interval (`low`, `high`), in how many scenes the first was `better` or `worse`, of how many `scenes` in how
-        many `environments`, and how many other scenes only one of them has played (`unpaired`). The names of the
-        policies are in its `attrs`, as `policies`.
+        A row for each variant, and each shift of it, and one for all that is not shifted: the mean scores (`first`,
+        `second`), their `difference` and its 95 % interval (`low`, `high`), in how many scenes the first was `better`
+        or `worse`, of how many `scenes` in how many `environments`, and how many other scenes only one of them has
+        played (`unpaired`). The names of the policies are in its `attrs`, as `policies`.
 
     Raises:
         SettingsError: if the choice of policies is ambiguous.
@@ -301,18 +311,20 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
     played = pd.concat([side.astype(dict.fromkeys(NAMES, object)) for side in (ours, others)], ignore_index=True)
     check_same(played, "rules", "they cannot be compared")
     check_same(played, "worlds", "scores of batched worlds are approximate, and compared among themselves")
+    check_same(played, "split", "they have no scenes in common")
     check_scenes(played)
-    sides = [
-        side.astype({"variant": str, "task": str}).groupby(["variant", "task", "seed"])["score"].mean()
-        for side in (ours, others)
-    ]
+    keys = ["variant", "shift", "task", "seed"]
+    sides = [side.astype(dict.fromkeys(keys[:-1], str)).groupby(keys)["score"].mean() for side in (ours, others)]
     both = pd.concat(sides, axis=1, keys=["first", "second"])
     paired = both.dropna()
     if paired.empty:
         raise EvaluationError(f"{first} and {second} have no scene in common")
-    variants = [variant for variant in VARIANTS if variant in paired.index.get_level_values("variant")]
-    rows = [_comparison(variant, both.loc[[variant]], paired.loc[[variant]]) for variant in variants]
-    table = pd.DataFrame([*rows, _comparison(ALL, both, paired)])
+    groups = sorted(set(paired.index.droplevel([2, 3])), key=lambda pair: (pair[1] != "", VARIANTS.index(pair[0])))
+    rows = [_comparison(" ".join(filter(None, pair)), both.loc[pair], paired.loc[pair]) for pair in groups]
+    if "" in paired.index.get_level_values("shift"):
+        unshifted = (table.xs("", level="shift") for table in (both, paired))
+        rows.append(_comparison(ALL, *unshifted))
+    table = pd.DataFrame(rows)
     table.attrs["policies"] = (name, other)
     return table
 
@@ -320,8 +332,9 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
 def _comparison(variant: str, both: pd.DataFrame, paired: pd.DataFrame) -> dict[str, Any]:
     """A row of a comparison, from the mean scores in all scenes and in those that both have played."""
     difference = paired["first"] - paired["second"]
-    strata = [group.to_numpy() for _, group in difference.groupby(["variant", "task"])]
-    means = paired.groupby(["variant", "task"]).mean().mean()
+    environments = [name for name in difference.index.names if name != "seed"]
+    strata = [group.to_numpy() for _, group in difference.groupby(environments)]
+    means = paired.groupby(environments).mean().mean()
     low, high = mean_interval(strata)
     return {
         "variant": variant,
