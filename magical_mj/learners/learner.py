@@ -14,6 +14,7 @@ import torch
 from magical_mj.learners.data import drawn, shipped
 from magical_mj.learners.networks import Actor
 from magical_mj.learners.policy import TrainedPolicy, save_policy
+from magical_mj.learners.relational_network import Ensemble
 from magical_mj.learners.settings import ALL_PARTS, TrainingSettings
 from magical_mj.policies.interface import Policy
 from magical_mj.utils.errors import SettingsError
@@ -94,7 +95,7 @@ class Learner(Method):
 
     @property
     @abstractmethod
-    def actor(self) -> Actor:
+    def actor(self) -> Actor | Ensemble:
         """The policy that is evaluated and saved; updated in place."""
 
     def policy(self) -> TrainedPolicy:

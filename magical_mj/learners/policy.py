@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import SHAPE, Actor, as_input
-from magical_mj.learners.settings import LEARNABLE, STATE, NetworkSettings, TrainingSettings
+from magical_mj.learners.relational_network import Ensemble
+from magical_mj.learners.settings import LEARNABLE, STATE, NetworkSettings, RelationalSettings, TrainingSettings
 from magical_mj.learners.state_features import History
 from magical_mj.policies.interface import Episode
 from magical_mj.policies.models import torch_threads
@@ -34,7 +35,7 @@ class TrainedPolicy:
         preset: the preset of the observations on which it was trained.
     """
 
-    def __init__(self, actor: Actor, tasks: Sequence[str], preset: str) -> None:
+    def __init__(self, actor: Actor | Ensemble, tasks: Sequence[str], preset: str) -> None:
         self.tasks, self.preset = tuple(tasks), preset
         self._actor = actor
         self._device = next(actor.parameters()).device
@@ -76,7 +77,7 @@ class TrainedPolicy:
         return int(self.act_batch(observation[None])[0])
 
 
-def save_policy(folder: Path, actor: Actor, settings: TrainingSettings) -> None:
+def save_policy(folder: Path, actor: Actor | Ensemble, settings: TrainingSettings) -> None:
     """Writes the policy into a run's folder, with everything that is needed to use it.
 
     Args:
@@ -84,10 +85,13 @@ def save_policy(folder: Path, actor: Actor, settings: TrainingSettings) -> None:
         actor: the network.
         settings: the settings of the run.
     """
+    if isinstance(actor, Ensemble):
+        kind = {"relational": asdict(settings.relational)}
+    else:
+        kind = {"batch_norm": actor.batch_norm, "network": asdict(settings.network)}
     contents = {
         "weights": actor.state_dict(),
-        "batch_norm": actor.batch_norm,
-        "network": asdict(settings.network),
+        **kind,
         "tasks": list(settings.tasks),
         "preset": settings.preset,
     }
@@ -107,8 +111,11 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
         if not tasks or not all(isinstance(task, str) for task in tasks):
             raise TypeError(f"tasks are names, not {short_repr(tasks)}")
         check_name("preset", preset, LEARNABLE)
-        network = changed(NetworkSettings(), contents["network"])
-        actor = Actor(network, len(tasks), states=preset == STATE, batch_norm=contents["batch_norm"])
+        if "relational" in contents:
+            actor = Ensemble(changed(RelationalSettings(), contents["relational"]))
+        else:
+            network = changed(NetworkSettings(), contents["network"])
+            actor = Actor(network, len(tasks), states=preset == STATE, batch_norm=contents["batch_norm"])
         actor.load_state_dict(contents["weights"])
     except Exception as error:
         raise TrainingError(f"{path} holds something else than a policy: {error}") from error

@@ -14,10 +14,10 @@ from msgspec import Meta
 
 from magical_mj.envs.presets import PRESETS, preset_named
 from magical_mj.tasks.registry import TASKS, listed, task_name, task_spec
-from magical_mj.utils.errors import SettingsError
+from magical_mj.utils.errors import SettingsError, check_name
 from magical_mj.utils.files import read_toml
 from magical_mj.utils.imports import check_named, resolve_installed, with_place
-from magical_mj.utils.settings import Count, Natural, Settings, changed
+from magical_mj.utils.settings import Count, Names, Natural, Settings, changed
 
 STATE: Final = "State"
 """The preset of the state track."""
@@ -31,6 +31,8 @@ AUGMENTATIONS: Final[Mapping[str, tuple[str, ...]]] = {
 """The sets of augmentations in the paper's ablations, by name."""
 HEADS: Final = 4
 """Of the attention between blocks and regions, which share the units of `NetworkSettings.entity`."""
+ASSUMPTIONS: Final = ("egocentric", "mirror", "rename", "displace", "detours")
+"""What `relational` tries to assume about a task, in this order: see `magical_mj.learners.assumptions`."""
 START: Final = "made"
 """The table of a config.toml that says when and with what a run was started; no setting."""
 GROUP: Final = "magical_mj.methods"
@@ -159,6 +161,38 @@ class FeatureSettings(Settings):
 
 
 @dataclass(frozen=True)
+class RelationalSettings(Settings):
+    """Behavioural cloning with assumptions that the demo scene must bear out; not in the paper."""
+
+    part: ClassVar[str] = "relational"
+
+    assumptions: Annotated[Names, Meta(description="those that are tried, in this order")] = ASSUMPTIONS
+    hidden: Count = 64
+    networks: Annotated[int, Meta(ge=1, le=100, description="whose probabilities are averaged")] = 1
+    trial: Annotated[
+        Count, Meta(description="updates, of 16 batches each, of each assumption's trial, and before the first")
+    ] = 20
+    updates: Annotated[Count, Meta(description="with the assumptions that were kept, after the trials")] = 160
+    batch_size: Count = 64
+    learning_rate: Annotated[Positive, Meta(description="of Adam in the trials; then it falls to 0")] = 1e-3
+    rollouts: Annotated[Count, Meta(description="episodes of the demo scene that judge an assumption")] = 40
+    loss: Annotated[
+        Share, Meta(description="of score in the demo scene, up to which an assumption is kept; with 1, always")
+    ] = 0.1
+    detours: Annotated[Count, Meta(description="excursions that are tried")] = 1_000
+    sharpness: Annotated[Positive, Meta(description="power of the probabilities that the policy draws from")] = 1.5
+
+    def __post_init__(self) -> None:
+        """Checks the names."""
+        super().__post_init__()
+        names = self.assumptions.split(",") if isinstance(self.assumptions, str) else self.assumptions
+        names = tuple(name.strip() for name in names if name.strip())
+        for name in names:
+            check_name("assumption", name, ASSUMPTIONS)
+        object.__setattr__(self, "assumptions", names)
+
+
+@dataclass(frozen=True)
 class TrainingSettings(Settings):
     """One training run, completely.
 
@@ -194,6 +228,7 @@ class TrainingSettings(Settings):
     ppo: PPOSettings = field(default_factory=PPOSettings)
     discriminator: DiscriminatorSettings = field(default_factory=DiscriminatorSettings)
     features: FeatureSettings = field(default_factory=FeatureSettings)
+    relational: RelationalSettings = field(default_factory=RelationalSettings)
 
     def __post_init__(self) -> None:
         """Checks each setting, and what must fit together."""
@@ -246,6 +281,7 @@ PARTS: Final[Mapping[str, tuple[str, ...]]] = {
     "gail": ("network", "ppo", "discriminator"),
     "wgail-gp": ("network", "ppo", "discriminator"),
     "al": ("network", "ppo", "features"),
+    "relational": ("relational",),
 }
 """Method of this package -> the parts of the settings that it uses."""
 _USERS: Final[Mapping[str, tuple[str, ...]]] = {

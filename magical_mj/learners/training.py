@@ -21,6 +21,7 @@ from magical_mj.learners.apprenticeship import Apprenticeship
 from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.gail import GAIL, WGAILGP
 from magical_mj.learners.learner import Method, device, threads_for
+from magical_mj.learners.relational import Relational
 from magical_mj.learners.run_folder import Metrics, RunFolder
 from magical_mj.learners.settings import TrainingSettings, announced_methods, load_method
 from magical_mj.policies.interface import Policy
@@ -31,7 +32,15 @@ from magical_mj.utils.errors import TrainingError, check_name
 class _Methods(Mapping[str, type[Method]]):
     """The methods of this package, and those that other packages announce, which are imported when asked for."""
 
-    _OWN: Final = MappingProxyType({"bc": BehaviouralCloning, "gail": GAIL, "wgail-gp": WGAILGP, "al": Apprenticeship})
+    _OWN: Final = MappingProxyType(
+        {
+            "bc": BehaviouralCloning,
+            "gail": GAIL,
+            "wgail-gp": WGAILGP,
+            "al": Apprenticeship,
+            "relational": Relational,
+        }
+    )
 
     def __getitem__(self, name: str) -> type[Method]:
         return self._OWN.get(name) or load_method(name)

@@ -1,0 +1,165 @@
+"""`relational`: its view of the world, what its assumptions do to samples, and the rule that keeps them."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from magical_mj.engine import Engine
+from magical_mj.evaluation import evaluate
+from magical_mj.learners import assumptions, load_policy, load_settings, train
+from magical_mj.learners.assumptions import Samples
+from magical_mj.learners.data import shipped
+from magical_mj.learners.relational import REPORT, Relational
+from magical_mj.learners.relational_network import Ensemble, blocks_of, graph, regions_of
+from magical_mj.learners.settings import RelationalSettings
+from magical_mj.scene import GoalRegion, Scene
+from magical_mj.utils.errors import SettingsError, UnknownNameError
+
+EGOCENTRIC, ARENA = torch.zeros(()), torch.ones(())
+SMALL = {
+    "preset": "State",
+    "device": "cpu",
+    "evaluations": 0,
+    "demonstrations": 2,
+    "relational.hidden": 8,
+    "relational.trial": 1,
+    "relational.updates": 2,
+    "relational.batch_size": 8,
+    "relational.rollouts": 2,
+    "relational.detours": 10,
+}
+
+
+def states_of(task: str, steps: int = 30) -> tuple[torch.Tensor, torch.Tensor]:
+    demonstration = shipped(task)[0]
+    way = assumptions._Way(Engine.of_scene(demonstration.scene), demonstration)
+    return torch.from_numpy(way.states[:steps].copy()), torch.from_numpy(way.actions[:steps].copy())
+
+
+def turned(states: torch.Tensor, x: float, y: float) -> torch.Tensor:
+    """The same states in an arena that is turned by 90 degrees and shifted."""
+    states = states.clone()
+    blocks, regions = blocks_of(states), regions_of(states)
+    for rows in (states, blocks[..., 1:]):
+        rows[..., 0], rows[..., 1] = x - rows[..., 1], y + rows[..., 0].clone()
+        rows[..., 2] += np.pi / 2
+    corners = regions[..., 1:5].clone()
+    regions[..., 1], regions[..., 3] = x - corners[..., 3], x - corners[..., 1]
+    regions[..., 2], regions[..., 4] = y + corners[..., 0], y + corners[..., 2]
+    return states
+
+
+def test_without_the_arena_only_the_view_of_the_robot_counts() -> None:
+    states, _ = states_of("FindDupe")
+    for before, after in zip(graph(states, EGOCENTRIC), graph(turned(states, 0.3, -0.2), EGOCENTRIC), strict=True):
+        torch.testing.assert_close(before, after, atol=1e-5, rtol=1e-4)
+    assert not torch.allclose(graph(states, ARENA)[0], graph(turned(states, 0.3, -0.2), ARENA)[0])
+
+
+def test_the_order_of_blocks_changes_nothing() -> None:
+    states, tasks = states_of("ClusterShape")[0], torch.zeros(30, dtype=torch.int64)
+    ensemble = Ensemble(RelationalSettings(networks=2))
+    other = states.clone()
+    blocks_of(other).copy_(blocks_of(states).flip(1))
+    torch.testing.assert_close(ensemble(states[:, None], tasks), ensemble(other[:, None], tasks))
+
+
+def test_a_mirrored_world_answers_mirrored_actions_alike() -> None:
+    """What `mirror` makes of a state and an action is what physics makes of the mirrored scene."""
+    demonstration = shipped("MatchRegions")[0]
+    scene = demonstration.scene
+    poses = [(-block.x, block.y, -block.angle) for block in scene.blocks]
+    other = scene.moved(robot=(-scene.robot.x, scene.robot.y, -scene.robot.angle), blocks=poses)
+    regions = [GoalRegion(r.colour, -r.x_max, r.y_min, -r.x_min, r.y_max) for r in scene.regions]
+    engines = Engine.of_scene(scene), Engine.of_scene(Scene(other.robot, other.blocks, regions, scene.dynamics))
+    always = torch.Generator().manual_seed(2)
+    for action in demonstration.actions[:25].tolist():
+        states = torch.from_numpy(engines[0].state_vector()).repeat(20, 1)
+        actions = assumptions.mirror(states, torch.full((20,), action), always)
+        mirrored = states[:, 0] != engines[0].state_vector()[0]
+        assert 0 < mirrored.sum() < 20
+        expected = torch.from_numpy(engines[1].state_vector())
+        seen, wanted = (graph(rows, EGOCENTRIC)[0] for rows in (states[mirrored][:1], expected[None]))
+        torch.testing.assert_close(seen, wanted, atol=2e-2, rtol=0)
+        engines[0].step(action)
+        engines[1].step(int(actions[mirrored][0]))
+
+
+def test_names_are_exchanged_and_what_shares_them_is_not() -> None:
+    states, _ = states_of("FindDupe")
+    other = states.clone()
+    assumptions.rename(other, torch.Generator().manual_seed(0))
+    assert not torch.equal(blocks_of(states), blocks_of(other))
+    torch.testing.assert_close(graph(states, ARENA)[1], graph(other, ARENA)[1])
+    assert torch.equal(states[:, :8], other[:, :8])
+
+
+def test_only_what_a_demonstration_never_involves_is_displaced() -> None:
+    demonstration = shipped("FixColour")[0]
+    samples, _ = assumptions.demonstrated([demonstration], 0, 0)
+    groups = assumptions.groups_of(demonstration)
+    other = Samples(samples.states.clone(), *samples[1:])
+    assumptions.displace(other, groups, torch.Generator().manual_seed(0))
+    block = int(groups[groups >= 0].argmin())
+    moved = (blocks_of(samples.states) != blocks_of(other.states)).any(2)
+    assert moved.any()
+    for number, group in enumerate(groups.tolist()):
+        if group >= 0:
+            assert not (moved[:, number] & ~samples.movable[:, group]).any()
+    assert torch.equal(samples.states[:, :8], other.states[:, :8])
+    assert block >= 0
+
+
+def test_detours_lead_back() -> None:
+    demonstration = shipped("MoveToRegion")[0]
+    shown, detours = assumptions.demonstrated([demonstration], 20, 0)
+    assert len(detours.actions) > 5
+    places = shown.states[:, :2]
+    ends = torch.cdist(detours.states[:, :2], places).amin(1)
+    assert ends.min() < assumptions.BACK[0]
+
+
+def test_the_rule_keeps_what_the_demo_scene_bears(tmp_path) -> None:  # noqa: ANN001
+    """With a loss of 1 everything is kept; with one of 0, nothing that lowers the score."""
+    for loss in (1.0, 0.0):
+        settings = load_settings("relational", "MoveToRegion", **SMALL, **{"relational.loss": loss})
+        folder = tmp_path / str(loss)
+        train(settings, folder)
+        trials = json.loads((folder / REPORT).read_text())
+        assert [trial["assumption"] for trial in trials] == [None, *settings.relational.assumptions]
+        best = 0.0
+        for trial in trials:
+            assert trial["kept"] == (trial["score"] >= best - loss)
+            best = max(best, trial["score"]) if trial["kept"] else best
+    frame = evaluate(folder, tasks="MoveToRegion", variants="Demo", preset="State", episodes=2, jobs=1)
+    assert len(frame) == 2
+    assert load_policy(folder).preset == "State"
+
+
+def test_a_state_taken_at_any_time_leads_to_the_same_weights() -> None:
+    settings = load_settings("relational", "MoveToRegion", **SMALL, **{"relational.assumptions": "mirror,rename"})
+    first = Relational(settings)
+    for _ in range(2):
+        first.update()
+    second = Relational(settings)
+    second.set_state(first.get_state())
+    for learner in (first, second):
+        while learner._count < learner.updates:
+            learner.update()
+    weights = [learner.actor.state_dict() for learner in (first, second)]
+    assert all(torch.equal(values, weights[1][name]) for name, values in weights[0].items())
+
+
+@pytest.mark.parametrize(
+    ("tasks", "changes", "error", "message"),
+    [
+        ("MoveToRegion,FixColour", {"preset": "State"}, SettingsError, "one task"),
+        ("MoveToRegion", {}, SettingsError, "preset State"),
+        ("MoveToRegion", {"relational.assumptions": "mirrors"}, UnknownNameError, "mirror"),
+    ],
+)
+def test_mistakes_are_told(tasks: str, changes: dict, error: type[Exception], message: str, tmp_path) -> None:  # noqa: ANN001
+    with pytest.raises(error, match=message):
+        train(load_settings("relational", tasks, **changes), tmp_path / "run")
