@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from magical_mj.envs import wrappers
     from magical_mj.envs.composer import Environment, load, load_scene
     from magical_mj.envs.gymnasium_env import MagicalEnv
+    from magical_mj.envs.vector import make_vec
     from magical_mj.evaluation import evaluate
     from magical_mj.policies import expert as experts
 
@@ -39,6 +40,7 @@ _LAZY = {  # loaded at first use, so that listing tasks and sampling scenes star
     "MagicalEnv": "envs.gymnasium_env",
     "load": "envs.composer",
     "load_scene": "envs.composer",
+    "make_vec": "envs.vector",
     "evaluate": "evaluation",
     "export_mjcf": "engine.export",
 }
@@ -66,6 +68,7 @@ __all__ = [
     "export_mjcf",
     "load",
     "load_scene",
+    "make_vec",
     "observations",
     "protocol",
     "sample_scene",

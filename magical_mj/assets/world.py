@@ -8,6 +8,7 @@ are assembled from parts that are parsed once.
 from __future__ import annotations
 
 import dataclasses
+import threading
 from copy import copy
 from functools import cache, lru_cache
 from typing import Any, Final, NamedTuple
@@ -137,6 +138,8 @@ class Structure(NamedTuple):
     """The number of quads for the border of each region."""
 
 
+_COMPILER: Final = threading.Lock()
+"""Specs are made of parts that all threads share."""
 _GEOM: Final = ("name", "type", "size", "pos", "fromto", "meshname")
 """The attributes of geoms that differ between shapes."""
 
@@ -164,7 +167,8 @@ def world_spec(structure: Structure) -> mujoco.MjSpec:
 @lru_cache(16)
 def world_model(structure: Structure) -> mujoco.MjModel:
     """The compiled model of the worlds with this structure (0.2 MB). It is shared: copy it before `World.rewrite`."""
-    return world_spec(structure).compile()
+    with _COMPILER:
+        return world_spec(structure).compile()
 
 
 @lru_cache(16)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from magical_mj.engine import Engine, State
 from magical_mj.envs.presets import Images, Stacks, observation_space, preset_named
-from magical_mj.envs.wrappers import continuous_space
+from magical_mj.envs.wrappers import check_limit, continuous_space
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
 from magical_mj.scene import constants as c
@@ -65,6 +65,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         render_size: side of each view in pixels.
         score_every_step: adds `info["score"]` at every step and reset: the score if the episode ended now. This takes
             up to a tenth of a step's time.
+        limit: the number of steps after which episodes end before the task's horizon.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": c.CONTROL_RATE}  # noqa: RUF012
@@ -84,6 +85,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         render_view: str = "allo",
         render_size: int = 384,
         score_every_step: bool = False,
+        limit: int | None = None,
     ) -> None:
         if render_mode is not None:
             check_name("render mode", render_mode, self.metadata["render_modes"])
@@ -98,6 +100,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         check_name("reward", reward, REWARDS)
         self.reward: Reward = reward
         self._engine = Engine(task, variant, seed=0, rules=rules, renderer=renderer)  # episodes begin with a reset
+        self._limit = None if limit is None else check_limit(limit, task, rules)
         self._continuous = action == "continuous"
         self.action_space = continuous_space() if self._continuous else spaces.Discrete(len(ACTIONS))
         self.observation_space = observation_space(self._preset, self._stacks.shapes)
@@ -155,8 +158,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         super().reset(seed=seed)  # last, so that a reset that is refused leaves the generator as it was
         self._begun = True
         self._seeded = seed if scene is None and state is None else None
-        stacks = self._stacks.start(self._draw, None if state is None else state.frames)
-        return self._observation(stacks), self._info(last=False)
+        self._stacks.start(self._draw, None if state is None else state.frames)
+        return self.observe(), self._info(last=False)
 
     def get_state(self) -> State:
         """The present state of the episode, to the bit, the pictures in the stacks included.
@@ -198,14 +201,28 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             InvalidActionError: if the action is not one of the 18.
             gymnasium.error.ResetNeeded: before the first reset and after the last step.
         """
-        if not self._begun or self._engine.over:
+        last = self.advance(to_discrete(action) if self._continuous else action)
+        observation = self.observe()
+        return observation, *self.outcome(last=last)
+
+    def advance(self, action: Any) -> bool:
+        """The simulation of a step, with its pictures: see `step`. Returns whether it was the episode's last."""
+        if not self._begun or self.over:
             raise ResetNeeded("the episode has ended; call reset() before the next step")
-        last = self._engine.step(to_discrete(action) if self._continuous else action)
+        self._engine.step(action)
         self._seeded = None
-        observation = self._observation(self._stacks.push(self._draw))
+        self._stacks.push(self._draw)
+        return self.over
+
+    @property
+    def over(self) -> bool:
+        """Whether the episode has ended."""
+        return self._engine.over or (self._limit is not None and self._engine.steps >= self._limit)
+
+    def outcome(self, *, last: bool) -> tuple[float, bool, bool, dict[str, Any]]:
+        """The reward of a step, whether it was the last (never by termination), and the info."""
         info = self._info(last=last)
-        reward = float(info["eval_score"]) if self.reward == "score" else 0.0
-        return observation, reward, False, last, info
+        return float(info["eval_score"]) if self.reward == "score" else 0.0, False, last, info
 
     def render(self) -> Images | None:
         """The view of `render_view` if `render_mode` is "rgb_array". Shape (size, size, 3); "both": twice as wide."""
@@ -234,13 +251,25 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         if scene is not None and self._preset.layout == "state":
             StateEncoder(scene)
 
-    def _observation(self, stacks: dict[str, Images]) -> Observation:
+    def observe(self, out: Observation | None = None) -> Observation:
+        """The present observation, in fresh arrays or in those of `out`."""
         if self._preset.layout == "state":
-            return self._engine.state_vector()
+            return _put(self._engine.state_vector(), out)
+        parts: dict[str, NDArray[Any]] = {**self._stacks.latest}
+        if self._preset.layout != "dict":
+            return _put(next(iter(parts.values())), out)
         if self._preset.fingers:
             with np.errstate(all="ignore"):  # angles may be too small for float32
-                return {**stacks, "fingers": self._engine.fingers().astype(np.float32)}
-        return stacks if self._preset.layout == "dict" else next(iter(stacks.values()))
+                parts["fingers"] = self._engine.fingers().astype(np.float32)
+        return {name: _put(part, None if out is None else out[name]) for name, part in parts.items()}
+
+
+def _put(values: NDArray[Any], out: Any) -> NDArray[Any]:
+    """A copy of an array, fresh or in `out`."""
+    if out is None:
+        return values.copy()
+    np.copyto(out, values)
+    return out
 
 
 def _scene_option(options: Mapping[str, Any]) -> Scene | None:

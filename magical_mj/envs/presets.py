@@ -122,29 +122,28 @@ class FrameStack:
         return self._memory[self._first : self._first + math.prod(self.shape)].reshape(self.shape)
 
     def start(self, draw: Draw) -> Images:
-        """The stack at the start of an episode: all its frames are the first picture. A fresh array."""
-        latest = self._draw_newest(draw)
-        pixels = latest.transpose(self._channels_last)
+        """The stack at the start of an episode, all its frames the first picture: `latest`."""
+        self._draw_newest(draw)
+        pixels = self.latest.transpose(self._channels_last)
         for _, first, end in self._channels:
             for channel in range(first, end - 3):
                 pixels[..., channel] = pixels[..., end - 3 + (channel - first) % 3]
-        return latest.copy()
+        return self.latest
 
     def push(self, draw: Draw) -> Images:
-        """The stack with the newest pictures added and the oldest gone. A fresh array."""
+        """The stack with the newest pictures added and the oldest gone: `latest`."""
         if self._first == self.MOVES * self._shift:
             latest, self._first = self.latest.copy(), 0
             self.latest[:] = latest
         self._first += self._shift
-        return self._draw_newest(draw).copy()
+        self._draw_newest(draw)
+        return self.latest
 
-    def _draw_newest(self, draw: Draw) -> Images:
-        """Draws the newest frame of each view into the latest stack, which is returned."""
-        latest = self.latest
-        pixels = latest.transpose(self._channels_last)
+    def _draw_newest(self, draw: Draw) -> None:
+        """Draws the newest frame of each view into the latest stack."""
+        pixels = self.latest.transpose(self._channels_last)
         for view, _, end in self._channels:
             draw(view, pixels[..., end - 3 : end])
-        return latest
 
 
 class Stacks:
@@ -172,8 +171,8 @@ class Stacks:
         """The shape of each stack."""
         return {name: stack.shape for name, stack in self._stacks.items()}
 
-    def start(self, draw: Draw, frames: Mapping[str, Images] | None = None) -> dict[str, Images]:
-        """The stacks at the start of an episode; those given in `frames` (from `save`) are restored if they fit."""
+    def start(self, draw: Draw, frames: Mapping[str, Images] | None = None) -> None:
+        """Begins the stacks of an episode; those given in `frames` (from `save`) are restored if they fit."""
         for name, stack in self._stacks.items():
             saved = (frames or {}).get(name)
             fits = isinstance(saved, np.ndarray) and (saved.dtype, saved.shape) == (np.uint8, stack.shape)
@@ -181,11 +180,16 @@ class Stacks:
                 stack.latest[:] = saved
             else:
                 stack.start(draw)
-        return {name: stack.latest.copy() for name, stack in self._stacks.items()}
 
-    def push(self, draw: Draw) -> dict[str, Images]:
-        """The stacks with the newest pictures added."""
-        return {name: stack.push(draw) for name, stack in self._stacks.items()}
+    def push(self, draw: Draw) -> None:
+        """Adds the newest pictures to the stacks."""
+        for stack in self._stacks.values():
+            stack.push(draw)
+
+    @property
+    def latest(self) -> dict[str, Images]:
+        """The stacks, which change with the next `push`."""
+        return {name: stack.latest for name, stack in self._stacks.items()}
 
     def save(self) -> dict[str, Images]:
         """Copies of the stacks, except those that hold only present pictures."""

@@ -36,6 +36,19 @@ def env_id(task: str, variant: str = "Demo", preset: str = "") -> str:
     return _register(task, task_spec(task).name, variant_name(variant), preset, task_spec(task).horizon())
 
 
+class SingleWrappers(tuple[WrapperSpec, ...]):
+    """Wrappers of single environments, whose work the vector environment does by itself.
+
+    `gymnasium.make_vec` refuses vector entry points of ids for which the length of this tuple is not 0. Nothing else
+    looks at the length: `gymnasium.make` takes a slice.
+    """
+
+    __slots__ = ()
+
+    def __len__(self) -> int:
+        return 0
+
+
 def register_all() -> None:
     """Registers every environment that is not registered yet. Importing `magical_mj` does this."""
     for (task, variant), preset in itertools.product(ENVIRONMENTS, PRESETS):
@@ -53,9 +66,12 @@ def _register(task: str, name: str, variant: str, preset: str, steps: int | None
         registry[id_] = EnvSpec(
             id_,
             entry_point="magical_mj:MagicalEnv",
+            vector_entry_point="magical_mj.envs.vector:make_worlds",
             kwargs={"task": task, "variant": variant, "preset": preset},
             max_episode_steps=steps,
-            additional_wrappers=(WrapperSpec("ScoreAtTheEnd", "magical_mj.envs.wrappers:ScoreAtTheEnd", {}),),
+            additional_wrappers=SingleWrappers(
+                (WrapperSpec("ScoreAtTheEnd", "magical_mj.envs.wrappers:ScoreAtTheEnd", {}),)
+            ),
         )
     elif (other := registry[id_].kwargs["task"]) != task:
         raise TaskError(f"{id_} is the id of {other}; give the task {task} another name than {name!r}")

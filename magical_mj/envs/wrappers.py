@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from magical_mj.engine import Engine
 from magical_mj.scene.actions import ACTIONS, to_discrete, to_vector
 from magical_mj.tasks.registry import task_spec
+from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import InvalidActionError, SettingsError
 
 
@@ -71,12 +72,7 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         if not isinstance(engine, Engine) or engine.task is None:
             raise SettingsError(f"ScoreAtTheEnd wraps the environments of magical_mj, not {self.unwrapped}")
         self._engine, self._horizon = engine, task_spec(engine.task).horizon(engine.rules)
-        asked = (env.spec.max_episode_steps or 0) if env.spec else 0
-        if asked > self._horizon and asked != task_spec(engine.task).horizon():  # the latter is what ids say
-            raise SettingsError(
-                f"max_episode_steps={asked} is more than the {self._horizon} steps after which every episode of "
-                f"{engine.task} ends; give a smaller number, or none for the task's own"
-            )
+        check_limit((env.spec.max_episode_steps or 0) if env.spec else 0, engine.task, engine.rules)
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -95,3 +91,18 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
             if getattr(self.unwrapped, "reward", "none") == "score":
                 reward = float(score)
         return observation, reward, terminated, truncated, info
+
+
+def check_limit(limit: int, task: str, rules: Rules) -> int:
+    """The number of steps of a task's episodes if they may end after `limit` steps.
+
+    Raises:
+        SettingsError: if the limit is longer than the task's own horizon, and not that of its id.
+    """
+    horizon = task_spec(task).horizon(rules)
+    if limit > horizon and limit != task_spec(task).horizon():
+        raise SettingsError(
+            f"max_episode_steps={limit} is more than the {horizon} steps after which every episode of {task} ends; "
+            "give a smaller number, or none for the task's own"
+        )
+    return min(limit, horizon)

@@ -53,7 +53,7 @@ class SoftwareRenderer:
         polygons, corners, self._segments = polygons_of(model)
         self._scene = polygons, corners, model.skin_vert if model.nskin else none
         self._colours = model.geom_rgba, model.skin_rgba if model.nskin else none, np.zeros(len(polygons), np.uint32)
-        self._cameras = {model.camera(index).name: index for index in range(model.ncam)}
+        self._cameras = {_name(model, mujoco.mjtObj.mjOBJ_CAMERA, index): index for index in range(model.ncam)}
         self._data: mujoco.MjData | None = None
         self._poses: tuple[NDArray[np.float64], ...] = ()
         self._views: list[tuple[NDArray[np.float64], NDArray[np.float64], float]] = []
@@ -116,7 +116,7 @@ def polygons_of(model: mujoco.MjModel) -> tuple[NDArray[np.int32], NDArray[np.fl
             for part in _parts(model, geom):
                 table.append((count, count + len(part), body, geom, 0))
                 corners.append(part)
-                segments.append(_segment(model.body(body).name))
+                segments.append(_segment(_name(model, mujoco.mjtObj.mjOBJ_BODY, body)))
                 count += len(part)
 
     shown = np.flatnonzero(drawn(model.geom_group))
@@ -131,6 +131,11 @@ def polygons_of(model: mujoco.MjModel) -> tuple[NDArray[np.int32], NDArray[np.fl
     return np.array(table, np.int32), np.concatenate(corners), np.array(segments, np.uint32)
 
 
+def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int) -> str:
+    """An object's name. The model's own accessors (`model.body(...)`) would leave a megabyte of views behind."""
+    return mujoco.mj_id2name(model, kind.value, index) or ""
+
+
 def _segment(body: str) -> int:
     part = body.strip("/").rpartition("/")[2]  # composer's names begin with those of their trees
     block = re.fullmatch(r"block(\d+)", part)
@@ -142,16 +147,17 @@ def _parts(model: mujoco.MjModel, geom: int) -> list[NDArray[np.float64]]:
 
     These are the loops around its mesh if they are convex, else the mesh's triangles.
     """
+    name = _name(model, mujoco.mjtObj.mjOBJ_GEOM, geom)
     if model.geom_type[geom] != _MESH:
-        raise RenderingError(NOT_OURS.format(what=f"the geom {model.geom(geom).name!r}"))
-    mesh = model.mesh(model.geom_dataid[geom])
-    first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
+        raise RenderingError(NOT_OURS.format(what=f"the geom {name!r}"))
+    mesh = int(model.geom_dataid[geom])
+    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     turned = np.empty(9)
     mujoco.mju_quat2Mat(turned, model.geom_quat[geom])  # the compiler moves meshes to their centres and turns them
     vertices = model.mesh_vert[first : first + count] @ turned.reshape(3, 3).T + model.geom_pos[geom]
     if np.ptp(vertices[:, 2]) > 1e-6:
-        raise RenderingError(NOT_OURS.format(what=f"the geom {model.geom(geom).name!r}, which is not flat,"))
-    faces = model.mesh_face[int(mesh.faceadr[0]) :][: int(mesh.facenum[0])]
+        raise RenderingError(NOT_OURS.format(what=f"the geom {name!r}, which is not flat,"))
+    faces = model.mesh_face[int(model.mesh_faceadr[mesh]) :][: int(model.mesh_facenum[mesh])]
     outlines = [vertices[loop, :2] for loop in loops(faces)]
     if all(map(_is_convex, outlines)):
         return outlines

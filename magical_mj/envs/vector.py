@@ -1,0 +1,316 @@
+"""Worlds on all cores: a Gymnasium vector environment whose worlds are stepped and drawn by threads of one process.
+
+MuJoCo and the software renderer let go of Python's interpreter while they work, so threads are enough. Each world is a
+`MagicalEnv`: what it does is the same to the bit as alone. MuJoCo's own batches (`mujoco.batch`) need one layout for
+all models of a batch, and variants change it from episode to episode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, Final, cast
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space, create_empty_array
+from numpy.typing import NDArray
+
+from magical_mj.envs.gymnasium_env import MagicalEnv, check_options
+from magical_mj.envs.registration import env_id
+from magical_mj.scene.actions import ACTIONS, to_discrete
+from magical_mj.utils.errors import ClosedError, InvalidActionError, SettingsError, as_integer, short_repr
+from magical_mj.utils.parallel import cores
+from magical_mj.variants import check_seed
+
+STARTS: Final = ("scene", "state")
+
+
+def make_vec(
+    environment: str, num_envs: int = 1, *, variant: str = "Demo", preset: str = "LoRes4E", **settings: Any
+) -> VectorEnv:
+    """Worlds of one environment, on all cores: `VectorEnv`.
+
+    Args:
+        environment: an id, such as "magical_mj/FindDupe-Demo-LoRes4E-v0", or a task.
+        num_envs: the number of worlds.
+        variant: of the task.
+        preset: of the observations, if it is a task.
+        settings: those of `make_worlds` and of `MagicalEnv`.
+
+    Example:
+        >>> envs = magical_mj.make_vec("FindDupe", 32, renderer="software")
+        >>> observations, infos = envs.reset(seed=0)  # (32, 96, 96, 12)
+    """
+    name = environment if environment in gymnasium.registry else env_id(environment, variant, preset)
+    return cast("VectorEnv", gymnasium.make_vec(name, num_envs, "vector_entry_point", **settings))
+
+
+def make_worlds(
+    task: str,
+    variant: str = "Demo",
+    preset: str = "",
+    *,
+    num_envs: int = 1,
+    threads: int | None = None,
+    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    max_episode_steps: int | None = None,
+    **settings: Any,
+) -> VectorEnv:
+    """What `gymnasium.make_vec` calls.
+
+    Args:
+        task: that of the id.
+        variant: likewise.
+        preset: likewise.
+        num_envs: the number of worlds.
+        threads: how many step and draw them; None: one for each core.
+        autoreset_mode: as Gymnasium defines it: a `gymnasium.vector.AutoresetMode` or its value.
+        max_episode_steps: where episodes end before the task's horizon.
+        settings: the arguments of `MagicalEnv`, such as `renderer` and `image_size`.
+
+    Raises:
+        SettingsError: if a number is not possible.
+    """
+    for name, value in (("num_envs", num_envs), ("threads", threads), ("max_episode_steps", max_episode_steps)):
+        if value is not None and as_integer(value, 1) is None:
+            raise SettingsError(f"{name} must be an integer of at least 1, not {short_repr(value)}")
+    worlds = [MagicalEnv(task, variant, preset, limit=max_episode_steps, **settings) for _ in range(num_envs)]
+    return VectorEnv(worlds, threads, autoreset_mode)
+
+
+class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
+    """Worlds that are stepped and drawn together, each the same to the bit as the single environment.
+
+    `reset(seed=7)` gives the worlds the seeds 7, 8, 9..., and a list gives each its own. Observations, rewards, infos
+    and the three modes of `gymnasium.vector.AutoresetMode` are those of `gymnasium.vector.SyncVectorEnv`; observations
+    are fresh arrays. With DISABLED, `reset(options={"reset_mask": mask})` resets the masked worlds.
+
+    Args:
+        envs: the worlds, with equal spaces.
+        threads: how many step and draw them; None: one for each core.
+        autoreset_mode: what happens where an episode ends.
+
+    Attributes:
+        envs: the worlds.
+    """
+
+    def __init__(
+        self,
+        envs: Sequence[MagicalEnv],
+        threads: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    ) -> None:
+        try:
+            self._mode = AutoresetMode(autoreset_mode)
+        except ValueError:
+            names = ", ".join(f"gymnasium.vector.{mode}" for mode in AutoresetMode)
+            raise SettingsError(f"autoreset_mode is one of {names}, not {short_repr(autoreset_mode)}") from None
+        self.envs, self.num_envs = list(envs), len(envs)
+        first = envs[0]
+        self.metadata = {**first.metadata, "autoreset_mode": self._mode}
+        self.render_mode = first.render_mode
+        self.single_observation_space, self.single_action_space = first.observation_space, first.action_space
+        for env in self.envs:
+            env.observation_space = first.observation_space  # whose bounds take four times the memory of an observation
+        self.action_space = batch_space(first.action_space, self.num_envs)
+        count = min(threads or cores(), self.num_envs)
+        bounds = [self.num_envs * thread // count for thread in range(count + 1)]
+        self._shares = [range(start, end) for start, end in pairwise(bounds)]
+        self._others = ThreadPoolExecutor(count - 1, "magical_mj") if count > 1 else None
+        self._over = np.zeros(self.num_envs, np.bool_)
+
+    @cached_property
+    def observation_space(self) -> spaces.Space[Any]:
+        """The space of all observations, which is made when it is asked for: its bounds take memory."""
+        return batch_space(self.single_observation_space, self.num_envs)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Starts episodes in all worlds, or in those of ``options["reset_mask"]``.
+
+        Args:
+            seed: of the first world, the others have the next ones; or one for each world.
+            options: "reset_mask", an array of bools, shape (num_envs,); "scene" or "state" as in `MagicalEnv.reset`.
+
+        Raises:
+            InvalidSeedError, InvalidSceneError, StateError: accordingly.
+            SettingsError: if there is not one seed, or entry of the mask, for each world; if the options are no dict.
+            ClosedError: if the environment is closed.
+        """
+        self._check_open()
+        known = check_options(options, "reset_mask", *STARTS)
+        mask, seeds = masked(known.get("reset_mask"), self.num_envs), world_seeds(seed, self.num_envs)
+        start = {name: known[name] for name in STARTS if name in known}
+        rows = self._rows()
+        infos: list[dict[str, Any] | None] = [None] * self.num_envs
+
+        def begin(world: int) -> None:
+            env = self.envs[world]
+            if mask[world]:
+                infos[world] = env.reset(seed=seeds[world], options=start)[1]
+                self._over[world] = False
+            env.observe(rows[world])
+
+        self._work(begin)
+        return self._observations, self._batched(infos)
+
+    def step(
+        self, actions: Any
+    ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """One action in every world, or with NEXT_STEP a reset where the episode has ended.
+
+        Args:
+            actions: numbers in 0..17, shape (num_envs,); or vectors, shape (num_envs, 3), where actions are continuous.
+
+        Returns:
+            Observations, rewards, whether episodes terminated (never) and were truncated, and infos.
+
+        Raises:
+            InvalidActionError: if an action is invalid; no world is stepped.
+            PhysicsError: if a simulation becomes unstable, which ends its episode.
+            ResetNeeded: before the first reset, and with DISABLED where an episode has ended.
+            ClosedError: if the environment is closed.
+        """
+        self._check_open()
+        numbers = self._checked(actions)
+        if self._mode != AutoresetMode.NEXT_STEP and self._over.any():
+            raise ResetNeeded("episodes have ended: reset these worlds with options={'reset_mask': ...}")
+        rows = self._rows()
+        rewards, ended = np.zeros(self.num_envs), np.zeros(self.num_envs, np.bool_)
+        infos: list[dict[str, Any] | None] = [None] * self.num_envs
+        final: dict[int, dict[str, Any]] = {}
+        again = self._over if self._mode == AutoresetMode.NEXT_STEP else np.zeros_like(self._over)
+        same_step = self._mode == AutoresetMode.SAME_STEP
+
+        def go_on(world: int) -> None:
+            env = self.envs[world]
+            if again[world]:
+                infos[world] = env.reset()[1]
+            else:
+                last = env.advance(numbers[world])
+                rewards[world], _, ended[world], infos[world] = env.outcome(last=last)
+                if last and same_step:
+                    final[world] = {"final_obs": env.observe(), "final_info": infos[world]}
+                    infos[world] = env.reset()[1]
+            env.observe(rows[world])
+
+        self._work(go_on)
+        self._over = np.zeros_like(ended) if same_step else ended.copy()
+        batched: dict[str, Any] = {}
+        for world in sorted(final):
+            batched = self._add_info(batched, final[world], world)
+        return self._observations, rewards, np.zeros_like(ended), ended, {**self._batched(infos), **batched}
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """What a method of each world returns, or the attributes of this name."""
+        values = (getattr(env, name) for env in self.envs)
+        return tuple(value(*args, **kwargs) if callable(value) else value for value in values)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """An attribute of each world."""
+        return self.call(name)
+
+    def render(self) -> tuple[Any, ...]:
+        """The pictures of all worlds; see `MagicalEnv.render`."""
+        return self.call("render")
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Frees the simulations and ends the threads."""
+        del kwargs
+        for env in self.envs:
+            env.close()
+        if self._others is not None:
+            self._others.shutdown()
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise ClosedError("the environment is closed; make another one")
+
+    def _checked(self, actions: Any) -> list[int]:
+        """The numbers of the actions, before any world takes one."""
+        try:
+            rows = np.asarray(actions)
+        except ValueError:  # of different lengths
+            rows = np.empty(0)
+        if isinstance(self.single_action_space, spaces.Box) and rows.ndim == 2 and len(rows) == self.num_envs:
+            return [to_discrete(row) for row in rows]
+        fitting = rows.shape == (self.num_envs,) and rows.dtype.kind in "iu" and rows.min() >= 0
+        if isinstance(self.single_action_space, spaces.Box) or not fitting or rows.max() >= len(ACTIONS):
+            raise InvalidActionError(
+                f"actions are {self.num_envs} values of {self.single_action_space}, one for each world, "
+                f"not {short_repr(actions)}"
+            )
+        return rows.tolist()
+
+    def _rows(self) -> list[Any]:
+        """Fresh arrays for the observations of all worlds, and each world's places in them."""
+        self._observations: Any = create_empty_array(self.single_observation_space, self.num_envs, np.empty)
+        if not isinstance(self._observations, dict):
+            return list(self._observations)
+        columns = zip(*self._observations.values(), strict=True)
+        return [dict(zip(self._observations, column, strict=True)) for column in columns]
+
+    def _work(self, task: Callable[[int], None]) -> None:
+        """Does something in every world, with all threads. The first error is raised when all have finished."""
+
+        def work(share: Iterable[int]) -> None:
+            for world in share:
+                task(world)
+
+        first, *others = self._shares
+        futures: list[Future[None]] = [self._others.submit(work, share) for share in others] if self._others else []
+        try:
+            work(first)
+        finally:
+            errors = [future.exception() for future in futures]
+        for error in filter(None, errors):
+            raise error
+
+    def _batched(self, infos: Sequence[dict[str, Any] | None]) -> dict[str, Any]:
+        """The infos as Gymnasium batches them: an array for each key, and one that says which worlds have it."""
+        known = [info for info in infos if info is not None]
+        if len(known) < self.num_envs:
+            batched: dict[str, Any] = {}
+            for world, info in enumerate(infos):
+                batched = self._add_info(batched, info or {}, world)
+            return batched
+        arrays = {key: np.array([info[key] for info in known]) for key in known[0]}
+        return arrays | {f"_{key}": np.ones(self.num_envs, np.bool_) for key in arrays}
+
+
+def world_seeds(seed: Any, worlds: int) -> list[int | None]:
+    """A seed for each world: from `seed` up, or those of a sequence.
+
+    Raises:
+        InvalidSeedError: if one is not an integer, or negative.
+        SettingsError: if there is not one for each world.
+    """
+    if seed is None:
+        return [None] * worlds
+    if isinstance(seed, list | tuple | range) or (isinstance(seed, np.ndarray) and seed.ndim > 0):
+        if len(seed) != worlds:
+            raise SettingsError(f"there are {worlds} worlds, and {len(seed)} seeds were given")
+        return [None if value is None else check_seed(value) for value in seed]
+    first = check_seed(seed)
+    return [first + world for world in range(worlds)]
+
+
+def masked(mask: Any, worlds: int) -> NDArray[np.bool_]:
+    """For which worlds the mask is true; without a mask all of them.
+
+    Raises:
+        SettingsError: if it does not hold a bool for each world.
+    """
+    if mask is None:
+        return np.ones(worlds, np.bool_)
+    entries = np.asarray(mask)
+    if entries.dtype != np.bool_ or entries.shape != (worlds,):
+        raise SettingsError(f"reset_mask must hold {worlds} bools, one for each world, not {short_repr(mask)}")
+    return entries
