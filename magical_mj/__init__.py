@@ -24,7 +24,7 @@ from magical_mj.tasks import protocol
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, sample_scene, score
 
 if TYPE_CHECKING:
-    from magical_mj import batched, demos, evaluation
+    from magical_mj import batched, demos, evaluation, shifts
     from magical_mj.engine import Engine
     from magical_mj.engine.export import export_mjcf
     from magical_mj.envs import wrappers
@@ -73,6 +73,7 @@ __all__ = [
     "protocol",
     "sample_scene",
     "score",
+    "shifts",
     "wrappers",
 ]
 
@@ -82,6 +83,7 @@ _LAZY_MODULES = {
     "demos": "demos",
     "evaluation": "evaluation",
     "experts": "policies.expert",
+    "shifts": "shifts",
     "wrappers": "envs.wrappers",
 }
 

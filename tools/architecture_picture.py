@@ -19,6 +19,7 @@ CONTENT: Final = {
     "scene": "Scene, geometry, constants, actions, state vector",
     "variants": "from a demo scene to the scenes of a variant",
     "tasks": "the eight tasks: demo scene, rules, score, plan; the registry",
+    "shifts": "axes by which any environment may differ, with strengths 0 to 5",
     "assets": "MJCF models of scenes, and their look",
     "rendering": "pictures by OpenGL or in software",
     "engine": "one world of MuJoCo: steps, score, saved states, export",
@@ -37,6 +38,7 @@ ROWS: Final = (
     ("utils",),
     ("scene",),
     ("variants", "tasks"),
+    ("shifts",),
     ("assets", "rendering"),
     ("engine",),
     ("envs", "batched"),
@@ -45,10 +47,10 @@ ROWS: Final = (
     ("learners", "web", "integrations", "cli"),
 )
 KINDS: Final = {  # colour and name of groups of rows
-    range(3): ("#e9f5ec", "plain data and pure functions"),
-    range(3, 6): ("#eef4fa", "simulation"),
-    range(6, 8): ("#fdf3e3", "agents and results"),
-    range(8, 9): ("#f4eef8", "what people start"),
+    range(4): ("#e9f5ec", "plain data and pure functions"),
+    range(4, 7): ("#eef4fa", "simulation"),
+    range(7, 9): ("#fdf3e3", "agents and results"),
+    range(9, 10): ("#f4eef8", "what people start"),
 }
 INK, LINE = "#1f2d3d", "#9fb3c8"
 

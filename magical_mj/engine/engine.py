@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,12 +11,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.engine.simulation import Simulation, State, check_state
+from magical_mj.engine.simulation import Simulation, State, check_state, with_shifts
 from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene, check_scene_type
 from magical_mj.scene.geometry import check_scene
 from magical_mj.scene.state_vector import CAMERAS, SEGMENTATIONS
+from magical_mj.shifts.episode import Draws, EpisodeShifts, draw_shifts
+from magical_mj.shifts.registry import Shifts, parse_shifts
 from magical_mj.tasks.registry import check_rules, environment_axes, sample_scene, task_spec, variant_name
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import (
@@ -78,6 +81,25 @@ class Setup:
             raise SettingsError("a plain scene has no seeds: give a scene or a state")
         return sample_scene(self.task, self.variant, seed)
 
+    def begin(
+        self, shifts: Mapping[str, int], start: int | Scene, draws: Draws | None = None
+    ) -> tuple[Scene, EpisodeShifts | None]:
+        """The scene in which an episode starts, and its shifts.
+
+        Args:
+            shifts: their strengths.
+            start: the seed of the scene, and of what the shifts draw. Or a scene, which stays as it is, whatever the
+                shifts would change in it; the rest is drawn from seed 0.
+            draws: what the shifts have drawn, instead.
+        """
+        draws = draw_shifts(shifts, start if isinstance(start, int) else 0) if draws is None else draws
+        episode = EpisodeShifts(draws) if draws else None
+        if not isinstance(start, int):
+            self.check(start)
+            return start, episode
+        scene = self.sample(start)
+        return (scene if episode is None or self.task is None else episode.scene(scene, self.task)), episode
+
     @np.errstate(all="ignore")  # no result depends on the caller's settings
     def score(self, initial: Scene, final: Scene) -> float:
         """The score of a final scene in [0, 1].
@@ -117,6 +139,7 @@ class Engine:
         rules: "paper", or "released" for the scores and horizons of the original's released code.
         seed: the seed of the first scene; None: drawn from the system's entropy.
         renderer: "opengl" or "software" for flat views; None: MAGICAL_MJ_RENDERER, or what works (docs/pictures.md).
+        shifts: shifts and their strengths, such as ``"camera:3,latency:1"`` or ``{"camera": 3}``; see docs/shifts.md.
 
     Attributes:
         setup: task, variant and rules, with what follows from them.
@@ -124,13 +147,15 @@ class Engine:
         seed: the seed of the present episode's scene; None if it came from elsewhere.
         steps: the number of actions since the start of the episode.
         horizon: the number of actions of an episode; None if it never ends, as in plain scenes.
+        shifts: the strengths of the shifts by name.
 
     Raises:
         UnknownNameError: for an unknown task, variant or rules, or an unsupported pair.
         TaskError: if the task of another package is invalid.
         InvalidSceneError: if the scene is illegal or not one of the task.
         InvalidSeedError: if the seed is not an integer, or negative.
-        SettingsError: if both a scene and a seed are given.
+        SettingsError: if both a scene and a seed are given; for wrong shifts, or such as the task cannot have.
+        ShiftError: if a shift of another package is invalid.
     """
 
     def __init__(
@@ -142,16 +167,18 @@ class Engine:
         rules: Rules = "paper",
         seed: int | None = None,
         renderer: str | None = None,
+        shifts: Shifts = None,
     ) -> None:
         task_spec(task)  # None, too, is no task
         setup = Setup(task, variant, rules)
         setup.check_start(seed=seed, scene=scene)
+        strengths = parse_shifts(shifts, task)
         if scene is None:
-            seed = secrets.randbits(63) if seed is None else check_seed(seed)
-            scene = setup.sample(seed)
+            seed = start = secrets.randbits(63) if seed is None else check_seed(seed)
         else:
-            setup.check(scene)
-        self._begin(setup, scene, seed, renderer)
+            start = check_scene_type(scene)
+        self._begin(setup, *setup.begin(strengths, start), renderer, strengths)
+        self.seed = seed
 
     @classmethod
     def of_scene(cls, scene: Scene, renderer: str | None = None) -> Engine:
@@ -162,16 +189,25 @@ class Engine:
         """
         engine, setup = cls.__new__(cls), Setup(None)
         setup.check(scene)
-        engine._begin(setup, scene, None, renderer)
+        engine._begin(setup, scene, None, renderer, {})
         return engine
 
-    def _begin(self, setup: Setup, scene: Scene, seed: int | None, renderer: str | None) -> None:
+    def _begin(
+        self,
+        setup: Setup,
+        scene: Scene,
+        shifts: EpisodeShifts | None,
+        renderer: str | None,
+        strengths: dict[str, int],
+    ) -> None:
         check_renderer(renderer)
         self.setup, self.task, self.variant = setup, setup.task, setup.variant
         self.rules: Rules = setup.rules
         self.horizon = setup.horizon
-        self._simulation: Simulation | None = Simulation(scene, renderer)
-        self.seed, self.steps, self._broken = seed, 0, False
+        self._simulation: Simulation | None = Simulation(scene, renderer, shifts)
+        self.shifts = strengths
+        self.seed: int | None = None
+        self.steps, self._broken = 0, False
 
     @property
     def simulation(self) -> Simulation:
@@ -201,17 +237,30 @@ class Engine:
         return self.simulation.world.scene
 
     @property
+    def draws(self) -> Draws:
+        """What the shifts of this episode have drawn: the values of each one's factors, and its seed."""
+        return {} if self.simulation.shifts is None else self.simulation.shifts.draws
+
+    @property
     def over(self) -> bool:
         """Whether the episode has ended: at its horizon, or because the simulation became unstable."""
         return self._broken or (self.horizon is not None and self.steps >= self.horizon)
 
-    def reset(self, *, seed: int | None = None, scene: Scene | None = None, state: State | None = None) -> None:
+    def reset(
+        self,
+        *,
+        seed: int | None = None,
+        scene: Scene | None = None,
+        state: State | None = None,
+        draws: Draws | None = None,
+    ) -> None:
         """Starts an episode in the scene of `seed`, or in `scene`, or again in the present episode's scene.
 
         Args:
-            seed: the seed of this episode's scene.
-            scene: the scene in which to start.
+            seed: the seed of this episode's scene, and of what its shifts draw.
+            scene: the scene in which to start, whatever shifts would change in it.
             state: a state to continue from, as `set_state`, of an episode that goes on.
+            draws: what shifts draw in this episode, such as `draws` of another one, instead of the seed's draws.
 
         Raises:
             InvalidSceneError, InvalidSeedError, StateError, SettingsError: if it is invalid; if there is more than one.
@@ -222,14 +271,14 @@ class Engine:
             self.set_state(state)
             return
         if seed is not None:
-            seed = check_seed(seed)
-            scene = self.setup.sample(seed)
+            seed = start = check_seed(seed)
         elif scene is not None:
-            self.setup.check(scene)
+            start = check_scene_type(scene)
         else:
-            scene, seed = self.initial_scene, self.seed
+            start, seed, draws = self.initial_scene, self.seed, self.draws if draws is None else draws
+        start = self.setup.begin(self.shifts, start, draws)
         self._broken = True  # until it has succeeded
-        simulation.start(scene)
+        simulation.start(*start)
         self.seed, self.steps, self._broken = seed, 0, False
 
     def step(self, action: Any) -> bool:
@@ -288,24 +337,28 @@ class Engine:
 
     def get_state(self) -> State:
         """The present state of the episode, exactly. Takes about 1/40 of a step's time."""
-        return State(self.initial_scene, self.steps, self.simulation.save())
+        state = State(self.initial_scene, self.steps, self.simulation.save())
+        return with_shifts(state, self.simulation.shifts)
 
     def set_state(self, state: State) -> None:
         """Restores a state of this engine, or of another one with the same task: what follows is exactly the same.
 
-        Takes half a step's time, or as long as a reset if the state has another scene than the present one.
+        Takes half a step's time, or as long as a reset if the state has another scene than the present one. The shifts
+        of the state's episode are those of this one from then on.
 
         Raises:
             StateError, InvalidSceneError: if it is none of this task. A damaged one of another scene ends the episode.
         """
         simulation = self.simulation
         check_state(state)
-        if state.scene != self.initial_scene:
-            self.setup.check(state.scene)
+        if state.scene != self.initial_scene or state.draws != self.draws:
+            start = self.setup.begin({}, state.scene, state.draws)
             self._broken = True  # until everything below has succeeded
-            simulation.start(state.scene)
+            simulation.start(*start)
             self.seed = None
         simulation.restore(state.simulation)
+        if simulation.shifts is not None:
+            simulation.shifts.resume(int(state.steps), state.commands)
         self.steps, self._broken = int(state.steps), False
 
     def clone(self) -> Engine:
@@ -317,7 +370,8 @@ class Engine:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For copying and pickling: what it was made of, and its state."""
-        return _restored, (self.setup, self.seed, self.get_state(), self._broken, self.simulation.renderer)
+        state = self.get_state()
+        return _restored, (self.setup, self.shifts, self.seed, state, self._broken, self.simulation.renderer)
 
     def close(self) -> None:
         """Frees the simulation. Closing twice is fine."""
@@ -326,10 +380,12 @@ class Engine:
         self._simulation = None
 
 
-def _restored(setup: Setup, seed: int | None, state: State, broken: bool, renderer: str | None) -> Engine:
+def _restored(
+    setup: Setup, shifts: dict[str, int], seed: int | None, state: State, broken: bool, renderer: str | None
+) -> Engine:
     """A copy of an engine, as `Engine.__reduce__` describes it."""
     engine = Engine.__new__(Engine)
-    engine._begin(setup, state.scene, seed, renderer)
-    engine.simulation.restore(state.simulation)
-    engine.steps, engine._broken = state.steps, broken
+    engine._begin(setup, state.scene, EpisodeShifts(state.draws) if state.draws else None, renderer, shifts)
+    engine.set_state(state)
+    engine.seed, engine._broken = seed, broken
     return engine

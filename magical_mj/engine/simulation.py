@@ -5,9 +5,11 @@ A `State` is plain data from which an episode goes on: for search, for an expert
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cache
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -19,11 +21,13 @@ from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.assets.robot import control_signal
 from magical_mj.assets.world import World, world_model
 from magical_mj.rendering.canvas import Picture
-from magical_mj.rendering.renderer import Views
+from magical_mj.rendering.renderer import Views, check_out
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import action_number
 from magical_mj.scene.scene import MAX_NUMBER
-from magical_mj.scene.state_vector import StateEncoder
+from magical_mj.scene.state_vector import VIEWS, StateEncoder
+from magical_mj.shifts.episode import Draws, EpisodeShifts
+from magical_mj.shifts.shift import Frame
 from magical_mj.utils.errors import PhysicsError, StateError, as_integer, short_repr
 
 _LEAST: Final = np.iinfo(np.int32).min
@@ -46,12 +50,16 @@ class State:
         simulation: MuJoCo's state, a vector with the same length for all states of episodes with this scene:
             positions, velocities, actuators, the solver's warm start, and which blocks sleep.
         frames: the stacks of pictures of a Gymnasium environment, by their names; empty elsewhere.
+        draws: what the shifts of the episode have drawn; see `magical_mj.shifts`.
+        commands: the last commands that each of them was given which changes actions.
     """
 
     scene: Scene
     steps: int
     simulation: NDArray[np.float64]
     frames: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict[str, NDArray[np.uint8]])
+    draws: Draws = field(default_factory=dict[str, dict[str, float]])
+    commands: Mapping[str, tuple[int, ...]] = field(default_factory=dict[str, tuple[int, ...]])
 
     def __eq__(self, other: object) -> bool:
         """Whether the simulations are in exactly the same state. Pictures are not compared: they follow from it."""
@@ -63,7 +71,7 @@ class State:
         return hash(self._identity())
 
     def _identity(self) -> tuple[object, ...]:
-        return self.scene, self.steps, self.simulation.tobytes()
+        return self.scene, self.steps, self.simulation.tobytes(), repr(self.draws), repr(self.commands)
 
 
 def check_state(state: object) -> None:
@@ -73,6 +81,8 @@ def check_state(state: object) -> None:
         and isinstance(state.scene, Scene)
         and as_integer(state.steps) is not None
         and isinstance(state.frames, Mapping)
+        and isinstance(state.draws, Mapping)
+        and isinstance(state.commands, Mapping)
     ):
         raise StateError(
             "a state is what get_state() returns: a scene, a number of steps from 0 up, the simulation's numbers, and "
@@ -86,17 +96,19 @@ class Simulation:
     Args:
         scene: the first scene.
         renderer: as `magical_mj.Engine`.
+        shifts: those of the first episode.
 
     Attributes:
         world: the world of the present scene.
         model: MuJoCo's model. `start` replaces it if the new scene has another structure.
         data: MuJoCo's state of that model.
+        shifts: those of the present episode; None: none.
     """
 
-    def __init__(self, scene: Scene, renderer: str | None = None) -> None:
+    def __init__(self, scene: Scene, renderer: str | None = None, shifts: EpisodeShifts | None = None) -> None:
         world = World(scene)
         self._hold(world, copy(world_model(world.structure)))
-        self.renderer = renderer
+        self.renderer, self.shifts = renderer, shifts
         self._begin()
 
     @classmethod
@@ -117,6 +129,7 @@ class Simulation:
     ) -> None:
         self.world, self.model, self.data = world, model, data or mujoco.MjData(model)
         self.renderer: str | None = None
+        self.shifts: EpisodeShifts | None = None
         self._cameras = cameras
         self._views: Views | None = None
         self._encoder: tuple[Scene, StateEncoder] | None = None
@@ -126,11 +139,14 @@ class Simulation:
         """Where everything is now, fingers included."""
         return self.world.read(self.data.qpos)
 
-    def start(self, scene: Scene) -> None:
-        """Puts everything to the start of an episode in this scene, exactly as if newly compiled.
+    def start(self, scene: Scene, shifts: EpisodeShifts | None = None) -> None:
+        """Puts everything to the start of an episode in this scene, exactly as if newly compiled, with these shifts.
 
         Compiling takes more than ten times as long as rewriting a model, and most scenes differ in numbers only.
         """
+        if self.shifts is not None and self.shifts.changes_model:
+            write_numbers(self.model, world_model(self.world.structure))
+        self.shifts = shifts
         if scene != self.world.scene:
             before, self.world = self.world, World(scene)
             if self.world.structure != before.structure:
@@ -142,6 +158,8 @@ class Simulation:
         """Solves twice, since the solver starts from its last solution, and protocol 1 has always started after two."""
         model, data = self.model, self.data
         self.world.rewrite(model, data)
+        if self.shifts is not None:
+            shift_model(self.shifts, model, data)
         mujoco.mj_resetData(model, data)
         enabled = model.opt.disableflags
         model.opt.disableflags = enabled | _NO_ACTUATION  # there are no controls yet
@@ -152,7 +170,7 @@ class Simulation:
             model.opt.disableflags = enabled
 
     def copy(self) -> Simulation:
-        """Another simulation in the same state, which shares the model."""
+        """Another simulation in the same state, which shares the model, and takes actions as they are commanded."""
         twin = Simulation.around(self.world, self.model, copy(self.data), self._cameras)
         twin.renderer = self.renderer
         return twin
@@ -168,7 +186,8 @@ class Simulation:
         Raises:
             InvalidActionError: if the action is not one of the 18.
         """
-        self.data.ctrl[:] = control_signal(action_number(action))
+        number = action_number(action)
+        self.data.ctrl[:] = control_signal(number if self.shifts is None else self.shifts.action(number))
 
     def advance(self, steps: int) -> None:
         """Takes some steps of MuJoCo.
@@ -201,7 +220,21 @@ class Simulation:
         """A view of the present state, fresh or in `out`, top row first: see `rendering.renderer.Views.draw`."""
         if self._views is None or self._views.model is not self.model:
             self._views = Views(self.model, self.renderer, self._cameras)
-        return self._views.draw(self.data, view, size, out)
+        if self.shifts is None or not self.shifts.changes_pictures or view not in VIEWS:
+            return self._views.draw(self.data, view, size, out)
+        check_out(out, size)
+        picture = self.shifts.picture(self._views.draw(self.data, view, size), self._frame(view, self.shifts.steps))
+        if out is None:
+            return picture
+        out[:] = picture
+        return out
+
+    def _frame(self, view: str, step: int) -> Frame:
+        """What shifts are told about a picture of this view."""
+        name = self._cameras.get(view, view)
+        (x, y, _), axes = self.data.camera(name).xpos, self.data.camera(name).xmat
+        side = float(self.model.camera(name).fovy[0])
+        return Frame(view, step, (float(x), float(y), math.atan2(axes[3], axes[0]), side))
 
     def free(self) -> None:
         """Frees what the simulation drew with."""
@@ -255,6 +288,43 @@ class Simulation:
         data.tree_asleep[:] = saved[size:]
         _update_sleep(model, data)
         mujoco.mj_step1(model, data)
+
+
+def with_shifts(state: State, shifts: EpisodeShifts | None) -> State:
+    """The state of an episode, with that of its shifts."""
+    if shifts is None:
+        return state
+    commands = {name: tuple(commands) for name, commands in shifts.commands.items()}
+    return replace(state, draws=shifts.draws, commands=commands)
+
+
+def shift_model(shifts: EpisodeShifts, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Lets shifts change a model that `World.rewrite` has written; constants that MuJoCo derives follow."""
+    if shifts.changes_model:
+        shifts.model(model)
+        mujoco.mj_setConst(model, data)
+
+
+def write_numbers(model: mujoco.MjModel, other: mujoco.MjModel) -> None:
+    """Gives a model the numbers of another one with the same structure, which takes less time than a copy of it."""
+    for name in _arrays():
+        values = getattr(other, name)
+        if values.size:
+            getattr(model, name)[...] = values
+    for name in _options():
+        setattr(model.opt, name, getattr(other.opt, name))
+
+
+@cache
+def _arrays() -> tuple[str, ...]:
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    return tuple(name for name in dir(model) if name[0] != "_" and isinstance(getattr(model, name), np.ndarray))
+
+
+@cache
+def _options() -> tuple[str, ...]:
+    options = mujoco.MjOption()
+    return tuple(name for name in dir(options) if name[0] != "_" and not callable(getattr(options, name)))
 
 
 def _update_sleep(model: mujoco.MjModel, data: mujoco.MjData) -> None:

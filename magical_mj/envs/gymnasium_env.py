@@ -22,6 +22,7 @@ from magical_mj.scene import Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS, to_discrete
 from magical_mj.scene.state_vector import CAMERAS, VIEWS, StateEncoder
+from magical_mj.shifts.registry import Shifts
 from magical_mj.tasks.registry import TASKS
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
 from magical_mj.utils.errors import InvalidSceneError, SettingsError, check_name, short_repr
@@ -60,6 +61,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         rules: "paper" or "released".
         action: "discrete" or "continuous".
         renderer: "opengl" or "software" for flat views; None: MAGICAL_MJ_RENDERER, or what works (docs/pictures.md).
+        shifts: shifts and their strengths, such as "camera:3,latency:1" or a dict; see docs/shifts.md.
         render_mode: "rgb_array"; Gymnasium makes "human" (a window) from it.
         render_view: the view of `render`: "ego", "allo", "both" side by side, or "scene", in 3-D from above a corner.
         render_size: side of each view in pixels.
@@ -81,6 +83,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         rules: Rules = "paper",
         action: ActionForm = "discrete",
         renderer: str | None = None,
+        shifts: Shifts = None,
         render_mode: str | None = None,
         render_view: str = "allo",
         render_size: int = 384,
@@ -99,7 +102,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._stacks = Stacks(self._preset, size)
         check_name("reward", reward, REWARDS)
         self.reward: Reward = reward
-        self._engine = Engine(task, variant, seed=0, rules=rules, renderer=renderer)  # episodes begin with a reset
+        self._engine = Engine(task, variant, seed=0, rules=rules, renderer=renderer, shifts=shifts)
         self._limit = None if limit is None else check_limit(limit, task, rules)
         self._continuous = action == "continuous"
         self.action_space = continuous_space() if self._continuous else spaces.Discrete(len(ACTIONS))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar, runtime_checkab
 
 import numpy as np
 
-from magical_mj.utils.errors import InvalidActionError, RenderingError, SettingsError, TaskError, short_repr
+from magical_mj.utils.errors import InvalidActionError, RenderingError, SettingsError, ShiftError, TaskError, short_repr
 from magical_mj.utils.imports import place
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ def policy_errors() -> Iterator[None]:
     """Where errors are failures of the policy, unless they say that they are not."""
     try:
         yield
-    except (RenderingError, TaskError):
+    except (RenderingError, ShiftError, TaskError):
         raise
     except ImportError as error:
         raise SettingsError(f"the policy lacks a package: {reason(error, place(error, full=False))}") from error

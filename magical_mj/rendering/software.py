@@ -53,10 +53,11 @@ class SoftwareRenderer:
         polygons, corners, self._segments = polygons_of(model)
         self._scene = polygons, corners, model.skin_vert if model.nskin else none
         self._colours = model.geom_rgba, model.skin_rgba if model.nskin else none, np.zeros(len(polygons), np.uint32)
+        self._fields = model.cam_fovy
         self._cameras = {_name(model, mujoco.mjtObj.mjOBJ_CAMERA, index): index for index in range(model.ncam)}
         self._data: mujoco.MjData | None = None
         self._poses: tuple[NDArray[np.float64], ...] = ()
-        self._views: list[tuple[NDArray[np.float64], NDArray[np.float64], float]] = []
+        self._views: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
 
     def draw(self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None) -> Picture:
         """A picture of the present state, shape (size, size, 3), or a segmentation, shape (size, size); top row first.
@@ -70,12 +71,10 @@ class SoftwareRenderer:
         """
         if data is not self._data:
             self._data, self._poses = data, (data.xpos, data.xmat)
-            self._views = [
-                (data.cam_xpos[index], data.cam_xmat[index], float(self.model.cam_fovy[index]))
-                for index in range(self.model.ncam)
-            ]
+            self._views = [(data.cam_xpos[index], data.cam_xmat[index]) for index in range(self.model.ncam)]
         name = camera.removesuffix(SEGMENTATION)
-        world = self._scene, self._poses, self._views[self._cameras[name]]
+        index = self._cameras[name]
+        world = self._scene, self._poses, (*self._views[index], float(self._fields[index]))
         if name != camera:
             picture = np.empty((size, size), np.uint8) if out is None else out
             self._scanlines.draw_segments(*world, scratch(size), self._segments, picture)

@@ -23,6 +23,10 @@ class TaskError(MagicalError, ValueError):
     """A user's task that is invalid, or lacks something that was asked for, such as a plan."""
 
 
+class ShiftError(MagicalError, ValueError):
+    """A user's shift that is invalid, or whose code fails."""
+
+
 class InvalidActionError(MagicalError, ValueError):
     """An action that is not one of the 18."""
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from typing import Any, Final
 
 import dm_env
@@ -22,13 +23,15 @@ from magical_mj.assets.contacts import SUBSTEPS, TIMESTEP
 from magical_mj.assets.world import World
 from magical_mj.engine import State
 from magical_mj.engine.engine import Setup
-from magical_mj.engine.simulation import Simulation, check_state
+from magical_mj.engine.simulation import Simulation, check_state, shift_model, with_shifts, write_numbers
 from magical_mj.envs.composer.entities import Arena
 from magical_mj.rendering.renderer import check_size
-from magical_mj.scene import Scene
+from magical_mj.scene import Scene, check_scene_type
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.state_vector import CAMERAS, OBSERVATIONS, STATE_NAMES, VIEWS, StateEncoder
+from magical_mj.shifts.episode import EpisodeShifts
+from magical_mj.shifts.registry import Shifts, parse_shifts
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
 from magical_mj.utils import errors
@@ -62,31 +65,43 @@ class SceneTask(composer.Task):
 
     Args:
         setup: what is played.
+        strengths: the strengths of the shifts by name.
         scene: the first scene.
+        shifts: the shifts of the first episode.
         observations: any of "ego", "allo" and "state".
         image_size: side of the pictures in pixels.
         reward: "none", or "score" for the score at the last step.
 
     Attributes:
         world: the world of this episode's scene.
+        shifts: the shifts of this episode.
         steps: the number of actions since the start of the episode.
     """
 
     def __init__(
-        self, setup: Setup, scene: Scene, observations: Sequence[str], image_size: int, reward: Reward
+        self,
+        setup: Setup,
+        strengths: dict[str, int],
+        scene: Scene,
+        shifts: EpisodeShifts | None,
+        observations: Sequence[str],
+        image_size: int,
+        reward: Reward,
     ) -> None:
-        self.setup, self.observations, self.image_size, self.reward = setup, tuple(observations), image_size, reward
+        self.setup, self.strengths = setup, strengths
+        self.observations, self.image_size, self.reward = tuple(observations), image_size, reward
         self.steps = 0
         self._simulation: Simulation | None = None
+        self._compiled: tuple[mujoco.MjModel, mujoco.MjModel] | None = None
         self._arena = Arena(scene)
-        self.start(scene)
+        self.start(scene, shifts)
         self._observables = OrderedDict((name, self._observable(name)) for name in observations)
 
-    def start(self, scene: Scene, state: State | None = None) -> None:
+    def start(self, scene: Scene, shifts: EpisodeShifts | None, state: State | None = None) -> None:
         """Makes the next episode start in the scene, or in a state of an episode that started in it."""
         if "state" in self.observations:
             StateEncoder(scene)  # raises an error, while the present episode can go on, if the vector is too short
-        self.world, self._state = World(scene), state
+        self.world, self.shifts, self._state = World(scene), shifts, state
 
     def _observable(self, name: str) -> CurrentObservable:
         if name == "state":
@@ -102,7 +117,7 @@ class SceneTask(composer.Task):
         if self._simulation is None or self._simulation.model is not model or self._simulation.data is not data:
             self.free()
             self._simulation = Simulation.around(self.world, model, data, CAMERA_NAMES)
-        self._simulation.world = self.world
+        self._simulation.world, self._simulation.shifts = self.world, self.shifts
         return self._simulation
 
     def free(self) -> None:
@@ -145,7 +160,13 @@ class SceneTask(composer.Task):
         """Writes the scene into the compiled model, and puts everything into its place."""
         del random_state
         model, data = physics.model.ptr, physics.data.ptr
+        if self._compiled is not None and self._compiled[0] is model:
+            write_numbers(model, self._compiled[1])
+        elif self.shifts is not None and self.shifts.changes_model:
+            self._compiled = model, copy(model)
         self.world.rewrite(model, data, nested=True)
+        if self.shifts is not None:
+            shift_model(self.shifts, model, data)
         mujoco.mj_resetData(model, data)
         physics.after_reset()
         self.steps = 0
@@ -156,6 +177,8 @@ class SceneTask(composer.Task):
         """Restores a state of an episode that started in this scene."""
         self.simulation(physics).restore(state.simulation)
         self.steps = int(state.steps)
+        if self.shifts is not None:
+            self.shifts.resume(self.steps, state.commands)
 
     def before_step(self, physics: Any, action: Any, random_state: np.random.RandomState) -> None:
         """Writes the controls of the action."""
@@ -278,22 +301,24 @@ class Environment(composer.Environment):
         """
         self._opened()
         self.task.setup.check_start(seed=seed, scene=scene, state=state)
+        setup, strengths = self.task.setup, self.task.strengths
         if state is not None:
-            return self._start(state.scene, state=state)
-        if scene is not None:
-            return self._start(scene)
-        if self._fixed:
-            return self._start(self.initial_scene)
+            return self._start(*setup.begin({}, state.scene, state.draws), state=state)
+        if scene is not None or self._fixed:
+            return self._start(
+                *setup.begin(strengths, self.initial_scene if scene is None else check_scene_type(scene))
+            )
         if seed is None:
             seed = self._first_seed
         if seed is None:
             seed = int(self.random_state.randint(2**63 - 1, dtype=np.int64))
-        return self._start(self.task.setup.sample(check_seed(seed)), seed)
+        return self._start(*setup.begin(strengths, check_seed(seed)), seed)
 
-    def _start(self, scene: Scene, seed: int | None = None, state: State | None = None) -> dm_env.TimeStep:
+    def _start(
+        self, scene: Scene, shifts: EpisodeShifts | None, seed: int | None = None, state: State | None = None
+    ) -> dm_env.TimeStep:
         task = self.task
-        task.setup.check(scene)
-        task.start(scene, state)
+        task.start(scene, shifts, state)
         self.seed, self._first_seed, self._over = seed, None, True  # over until it has succeeded
         if not self._recompile and task.world.structure != self._structure:
             task.root_entity.show(scene)  # what composer observes now
@@ -324,7 +349,8 @@ class Environment(composer.Environment):
 
     def get_state(self) -> State:
         """The present state of the episode, exactly: engines and Gymnasium's environments can go on from it, too."""
-        return State(self.initial_scene, self.task.steps, self.task.simulation(self._opened()).save())
+        state = State(self.initial_scene, self.task.steps, self.task.simulation(self._opened()).save())
+        return with_shifts(state, self.task.shifts)
 
     def set_state(self, state: State) -> None:
         """Restores a state of this environment, or of another one with the same task: what follows is exactly the same.
@@ -338,7 +364,7 @@ class Environment(composer.Environment):
         check_state(state)
         if state.scene == self.initial_scene:
             self.task.simulation(physics).restore(state.simulation)  # raises an error while nothing has changed
-        self._start(state.scene, state=state)
+        self._start(*self.task.setup.begin({}, state.scene, state.draws), state=state)
 
     def clone(self) -> Environment:
         """A copy in the same state, in as long as loading takes. Both behave the same, also in later episodes.
@@ -363,7 +389,8 @@ class Environment(composer.Environment):
                 "an environment with hooks, changed observables or a changed MJCF tree cannot be copied or pickled: "
                 "load another one, make the same changes, and call its set_state() with this one's get_state()"
             )
-        loaded = task.setup, self.initial_scene, task.observations, task.image_size, task.reward
+        shifts = None if task.shifts is None else EpisodeShifts(task.shifts.draws)
+        loaded = task.setup, task.strengths, self.initial_scene, shifts, task.observations, task.image_size, task.reward
         seeds = self.random_state.get_state(legacy=False), self.seed, self._first_seed
         return _copied, (loaded, seeds, self._fixed, self._recompile, None if self._over else self.get_state())
 
@@ -403,6 +430,7 @@ def load(
     image_size: int = 96,
     reward: Reward = "none",
     rules: Rules = "paper",
+    shifts: Shifts = None,
     recompile_mjcf_every_episode: bool = False,
 ) -> Environment:
     """A dm_env environment of the benchmark, by dm_control's composer.
@@ -421,18 +449,21 @@ def load(
         image_size: side of the pictures in pixels.
         reward: "none" (always 0: the benchmark has no reward) or "score" (the score, at the last step).
         rules: "paper", or "released" for the scores and horizons of the original's released code.
+        shifts: shifts and their strengths, such as "camera:3,latency:1" or a dict; see docs/shifts.md.
         recompile_mjcf_every_episode: compile the tree for every episode, as hooks that change it need.
 
     Raises:
         UnknownNameError: for an unknown task, variant, observation, reward or rules, or an unsupported pair.
         TaskError: if the task of another package is invalid.
         InvalidSceneError: if the scene is illegal or not one of the task.
-        InvalidSeedError, SettingsError: for a bad seed; for a bad image size or list of observations.
+        InvalidSeedError, SettingsError: for a bad seed; for a bad image size, list of observations, or shifts.
+        ShiftError: if a shift of another package is invalid.
     """
     task_spec(task)  # None, too, is no task
     check_name("reward", reward, REWARDS)
     setup = Setup(task, variant, rules)
-    return _loaded(setup, seed, scene, observations, image_size, reward, recompile_mjcf_every_episode)
+    strengths = parse_shifts(shifts, task)
+    return _loaded(setup, strengths, seed, scene, observations, image_size, reward, recompile_mjcf_every_episode)
 
 
 def load_scene(
@@ -449,11 +480,12 @@ def load_scene(
         UnknownNameError, InvalidSceneError, InvalidSeedError, SettingsError: as `load`.
     """
     Setup(None).check(scene)
-    return _loaded(Setup(None), seed, scene, observations, image_size, "none", recompile_mjcf_every_episode)
+    return _loaded(Setup(None), {}, seed, scene, observations, image_size, "none", recompile_mjcf_every_episode)
 
 
 def _loaded(
     setup: Setup,
+    strengths: dict[str, int],
     seed: int | None,
     scene: Scene | None,
     observations: Sequence[str],
@@ -466,7 +498,6 @@ def _loaded(
     for name in observations:
         check_name("observation", name, OBSERVATIONS)
     seed = None if seed is None else check_seed(seed)
-    first = setup.sample(seed or 0) if scene is None else scene
-    setup.check(first)
-    task = SceneTask(setup, first, observations, check_size(image_size), reward)
+    first = setup.begin(strengths, (seed or 0) if scene is None else check_scene_type(scene))
+    task = SceneTask(setup, strengths, *first, observations, check_size(image_size), reward)
     return Environment(task, seed, fixed=scene is not None, recompile=recompile)

@@ -1,0 +1,8 @@
+"""Shifts: axes with strengths from 0 to 5 along which any environment can differ, beside the 60 and their variants."""
+
+from __future__ import annotations
+
+from magical_mj.shifts.registry import SHIFTS, expand_shifts, parse_shifts, shift_class, shift_label
+from magical_mj.shifts.shift import Factor, Frame, Shift
+
+__all__ = ["SHIFTS", "Factor", "Frame", "Shift", "expand_shifts", "parse_shifts", "shift_class", "shift_label"]

@@ -1,0 +1,205 @@
+"""All shifts by name: ours, those that packages announce, and those given as ``"package.module:NAME"``."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Mapping
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from types import MappingProxyType
+from typing import Any, Final
+
+from magical_mj.shifts.actions import Latency
+from magical_mj.shifts.camera import Camera
+from magical_mj.shifts.shift import STRENGTHS, Factor, Shift
+from magical_mj.tasks.registry import task_spec
+from magical_mj.utils.errors import SettingsError, ShiftError, UntrustedNameError, as_integer, short_repr, unknown_name
+from magical_mj.utils.imports import is_reference, resolve, resolve_installed, with_place
+
+PROTOCOL: Final = 1
+"""The number of the names, ranges and draws of our shifts: a change to any of them requires the next number."""
+
+SHIFTS: Final[Mapping[str, type[Shift]]] = MappingProxyType({kind.name: kind for kind in (Camera, Latency)})
+"""Our shifts by name, in the order of tables and in which they are applied. "all" means these."""
+
+GROUP: Final = "magical_mj.shifts"
+"""The entry-point group in which installed packages announce shifts, such as ``fog = "fog:Fog"``."""
+
+Shifts = Mapping[str, int] | str | None
+"""Shifts and their strengths, such as ``{"camera": 3, "latency": 1}`` or ``"camera:3,latency:1"``; None: none."""
+
+
+@cache
+def shift_plugins() -> Mapping[str, EntryPoint]:
+    """The entry points of announced shifts by name; their modules are imported on first use."""
+    plugins: dict[str, EntryPoint] = {}
+    for point in sorted(entry_points(group=GROUP)):
+        if point.name in SHIFTS or plugins.get(point.name, point) != point:
+            warnings.warn(f"the shift {point.name!r} ({point.value}) is ignored: another has that name", stacklevel=2)
+        elif not (point.name.isidentifier() and is_reference(_reference(point))):
+            problem = 'announce a class in a module by a name of letters, digits and _, as in fog = "fog:Fog"'
+            warnings.warn(f"the shift {point.name!r} ({point.value}) is ignored: {problem}", stacklevel=2)
+        else:
+            plugins[point.name] = point
+    return MappingProxyType(plugins)
+
+
+def _reference(point: EntryPoint) -> str:
+    """Without the spaces that Python allows in entry points."""
+    return "".join(point.value.split())
+
+
+def shift_class(name: str) -> type[Shift]:
+    """The class of a shift.
+
+    Args:
+        name: one of `SHIFTS`, a shift that an installed package announces, or ``"package.module:NAME"``.
+
+    Raises:
+        UnknownNameError: if there is no such shift.
+        UntrustedNameError: if a file names it, and the command does not.
+        ShiftError: if it is the shift of another package, and is invalid.
+    """
+    if isinstance(name, str) and name in SHIFTS:
+        return SHIFTS[name]
+    point = shift_plugins().get(name) if isinstance(name, str) else None
+    if point is None and not is_reference(name):
+        raise unknown_name("shift", name, (*SHIFTS, *shift_plugins(), "package.module:NAME"))
+    try:
+        kind = resolve(name) if point is None else resolve_installed(_reference(point))
+    except UntrustedNameError:
+        raise
+    except ImportError as error:
+        raise unknown_name("shift", name, (*SHIFTS, *shift_plugins())) from error
+    except (Exception, SystemExit) as error:
+        raise ShiftError(f"the shift {short_repr(name)} cannot be imported: {with_place(error)}") from error
+    return _checked(kind, name)
+
+
+def _checked(kind: Any, name: str) -> type[Shift]:
+    """The class, if it is one of a shift.
+
+    Raises:
+        ShiftError: if it is anything else.
+    """
+    if not (isinstance(kind, type) and issubclass(kind, Shift)):
+        raise ShiftError(f"{name} is not a class derived from magical_mj.shifts.Shift but {short_repr(kind)}")
+    own = getattr(kind, "name", None)
+    if not (isinstance(own, str) and own.isidentifier()) or own in SHIFTS:
+        raise ShiftError(
+            f"{name}.name must be a name of its own, of letters, digits and _, which none of ours has; "
+            f"not {short_repr(own)}"
+        )
+    factors: Any = kind.factors
+    if not isinstance(factors, tuple) or not all(isinstance(factor, Factor) for factor in factors):
+        raise ShiftError(f"{name}.factors must be a tuple of magical_mj.shifts.Factor, not {short_repr(factors)}")
+    return kind
+
+
+def _canonical(name: object) -> str:
+    """The name under which results are stored: a reference to an announced shift becomes its name."""
+    shift_class(name)  # type: ignore[arg-type] - which says what is wrong with anything else
+    return next((known for known, point in shift_plugins().items() if _reference(point) == name), str(name))
+
+
+def parse_shifts(shifts: Shifts, task: str | None = None) -> dict[str, int]:
+    """The strength of each shift: ours first, in their order, then others by name. Those of strength 0 are left out.
+
+    Args:
+        shifts: names and strengths as a dict, or as text like ``"camera:3,latency:1"``; None: no shifts.
+        task: the task that is to have them; None: any.
+
+    Raises:
+        UnknownNameError: if there is no such shift.
+        ShiftError: if a shift of one's own is invalid.
+        SettingsError: if a strength is none of 0 to 5, a shift is named twice, or the task cannot have it.
+    """
+    if isinstance(shifts, str):
+        pairs = [_pair(part.strip()) for part in shifts.split(",") if part.strip()]
+    elif isinstance(shifts, Mapping):
+        pairs = list(shifts.items())
+    elif shifts is None:
+        pairs = []
+    else:
+        raise SettingsError(f'shifts are a dict like {{"camera": 3}} or text like "camera:3", not {short_repr(shifts)}')
+    strengths: dict[str, int] = {}
+    for name, value in pairs:
+        name = _canonical(name)
+        if name in strengths:
+            raise SettingsError(f"the shift {name} is given twice; give each one once, with one strength")
+        strengths[name] = _strength(name, value)
+    ordered = {name: strengths[name] for name in (*SHIFTS, *sorted(strengths.keys() - SHIFTS)) if strengths.get(name)}
+    if task is not None:
+        for name in ordered:
+            if problem := shift_class(name).supports(task):
+                raise SettingsError(f"{task_spec(task).name} cannot have the shift {name!r}: {problem}")
+    return ordered
+
+
+def _pair(text: str) -> tuple[str, Any]:
+    """Name and strength from text such as "camera:3"."""
+    name, _, strength = text.rpartition(":")
+    if not name or (not is_reference(name) and ":" in name) or not strength.lstrip("-").replace(".", "").isdigit():
+        shift_class(text)  # an unknown name is the first thing to say
+        raise SettingsError(f"the shift {text!r} lacks its strength: give one of 0 to {STRENGTHS}, as in {text}:3")
+    return name, int(strength) if strength.isdigit() else strength
+
+
+def _strength(name: str, value: object) -> int:
+    strength = as_integer(value, 0, STRENGTHS)
+    if strength is None:
+        raise SettingsError(
+            f"the strength of {name} must be a whole number from 0 (no shift) to {STRENGTHS}, not {short_repr(value)}"
+        )
+    return strength
+
+
+def expand_shifts(shifts: str | Iterable[Mapping[str, int]], task: str | None = None) -> list[dict[str, int]]:
+    """The shifts of an evaluation, one dict for each setting that is to be played, without repeats.
+
+    Args:
+        shifts: ``"camera:1-5,light,camera:2+latency:1"``: an axis with a strength, with a range of strengths, or with
+            all from 1 to 5; or several of one strength each, joined by "+". "all" stands for all our axes. Or dicts.
+        task: the task that is to have them; "all" leaves out what it cannot have. None: any task.
+
+    Raises:
+        UnknownNameError, ShiftError, SettingsError: as `parse_shifts`.
+    """
+    if not isinstance(shifts, str):
+        if isinstance(shifts, Mapping):
+            shifts = [shifts]
+        return _unique(parse_shifts(each, task) for each in shifts)
+    settings: list[dict[str, int]] = []
+    for part in filter(None, (part.strip() for part in shifts.split(","))):
+        if part == "all":
+            able = [name for name, kind in SHIFTS.items() if task is None or not kind.supports(task)]
+            settings += [{name: strength} for name in able for strength in range(1, STRENGTHS + 1)]
+        elif "+" in part:
+            settings.append(parse_shifts(part.replace("+", ","), task))
+        else:
+            name, least, most = _range(part)
+            settings += [parse_shifts({name: strength}, task) for strength in range(least, most + 1)]
+    return _unique(settings)
+
+
+def _range(part: str) -> tuple[str, int, int]:
+    """The name of an axis, and its least and greatest strength."""
+    name, _, strengths = part.rpartition(":")
+    low, dash, high = strengths.partition("-")
+    if not name or not low.isdigit() or (dash and not high.isdigit()):
+        if name and not is_reference(part):
+            _strength(_canonical(name), strengths)
+        return part, 1, STRENGTHS
+    least, most = _strength(name, int(low)), _strength(name, int(high) if dash else int(low))
+    if least > most:
+        raise SettingsError(f"{part!r} has no strengths: give the least one first, as in {name}:{most}-{least}")
+    return name, least, most
+
+
+def _unique(settings: Iterable[dict[str, int]]) -> list[dict[str, int]]:
+    return list({shift_label(setting): setting for setting in settings}.values())
+
+
+def shift_label(shifts: Mapping[str, int]) -> str:
+    """The label of shifts in results, such as ``"camera:3+latency:1"``; "" for none."""
+    return "+".join(f"{name}:{strength}" for name, strength in parse_shifts(shifts).items())
