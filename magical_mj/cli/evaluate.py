@@ -77,14 +77,15 @@ Number = Annotated[
     ),
 ]
 Video = Annotated[Path | None, typer.Option(help="Write an MP4 video of the episodes.", show_default=False)]
+As = Annotated[str, typer.Option("--as", help="The task that policies are told instead of their own.")]
 Trust = Annotated[bool, typer.Option("--trust", help="Load model files that contain code, and run it.")]
 Tour = Annotated[Path, typer.Option("--out", help="The folder for all results; those of the same tour are replaced.")]
 Each = Annotated[int, typer.Option("--episodes", min=1, help="Of each agent in each environment.")]
 
 
-def evaluate(policy: Policies, out: Out, **options: Any) -> None:
+def evaluate(policy: Policies, out: Out, like: As = "", **options: Any) -> None:
     """Evaluate policies on the evaluation scenes; all scores are stored in OUT/scores.jsonl."""
-    evaluation = Evaluation(policy, EvaluationSettings(out=out, **options))
+    evaluation = Evaluation(policy, EvaluationSettings(out=out, like=like, **options))
     screen = console()
     if evaluation.scores:
         number = len(evaluation.scores)

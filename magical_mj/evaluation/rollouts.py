@@ -31,6 +31,7 @@ from magical_mj.policies.interface import (
     policy_errors,
     policy_name,
     reason,
+    told,
     uses_simulation,
 )
 from magical_mj.scene.actions import action_number
@@ -101,11 +102,11 @@ def rollouts(
     if isinstance(env, gymnasium.vector.VectorEnv):
         for start in range(0, len(episodes), env.num_envs):
             wave = episodes[start : start + env.num_envs]
-            outcomes = play_side_by_side(env, policy, wave)
+            outcomes = play_side_by_side(env, policy, [replace(one, task=told(one.task)) for one in wave])
             yield from (EpisodeResult.of(*played, **facts) for played in zip(wave, outcomes, strict=True))
     elif callable(policy):
         for episode in episodes:
-            outcome = play(env, policy, episode)
+            outcome = play(env, policy, replace(episode, task=told(episode.task)))
             yield EpisodeResult.of(episode, outcome, scene=engine_of(env).initial_scene.digest(), **facts)
     else:
         raise EvaluationError(f"{type(policy).__name__} takes only batches, and the environment is a single one")
@@ -172,7 +173,7 @@ def play(env: Env, policy: Act, episode: Episode) -> Outcome:
             actions.append(action)
             observation, over = _observation(result), is_over(result)
         score = engine.score()
-    return Outcome(actions, score, attempt.failure, time.perf_counter() - start)
+    return Outcome(actions, score, attempt.failure, time.perf_counter() - start, attempt.cause)
 
 
 def play_side_by_side(envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode]) -> list[Outcome]:
@@ -202,7 +203,7 @@ def play_side_by_side(envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[
             scores = _scores(*result[3:])
     seconds = (time.perf_counter() - start) / count
     return [
-        Outcome([actions[place] for actions in history], scores[place], attempt.failure, seconds)
+        Outcome([actions[place] for actions in history], scores[place], attempt.failure, seconds, attempt.cause)
         for place in range(count)
     ]
 
@@ -211,6 +212,8 @@ def play_side_by_side(envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[
 class _Attempt:
     failure: str | None = None
     """Why the policy failed."""
+    cause: Exception | None = None
+    """The error by which it did."""
 
 
 @contextmanager
@@ -224,7 +227,7 @@ def _attempt() -> Iterator[_Attempt]:
         try:
             yield attempt
         except PolicyError as error:
-            attempt.failure = str(error)
+            attempt.failure, attempt.cause = str(error), error
         except PhysicsError as error:
             attempt.failure = reason(error)
 

@@ -24,7 +24,7 @@ from magical_mj.evaluation.scores import (
     write_settings,
 )
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
-from magical_mj.evaluation.worker import Player, Unit, plan, play_unit
+from magical_mj.evaluation.worker import Player, Unit, plan, play_unit, single_env
 from magical_mj.policies.interface import reason
 from magical_mj.policies.loading import playable
 from magical_mj.utils.errors import EvaluationError, SettingsError, WorkerError
@@ -105,7 +105,12 @@ class Evaluation:
             first_run=settings.run,
             trust=settings.trust,
             batched=settings.batched,
+            like=settings.like,
         )
+        if settings.wrap:
+            unit = Unit(self._sources[0], *settings.environments[0], (), settings)
+            single_env(unit, observed=True).close()  # an error now, not in the workers
+        self._cause: Exception | None = None
         self._out = None if settings.out is None else Path(settings.out)
         self._recorded = {"policies": [source.described() for source in self._sources], **settings.recorded()}
         self.scores = [] if self._out is None else prepare(self._out, self._recorded, settings.resume)
@@ -152,7 +157,7 @@ class Evaluation:
                 if len(types) > 1 or None in types:
                     proven.add(policy)
                 elif len(deciding) == len(first):
-                    raise _all_failed_error(deciding)
+                    raise _all_failed_error(deciding) from self._cause
             if policy in proven:
                 yield held.pop(policy)
 
@@ -165,11 +170,15 @@ class Evaluation:
         if backend == "local" and jobs == 1:
             with closing(Player()) as player:
                 for unit in self.units:
-                    yield from ([result] for result in player.play(unit))
+                    for result in player.play(unit):
+                        self._cause = player.cause
+                        yield [result]
             return
         self._check_pickles()
         try:
-            yield from map_unordered(play_unit, self.units, jobs, backend, self.settings.address)
+            for results, cause in map_unordered(play_unit, self.units, jobs, backend, self.settings.address):
+                self._cause = cause
+                yield results
         except WorkerError as error:
             raise EvaluationError(f"{error}; --resume continues (resume=True)") from error
 

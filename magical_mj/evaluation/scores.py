@@ -46,6 +46,8 @@ class Outcome(NamedTuple):
     failure: str | None
     """Why the policy failed; None if it did not."""
     seconds: float
+    cause: Exception | None = None
+    """The error by which the policy failed, if it was one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

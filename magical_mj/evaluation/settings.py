@@ -16,7 +16,8 @@ from magical_mj.tasks.plugins import code_digest
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import SPLITS, TASKS, Pair, environments
 from magical_mj.tasks.spec import Rules
-from magical_mj.utils.errors import SettingsError, short_repr
+from magical_mj.utils.errors import SettingsError, check_name, short_repr
+from magical_mj.utils.imports import is_reference, source_digest
 from magical_mj.utils.parallel import Backend, check_backend
 from magical_mj.utils.settings import LARGEST_SETTING, Count, Names, Natural, Settings
 
@@ -82,6 +83,8 @@ class EvaluationSettings(Settings):
     ] = "mujoco"
     device: Annotated[str, Meta(description="Of MuJoCo Warp: cuda, cuda:1 or cpu.")] = DEVICE
     trust: Annotated[bool, Meta(description="Run the code that model files contain.")] = False
+    wrap: Annotated[str, Meta(description="A Gymnasium wrapper to play in, package.module:NAME.")] = ""
+    like: Annotated[str, Meta(description="The task that policies are told instead of their own.")] = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -90,6 +93,12 @@ class EvaluationSettings(Settings):
         check_backend(self.backend, self.address)
         if self.device != DEVICE and not self.batched:
             raise SettingsError(f"device is that of MuJoCo Warp, not {short_repr(self.device)}: give --simulator warp")
+        if self.like:
+            check_name("task", self.like, TASKS)
+        if self.wrap and not is_reference(self.wrap):
+            raise SettingsError(f"wrap is package.module:NAME of a Gymnasium wrapper, not {short_repr(self.wrap)}")
+        if self.wrap and self.batched:
+            raise SettingsError("batched worlds have no single environments that could be wrapped: leave out --wrap")
 
     @property
     def batched(self) -> bool:
@@ -120,5 +129,8 @@ class EvaluationSettings(Settings):
             "version": __version__,
             "mujoco": MUJOCO_VERSION,
             "gl": drawn_by(),
+            "wrap": self.wrap,
+            "like": self.like,
             **{f"code of {task}": code_digest(task) for task in others},
+            **({f"code of {self.wrap}": source_digest(self.wrap)} if self.wrap else {}),
         }

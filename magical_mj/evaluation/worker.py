@@ -6,10 +6,12 @@ import ctypes
 import queue
 import secrets
 import threading
+import traceback
 import weakref
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final, TypeVar
 
 import gymnasium
@@ -18,9 +20,11 @@ from magical_mj.envs.registration import env_id
 from magical_mj.evaluation.rollouts import Env, Envs, play, play_side_by_side
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
-from magical_mj.policies.interface import Act, Episode, reason, uses_simulation
+from magical_mj.policies.interface import Act, Episode, PolicyError, reason, told, uses_simulation
 from magical_mj.policies.loading import Source
 from magical_mj.tasks.registry import sample_scene, task_spec
+from magical_mj.utils.errors import SettingsError, UntrustedNameError, short_repr
+from magical_mj.utils.imports import resolve, with_place
 
 T = TypeVar("T")
 
@@ -81,24 +85,31 @@ _LOCAL = threading.local()
 """The player of this thread; a cluster's worker may have several threads."""
 
 
-def play_unit(unit: Unit) -> list[EpisodeResult]:
-    """What a worker does."""
+def play_unit(unit: Unit) -> tuple[list[EpisodeResult], Exception | None]:
+    """What a worker does: plays episodes, and tells by which error the policy failed in the last one."""
     evaluation, player = getattr(_LOCAL, "player", ("", None))
     if player is None or evaluation != unit.evaluation:
         if player is not None:
             player.close()
         player = Player()
         _LOCAL.player = unit.evaluation, player
-    return list(player.play(unit))
+    results = list(player.play(unit))
+    if player.cause is None:
+        return results, None
+    return results, PolicyError("".join(traceback.format_exception(player.cause)))  # others may not be picklable
 
 
 class Player:
     """Plays an evaluation's units on a thread that can be abandoned.
 
     It keeps the last environment and policy for the next unit.
+
+    Attributes:
+        cause: the error by which the policy failed in the last episode.
     """
 
     def __init__(self) -> None:
+        self.cause: Exception | None = None
         self._forget()
 
     def play(self, unit: Unit) -> Iterator[EpisodeResult]:
@@ -111,7 +122,8 @@ class Player:
         settings, source = unit.settings, unit.source
         for start in range(0, len(unit.seeds), settings.envs):
             seeds = unit.seeds[start : start + settings.envs]
-            episodes = [Episode(unit.task, unit.variant, seed, source.run) for seed in seeds]
+            task = told(unit.task, settings.like)
+            episodes = [Episode(task, unit.variant, seed, source.run) for seed in seeds]
             policy = self._policy(unit)
             facts = {
                 "policy": source.name,
@@ -119,10 +131,12 @@ class Player:
                 "preset": getattr(policy, "preset", None) if uses_simulation(policy) else settings.preset,
                 "worlds": WORLDS[settings.simulator],
                 "split": settings.split,
+                "wrap": settings.wrap,
             }
             for episode, outcome in zip(episodes, self._outcomes(unit, episodes), strict=True):
-                scene = sample_scene(episode.task, episode.variant, episode.seed)
-                yield EpisodeResult.of(episode, outcome, scene=scene.digest(), **facts)
+                self.cause = outcome.cause
+                scene = sample_scene(unit.task, unit.variant, episode.seed)
+                yield EpisodeResult.of(replace(episode, task=unit.task), outcome, scene=scene.digest(), **facts)
 
     def close(self) -> None:
         """Closes the environments, unless an abandoned call may still use them."""
@@ -143,8 +157,8 @@ class Player:
         if unit.settings.batched:
             playing = lambda: play_side_by_side(self._vector(unit), policy, [episode])  # noqa: E731
         else:
-            observed = not uses_simulation(policy)
-            env = self._keep("environment", (*key, observed), lambda: _single_env(unit, observed))
+            observed = bool(unit.settings.wrap) or not uses_simulation(policy)
+            env = self._keep("environment", (*key, observed), lambda: single_env(unit, observed))
             playing = lambda: [play(env, policy, episode)]  # noqa: E731
         return self._in_time(unit, [episode], playing)[0]
 
@@ -183,17 +197,41 @@ class Player:
         self._caller = TimeLimitedCaller()
 
 
-def _single_env(unit: Unit, observed: bool) -> Env:
+def single_env(unit: Unit, observed: bool) -> Env:
     """The environment for a policy: Gymnasium's with the preset's observations, or the bare engine.
 
-    The former has no wrappers of `gymnasium.make`, whose checks at each step would only take time.
+    The former has no wrappers of `gymnasium.make`, whose checks at each step would only take time, but the user's.
+
+    Raises:
+        SettingsError: if there is no such wrapper, or what it returns is no environment of ours with our actions.
     """
     settings = unit.settings
     if observed:
-        return gymnasium.make(env_id(unit.task, unit.variant, settings.preset), rules=settings.rules).unwrapped
+        env = gymnasium.make(env_id(unit.task, unit.variant, settings.preset), rules=settings.rules).unwrapped
+        return _wrapped(env, settings.wrap) if settings.wrap else env
     from magical_mj.engine import Engine  # imported late: it loads the simulator
 
     return Engine(unit.task, unit.variant, seed=0, rules=settings.rules)
+
+
+def _wrapped(env: gymnasium.Env[Any, Any], wrap: str) -> gymnasium.Env[Any, Any]:
+    """The environment in the user's wrapper."""
+    try:
+        outer: Any = resolve(wrap)(env)
+    except UntrustedNameError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise SettingsError(f"the wrapper {wrap} cannot be used: {with_place(error)}") from error
+    if (
+        not isinstance(outer, gymnasium.Env)
+        or outer.unwrapped is not env.unwrapped
+        or outer.action_space != env.action_space
+    ):
+        raise SettingsError(
+            f"the wrapper {wrap} must return a Gymnasium environment around the one that it is given, with its 18 "
+            f"actions, not {short_repr(outer)}"
+        )
+    return outer
 
 
 def _vector_env(unit: Unit) -> Envs:
@@ -201,7 +239,10 @@ def _vector_env(unit: Unit) -> Envs:
     if not settings.batched:
         name = f"magical_mj:{env_id(unit.task, unit.variant, settings.preset)}"
         kwargs: dict[str, Any] = {"autoreset_mode": mode}
-        return gymnasium.make_vec(name, settings.envs, "sync", vector_kwargs=kwargs, rules=settings.rules)
+        wrappers = [partial(_wrapped, wrap=settings.wrap)] if settings.wrap else []
+        return gymnasium.make_vec(
+            name, settings.envs, "sync", vector_kwargs=kwargs, wrappers=wrappers, rules=settings.rules
+        )
     from magical_mj import batched  # these need PyTorch
     from magical_mj.batched.environment import Arrays
 

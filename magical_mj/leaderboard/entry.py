@@ -237,9 +237,7 @@ def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders
         if episode.split != "test":
             raise EvaluationError(f"{folder} was played on the split {episode.split}, and entries are of test")
         if episode.wrap:
-            raise EvaluationError(
-                f"{folder} was played in the wrapper {episode.wrap}, and entries are of no other worlds"
-            )
+            raise EvaluationError(f"{folder} was played in {episode.wrap}, and entries are of plain worlds")
         if episode.worlds != "single":
             raise EvaluationError(f"{folder} was played in batched worlds, and cannot be an entry: {UNOFFICIAL}")
     episodes = [episode for episode, _ in sources]

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from magical_mj.policies.interface import Episode, Policy
 from magical_mj.scene.actions import ACTIONS, NOOP
+from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import SettingsError
 
 
@@ -50,7 +51,9 @@ class ExpertAgent:
 
         if episode.env is None:
             raise SettingsError("the expert needs the simulation itself; it cannot play in vector environments")
-        self._next = Expert(episode.env, episode.task, episode.run)
+        own = episode.env.task
+        task = own if own is not None and task_spec(own).plan is not None else episode.task
+        self._next = Expert(episode.env, task, episode.run)
 
     def __call__(self, _: Any) -> int:
         """An action; the observation does not matter."""

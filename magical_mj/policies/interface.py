@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar, runtime_checkab
 
 import numpy as np
 
+from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import InvalidActionError, RenderingError, SettingsError, ShiftError, TaskError, short_repr
 from magical_mj.utils.imports import place
 
@@ -31,7 +32,7 @@ class Episode:
     """The information that a policy gets at the start of an episode.
 
     Attributes:
-        task: the task's name.
+        task: the task's name; of a task that is like another one, that one's: see `told`.
         variant: the variant's name.
         seed: the scene's seed: the episode starts in `sample_scene(task, variant, seed)`.
         run: the number of the policy among several runs of a method.
@@ -47,6 +48,11 @@ class Episode:
     def rng(self) -> np.random.Generator:
         """A random generator for the policy; it depends only on the fields of this episode."""
         return np.random.default_rng([self.run, self.seed, zlib.crc32(f"{self.task}-{self.variant}".encode())])
+
+
+def told(task: str, like: str = "") -> str:
+    """The task that policies are told: the task itself, or the one that it is like, by its definition or by `like`."""
+    return like or task_spec(task).like or task
 
 
 class Policy(Protocol):

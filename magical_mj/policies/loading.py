@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from magical_mj.envs.presets import PRESETS
 from magical_mj.policies.agents import AGENTS
-from magical_mj.policies.interface import Act, policy_name, reason, uses_simulation
+from magical_mj.policies.interface import Act, policy_name, reason, told, uses_simulation
 from magical_mj.policies.models import LOADERS, Shape
 from magical_mj.tasks.registry import Pair, task_spec
 from magical_mj.utils.errors import SettingsError, UntrustedNameError, short_repr, unknown_name
@@ -131,6 +131,7 @@ def playable(
     first_run: int = 0,
     trust: bool = False,
     batched: bool = False,
+    like: str = "",
 ) -> list[Source]:
     """The policies of `sources`, each of which was loaded once and can play; if its file changes, `load` refuses it.
 
@@ -141,6 +142,7 @@ def playable(
         first_run: the number of the first run.
         trust: whether files that hold code may be loaded.
         batched: whether MuJoCo Warp simulates the episodes.
+        like: the task that policies are told; see `told`.
 
     Raises:
         SettingsError, TaskError: if a policy cannot be loaded, or does not fit: see `check_fit`.
@@ -148,7 +150,7 @@ def playable(
     checked = []
     for source in sources(policies, first_run, trust):
         policy = source.load()
-        check_fit(policy, pairs, preset)
+        check_fit(policy, pairs, preset, like)
         if batched and uses_simulation(policy):
             raise SettingsError(f"{source.name} uses no observations: it plays in single worlds only")
         checked.append(replace(source, digest=source._hash()))
@@ -233,7 +235,7 @@ def _instantiate(kind: type, name: str) -> Any:
         ) from error
 
 
-def check_fit(policy: object, pairs: Sequence[Pair], preset: str) -> None:
+def check_fit(policy: object, pairs: Sequence[Pair], preset: str, like: str = "") -> None:
     """Raises a `SettingsError` if the policy's attributes say that it was trained for something else.
 
     A `TaskError` is raised if it needs a plan, and a task has none.
@@ -243,10 +245,12 @@ def check_fit(policy: object, pairs: Sequence[Pair], preset: str) -> None:
             exist.
         pairs: pairs of task and variant.
         preset: the preset of the observations.
+        like: the task that policies are told.
     """
     if getattr(policy, "needs_plan", False):
         for task, _ in pairs:
-            task_spec(task).check_plan()
+            if task_spec(task).plan is None:
+                task_spec(told(task, like)).check_plan()
     trained_on = getattr(policy, "preset", preset)
     if trained_on != preset:
         raise SettingsError(
@@ -254,9 +258,12 @@ def check_fit(policy: object, pairs: Sequence[Pair], preset: str) -> None:
         )
     tasks = getattr(policy, "tasks", None)
     tasks = (tasks,) if isinstance(tasks, str) else tasks
-    others = sorted({task for task, _ in pairs} - set(tasks)) if tasks is not None else []
+    others = sorted({told(task, like) for task, _ in pairs} - set(tasks)) if tasks is not None else []
     if others:
-        raise SettingsError(f"the policy cannot act in {', '.join(others)}: give --tasks {','.join(tasks or ())}")
+        raise SettingsError(
+            f"the policy cannot act in {', '.join(others)}: give --tasks {','.join(tasks or ())}, or --as one of them "
+            "for a task that is it but for a change"
+        )
     shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
     if shapes is not None and not uses_simulation(policy):
         _check_shape(list(shapes), pairs[0][0], preset)

@@ -111,6 +111,8 @@ def check_spec(spec: Any, task: str) -> None:
     """
     if not isinstance(spec, TaskSpec):
         raise TaskError(f"{task} is not a magical_mj.tasks.TaskSpec but {short_repr(spec)}")
+    if spec.like and spec.like not in SPECS:
+        raise TaskError(f"{spec.name}.like must be one of {', '.join(SPECS)}, not {short_repr(spec.like)}")
     try:
         check_drawn(spec, "Demo", 0, spec.demo)
         checked: Any = spec.check(spec.demo)

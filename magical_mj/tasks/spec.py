@@ -48,6 +48,8 @@ class TaskSpec(VariationRules):
 
     plan: Plan | None = None
     """The plan of the scripted expert. Without one, everything except the expert works."""
+    like: str = ""
+    """The benchmark's task that this one is but for a change: policies of that task are told that they play it."""
     demonstrations: Path | str | None = None
     """The folder of the demonstrations that another package ships for its task; learners are trained on them."""
 
@@ -56,6 +58,7 @@ class TaskSpec(VariationRules):
         super().__post_init__()
         self._require("summary", isinstance(self.summary, str), "a str")
         self._require("demonstrations", isinstance(self.demonstrations, Path | str | None), "a folder, or None")
+        self._require("like", isinstance(self.like, str), "the name of a task")
         self._require("score", callable(self.score), "a function")
         self._require("plan", self.plan is None or callable(self.plan), "a function, or None")
         self._require("steps", as_integer(self.steps, 1) is not None, "an integer above 0")

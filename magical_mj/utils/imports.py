@@ -16,6 +16,7 @@ docs/trust.md lists which file may name what.
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import os
 import re
@@ -127,6 +128,12 @@ def source_of(reference: str) -> Path | None:
     """The file of the module that a reference names, if the module was imported from one."""
     file = getattr(sys.modules.get(reference.partition(":")[0]), "__file__", None)
     return Path(file) if file and Path(file).is_file() else None
+
+
+def source_digest(reference: str) -> str:
+    """The SHA-256 of the module that a reference names; empty if it was not imported from a file."""
+    source = source_of(reference)
+    return "" if source is None else hashlib.sha256(source.read_bytes()).hexdigest()
 
 
 @contextmanager
