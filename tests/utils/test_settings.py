@@ -46,7 +46,7 @@ def test_values_become_pythons_own() -> None:
         ({"eggs": 10**30}, "eggs must be an integer of at most 1000000, not 1000000000000000000000000000000"),
         ({"layers": 1.5}, "layers must be an integer of at least 1, not 1.5"),
         ({"guests": 3}, "guests must be names, as a list or separated by commas, not 3"),
-        ({"guests": "\ud800"}, "guests must be names, as a list or separated by commas, not '\\ud800'"),
+        ({"eggs": "\ud800"}, "eggs must be an integer of at least 1, not '\\ud800'"),
         ({"recipe": 3}, "recipe must be a path, not 3"),
         ({"taste": "swet"}, "Did you mean 'sweet'"),
         ({"egs": 3}, "Did you mean 'eggs'"),
