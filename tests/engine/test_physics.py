@@ -32,7 +32,7 @@ from magical_mj.assets.contacts import SETTINGS, TIMESTEP
 from magical_mj.scene import Block, Dynamics, Robot, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
-from tests.helpers.hostile import together, worst
+from tests.helpers.hostile import WORST, worst
 
 PROBES = recordings(Path(__file__).parents[1] / "data" / "probes.npz")
 HUMANS = Path(__file__).parents[3] / "shared" / "reference" / "human_replays.npz"
@@ -118,16 +118,11 @@ def test_a_carried_block_stays_in_the_gripper(name: str) -> None:
         assert np.abs(ahead - ahead[0]).max() < 0.06  # stars slip a little, here and there
 
 
-def check_bounds(numbers: range) -> None:
-    worst_cases = together(map(worst, numbers))
-    assert worst_cases["broken"] == 0
-    assert worst_cases["warnings"] == 0
-    assert worst_cases["outside"] <= 0.01
-    assert worst_cases["overlap"] <= 0.01
-
-
 def test_rough_hands_break_nothing() -> None:
-    check_bounds(range(200))
+    """In 100 episodes; `python tools/fuzz --kinds hands` plays as many as you like."""
+    for number in range(100):
+        measured = worst(number)
+        assert all(measured[name] <= most for name, most in WORST.items()), (number, measured)
 
 
 def test_blocks_at_rest_sleep_until_they_are_pushed() -> None:
@@ -140,12 +135,6 @@ def test_blocks_at_rest_sleep_until_they_are_pushed() -> None:
         asleep.append((world.data.tree_asleep >= 0).tolist())  # near, far, robot
     assert asleep[2] == asleep[20] == [True, True, False]
     assert asleep[12] == [False, True, False]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("part", range(9))
-def test_rough_hands_break_nothing_in_2000_episodes(part: int) -> None:
-    check_bounds(range(200 + 200 * part, 400 + 200 * part))
 
 
 def with_caps(**caps: float) -> Scene:

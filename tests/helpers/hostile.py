@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import reduce
 
 import mujoco
 import numpy as np
@@ -20,6 +19,8 @@ from magical_mj.scene import constants as c
 from magical_mj.scene.geometry import block_outline
 from magical_mj.variants.vary import draw_dynamics
 
+WORST = {"broken": 0.0, "warnings": 0.0, "outside": 0.01, "overlap": 0.01}
+"""What an episode may hold at most, of what `worst` measures."""
 STEPS = 100
 KINDS = ("random", "corner", "spin", "steady")
 VARIANTS = [pair for pair in magical_mj.ENVIRONMENTS if pair[1] in ("Demo", "Dynamics", "All")]
@@ -108,8 +109,3 @@ def worst(number: int, settings: PhysicsSettings = SETTINGS) -> dict[str, float]
             overlap = max([overlap, *map(depth, shapely.intersection(first[near], second[near]))])
     broken = float(not np.isfinite(track).all())
     return {"broken": broken, "warnings": warnings, "outside": max(robot, *bounds, 0.0), "overlap": overlap}
-
-
-def together(rows: Iterator[dict[str, float]]) -> dict[str, float]:
-    """The worst of all."""
-    return reduce(lambda a, b: {name: max(a[name], b[name]) for name in a}, rows)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shlex
 import shutil
 import subprocess
 import sys
@@ -20,6 +19,17 @@ PAGE = (ROOT / "docs" / "adding-a-task.md").read_text()
 EXAMPLE = ROOT / "examples" / "push_out"
 TINY = "network.first_stride=4 network.first_channels=4 network.channels=4 network.hidden=8 "
 TINY += "bc.batches=4 bc.batch_size=4 evaluations=0 checkpoints=1 demonstrations=1"
+
+
+DOES = """
+import shlex
+from magical_mj.cli import main
+
+def does(command):
+    code = main(shlex.split(command))
+    assert code == 0, f"{command}: {code}"
+
+"""
 
 
 def block(language: str, start: str) -> str:
@@ -42,16 +52,11 @@ class User:
         command = [sys.executable, *arguments]
         return subprocess.run(command, cwd=self.home, env=environment, capture_output=True, text=True, check=False)
 
-    def does(self, command: str) -> str:
-        """Run `magical-mj` with these arguments, which must succeed; what it printed."""
-        done = self.python("-m", "magical_mj", *shlex.split(command))
-        assert done.returncode == 0, f"{command}: {done.stderr}"
-        return done.stdout
-
-    def runs(self, code: str) -> None:
-        """Run some Python, which must succeed."""
-        done = self.python("-c", dedent(code))
+    def runs(self, code: str) -> str:
+        """Run some Python, in which `does` runs `magical-mj`; it must succeed. What it printed."""
+        done = self.python("-c", DOES + dedent(code))
         assert done.returncode == 0, done.stderr
+        return done.stdout
 
 
 @pytest.fixture(scope="module")
@@ -71,10 +76,9 @@ def test_the_example_is_what_the_page_says() -> None:
 
 
 def test_it_has_rows_and_ids_like_ours(user: User) -> None:
-    listed = re.findall(r"^PushOut +(\w+) +120 ", user.does("list"), re.MULTILINE)
-    assert listed == list(VARIANTS)
-    ids = user.does("list --ids").split()
-    assert ids[-2:] == ["magical_mj/PushOut-TestDynamics-v0", "magical_mj/PushOut-TestAll-v0"]
+    printed = user.runs('does("list")\ndoes("list --ids")')
+    assert re.findall(r"^PushOut +(\w+) +120 ", printed, re.MULTILINE) == list(VARIANTS)
+    assert printed.split()[-2:] == ["magical_mj/PushOut-TestDynamics-v0", "magical_mj/PushOut-TestAll-v0"]
 
 
 def test_its_demonstrations_are_installed_with_it(user: User) -> None:
@@ -116,10 +120,14 @@ def test_it_is_played_by_its_name_and_by_its_reference(user: User) -> None:
 @pytest.mark.slow
 def test_it_is_evaluated_and_reported(user: User) -> None:
     episodes = "--variants Demo --episodes 2 --preset LoRes4A --envs 2 --jobs 1"
-    user.does(f"evaluate --policy watcher:act,expert --tasks PushOut {episodes} --out own")
-    user.does(f"evaluate --policy watcher:act --tasks push_out:SPEC,MoveToRegion {episodes} --out mixed")
-    for folder in ("own", "mixed"):
-        user.does(f"report {folder} --published")
+    user.runs(
+        f"""
+        does("evaluate --policy watcher:act,expert --tasks PushOut {episodes} --out own")
+        does("evaluate --policy watcher:act --tasks push_out:SPEC,MoveToRegion {episodes} --out mixed")
+        does("report own --published")
+        does("report mixed --published")
+        """
+    )
     table = (user.home / "own" / "report" / "report.md").read_text()
     assert re.search(r"^\| expert \| 1\.00", table, re.MULTILINE)
     assert "PushOut" in table
@@ -138,45 +146,41 @@ def test_it_is_evaluated_and_reported(user: User) -> None:
 @pytest.mark.slow
 def test_it_is_demonstrated_exported_and_learnt(user: User) -> None:
     folder = user.site / "push_out_demonstrations"
-    user.does(f"demos generate --tasks push_out:SPEC --count 1 --out {folder}")
-    assert [path.name for path in folder.glob("*.npz")] == ["PushOut-Demo-000.npz"]
-    assert "1 of 1 replay to the same score" in user.does(f"demos verify {folder}")
-    user.does(f"demos export {folder} --out folder.npz")
-    user.does("demos export --tasks push_out:SPEC --out same.npz")  # by default those in the task's own folder
-    assert (user.home / "same.npz").read_bytes() == (user.home / "folder.npz").read_bytes()
-    user.runs(
-        """
+    settings = " ".join(f"--set {setting}" for setting in TINY.split())
+    printed = user.runs(
+        f"""
         from dataclasses import replace
+        from pathlib import Path
+        import mujoco
         from magical_mj import demos
+        from magical_mj.learners.data import shipped
+
+        does("demos generate --tasks push_out:SPEC --count 1 --out {folder}")
+        does("demos verify {folder}")
+        does("demos export {folder} --out folder.npz")
+        does("demos export --tasks push_out:SPEC --out same.npz")  # by default those in the task's own folder
+        assert Path("same.npz").read_bytes() == Path("folder.npz").read_bytes()
 
         (demo,) = demos.load("PushOut")
         demos.write(replace(demo, task="push_out:SPEC"), "before/PushOut-Demo-000.npz")  # before it was announced
         assert [demo.task for demo in demos.load("PushOut", "before")] == ["PushOut"]
-        """
-    )
-    assert "PushOut-Demo" in user.does("demos info before")
-    settings = " ".join(f"--set {setting}" for setting in TINY.split())
-    user.does(f"train bc --tasks PushOut --quick --out run {settings}")
-    user.does("evaluate --policy run --tasks PushOut --variants Demo --episodes 1 --out learnt")
-    user.does(f"demos generate --tasks push_out:SPEC --variants All --count 1 --out {folder}")
-    user.runs(  # of which learners see nothing
-        """
-        from magical_mj import demos
-        from magical_mj.learners.data import shipped
+        does("demos info before")
 
+        does("train bc --tasks PushOut --quick --out run {settings}")
+        does("evaluate --policy run --tasks PushOut --variants Demo --episodes 1 --jobs 1 --out learnt")
+        does("demos generate --tasks push_out:SPEC --variants All --count 1 --out {folder}")
         assert [demo.variant for demo in demos.load("PushOut")] == ["All", "Demo"]
         assert [demo.variant for demo in shipped("PushOut")] == ["Demo"]
-        """
-    )
-    user.does("view PushOut All --out picture.png")
-    assert user.does("export push_out:SPEC All --out models").strip() == "models/PushOut-All-0.xml"
-    user.runs(
-        """
-        import mujoco
+
+        does("view PushOut All --out picture.png")
+        does("export push_out:SPEC All --out models")
         model = mujoco.MjModel.from_xml_path("models/PushOut-All-0.xml")
         mujoco.mj_step(model, mujoco.MjData(model), 100)
         """
     )
+    assert {path.name for path in folder.glob("*.npz")} == {"PushOut-Demo-000.npz", "PushOut-All-000.npz"}
+    assert "1 of 1 replay to the same score" in printed
+    assert "PushOut-Demo" in printed
 
 
 def test_without_a_plan_everything_but_the_expert_works(user: User) -> None:
@@ -185,13 +189,13 @@ def test_without_a_plan_everything_but_the_expert_works(user: User) -> None:
         'SPEC = replace(PUSH_OUT, name="Planless", plan=None)\n'
     )
     episodes = "--tasks planless:SPEC --variants Demo --episodes 1 --jobs 1"
-    user.does(f"evaluate --policy noop {episodes} --out planless")
     done = user.python("-m", "magical_mj", "evaluate", "--policy", "expert", *episodes.split(), "--out", "stuck")
     assert "Planless has no plan, so no expert can play it" in done.stderr + done.stdout
     user.runs(
-        """
+        f"""
         from magical_mj import Engine, demos
 
+        does("evaluate --policy noop {episodes} --out planless")
         for task, known, name in (
             ("planless:SPEC", "planless:SPEC", "Planless"), ("push_out:SPEC", "PushOut", "PushOut")
         ):
@@ -199,7 +203,7 @@ def test_without_a_plan_everything_but_the_expert_works(user: User) -> None:
             recorder = demos.Recorder(env)
             recorder.step(1)
             path, _ = demos.keep(recorder.demonstration("human"), "played")
-            assert path.name == f"{name}-Demo-human-000.npz"
+            assert path.name == name + "-Demo-human-000.npz"
             assert [demo.task for demo in demos.load(task, "played")] == [known]
         """
     )

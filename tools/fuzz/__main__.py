@@ -22,7 +22,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Final
 
-KINDS: Final = ("calls", "scenes", "states", "files", "commands", "clients")
+KINDS: Final = ("calls", "scenes", "states", "hands", "files", "commands", "clients")
 SLICE: Final = 180.0  # seconds for each kind in turn, in a process of its own
 PATIENCE: Final = 300.0  # seconds for one case
 

@@ -29,6 +29,9 @@ from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.state_vector import CAMERAS
 from magical_mj.utils.errors import MagicalError
 
+sys.path.append(str(Path(__file__).parents[2]))  # Python puts only this folder there
+from tests.helpers.hostile import WORST, worst
+
 Case = Callable[[random.Random, Path], None]
 
 
@@ -52,6 +55,14 @@ def scenes(rng: random.Random, folder: Path) -> None:
         magical_mj.export_mjcf(env, folder / "scene.xml")
     finally:
         env.close()
+
+
+def hands(rng: random.Random, _folder: Path) -> None:
+    """An episode of rough hands, in which nothing may break, leave the arena, or get into another thing."""
+    number = rng.randrange(10**6)
+    for name, size in worst(number).items():
+        if size > WORST[name]:
+            raise FindError(f"{name} is {size:g} in the episode {number} of rough hands")
 
 
 def calls(rng: random.Random, _folder: Path) -> None:
@@ -167,6 +178,7 @@ KINDS: Final[dict[str, Case]] = {
     "calls": calls,
     "scenes": scenes,
     "states": states,
+    "hands": hands,
     "files": damaged_files,
     "commands": hostile_command,
     "clients": clients,
