@@ -126,7 +126,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._over = np.zeros(self.num_envs, np.bool_)
 
     @cached_property
-    def observation_space(self) -> spaces.Space[Any]:
+    def observation_space(self) -> spaces.Space[Any]:  # pyright: ignore[reportIncompatibleVariableOverride]
         """The space of all observations, which is made when it is asked for: its bounds take memory."""
         return batch_space(self.single_observation_space, self.num_envs)
 
@@ -158,7 +158,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                 self._over[world] = False
             env.observe(rows[world])
 
-        self._work(begin)
+        self.each_world(begin)
         return self._observations, self._batched(infos)
 
     def step(
@@ -201,7 +201,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                     infos[world] = env.reset()[1]
             env.observe(rows[world])
 
-        self._work(go_on)
+        self.each_world(go_on)
         self._over = np.zeros_like(ended) if same_step else ended.copy()
         batched: dict[str, Any] = {}
         for world in sorted(final):
@@ -236,7 +236,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def _checked(self, actions: Any) -> list[int]:
         """The numbers of the actions, before any world takes one."""
         try:
-            rows = np.asarray(actions)
+            rows: NDArray[Any] = np.asarray(actions)
         except ValueError:  # of different lengths
             rows = np.empty(0)
         if isinstance(self.single_action_space, spaces.Box) and rows.ndim == 2 and len(rows) == self.num_envs:
@@ -257,12 +257,12 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         columns = zip(*self._observations.values(), strict=True)
         return [dict(zip(self._observations, column, strict=True)) for column in columns]
 
-    def _work(self, task: Callable[[int], None]) -> None:
-        """Does something in every world, with all threads. The first error is raised when all have finished."""
+    def each_world(self, do: Callable[[int], None]) -> None:
+        """Does something in every world, by its number, with all threads. Raises the first error when all are done."""
 
         def work(share: Iterable[int]) -> None:
             for world in share:
-                task(world)
+                do(world)
 
         first, *others = self._shares
         futures: list[Future[None]] = [self._others.submit(work, share) for share in others] if self._others else []

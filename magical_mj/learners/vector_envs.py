@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any, Final
 
-import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+from stable_baselines3.common.vec_env import VecEnv
 
 from magical_mj.envs.gymnasium_env import MagicalEnv
+from magical_mj.envs.vector import VectorEnv
 from magical_mj.learners.learner import device
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.learners.state_features import HISTORY, History
@@ -25,91 +27,160 @@ TASK: Final = "task"
 """Of an observation: the task as a one-hot vector, shape (tasks,) float32."""
 
 Observations = dict[str, NDArray[Any]]
+_Outcome = tuple[NDArray[Any], NDArray[np.bool_], NDArray[Any], NDArray[np.float64], NDArray[np.bool_]]
+"""Of a step: observations; which episodes ended; the last observations of these; scores; which states are broken."""
 
 
-class TaskEnv(gymnasium.Env[Any, Any]):
-    """One of the environments of a task. The seed of episode k is a function of the run's seed, its number and k.
-
-    The first episode starts with some random actions; see `random_start`.
+class TrainingEnvs(VecEnv):
+    """The worlds of a run, as stable-baselines3 wants them: those of all cores, or those of one batch.
 
     Args:
-        settings: the settings of the run.
-        number: from 0 to `ppo.environments` - 1; environments of the same task have successive numbers.
+        settings: of the run.
+        single: a world's spaces, of observations and of actions.
+
+    Attributes:
+        tasks: the numbers of the worlds' tasks, ascending.
     """
 
-    def __init__(self, settings: TrainingSettings, number: int) -> None:
-        task = task_numbers(settings)[number]
-        self._env = MagicalEnv(settings.tasks[task], "Demo", settings.preset)
-        self.observation_space = space(settings, self._env.observation_space)
-        self.action_space = self._env.action_space
-        self._one_hot = np.eye(len(settings.tasks), dtype=np.float32)[task]
-        self._seed, self._number = settings.seed, number
-        self._random_start = random_start(settings, number)
-        self._states = settings.states
+    render_mode: str | None = None
+
+    def __init__(self, settings: TrainingSettings, single: tuple[spaces.Space[Any], spaces.Space[Any]]) -> None:
+        self.tasks = task_numbers(settings)
+        self._one_hot = np.eye(len(settings.tasks), dtype=np.float32)[self.tasks]
+        self._random_starts = np.array([random_start(settings, number) for number in range(len(self.tasks))])
+        self._seed, self._states = settings.seed, settings.states
         self._history: History | None = None
-        self._episode, self._actions = -1, list[int]()
+        super().__init__(len(self.tasks), space(settings, single[0]), single[1])
 
-    def reset(self, **_: Any) -> tuple[Observations, dict[str, Any]]:
-        """Starts the next episode. Arguments are not used: each environment has its own seeds."""
-        self._episode += 1
-        first = self._rng().integers(len(ACTIONS), size=self._random_start) if self._episode == 0 else ()
-        return self._replay(first), {}
+    @abstractmethod
+    def get_state(self) -> Any:
+        """Where all worlds are."""
 
-    def step(self, action: Any) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
-        """One action. The reward is 0; `info["eval_score"]` is the score, at an episode's last step."""
-        self._actions.append(int(action))
-        observation, reward, terminated, truncated, info = self._env.step(action)
-        return self._observations(observation), reward, terminated, truncated, info
+    @abstractmethod
+    def set_state(self, state: Any) -> Observations:
+        """Goes back to a state; returns what is seen then, as `reset` does."""
 
-    def get_state(self) -> dict[str, Any]:
-        """The episode's number and its actions so far."""
-        return {"episode": self._episode, "actions": np.array(self._actions, np.int64)}
+    @abstractmethod
+    def _play(self, actions: NDArray[np.int64]) -> _Outcome:
+        """One action in every world; where an episode ends, the next one begins."""
 
-    def set_state(self, state: dict[str, Any]) -> Observations:
-        """Goes back to a state by replaying its actions; returns the observation."""
-        self._episode = state["episode"]
-        return self._replay(state["actions"])
+    def step_async(self, actions: NDArray[np.int64]) -> None:
+        """Takes the actions for `step_wait`."""
+        self._actions = actions
 
-    def close(self) -> None:
-        """Frees the simulation."""
-        self._env.close()
+    def step_wait(self) -> tuple[Observations, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """One action in every world. The rewards are 0."""
+        observations, ended, last, scores, broken = self._play(self._actions)
+        if self._history:
+            last = self._history.add(last)
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for world in np.flatnonzero(ended):
+            infos[world] = {
+                "terminal_observation": {OBSERVATION: last[world], TASK: self._one_hot[world]},
+                "TimeLimit.truncated": not broken[world],  # nothing comes after a broken state
+                "eval_score": float(scores[world]),
+            }
+        self._restart(ended, observations)
+        return self._observations(observations), np.zeros(self.num_envs, np.float32), ended, infos
 
-    def _replay(self, actions: Sequence[int] | NDArray[np.int64]) -> Observations:
-        self._actions, self._history = [], None
-        observation = self._observations(self._env.reset(seed=int(self._rng().integers(2**63)))[0])
-        for action in actions:
-            observation = self.step(action)[0]
-        return observation
+    def _restart(self, worlds: NDArray[np.bool_], observations: NDArray[Any]) -> None:
+        if self._history:
+            self._history.restart(worlds, observations)
 
-    def _rng(self) -> np.random.Generator:
-        return np.random.default_rng([self._seed, self._number, self._episode])
+    def _observations(self, observations: NDArray[Any]) -> Observations:
+        return {OBSERVATION: self._history.states if self._history else observations, TASK: self._one_hot}
 
-    def _observations(self, observation: Any) -> Observations:
-        if self._states:
-            self._history = self._history or History(observation)
-            observation = self._history.add(observation)
-        return {OBSERVATION: observation, TASK: self._one_hot}
+    def _refuse(self, *_: Any, **__: Any) -> Any:
+        """Worlds have no attributes, methods and wrappers of their own."""
+        raise NotImplementedError
+
+    set_attr = env_method = env_is_wrapped = _refuse
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """The vector's own attribute, for each world."""
+        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
 
-class SerialVecEnv(DummyVecEnv):
-    """All environments of a run, in this process, since sending pictures takes longer than a step."""
+class LocalEnvs(TrainingEnvs):
+    """Worlds that are the single environments to the bit, on all cores; they can be taken up in mid-episode.
+
+    The seed of a world's episode is a function of the run's seed, the number of the world and that of the episode.
+
+    Args:
+        settings: of the run.
+    """
 
     def __init__(self, settings: TrainingSettings) -> None:
-        self.tasks = task_numbers(settings)
-        self._task_envs = [TaskEnv(settings, number) for number in range(settings.ppo.environments)]
-        super().__init__([lambda env=env: env for env in self._task_envs])
+        worlds = [MagicalEnv(settings.tasks[task], "Demo", settings.preset) for task in task_numbers(settings)]
+        self._envs = VectorEnv(worlds, autoreset_mode=AutoresetMode.DISABLED)
+        super().__init__(settings, (self._envs.single_observation_space, self._envs.single_action_space))
+        self._episodes = np.full(self.num_envs, -1)
+        self._taken = [list[int]() for _ in worlds]
+
+    def reset(self) -> Observations:
+        """Begins the next episodes, the first ones with random actions; see `random_start`."""
+        self._episodes += 1
+        counts = self._random_starts if not self._episodes.any() else np.zeros_like(self._random_starts)
+        rngs = map(self._rng, range(self.num_envs))
+        return self._replay([rng.integers(len(ACTIONS), size=n).tolist() for rng, n in zip(rngs, counts, strict=True)])
+
+    def _play(self, actions: NDArray[np.int64]) -> _Outcome:
+        last, _, _, ended, infos = self._envs.step(actions)
+        for taken, action in zip(self._taken, actions.tolist(), strict=True):
+            taken.append(action)
+        observations = last
+        if ended.any():
+            self._episodes[ended] += 1
+            for world in np.flatnonzero(ended):
+                self._taken[world] = []
+            seeds = [self._scene_seed(world) if ends else None for world, ends in enumerate(ended)]
+            observations, _ = self._envs.reset(seed=seeds, options={"reset_mask": ended})
+        return observations, ended, last, infos["eval_score"], np.zeros_like(ended)
 
     def get_state(self) -> list[dict[str, Any]]:
-        """Where all of them are."""
-        return [env.get_state() for env in self._task_envs]
+        """The number of each world's episode, and its actions so far."""
+        pairs = zip(self._episodes.tolist(), self._taken, strict=True)
+        return [{"episode": episode, "actions": np.array(taken, np.int64)} for episode, taken in pairs]
 
     def set_state(self, state: Sequence[dict[str, Any]]) -> Observations:
-        """Goes back to a state; returns all observations, as `reset` does."""
-        each = [env.set_state(part) for env, part in zip(self._task_envs, state, strict=True)]
-        return {key: np.stack([observation[key] for observation in each]) for key in (OBSERVATION, TASK)}
+        """Goes back to a state by replaying the actions."""
+        self._episodes = np.array([world["episode"] for world in state])
+        return self._replay([world["actions"].tolist() for world in state])
+
+    def close(self) -> None:
+        """Frees the simulations."""
+        self._envs.close()
+
+    def _replay(self, actions: list[list[int]]) -> Observations:
+        """Plays these actions in the present episodes of the worlds."""
+        self._taken = actions
+        rows: list[Any] = [None] * self.num_envs
+        histories: list[History | None] = [None] * self.num_envs
+
+        def replay(world: int) -> None:
+            env = self._envs.envs[world]
+            rows[world], _ = env.reset(seed=self._scene_seed(world))
+            history = histories[world] = History(rows[world]) if self._states else None
+            for action in actions[world]:
+                rows[world] = env.step(action)[0]
+                if history:
+                    history.add(rows[world])
+
+        self._envs.each_world(replay)
+        observations = np.stack(rows)
+        if self._states:
+            self._history = History(observations)
+            self._history.states = np.stack([history.states for history in histories if history])
+        return self._observations(observations)
+
+    def _scene_seed(self, world: int) -> int:
+        return int(self._rng(world).integers(2**63))
+
+    def _rng(self, world: int) -> np.random.Generator:
+        return np.random.default_rng([self._seed, world, int(self._episodes[world])])
 
 
-class BatchedVecEnv(VecEnv):
+class BatchedEnvs(TrainingEnvs):
     """All environments of a run as worlds of one batch, on the learner's device.
 
     Observations are copied to the host, where stable-baselines3 keeps rollouts.
@@ -126,20 +197,14 @@ class BatchedVecEnv(VecEnv):
         check_extra("batched worlds", "gpu")
         from magical_mj.batched.environment import Arrays, BatchedEnv
 
-        self.tasks = task_numbers(settings)
         self._batch = BatchedEnv(
-            [(settings.tasks[task], "Demo") for task in self.tasks],
+            [(settings.tasks[task], "Demo") for task in task_numbers(settings)],
             preset=settings.preset,
             device=str(device(settings.device)),
             seed=settings.seed,
         )
         self._arrays = Arrays(self._batch)
-        self._one_hot = np.eye(len(settings.tasks), dtype=np.float32)[self.tasks]
-        self._random_starts = np.array([random_start(settings, number) for number in range(len(self.tasks))])
-        self._seed, self._states = settings.seed, settings.states
-        self._history: History | None = None
-        observed = space(settings, self._batch.single_observation_space)
-        super().__init__(len(self.tasks), observed, self._batch.single_action_space)
+        super().__init__(settings, (self._batch.single_observation_space, self._batch.single_action_space))
 
     def reset(self) -> Observations:
         """All worlds begin so that their random actions end together."""
@@ -155,25 +220,10 @@ class BatchedVecEnv(VecEnv):
                 self.step(rng.integers(len(ACTIONS), size=self.num_envs))
         return self._observations(observations)
 
-    def step_async(self, actions: NDArray[np.int64]) -> None:
-        """Takes the actions for `step_wait`."""
-        self._actions = actions
-
-    def step_wait(self) -> tuple[Observations, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """One action in every world; where an episode ends, the next one begins."""
-        observations, rewards, _, ended, info = self._arrays.step(self._actions)
+    def _play(self, actions: NDArray[np.int64]) -> _Outcome:
+        observations, _, _, ended, info = self._arrays.step(actions)
         last, final = info.get("final_obs", observations), info.get("final_info", info)
-        if self._history:
-            last = self._history.add(last)
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for world in np.flatnonzero(ended):
-            infos[world] = {
-                "terminal_observation": {OBSERVATION: last[world], TASK: self._one_hot[world]},
-                "TimeLimit.truncated": not final["broken"][world],  # nothing comes after a broken state
-                "eval_score": float(final["eval_score"][world]),
-            }
-        self._restart(ended, observations)
-        return self._observations(observations), rewards, ended, infos
+        return observations, ended, last, final["eval_score"], final["broken"]
 
     def get_state(self) -> dict[str, Any]:
         """Where all worlds are."""
@@ -191,31 +241,10 @@ class BatchedVecEnv(VecEnv):
         """Frees the simulation."""
         self._batch.close()
 
-    def _restart(self, worlds: NDArray[np.bool_], observations: NDArray[Any]) -> None:
-        if self._history:
-            self._history.restart(worlds, observations)
-
-    def _observations(self, observations: NDArray[Any]) -> Observations:
-        return {OBSERVATION: self._history.states if self._history else observations, TASK: self._one_hot}
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The batch's own attribute, for each world."""
-        return [getattr(self._batch, attr_name) for _ in self._get_indices(indices)]
-
-    def _refuse(self, *_: Any, **__: Any) -> Any:
-        """Worlds have no attributes, methods and wrappers of their own."""
-        raise NotImplementedError
-
-    set_attr = env_method = env_is_wrapped = _refuse
-
-
-TrainingEnvs = SerialVecEnv | BatchedVecEnv
-"""Vector environments with the numbers of their tasks, ascending, as `tasks`, and with `get_state` and `set_state`."""
-
 
 def training_envs(settings: TrainingSettings) -> TrainingEnvs:
-    """The environments of a run: each for itself, or all in one batch."""
-    return BatchedVecEnv(settings) if settings.ppo.worlds == "batched" else SerialVecEnv(settings)
+    """The environments of a run: on all cores, or all in one batch."""
+    return BatchedEnvs(settings) if settings.ppo.worlds == "batched" else LocalEnvs(settings)
 
 
 def task_numbers(settings: TrainingSettings) -> NDArray[np.int64]:

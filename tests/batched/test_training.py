@@ -17,7 +17,7 @@ from magical_mj.cli.app import app
 from magical_mj.learners import TrainingSettings, checkpoint, load_policy, train
 from magical_mj.learners.run_folder import CHECKPOINT
 from magical_mj.learners.state_features import HISTORY
-from magical_mj.learners.vector_envs import OBSERVATION, TASK, BatchedVecEnv, SerialVecEnv
+from magical_mj.learners.vector_envs import OBSERVATION, TASK, BatchedEnvs, LocalEnvs
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import MissingExtraError, SettingsError, UnknownNameError
 from tests.helpers.learners import playing
@@ -34,15 +34,15 @@ def in_batch(method: str = "gail", tasks: str = TWO, **changes: Any) -> Training
 
 
 @pytest.fixture
-def worlds(request: pytest.FixtureRequest) -> Iterator[BatchedVecEnv]:
-    envs = BatchedVecEnv(in_batch(**getattr(request, "param", {})))
+def worlds(request: pytest.FixtureRequest) -> Iterator[BatchedEnvs]:
+    envs = BatchedEnvs(in_batch(**getattr(request, "param", {})))
     yield envs
     envs.close()
 
 
-def test_learners_see_what_they_see_in_single_worlds(worlds: BatchedVecEnv) -> None:
+def test_learners_see_what_they_see_in_single_worlds(worlds: BatchedEnvs) -> None:
     """Pictures, tasks, ends and what is said of them, beside the copies of the environments."""
-    copies = SerialVecEnv(playing(tasks=TWO, **SMALL))
+    copies = LocalEnvs(playing(tasks=TWO, **SMALL))
     assert worlds.tasks.tolist() == copies.tasks.tolist() == [0, 1]
     assert worlds.observation_space == copies.observation_space
     observations, wanted = worlds.reset(), copies.reset()
@@ -65,7 +65,7 @@ def test_learners_see_what_they_see_in_single_worlds(worlds: BatchedVecEnv) -> N
     copies.close()
 
 
-def test_nothing_is_expected_after_a_broken_state(worlds: BatchedVecEnv) -> None:
+def test_nothing_is_expected_after_a_broken_state(worlds: BatchedEnvs) -> None:
     """Its episode is over, and not merely cut off: PPO adds no value of what would come next."""
     worlds.reset()
     worlds._batch.physics._state["qvel"][1] = float("nan")
@@ -75,7 +75,7 @@ def test_nothing_is_expected_after_a_broken_state(worlds: BatchedVecEnv) -> None
 
 
 @pytest.mark.parametrize("worlds", [{"tasks": "MoveToRegion", "preset": "State"}], indirect=True)
-def test_histories_of_states_begin_with_their_episode(worlds: BatchedVecEnv) -> None:
+def test_histories_of_states_begin_with_their_episode(worlds: BatchedEnvs) -> None:
     """Two worlds of one task: the second has a head start of half an episode."""
     single = MagicalEnv("MoveToRegion", "Demo", "State")
     first = np.tile(single.reset(seed=0)[0], (HISTORY, 1))
