@@ -7,7 +7,7 @@ from pathlib import Path
 from pictures import animation, examples, scenes
 
 from magical_mj.leaderboard.page import label
-from magical_mj.leaderboard.standings import Standing, own_standings, published
+from magical_mj.leaderboard.standings import BLOCKS, Standing, own_standings, published
 from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, task_spec
 from magical_mj.web.page_data import sections
@@ -95,9 +95,12 @@ def _examples(task: str, media: Path) -> str:
 
 def _results(task: str, variants: list[str], methods: list[Standing]) -> str:
     lines = [f"| Method | {' | '.join(variants)} |", f"| --- |{' ---: |' * len(variants)}"]
-    for one in methods:
-        means = [one.means.get((task, variant)) for variant in variants]
-        if any(values is not None for values in means):
+    played = [one for one in methods if any(pair[0] == task for pair in one.means)]
+    for block, heading in BLOCKS.items():
+        group = [one for one in played if one.block == block]
+        lines += [f"| **{heading}** |{' |' * len(variants)}"] if group else []
+        for one in group:
+            means = [one.means.get((task, variant)) for variant in variants]
             cells = ["" if values is None else f"{values.mean():.2f}" for values in means]
             lines.append(f"| {label(one)} | {' | '.join(cells)} |")
     return (

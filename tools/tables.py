@@ -19,7 +19,7 @@ from magical_mj import ENVIRONMENTS, TASKS
 from magical_mj.envs.presets import PRESETS
 from magical_mj.evaluation.reports.statistics import rank_correlation
 from magical_mj.leaderboard.page import label
-from magical_mj.leaderboard.standings import Standing, own_standings, published
+from magical_mj.leaderboard.standings import BLOCKS, Standing, own_standings, published
 from magical_mj.scene import constants as c
 from magical_mj.tasks.registry import task_spec
 from magical_mj.variants import VARIANTS, Axis
@@ -90,15 +90,18 @@ def _number(value: float) -> str:
     return "" if value != value else f"{value:.2f}"
 
 
-def overview(standings: Iterable[Standing]) -> str:
-    """Of each method the mean score over tasks in each variant; (m/n): of m of the n tasks."""
-    rows = []
-    for standing in standings:
-        name = AGENTS.get(standing.name, label(standing))
-        looks_at = "pictures" if standing.entry is None else standing.entry.observations or "nothing"
-        runs = "5" if standing.entry is None else str(len(standing.entry.runs))
-        rows.append((name, looks_at, runs, *(_over_tasks(standing, variant) for variant in VARIANTS)))
-    return table(("Method", "Looks at", "Runs", *VARIANTS), rows)
+def overview(standings: Sequence[Standing]) -> str:
+    """Of each method the mean score over tasks in each variant, in blocks; (m/n): of m of the n tasks."""
+    rows: list[Sequence[str]] = []
+    for block, heading in BLOCKS.items():
+        group = [standing for standing in standings if standing.block == block]
+        rows += [(f"**{heading}**", *[""] * (2 + len(VARIANTS)))] if group else []
+        for standing in group:
+            name = AGENTS.get(standing.name, label(standing))
+            runs = "5" if standing.entry is None else str(len(standing.entry.runs))
+            scores = (_over_tasks(standing, variant) for variant in VARIANTS)
+            rows.append((name, ", ".join(standing.privileges), runs, *scores))
+    return table(("Method", "May also use", "Runs", *VARIANTS), rows)
 
 
 def _over_tasks(standing: Standing, variant: str) -> str:

@@ -29,6 +29,10 @@ from magical_mj.utils.errors import EvaluationError, SettingsError, check_name, 
 
 FORMAT: Final = 2
 SUFFIX: Final = ".json.xz"
+CARD: Final = "card.toml"
+"""In a folder that is an entry: its files hold some runs each, so that another run adds a file and rewrites none."""
+MOST_OF_CARD: Final = 20_000
+"""The largest size of such a card in bytes."""
 SEEDS: Final = 100
 """The number of episodes in each environment that the protocol requires."""
 MOST_BYTES: Final = 20_000_000
@@ -45,6 +49,20 @@ Natural = Annotated[int, Meta(ge=0)]
 Positive = Annotated[int, Meta(ge=1)]
 Name = Annotated[str, Meta(max_length=80)]
 Line = Annotated[str, Meta(max_length=500)]
+
+
+Privilege = Literal[
+    "states",
+    "simulator in training",
+    "renderer in training",
+    "score in training",
+    "other scenes",
+    "knowledge of tasks",
+    "simulator at test",
+]
+"""What a method may use beside demonstrations as its policy sees them: the states behind them; in training, the
+simulator, its pictures of any state, and the task's score; other scenes than the demo scene; what its author knew of
+the tasks; and a copy of the simulation while it is tested."""
 
 
 class Demonstrations(Struct, forbid_unknown_fields=True):
@@ -73,6 +91,7 @@ class Card(Struct, forbid_unknown_fields=True):
     demonstrations: Demonstrations = msgspec.field(default_factory=Demonstrations)
     training: Training = msgspec.field(default_factory=Training)
     hardware: Line | None = None
+    privileges: Annotated[list[Privilege], Meta(max_length=7)] | None = None
 
 
 class Versions(Struct, forbid_unknown_fields=True):
@@ -279,12 +298,15 @@ def recorded_policies(settings: dict[str, Any]) -> list[tuple[str, int, str]]:
 
 
 def entry_files(folder: Path | str) -> list[Path]:
-    """The files of entries in a folder, sorted by name; or the one file that is given instead.
+    """The entries in a folder, sorted by name: files, and folders with a card; or the one that is given instead.
 
     Raises:
         EvaluationError: if there are none.
     """
-    paths = [Path(folder)] if Path(folder).is_file() else sorted(Path(folder).glob(f"*{SUFFIX}"))
+    folder = Path(folder)
+    if folder.is_file() or (folder / CARD).is_file():
+        return [folder]
+    paths = sorted([*folder.glob(f"*{SUFFIX}"), *(path.parent for path in folder.glob(f"*/{CARD}"))])
     if not paths:
         raise EvaluationError(f"{folder} holds no entries (*{SUFFIX}); magical-mj submit makes them")
     return paths
@@ -307,15 +329,43 @@ def _text(content: dict[str, Any]) -> bytes:
 
 
 def read_entry(path: Path | str) -> Entry:
-    """The entry in a file, which may be anybody's.
+    """The entry in a file or a folder, which may be anybody's.
+
+    A folder holds a `CARD`, which counts instead of those in its files, and one or several files of the same kind.
 
     Raises:
         EvaluationError: if it is not an entry, is too large, damaged or was altered, or has another format or protocol.
     """
+    path = Path(path)
+    if not (path / CARD).is_file():
+        return unpacked(_content(path, MOST_BYTES), path)
+    card, parts = _card_in(path), sorted(path.glob(f"*{SUFFIX}"))
+    if not parts:
+        raise EvaluationError(f"{path} has a card, and no episodes (*{SUFFIX})")
+    first, *others = (unpacked(_content(part, MOST_BYTES), part) for part in parts)
+    entry = msgspec.structs.replace(first, card=card)
+    for part, other in zip(parts[1:], others, strict=True):
+        if twice := {*map(name_of, entry.episodes)} & {*map(name_of, other.episodes)}:
+            raise EvaluationError(f"{part} holds episodes that another file of {path} holds, too: {min(twice)}")
+        entry = _extended(entry, other, path, card)
+    return entry
+
+
+def _content(path: Path, most: int) -> bytes:
     try:
-        return unpacked(files.read_foreign(Path(path), most=MOST_BYTES, error=EvaluationError), path)
+        return files.read_foreign(path, most=most, error=EvaluationError)
     except OSError as error:
         raise EvaluationError(f"{path} cannot be read: {error.strerror}") from error
+
+
+def _card_in(folder: Path) -> Card:
+    path = folder / CARD
+    try:
+        card = msgspec.toml.decode(_content(path, MOST_OF_CARD), type=Card)
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+        raise EvaluationError(f"{path} is no card: {str(error)[:200]}") from error
+    _check_name(card.method, path)
+    return card
 
 
 def unpacked(data: bytes, name: object = "the entry") -> Entry:
@@ -335,14 +385,17 @@ def unpacked(data: bytes, name: object = "the entry") -> Entry:
         raise EvaluationError(f"{name} was altered after it was made: its hash is not that of its content")
     if content.protocol not in (None, PROTOCOL):
         raise EvaluationError(f"{name} follows protocol {content.protocol}, and this version plays {PROTOCOL}")
-    method = content.card.method
-    if not method.isprintable() or method != method.strip():
-        problem = "holds signs that cannot be seen, or begins or ends with a space"
-        raise EvaluationError(f"the method's name {method!r} in {name} {problem}")
+    _check_name(content.card.method, name)
     episodes = _episodes(content, name)
     if content.runs != sorted({episode.run for episode in episodes}):
         raise EvaluationError(f"{name} names the runs {content.runs}, and its episodes are of others")
     return Entry(content.card, content.observations, content.rules, content.protocol, content.versions, episodes)
+
+
+def _check_name(method: str, name: object) -> None:
+    if not method.isprintable() or method != method.strip():
+        problem = "holds signs that cannot be seen, or begins or ends with a space"
+        raise EvaluationError(f"the method's name {method!r} in {name} {problem}")
 
 
 def _decompressed(data: bytes, name: object) -> bytes:

@@ -13,12 +13,13 @@ from typing import Final
 import numpy as np
 
 from magical_mj.evaluation.reports.tables import DAGGER, NONE, Group, Table, markdown
+from magical_mj.leaderboard.entry import Card
 from magical_mj.leaderboard.standings import (
+    BLOCKS,
     LEAST_RUNS,
     OVERALL,
     THRESHOLDS,
     Estimate,
-    Kind,
     Standing,
     improvement,
     rules_of,
@@ -29,10 +30,13 @@ from magical_mj.utils.errors import EvaluationError
 from magical_mj.utils.escape import html
 
 TITLE: Final = "MAGICAL on MuJoCo: leaderboard"
+STAR: Final = "★"
 INTRODUCTION: Final = (
     "Each entry holds every episode of every run with its actions, and was checked by playing episodes again. "
     "Scores lie between 0 and 1. An agent learns from demonstrations of one scene (Demo) and is tested where poses, "
-    "colours, shapes, numbers or dynamics are others."
+    "colours, shapes, numbers or dynamics are others. Methods stand in blocks by what their policies may use while "
+    f"they are tested. {STAR}: official, all {len(ENVIRONMENTS)} environments and {LEAST_RUNS} runs or more; {DAGGER}: "
+    "published, the paper's in the original simulator, by the rules 'released'; all others are partial."
 )
 HEADINGS: Final = {
     "scores": "Scores",
@@ -57,12 +61,6 @@ ROW: Final = 26  # the height of a method's line
 LEGEND: Final = 20  # the height of a line of the profiles' legend
 HEIGHT: Final = 320  # of the profiles
 COLOURS: Final = 10  # in style.css
-STAR: Final = "★"
-GROUPS: dict[Kind, str] = {
-    "official": f"Official {STAR}: all {len(ENVIRONMENTS)} environments, {LEAST_RUNS} runs or more",
-    "partial": "Partial",
-    "published": f"Published {DAGGER}: the paper's, in the original simulator, by the rules 'released'",
-}
 SHOWN_THRESHOLDS = (0.1, 0.25, 0.5, 0.75, 0.9)
 
 
@@ -313,27 +311,26 @@ def _profiles(methods: Sequence[Standing]) -> Table:
 
 
 def _costs(methods: Sequence[Standing]) -> Table:
-    rows = []
-    for method in methods:
-        if method.entry is not None:
-            card = method.entry.card
-            training, data = card.training, card.demonstrations
-            facts = (data.per_task, data.set, training.hours, training.device, training.steps, card.hardware)
-            texts = (NONE if fact is None else " ".join(str(fact).split()) for fact in facts)
-            rows.append((label(method), _score(method, OVERALL), *texts))
+    def cells(method: Standing) -> tuple[str, ...]:
+        card = method.entry.card if method.entry is not None else Card(method.name)
+        training, data = card.training, card.demonstrations
+        facts = (data.per_task, data.set, training.hours, training.device, training.steps, card.hardware)
+        texts = (NONE if fact is None else " ".join(str(fact).split()) for fact in facts)
+        return _score(method, OVERALL), ", ".join(method.privileges) or "nothing", *texts
+
     return Table(
         "costs",
-        f"What a run cost ({NONE} where the entry does not say)",
-        ("Method", OVERALL, "demonstrations per task", "of set", "hours", "device", "steps", "hardware"),
-        (("", tuple(rows)),),
+        f"What a run cost ({NONE} where the entry does not say), and what else the method may use",
+        ("Method", OVERALL, "may use", "demonstrations per task", "of set", "hours", "device", "steps", "hardware"),
+        _grouped([method for method in methods if method.entry is not None], cells),
     )
 
 
 def _grouped(methods: Sequence[Standing], cells: Callable[[Standing], tuple[str, ...]]) -> tuple[Group, ...]:
-    """The rows of methods by their kinds, of those that there are."""
+    """The rows of methods by their blocks, of those that there are."""
     groups = []
-    for kind, heading in GROUPS.items():
-        rows = tuple((label(method), *cells(method)) for method in methods if method.kind == kind)
+    for block, heading in BLOCKS.items():
+        rows = tuple((label(method), *cells(method)) for method in methods if method.block == block)
         if rows:
             groups.append((heading, rows))
     return tuple(groups)

@@ -25,6 +25,15 @@ from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, Pair
 from magical_mj.utils.errors import counted
 
 Kind = Literal["official", "partial", "published"]
+Block = Literal["pictures", "states", "simulator", "nothing", "undeclared"]
+BLOCKS: Final[Mapping[Block, str]] = {
+    "pictures": "From pictures",
+    "states": "From states",
+    "simulator": "With a simulator at test",
+    "nothing": "Without looking",
+    "undeclared": "Privileges not declared",
+}
+"""Methods compare within a block: what a policy may see or try while it is tested matters more than how it learnt."""
 
 LEAST_RUNS: Final = 5
 """The least number of runs of an official entry: the paper's number."""
@@ -61,6 +70,25 @@ class Standing:
     gaps: tuple[str, ...]
     means: Mapping[Pair, Floats]
     episodes: Mapping[Pair, Mapping[int, Floats]]
+
+    @property
+    def privileges(self) -> tuple[str, ...]:
+        """What it may use, as its card declares; the paper's methods play while they learn, or need nothing."""
+        if self.entry is None:
+            return () if self.name.startswith("BC") else ("simulator in training",)
+        return tuple(self.entry.card.privileges or ())
+
+    @property
+    def block(self) -> Block:
+        """The block of tables in which it stands."""
+        if self.entry is None:
+            return "pictures"
+        if self.entry.card.privileges is None:
+            return "undeclared"
+        if "simulator at test" in self.privileges:
+            return "simulator"
+        looks_at = self.entry.observations
+        return "nothing" if looks_at is None else "states" if looks_at == "State" else "pictures"
 
     @cached_property
     def scores(self) -> Mapping[str, Estimate]:
@@ -152,6 +180,8 @@ def gaps(entry: Entry) -> list[str]:
     elsewhere = " in the environments played" if len(pairs) < len(ENVIRONMENTS) else ""
     if absent := wanted - len(entry.counted):
         lacks.append(f"{absent} of {wanted} episodes missing{elsewhere}")
+    if entry.card.privileges is None:
+        lacks.append("its privileges are not declared")
     return lacks
 
 
@@ -189,15 +219,16 @@ def _better(first: Floats, second: Floats) -> Any:
 
 
 def standings(entries: Sequence[Entry]) -> list[Standing]:
-    """All methods: official ones first, then partial and published ones, each kind by its overall score.
+    """All methods by blocks; in each official ones first, then partial and published ones, by their overall scores.
 
     Partial ones that played all environments come before those with some, whose scores do not compare.
     """
-    order = ("official", "partial", "published")
+    kinds, blocks = ("official", "partial", "published"), tuple(BLOCKS)
     return sorted(
         [*map(standing, entries), *published()],
         key=lambda method: (
-            order.index(method.kind),
+            blocks.index(method.block),
+            kinds.index(method.kind),
             not method.everywhere,
             -method.scores[OVERALL].value,
             method.name,

@@ -90,7 +90,9 @@ def whole(runs: int = 5) -> Entry:
         for task, variant in ENVIRONMENTS
         for seed in range(100)
     ]
-    return Entry(Card("Nobody"), "LoRes4E", "paper", 1, Versions(["0.1.0"], ["3.17.0"], ["egl"]), episodes)
+    return Entry(
+        Card("Nobody", privileges=[]), "LoRes4E", "paper", 1, Versions(["0.1.0"], ["3.17.0"], ["egl"]), episodes
+    )
 
 
 def check(path: Path, **settings: Any) -> tuple[Entry, Findings]:

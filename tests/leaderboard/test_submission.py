@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,8 @@ import pytest
 
 from magical_mj.evaluation.scores import SETTINGS
 from magical_mj.leaderboard import read_entry, submit
-from magical_mj.leaderboard.entry import packed
+from magical_mj.leaderboard.entry import entry_files, packed
+from magical_mj.leaderboard.standings import standing
 from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError
 from tests.helpers.entries import EPISODES, check, rewrite
 
@@ -104,3 +106,31 @@ def test_an_entry_is_extended_by_its_own_kind_only(folder: Path, tmp_path: Path)
             submit([folder], tmp_path / "two.json.xz", extend=tmp_path / "made" / "entry.json.xz")
         rewrite(folder, lambda rows: [row.update({"run": 1, "rules": "paper"}) for row in rows])
     assert not (tmp_path / "two.json.xz").exists()
+
+
+def test_a_run_is_added_as_a_file(folder: Path, tmp_path: Path) -> None:
+    """A folder's card counts, its files are read together, and no episode stands in two of them."""
+    submit([folder], tmp_path / "mine" / "0.json.xz")
+    (tmp_path / "mine" / "card.toml").write_text('method = "Mine"\nprivileges = ["simulator at test"]\n')
+    rewrite(folder, lambda rows: [row.update(run=1) for row in rows])
+    submit([folder], tmp_path / "mine" / "1.json.xz")
+    assert entry_files(tmp_path) == entry_files(tmp_path / "mine") == [tmp_path / "mine"]
+    entry = read_entry(tmp_path / "mine")
+    assert (entry.method, entry.runs, len(entry.episodes)) == ("Mine", [0, 1], 2 * EPISODES)
+    assert (standing(entry).block, standing(read_entry(tmp_path / "mine" / "0.json.xz")).block) == (
+        "simulator",
+        "undeclared",
+    )
+    (tmp_path / "mine" / "2.json.xz").write_bytes((tmp_path / "mine" / "1.json.xz").read_bytes())
+    with pytest.raises(EvaluationError, match=r"2\.json\.xz holds episodes that another file"):
+        read_entry(tmp_path / "mine")
+    (tmp_path / "mine" / "card.toml").write_text('method = "Mine"\nprivileges = ["magic"]\n')
+    with pytest.raises(EvaluationError, match=r"card\.toml is no card: .*magic"):
+        read_entry(tmp_path / "mine")
+
+
+def test_our_entries_declare_their_privileges() -> None:
+    results = Path(__file__).parents[2] / "results"
+    cards = [tomllib.loads(path.read_text()) for path in results.glob("*/card.toml")]
+    assert len(cards) == len(entry_files(results)) > 20
+    assert all("privileges" in card for card in cards)
