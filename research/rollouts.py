@@ -58,7 +58,7 @@ class Rollouts:
         self.world = World(scene)
         self.model = mujoco.MjModel.from_xml_string(world_mjcf(scene, settings=settings))
         self.data = mujoco.MjData(self.model)
-        self._controls = controls(settings)
+        self._controls = controls(settings=settings)
 
     def roll(self, actions: Iterable[int]) -> tuple[Array, Array]:
         """`go` from the start of the scene."""

@@ -8,7 +8,16 @@ from typing import Final
 import mujoco
 
 from magical_mj.assets import style
-from magical_mj.assets.contacts import SETTINGS, PhysicsSettings, floor_pair, foot, foot_friction, softness, vertex
+from magical_mj.assets.contacts import (
+    DEBRIS_MASS,
+    SETTINGS,
+    PhysicsSettings,
+    floor_pair,
+    foot,
+    foot_friction,
+    softness,
+    vertex,
+)
 from magical_mj.assets.meshes import Points, inset
 from magical_mj.assets.mjcf import comment, move_body, numbers, planar_body, planar_joint
 from magical_mj.assets.style import BLOCK_FILL, BLOCK_OUTLINE
@@ -23,31 +32,37 @@ INERTIA: Final[dict[Shape, float]] = {
     "pentagon": 0.0036611027179584824,
     "star": 0.004682686464592393,
 }
-"""Moments of inertia about the centre, as in the original's engine."""
+"""Moments of inertia about the centre, as in the original's engine, of blocks of mass 0.5."""
 SIDES: Final = 3
 """The index of the sides among a block's geoms, after outline, fill and foot."""
 
 
 def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSettings) -> str:
     """The body `block<index>`."""
-    name, inertia = f"block{index}", INERTIA[block.shape]
+    name, inertia = f"block{index}", block_inertia(block.shape, block.mass)
     content = (
-        f'<inertial pos="0 0 0" mass="{c.BLOCK_MASS}" diaginertia="{numbers(inertia, inertia, inertia)}"/>'
+        f'<inertial pos="0 0 0" mass="{block.mass}" diaginertia="{numbers(inertia, inertia, inertia)}"/>'
         + style.visual_geom(f"{name}_outline", f"{block.shape}_outline", BLOCK_OUTLINE[block.colour])
         + style.visual_geom(f"{name}_fill", f"{block.shape}_fill", BLOCK_FILL[block.colour])
         + comment("a foot with constant pressure: dry friction with the ground")
         + foot(f"{name}_foot")
         + style.block_sides(f"{name}_sides", block.shape, block.colour)
-        + f"<body>{collision_geoms(block.shape, settings)}</body>"  # a separate body: collision tests skip visual geoms
+        # a separate body: collision tests skip visual geoms
+        + f"<body>{collision_geoms(block.shape, block.mass, settings)}</body>"
     )
     spin = softness("friction", 1, settings.dry_impedance)
     hinge = f'frictionloss="{numbers(dynamics.block_friction_torque)}" {spin}'
     return comment(f"Block {index}: {block.colour}, {block.shape}") + planar_body(name, block.pose, content, hinge)
 
 
-def block_pair(index: int, dynamics: Dynamics, settings: PhysicsSettings) -> str:
+def block_inertia(shape: Shape, mass: float) -> float:
+    """The moment of inertia of a block about its centre."""
+    return INERTIA[shape] * (mass / c.BLOCK_MASS)
+
+
+def block_pair(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSettings) -> str:
     """The contact of the block's foot with the floor."""
-    return floor_pair(f"block{index}_foot", dynamics.block_friction_force, c.BLOCK_MASS, settings)
+    return floor_pair(f"block{index}_foot", dynamics.block_friction_force, block.mass, settings)
 
 
 def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dynamics, scope: str = "") -> None:
@@ -66,21 +81,27 @@ def rewrite_block(model: mujoco.MjModel, index: int, block: Block, dynamics: Dyn
 
 
 @lru_cache(32)
-def collision_geoms(shape: Shape, settings: PhysicsSettings = SETTINGS) -> str:
+def collision_geoms(shape: Shape, mass: float = c.BLOCK_MASS, settings: PhysicsSettings = SETTINGS) -> str:
     """The collision geoms of a block, as MJCF: a disc, or edges and convex vertices."""
+    overlap = settings.debris_overlap if mass < DEBRIS_MASS else settings.block_overlap
     if shape == "circle":
-        return f'<geom class="disc" size="{numbers(c.BLOCK_SIZE - settings.block_overlap)}"/>'
+        return f'<geom class="disc" size="{numbers(c.BLOCK_SIZE - overlap)}"/>'
     if shape == "square":
-        core = c.SQUARE_SIDE / 2 - settings.block_overlap
+        core = c.SQUARE_SIDE / 2 - overlap
         half = core + c.SQUARE_MARGIN
         box = f'<geom class="edge" type="box" size="{numbers(half, half, 0.1)}"/>'
         return box + "".join(vertex(x, y, c.SQUARE_MARGIN) for x, y in square(core))
-    outline = inset(block_outline(shape), settings.block_overlap)
+    outline = inset(block_outline(shape), overlap)
     if shape == "star":
         radius = settings.star_tip_radius
-        tips = regular_polygon(5, c.STAR_OUTER_RADIUS - settings.star_tip_depth - radius)
+        tips = regular_polygon(5, c.STAR_OUTER_RADIUS - settings.star_tip_depth - overlap - radius)
         edges = _edges(outline, settings.star_edge_radius)
         return edges + "".join(vertex(x, y, radius, "disc") for x, y in tips)  # blunt tips also meet other corners
+    return polygon_geoms(outline, settings)
+
+
+def polygon_geoms(outline: Points, settings: PhysicsSettings) -> str:
+    """The collision geoms of a convex polygon: its edges and its corners."""
     radius = settings.vertex_radius
     corners = inset(outline, radius)
     return _edges(outline, settings.edge_radius) + "".join(vertex(x, y, radius) for x, y in corners)

@@ -25,6 +25,9 @@ SUBSTEPS: Final = 10
 TIMESTEP: Final = 1 / c.CONTROL_RATE / SUBSTEPS
 """Seconds per physics step."""
 
+DEBRIS_MASS: Final = 0.05
+"""Blocks below this mass overlap with what they touch; those of x-magical have 0.01."""
+
 # Collision bits: two geoms collide if the contype of one shares a bit with the conaffinity of the other.
 TOUCHES: Final = 1  # vertices and discs
 FINGER_TOUCHES: Final = 2  # vertices of the fingers
@@ -73,6 +76,8 @@ class PhysicsSettings:
     block_overlap: float = 0.0
     body_overlap: float = 0.00241
     """The same for blocks, and for the robot's body."""
+    debris_overlap: float = 0.0095
+    """The same for blocks lighter than `DEBRIS_MASS`, which the original pushes into things as far as it tolerates."""
     dry_impedance: float = 0.99
     """For dry friction of the robot's turning and of the blocks' rotation."""
     motor_impedance: float = 0.928

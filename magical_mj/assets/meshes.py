@@ -4,7 +4,8 @@ The cameras ego and allo look straight down and see flat polygons: an outline, a
 colour. The solids below them, which only other cameras see, are mostly boxes and cylinders; only pentagons and stars
 need meshes for their sides.
 
-Every model lists the same meshes in the same order, used or not, so that one drawing context can draw all models.
+Every model with the same body and arena lists the same meshes in the same order, used or not, so that one drawing
+context can draw them all.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from magical_mj.assets import style
 from magical_mj.assets.mjcf import single
 from magical_mj.scene import constants as c
+from magical_mj.scene.bodies import GRIPPER, Body, body_named
 from magical_mj.scene.constants import SHAPES, Shape
 from magical_mj.scene.geometry import block_outline, finger_outlines, mirrored, regular_polygon, square
 
@@ -30,7 +32,7 @@ Faces = NDArray[np.int64]
 Mesh = tuple[Vertices, Faces]
 
 CIRCLE_SIDES, ROBOT_SIDES, EYE_SIDES, PUPIL_SIDES = 32, 40, 16, 10
-SURROUND_HALF = 3.2  # world units: larger than what the ego camera sees from any corner
+SURROUND_HALF = 3.2  # in half widths of the arena: larger than what the ego camera sees from any corner
 
 
 def disc(sides: int, radius: float) -> Points:
@@ -137,32 +139,43 @@ def _pair(outline: Points, x: float, y: float, z: float) -> Mesh:
 
 
 @cache
-def meshes() -> dict[str, Mesh]:
-    """The shared meshes of every model, by name."""
-    half, line, lift = c.ARENA_HALF_WIDTH, style.ARENA_BORDER_WIDTH / 2, style.LIFT
+def meshes(body: str = GRIPPER, half: float = c.ARENA_HALF_WIDTH) -> dict[str, Mesh]:
+    """The shared meshes of every model with this body, in an arena of this half width, by name."""
+    line, lift, shape = style.ARENA_BORDER_WIDTH / 2, style.LIFT, body_named(body)
     wall, block, finger, robot = style.WALL_HEIGHT, style.BLOCK_HEIGHT, style.FINGER_HEIGHT, style.ROBOT_HEIGHT
+    aside, ahead = shape.eye
+    pupil = aside + c.PUPIL_CENTRE[0] - c.EYE_CENTRE[0], ahead + c.PUPIL_CENTRE[1] - c.EYE_CENTRE[1]
+    outline, fill = (_body_outline(shape, depth) for depth in (0.0, style.ROBOT_OUTLINE_WIDTH))
     shared = {
-        "surround": frame(half, SURROUND_HALF, 0),  # begins under the border line
+        "surround": frame(half, SURROUND_HALF * half, 0),  # begins under the border line
         "border": frame(half - line, half + line, wall + lift),
-        "robot_outline": convex(disc(ROBOT_SIDES, c.ROBOT_RADIUS), robot),
-        "robot_fill": convex(disc(ROBOT_SIDES, c.ROBOT_RADIUS - style.ROBOT_OUTLINE_WIDTH), robot + lift),
-        "eyes": _pair(disc(EYE_SIDES, c.EYE_RADIUS), *c.EYE_CENTRE, robot + 2 * lift),
-        "pupils": _pair(disc(PUPIL_SIDES, c.PUPIL_RADIUS), *c.PUPIL_CENTRE, robot + 3 * lift),
+        "robot_outline": convex(outline, robot),
+        "robot_fill": convex(fill, robot + lift),
+        "eyes": _pair(disc(EYE_SIDES, c.EYE_RADIUS), *shape.eye, robot + 2 * lift),
+        "pupils": _pair(disc(PUPIL_SIDES, c.PUPIL_RADIUS), *pupil, robot + 3 * lift),
     }
     for side, sign in (("left", -1), ("right", 1)):
         shared[f"{side}_finger_outline"] = _finger(sign, 0.0, finger)
         shared[f"{side}_finger_fill"] = _finger(sign, style.ROBOT_OUTLINE_WIDTH, finger + lift)
-    for shape in SHAPES:
-        shared[f"{shape}_outline"] = _block(shape, 0.0, block)
-        shared[f"{shape}_fill"] = _block(shape, style.BLOCK_OUTLINE_WIDTH, block + lift)
-    return shared | {f"{shape}_sides": sides(block_outline(shape), block) for shape in ("pentagon", "star")}
+    for kind in SHAPES:
+        shared[f"{kind}_outline"] = _block(kind, 0.0, block)
+        shared[f"{kind}_fill"] = _block(kind, style.BLOCK_OUTLINE_WIDTH, block + lift)
+    shared |= {f"{kind}_sides": sides(block_outline(kind), block) for kind in ("pentagon", "star")}
+    if shape.outline:
+        shared["robot_sides"] = sides(outline, robot - lift)
+    return shared
+
+
+def _body_outline(body: Body, depth: float) -> Points:
+    """The drawn outline of the robot's body, moved inwards by `depth`."""
+    return inset(body.corners, depth) if body.outline else disc(ROBOT_SIDES, body.radius - depth)
 
 
 @cache
-def library() -> str:
+def library(body: str = GRIPPER, half: float = c.ARENA_HALF_WIDTH) -> str:
     """The shared meshes of every model, as MJCF."""
     return "".join(
         f'<mesh name="{name}" inertia="shell" vertex="{single(vertices.ravel().tolist())}" '
         f'face="{" ".join(map(str, faces.ravel()))}"/>'
-        for name, (vertices, faces) in meshes().items()
+        for name, (vertices, faces) in meshes(body, half).items()
     )

@@ -35,7 +35,7 @@ _ACROSS: Final = np.stack([-_OUTWARD, -_OUTWARD, _OUTWARD, _OUTWARD], axis=1)
 
 @lru_cache(16)
 def dash_quads(region: GoalRegion) -> NDArray[np.float64]:
-    """The dashes along a region's edge, clockwise from its top-left corner.
+    """The dashes along a region's edge, clockwise from its top-left corner; of a solid border one for each side.
 
     Returns:
         Shape (n, 4, 2): the corners of each dash, counter-clockwise; a dash around a corner is two quads.
@@ -47,6 +47,8 @@ def dash_quads(region: GoalRegion) -> NDArray[np.float64]:
     start_of_side = end_of_side - length
     start = 2 * DASH_LENGTH * np.arange(np.ceil(end_of_side[-1] / (2 * DASH_LENGTH)))[:, None]  # of each dash
     end = start + DASH_LENGTH
+    if region.border == "solid":
+        start, end = np.full((1, 1), -1.0), end_of_side[-1:, None]  # before the corner, for a mitre joint there
     first, last = np.maximum(start, start_of_side), np.minimum(end, end_of_side)  # its part on each side
     dash, side = (last > first).nonzero()
     first, last, start_of_side, end_of_side = (

@@ -1,4 +1,4 @@
-"""The robot: a disc that drives and turns, and two hinged fingers.
+"""The robot: a body that drives and turns, and the two hinged fingers of a gripper.
 
 How the parts of the original's 2-D engine are modelled:
 
@@ -17,6 +17,7 @@ Wheels and rotors come in pairs because a load slows the original's servos; see 
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Final, Literal
 
 import mujoco
@@ -24,10 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.assets import style
+from magical_mj.assets.block import polygon_geoms
 from magical_mj.assets.contacts import (
     FOOT_DEPTH,
     FOOT_RADIUS,
     SETTINGS,
+    SUBSTEPS,
     TIMESTEP,
     Floats,
     PhysicsSettings,
@@ -41,6 +44,7 @@ from magical_mj.assets.mjcf import bend_body, comment, move_body, numbers, plana
 from magical_mj.scene import Dynamics, Robot
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS, Gripper
+from magical_mj.scene.bodies import GRIPPER, Body, body_named
 
 Side = Literal["left", "right"]
 SIGN: Final[dict[Side, int]] = {"left": -1, "right": 1}
@@ -52,35 +56,54 @@ ROTORS: Final = ("rotor", "loaded_rotor")
 MOTORS: Final[dict[Side, str]] = {"left": "left_motor", "right": "right_motor"}
 _PLANAR: Final = ("robot_x", "robot_y", "robot_angle")
 JOINTS: Final = (*_PLANAR, "castor", *WHEELS, *ROTORS, *MOTORS.values(), "left_finger", "right_finger")
-"""The robot's joints in the order of the model's coordinates."""
+"""The gripper's joints in the order of the model's coordinates."""
+
+
+def joints(body: str) -> tuple[str, ...]:
+    """The joints of a robot with this body, likewise."""
+    return JOINTS if body_named(body).fingers else JOINTS[: JOINTS.index(MOTORS["left"])]
+
 
 ROTOR_INERTIA: Final = 40.0  # of wheels, rotors and motors: so heavy that friction cannot slow them
 CASTOR_INERTIA: Final = 1e-5  # so light that it has no effect on anything else
 LIGHT: Final = '<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-7 1e-7 1e-7"/>'
 
 
-def robot_mjcf(robot: Robot, settings: PhysicsSettings) -> str:
-    """The body `robot` with its motors, fingers, face and the ego camera."""
+def robot_mjcf(robot: Robot, settings: PhysicsSettings, half: float = c.ARENA_HALF_WIDTH) -> str:
+    """The body `robot` with its motors, fingers, face and the ego camera, in an arena of this half width."""
+    body = body_named(robot.body)
     castor = f'armature="{numbers(CASTOR_INERTIA)}" stiffness="{numbers(CASTOR_INERTIA / TIMESTEP**2)}"'
     wheels = "".join(_spinner(name, "-1 0 0", foot(name)) for name in WHEELS)
     content = f"""
-<inertial pos="0 0 0" mass="{numbers(c.ROBOT_MASS)}" diaginertia="{numbers(*[c.ROBOT_INERTIA] * 3)}"/>
-<geom name="robot" class="disc" size="{numbers(c.ROBOT_RADIUS - settings.body_overlap)}"/>
+<inertial pos="0 0 0" mass="{numbers(body.mass)}" diaginertia="{numbers(*[body.inertia] * 3)}"/>
+{_collision(body, settings)}
 <!-- What the robot sees: it stands near the bottom and heads up -->
-{style.EGO_CAMERA}
+{style.ego_camera(half)}
 <!-- The drive: wheels that press on the ground with a constant force, too heavy to be slowed. -->
 <!-- The second of each pair tends to a lower speed while the gripper closes, as under a load -->
 <!-- A light castor keeps the wheels in the heading of the step before: commands come one step late -->
 <body name="castor"><joint name="castor" type="hinge" axis="0 0 1" {castor}/>{LIGHT}{wheels}</body>
 <!-- Turning: heavy rotors, which spin against the robot; dry friction with them turns it -->
 {"".join(_spinner(name, "0 0 1") for name in ROTORS)}
-<!-- Finger motors: heavy rotors likewise, one for each finger -->
+{_fingers(robot, settings) if body.fingers else ""}
+<!-- Body and eyes; they follow the fingers, which they hide in the flat pictures -->
+<body name="face">{_face(body)}</body>"""
+    return comment("The robot") + planar_body("robot", robot.pose, content)
+
+
+def _collision(body: Body, settings: PhysicsSettings) -> str:
+    """The collision geoms of the body, without fingers."""
+    if body.outline:
+        return polygon_geoms(body.corners, settings)
+    return f'<geom name="robot" class="disc" size="{numbers(body.radius - settings.body_overlap)}"/>'
+
+
+def _fingers(robot: Robot, settings: PhysicsSettings) -> str:
+    """The fingers with their motors."""
+    return f"""<!-- Finger motors: heavy rotors likewise, one for each finger -->
 {"".join(_spinner(name, "0 0 1") for name in MOTORS.values())}
 {_finger("left", robot.fingers[0], settings)}
-{_finger("right", robot.fingers[1], settings)}
-<!-- Body and eyes; they follow the fingers, which they hide in the flat pictures -->
-<body name="face">{_face()}</body>"""
-    return comment("The robot") + planar_body("robot", robot.pose, content)
+{_finger("right", robot.fingers[1], settings)}"""
 
 
 def _spinner(name: str, axis: str, geom: str = "") -> str:
@@ -89,12 +112,15 @@ def _spinner(name: str, axis: str, geom: str = "") -> str:
     return f'<body name="{name}">{joint}{LIGHT}{geom}</body>'
 
 
-def _face() -> str:
+def _face(body: Body) -> str:
     """The visual geoms of body and eyes. They are drawn after the fingers, whose roots the disc covers."""
+    sides = style.cylinder_shape(body.radius, style.ROBOT_HEIGHT)
+    if body.outline:
+        sides = 'type="mesh" mesh="robot_sides"'
     return (
         style.visual_geom("robot_outline", "robot_outline", style.DARK_GREY)
         + style.visual_geom("robot_fill", "robot_fill", style.GREY)
-        + style.solid("robot_sides", style.cylinder_shape(c.ROBOT_RADIUS, style.ROBOT_HEIGHT), style.DARK_GREY)
+        + style.solid("robot_sides", sides, style.DARK_GREY)
         + style.visual_geom("eyes", "eyes", style.WHITE)
         + style.visual_geom("pupils", "pupils", style.BLACK)
     )
@@ -139,9 +165,9 @@ def _finger(side: Side, angle: float, settings: PhysicsSettings) -> str:
     )
 
 
-def robot_pairs(dynamics: Dynamics, settings: PhysicsSettings) -> str:
+def robot_pairs(robot: Robot, dynamics: Dynamics, settings: PhysicsSettings) -> str:
     """The contacts of the wheels with the floor."""
-    mass = c.ROBOT_MASS + 2 * c.FINGER_MASS
+    mass = body_named(robot.body).total_mass
     return comment("Wheels grip the ground up to the drive's cap") + "".join(
         floor_pair(wheel, force, mass, settings) for wheel, force in wheel_caps(dynamics.drive_force, settings).items()
     )
@@ -159,7 +185,7 @@ def torque_caps(turn_torque: Floats, finger_torque: Floats, settings: PhysicsSet
     return rotors | dict.fromkeys(MOTORS.values(), finger_torque)
 
 
-def tendons_mjcf(dynamics: Dynamics, settings: PhysicsSettings) -> str:
+def tendons_mjcf(robot: Robot, dynamics: Dynamics, settings: PhysicsSettings) -> str:
     """Dry friction of the turning servo and of the finger motors, and damping of swaying fingers and of the castor.
 
     The damping of the castor makes it lag behind the robot by one substep.
@@ -171,6 +197,15 @@ def tendons_mjcf(dynamics: Dynamics, settings: PhysicsSettings) -> str:
         f'<joint joint="robot_angle" coef="1"/><joint joint="{rotor}" coef="1"/></fixed>'
         for rotor in ROTORS
     )
+    castor = (
+        f'<fixed name="castor" damping="{numbers(CASTOR_INERTIA / TIMESTEP)}">'
+        '<joint joint="robot_angle" coef="1"/><joint joint="castor" coef="1"/></fixed>'
+    )
+    if not body_named(robot.body).fingers:
+        return (
+            f"{comment('Dry friction up to the torque cap: rotors with the robot')}{turns}"
+            f"{comment('Drag on the castor, which is to lag a step')}{castor}"
+        )
     soft = softness("friction", 1, settings.motor_impedance)
     grips = "".join(
         f'<fixed name="{motor}" frictionloss="{numbers(caps[motor])}" {soft}>'
@@ -182,18 +217,23 @@ def tendons_mjcf(dynamics: Dynamics, settings: PhysicsSettings) -> str:
         f"{turns}{grips}"
         f"{comment('Drags: on fingers that swing to the same side, and on the castor, which is to lag a step')}"
         f'<fixed name="sway" damping="{numbers(settings.sway_damping)}">'
-        '<joint joint="left_finger" coef="1"/><joint joint="right_finger" coef="1"/></fixed>'
-        f'<fixed name="castor" damping="{numbers(CASTOR_INERTIA / TIMESTEP)}">'
-        '<joint joint="robot_angle" coef="1"/><joint joint="castor" coef="1"/></fixed>'
+        f'<joint joint="left_finger" coef="1"/><joint joint="right_finger" coef="1"/></fixed>{castor}'
     )
 
 
-def actuators_mjcf() -> str:
-    """Six speeds, reached in one substep: two wheels (units/s), two rotors and two finger motors (rad/s)."""
+def actuators_mjcf(body: str = GRIPPER) -> str:
+    """Speeds that are reached in one substep: two wheels (units/s), two rotors and two finger motors (rad/s).
+
+    A body without fingers has the first four.
+    """
     gain = ROTOR_INERTIA / TIMESTEP
     rolling = FOOT_RADIUS - FOOT_DEPTH / 2  # MuJoCo places a contact midway between the wheel's rim and the floor
-    scales = {WHEELS: 1 / rolling, ROTORS: -1.0, tuple(MOTORS.values()): 1.0}
-    return comment("Speeds of wheels (units/s), rotors and finger motors (rad/s), one step late") + "".join(
+    scales: dict[tuple[str, ...], float] = {WHEELS: 1 / rolling, ROTORS: -1.0}
+    what = "Speeds of wheels (units/s) and rotors (rad/s), one step late"
+    if body_named(body).fingers:
+        scales[tuple(MOTORS.values())] = 1.0
+        what = "Speeds of wheels (units/s), rotors and finger motors (rad/s), one step late"
+    return comment(what) + "".join(
         f'<general name="{joint}" joint="{joint}" dyntype="filterexact" dynprm="1e-9" '
         f'gainprm="{numbers(gain * scale)}" biastype="affine" biasprm="0 0 {numbers(-gain)}"/>'
         for joints, scale in scales.items()
@@ -207,33 +247,77 @@ def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics, scope
     `scope` is that of `planar_joint`.
     """
     move_body(model, "robot", robot.pose, scope)
-    for side, angle in zip(MOTORS, robot.fingers, strict=True):
-        bend_body(model, f"{scope}{side}_finger", angle)
+    fingers = body_named(robot.body).fingers
+    if fingers:
+        for side, angle in zip(MOTORS, robot.fingers, strict=True):
+            bend_body(model, f"{scope}{side}_finger", angle)
     for wheel, force in wheel_caps(dynamics.drive_force).items():
         model.pair_friction[model.pair(wheel).id, :2] = foot_friction(force)
     for motor, torque in torque_caps(dynamics.turn_torque, dynamics.finger_torque).items():
+        if not fingers and motor in MOTORS.values():
+            continue
         model.tendon_frictionloss[model.tendon(f"{scope}{motor}").id] = torque
 
 
-def controls(settings: PhysicsSettings = SETTINGS) -> NDArray[np.float64]:
-    """The values of `ctrl` for each action: speeds of wheels, rotors and finger motors. Shape (18, 6)."""
+def controls(body: str = GRIPPER, settings: PhysicsSettings = SETTINGS) -> NDArray[np.float64]:
+    """The values of `ctrl` for each of the 18 actions: speeds of wheels, rotors and finger motors. Shape (18, 6).
+
+    A body without fingers has none of the last two, shape (18, 4), and ignores the actions' part for the gripper.
+    """
     rows = []
+    fingers = body_named(body).fingers
     for action in ACTIONS:
         speed = (0.0, c.SPEED_FORWARD, -c.SPEED_BACKWARD)[action.drive]
         turn = (0.0, c.SPEED_TURN, -c.SPEED_TURN)[action.turn]
         loaded_speed, loaded_turn, grip = speed, turn, c.SPEED_FINGER
-        if action.gripper is Gripper.CLOSE:
+        if action.gripper is Gripper.CLOSE and fingers:
             loaded_speed = (0.0, settings.loaded_forward, -settings.loaded_backward)[action.drive]
             loaded_turn = (0.0, settings.loaded_turn, -settings.loaded_turn)[action.turn]
             grip = -c.SPEED_FINGER
-        rows.append((speed, loaded_speed, turn, loaded_turn, grip, -grip))
+        rows.append((speed, loaded_speed, turn, loaded_turn, *((grip, -grip) if fingers else ())))
     return np.array(rows)
 
 
-_CONTROLS = controls()
-_CONTROLS.setflags(write=False)
+@cache
+def _controls(body: str) -> NDArray[np.float64]:
+    signals = controls(body)
+    signals.setflags(write=False)
+    return signals
 
 
-def control_signal(action: int) -> NDArray[np.float64]:
-    """The values of MuJoCo's `ctrl` for an action (0..17). Shape (6,)."""
-    return _CONTROLS[action]
+def control_signal(action: int, body: str = GRIPPER) -> NDArray[np.float64]:
+    """The values of MuJoCo's `ctrl` for an action (0..17). Shape (6,), without fingers (4,)."""
+    return _controls(body)[action]
+
+
+TURN_GAIN: Final = 0.5 / TIMESTEP
+"""Turning speed (rad/s) for each radian that x-magical's servo of the heading is ahead of the robot."""
+FINGER_GAIN: Final = 10.0
+"""The speed of its finger motors (rad/s) for each radian that they are from their target."""
+
+
+def speed_signal(
+    action: NDArray[np.float64], fingers: NDArray[np.float64] | None, before: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The values of `ctrl` for one of x-magical's actions: speed (units/s), turn (rad) and, with fingers, grip (rad).
+
+    The speed is the same forwards and backwards. Its finger motors slow down near their target, in every substep. Ours
+    get one speed for the whole action, with which a free finger is at its end where theirs would be.
+
+    Args:
+        action: the vector, shape (2,), with fingers (3,).
+        fingers: the angles of the left and the right finger, shape (2,); None without fingers.
+        before: the present values, which still act for one substep.
+    """
+    speed = float(np.clip(action[0], -c.SPEED_FORWARD, c.SPEED_FORWARD))
+    turn = float(np.clip(TURN_GAIN * action[1], -c.SPEED_TURN, c.SPEED_TURN))
+    signal = [speed, speed, turn, turn]
+    if fingers is not None:
+        opening = float(np.clip(c.FINGER_OPEN - action[2], 0.0, c.FINGER_OPEN))
+        for sign, angle, rate in zip((1, -1), fingers.tolist(), before[4:6].tolist(), strict=True):
+            end, last = angle, rate
+            for _ in range(SUBSTEPS):
+                next_rate = min(max(FINGER_GAIN * (sign * opening - end), -c.SPEED_FINGER), c.SPEED_FINGER)
+                end, last = end + TIMESTEP * last, next_rate
+            signal.append(((end - angle) / TIMESTEP - rate) / (SUBSTEPS - 1))
+    return np.array(signal)

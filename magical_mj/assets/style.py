@@ -56,12 +56,22 @@ TASK_GROUP: Final = 4  # seen by the cameras ego and allo only
 
 
 CAMERA_HEIGHT: Final = 2.0
-_CAMERA: Final = f'projection="orthographic" fovy="{c.VISIBLE_SIZE}"'
-ALLO_CAMERA: Final = f'<camera name="allo" {_CAMERA} pos="{numbers(0, 0, CAMERA_HEIGHT)}"/>'
-EGO_CAMERA: Final = (
-    f'<camera name="ego" {_CAMERA} pos="{numbers(0, c.VISIBLE_SIZE * (0.5 - c.EGO_ANCHOR), CAMERA_HEIGHT)}"/>'
-)
-"""Attached to the robot, which appears in the middle near the bottom of the picture and heads up."""
+
+
+def allo_camera(half: float = c.ARENA_HALF_WIDTH) -> str:
+    """The camera that sees the whole arena, whose walls are at `half`."""
+    return f'<camera name="allo" {_camera(half)} pos="{numbers(0, 0, CAMERA_HEIGHT)}"/>'
+
+
+def ego_camera(half: float = c.ARENA_HALF_WIDTH) -> str:
+    """The camera of the robot, which appears in the middle near the bottom of the picture and heads up."""
+    ahead = c.VISIBLE_SIZE * half * (0.5 - c.EGO_ANCHOR)
+    return f'<camera name="ego" {_camera(half)} pos="{numbers(0, ahead, CAMERA_HEIGHT)}"/>'
+
+
+def _camera(half: float) -> str:
+    return f'projection="orthographic" fovy="{numbers(c.VISIBLE_SIZE * half)}"'
+
 
 _SKY: Final = ".91 .91 .92"
 LOOK: Final = f"""
@@ -139,8 +149,8 @@ def block_sides(name: str, shape: Shape, colour: Colour) -> str:
     return solid(name, sides, BLOCK_OUTLINE[colour])
 
 
-def wall_sides(name: str, x: int, y: int) -> str:
+def wall_sides(name: str, x: int, y: int, arena: float = c.ARENA_HALF_WIDTH) -> str:
     """The wall on the side of the arena to which (x, y), a unit vector, points; at corners two walls overlap."""
-    middle, along = c.ARENA_HALF_WIDTH + WALL_THICKNESS / 2, c.ARENA_HALF_WIDTH + WALL_THICKNESS * abs(y)
+    middle, along = arena + WALL_THICKNESS / 2, arena + WALL_THICKNESS * abs(y)
     half = (WALL_THICKNESS / 2, along) if x else (along, WALL_THICKNESS / 2)
     return solid(name, box_shape(middle * x, middle * y, *half, WALL_HEIGHT), ARENA_BORDER)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.assets import style
-from magical_mj.assets.block import INERTIA, SIDES, block_mjcf, block_pair, collision_geoms, rewrite_block
+from magical_mj.assets.block import SIDES, block_inertia, block_mjcf, block_pair, collision_geoms, rewrite_block
 from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, TIMESTEP, PhysicsSettings, geom_classes
 from magical_mj.assets.meshes import library
 from magical_mj.assets.mjcf import numbers
@@ -26,6 +26,7 @@ from magical_mj.assets.region import BONE, blank_regions_mjcf, dash_count, regio
 from magical_mj.assets.robot import JOINTS, actuators_mjcf, rewrite_robot, robot_mjcf, robot_pairs, tendons_mjcf
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene import constants as c
+from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.scene.constants import Shape
 
 MEMORY: Final = '<size memory="33M"/>'
@@ -47,16 +48,18 @@ def world_mjcf(scene: Scene, settings: PhysicsSettings = SETTINGS, regions: str 
         settings: parameters of the simulation.
         regions: the skins of the regions, as MJCF; None: those of the scene.
     """
-    dynamics = scene.dynamics
+    dynamics, robot, half = scene.dynamics, scene.robot, scene.half_width
     blocks = "".join(block_mjcf(index, block, dynamics, settings) for index, block in enumerate(scene.blocks))
-    feet = "".join(block_pair(index, dynamics, settings) for index in range(len(scene.blocks)))
+    feet = "".join(block_pair(index, block, dynamics, settings) for index, block in enumerate(scene.blocks))
     return model_mjcf(
-        bodies=blocks + robot_mjcf(scene.robot, settings),
+        bodies=blocks + robot_mjcf(robot, settings, half),
         regions=regions_mjcf(scene.regions) if regions is None else regions,
-        contacts=feet + robot_pairs(dynamics, settings) + APART,
-        tendons=tendons_mjcf(dynamics, settings),
-        actuators=actuators_mjcf(),
+        contacts=feet + robot_pairs(robot, dynamics, settings) + (APART if body_named(robot.body).fingers else ""),
+        tendons=tendons_mjcf(robot, dynamics, settings),
+        actuators=actuators_mjcf(robot.body),
         settings=settings,
+        body=robot.body,
+        half=half,
     )
 
 
@@ -68,8 +71,12 @@ def model_mjcf(
     tendons: str = "",
     actuators: str = "",
     settings: PhysicsSettings = SETTINGS,
+    body: str = GRIPPER,
+    half: float = c.ARENA_HALF_WIDTH,
 ) -> str:
     """A model as MJCF text: the arena, with the content of these sections; without any, the empty arena.
+
+    The meshes are those for a robot with this body, and the walls are `half` from the middle.
 
     Elliptic cones make friction equal in all directions. Explicit Euler with a fixed step is the original's
     integrator; implicit damping would soften servos whose gain is chosen for this step. With so few geoms, testing all
@@ -90,9 +97,9 @@ def model_mjcf(
   <!-- What geoms are: two meet if a bit of the contype of one is in the conaffinity of the other -->
   <default>{geom_classes(settings)}</default>
   <!-- Flat polygons, in which things are drawn, and the sides of pentagons and stars -->
-  <asset>{style.SKY}{library()}</asset>
+  <asset>{style.SKY}{library(body, half)}</asset>
   <!-- The world -->
-  <worldbody>{_arena()}{bodies}</worldbody>
+  <worldbody>{_arena(half)}{bodies}</worldbody>
   <deformable>{regions}</deformable>
   <!-- Friction with the ground: force cap / pressure -->
   <contact>{contacts}</contact>
@@ -102,10 +109,9 @@ def model_mjcf(
 </mujoco>"""
 
 
-def _arena() -> str:
+def _arena(half: float) -> str:
     """The static part of the world: floor, walls, their look, lamps, the allo camera, and the regions' body."""
-    half = c.ARENA_HALF_WIDTH
-    sides = "".join(style.wall_sides(f"{wall}_wall_sides", x, y) for wall, (x, y) in WALLS.items())
+    sides = "".join(style.wall_sides(f"{wall}_wall_sides", x, y, half) for wall, (x, y) in WALLS.items())
     walls = ""
     for wall, (x, y) in WALLS.items():
         pos, size = numbers((half + 1) * x, (half + 1) * y, 0), f"{1 + 2 * abs(y)} {1 + 2 * abs(x)} 1"
@@ -124,7 +130,7 @@ def _arena() -> str:
 <!-- Four lamps, for soft shadows -->
 {style.lamps_mjcf()}
 <!-- The whole workspace from above; the robot has the other camera of the task -->
-{style.ALLO_CAMERA}
+{style.allo_camera(half)}
 <!-- Goal regions: drawn, never solid -->
 <body name="{BONE}"/>"""
 
@@ -136,6 +142,12 @@ class Structure(NamedTuple):
     """The shape of each block."""
     dashes: tuple[int, ...]
     """The number of quads for the border of each region."""
+    masses: tuple[float, ...]
+    """The mass of each block."""
+    body: str = GRIPPER
+    """The robot's body."""
+    half_width: float = c.ARENA_HALF_WIDTH
+    """Of the arena."""
 
 
 _COMPILER: Final = threading.Lock()
@@ -146,16 +158,16 @@ _GEOM: Final = ("name", "type", "size", "pos", "fromto", "meshname")
 
 def world_spec(structure: Structure) -> mujoco.MjSpec:
     """A spec of the worlds with this structure; `World.rewrite` writes the numbers into the compiled model."""
-    spec = _unshaped(len(structure.shapes), structure.dashes).copy()
+    spec = _unshaped(structure.masses, structure.dashes, structure.body, structure.half_width).copy()
     find_class = cache(spec.find_default)
-    for index, shape in enumerate(structure.shapes):
+    for index, (shape, mass) in enumerate(zip(structure.shapes, structure.masses, strict=True)):
         block = spec.body(f"block{index}")
-        block.inertia = [INERTIA[shape]] * 3
+        block.inertia = [block_inertia(shape, mass)] * 3
         outline = block.first_geom()
         outline.meshname, block.next_geom(outline).meshname = f"{shape}_outline", f"{shape}_fill"
         for body, geoms in (
             (block, style.block_sides(f"block{index}_sides", shape, "red")),
-            (block.first_body(), collision_geoms(shape)),
+            (block.first_body(), collision_geoms(shape, mass)),
         ):
             for kind, attributes in _parsed(geoms):
                 geom = body.add_geom(find_class(kind))
@@ -172,11 +184,12 @@ def world_model(structure: Structure) -> mujoco.MjModel:
 
 
 @lru_cache(16)
-def _unshaped(blocks: int, dashes: tuple[int, ...]) -> mujoco.MjSpec:
-    """A spec with this many blocks, without sides and collision geoms, and with regions of these numbers of dashes."""
-    apart = tuple(Block("circle", "red", index, 0, 0) for index in range(blocks))
-    spec = mujoco.MjSpec.from_string(world_mjcf(Scene(Robot(0, 0, 0), apart), regions=blank_regions_mjcf(dashes)))
-    for index in range(blocks):
+def _unshaped(masses: tuple[float, ...], dashes: tuple[int, ...], body: str, half_width: float) -> mujoco.MjSpec:
+    """A spec with blocks of these masses without sides and collision geoms, and regions of these numbers of dashes."""
+    apart = tuple(Block("circle", "red", index, 0, 0, mass) for index, mass in enumerate(masses))
+    scene = Scene(Robot(0, 0, 0, body=body), apart, half_width=half_width)
+    spec = mujoco.MjSpec.from_string(world_mjcf(scene, regions=blank_regions_mjcf(dashes)))
+    for index in range(len(masses)):
         block = spec.body(f"block{index}")
         for geom in (block.geoms[SIDES], *block.first_body().geoms):  # sides and collision geoms
             spec.delete(geom)
@@ -211,12 +224,20 @@ class World:
 
     Attributes:
         structure: worlds with the same structure share a compiled model, apart from its numbers.
+        has_fingers: whether the robot has any.
     """
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.structure = Structure(tuple(block.shape for block in scene.blocks), tuple(map(dash_count, scene.regions)))
+        self.structure = Structure(
+            tuple(block.shape for block in scene.blocks),
+            tuple(map(dash_count, scene.regions)),
+            tuple(block.mass for block in scene.blocks),
+            scene.robot.body,
+            scene.half_width,
+        )
         self._planar = planar(len(scene.blocks))
+        self.has_fingers = body_named(scene.robot.body).fingers
         self._fingers = 3 * len(scene.blocks) + JOINTS.index("left_finger")
 
     def rewrite(self, model: mujoco.MjModel, data: mujoco.MjData, *, nested: bool = False) -> None:
@@ -247,12 +268,16 @@ class World:
         return values[self._planar]
 
     def fingers(self, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The angles of the left and the right finger. Shape (2,)."""
+        """The angles of the left and the right finger; those of the scene, of a body without. Shape (2,)."""
+        if not self.has_fingers:
+            return np.array(self.scene.robot.fingers)
         return qpos[self._fingers : self._fingers + 2]
 
     def read(self, qpos: NDArray[np.float64]) -> Scene:
         """The scene as it is now."""
         robot, *blocks = self.poses(qpos).tolist()
         now = self.scene.moved(robot, blocks)
+        if not self.has_fingers:
+            return now
         fingers = tuple(self.fingers(qpos).tolist())
         return dataclasses.replace(now, robot=dataclasses.replace(now.robot, fingers=fingers))

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from magical_mj.assets.region import DASHES, dash_quads
 from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
+from magical_mj.scene import constants as c
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.scene.state_vector import MAX_BLOCKS, MAX_REGIONS
 from magical_mj.tasks.registry import Pair, sample_scene, task_spec
@@ -51,6 +53,19 @@ class Capacity(NamedTuple):
         return cls.of([sample_scene(task, "Demo", 0) for task in dict.fromkeys(task for task, _ in pairs)])
 
 
+def _check_simulated(scene: Scene) -> None:
+    """Raises `InvalidSceneError` unless the scene has the benchmark's robot, blocks, borders and arena."""
+    plain = {
+        f"the body {scene.robot.body!r}": scene.robot.body == GRIPPER,
+        "blocks of other masses": all(block.mass == c.BLOCK_MASS for block in scene.blocks),
+        "solid borders": all(region.border == "dashed" for region in scene.regions),
+        f"an arena of half width {scene.half_width:g}": scene.half_width == c.ARENA_HALF_WIDTH,
+    }
+    other = [what for what, is_plain in plain.items() if not is_plain]
+    if other:
+        raise InvalidSceneError(f"batched worlds have no {' and no '.join(other)}; use gymnasium.make or make_vec")
+
+
 @dataclass(frozen=True)
 class WorldScenes:
     """The scenes of a batch as arrays, each with as many slots; unused ones are `ABSENT` and hold zeros.
@@ -80,9 +95,11 @@ class WorldScenes:
         """These scenes.
 
         Raises:
-            InvalidSceneError: if one has more blocks or regions than that.
+            InvalidSceneError: if one has more blocks or regions than that, or what batched worlds do not have.
         """
         worlds = len(scenes)
+        for scene in scenes:
+            _check_simulated(scene)
         arrays = cls(
             poses=np.zeros((worlds, 1 + blocks, 3)),
             shapes=np.full((worlds, blocks), ABSENT, np.int32),

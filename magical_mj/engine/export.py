@@ -24,6 +24,7 @@ from magical_mj.assets.robot import controls
 from magical_mj.assets.world import world_mjcf
 from magical_mj.engine.engine import Engine
 from magical_mj.scene import Scene
+from magical_mj.scene.bodies import body_named
 from magical_mj.scene.geometry import check_scene
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.utils import files
@@ -163,7 +164,7 @@ def _custom(scene: Scene, about: Mapping[str, Any]) -> Element:
         else:
             SubElement(custom, "text", {"name": name, "data": str(value)})
     SubElement(custom, "text", {"name": "scene", "data": "\n" + THINGS.sub("\n", scene.to_json())})
-    rows = (numbers(*row) for row in controls())
+    rows = (numbers(*row) for row in controls(scene.robot.body))
     SubElement(custom, "numeric", {"name": "controls", "data": "\n" + "\n".join(rows)})
     return custom
 
@@ -172,7 +173,8 @@ def _sensors(scene: Scene) -> Element:
     """The `<sensor>` element: value and velocity of each coordinate of the robot, its fingers and the blocks."""
     bodies = ["robot", *(f"block{index}" for index in range(len(scene.blocks)))]
     joints = [f"{body}_{axis}" for body in bodies for axis in ("x", "y", "angle")]
-    joints[3:3] = ["left_finger", "right_finger"]
+    if body_named(scene.robot.body).fingers:
+        joints[3:3] = ["left_finger", "right_finger"]
     sensor = Element("sensor")
     for kind, suffix in (("jointpos", ""), ("jointvel", "_velocity")):
         for joint in joints:

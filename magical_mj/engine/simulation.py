@@ -187,7 +187,9 @@ class Simulation:
             InvalidActionError: if the action is not one of the 18.
         """
         number = action_number(action)
-        self.data.ctrl[:] = control_signal(number if self.shifts is None else self.shifts.action(number))
+        if self.shifts is not None:
+            number = self.shifts.action(number)
+        self.data.ctrl[:] = control_signal(number, self.world.scene.robot.body)
 
     def advance(self, steps: int) -> None:
         """Takes some steps of MuJoCo.

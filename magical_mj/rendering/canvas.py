@@ -36,7 +36,7 @@ DRAWN_GROUPS: Final = (0, DRAWN_GROUP, TASK_GROUP)
 KEPT_SIZES: Final = 4  # pixel buffers
 KEPT_SCENES: Final = 4  # of each drawing context
 GEOMS: Final = 32  # the capacity of scenes is a multiple of this, so that few scenes are enough for all models
-KEPT_CONTEXTS: Final = 4  # the shared one, and those of models that users changed
+KEPT_CONTEXTS: Final = 8  # the shared one, those of other bodies and arenas, and of models that users changed
 _LIBRARY: Final = Scene(Robot(0, 0, 0), regions=(GoalRegion("red", -0.4, -0.4, 0.4, 0.4),) * 3)
 """A scene whose model has all assets that models of the benchmark can have."""
 NO_OPENGL: Final = f"No picture can be drawn, since OpenGL did not start: {{error}}. {REMEDY}"

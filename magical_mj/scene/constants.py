@@ -13,8 +13,10 @@ from typing import Final, Literal, get_args
 
 Shape = Literal["square", "pentagon", "star", "circle"]
 Colour = Literal["red", "green", "blue", "yellow"]
+Border = Literal["dashed", "solid"]
 SHAPES: Final[tuple[Shape, ...]] = get_args(Shape)
 COLOURS: Final[tuple[Colour, ...]] = get_args(Colour)
+BORDERS: Final[tuple[Border, ...]] = get_args(Border)
 
 # Workspace
 ARENA_HALF_WIDTH: Final = 1.0  # inner faces of the walls are at x, y = +-1
@@ -67,5 +69,5 @@ REGION_SIZE: Final = (0.5, 0.8)  # height and width
 FIX_COLOUR_REGION_SIZE: Final = (0.4, 0.5)
 
 # Camera
-VISIBLE_SIZE: Final = 2.04  # side of the square that both views show
+VISIBLE_SIZE: Final = 2.04  # side of the square that both views show, in half widths of the arena
 EGO_ANCHOR: Final = 0.15  # the robot's centre in the ego view, as a fraction of the height from the bottom

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from magical_mj.scene import GoalRegion, Pose, Robot, Scene
 from magical_mj.scene import constants as c
+from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.scene.constants import Shape
 from magical_mj.utils.errors import InvalidSceneError
 
@@ -27,6 +28,9 @@ Outline = NDArray[np.float64]
 
 OVERLAP_TOLERANCE: Final = 0.04
 """How deep (world units) solid parts may overlap in a scene that a user gives: contacts are a little soft."""
+
+OVERHANG: Final = 0.11
+"""How far (world units) goal regions with a solid border may reach beyond the walls: x-magical's zone does."""
 
 MAX_ANGLE: Final = 500.0
 """The largest angle (rad) that a scene may hold: with what an episode adds, it stays within the bounds of states."""
@@ -118,8 +122,14 @@ def block_solid(shape: Shape, pose: Pose) -> Solid:
 
 
 @lru_cache(maxsize=64)  # placement calls this many times with the same few arguments
-def _robot_segments(fingers: tuple[float, float]) -> tuple[Outline, float]:
-    """The four segments of both fingers in the robot's frame, shape (4, 4, 2), and how far the robot reaches."""
+def _robot_segments(fingers: tuple[float, float], body: str) -> tuple[Outline, float]:
+    """The robot's polygons in its frame, shape (m, n, 2), and how far it reaches.
+
+    They are the four segments of both fingers, the outline of a body without fingers, or nothing, of a disc.
+    """
+    shape = body_named(body)
+    if not shape.fingers:
+        return shape.corners.reshape(min(1, len(shape.outline)), len(shape.outline) or 1, 2), shape.reach
     root_x, root_y = c.FINGER_ROOT
     left, right = fingers
     segments = np.stack(
@@ -129,14 +139,18 @@ def _robot_segments(fingers: tuple[float, float]) -> tuple[Outline, float]:
     return segments, max(c.ROBOT_RADIUS, float(np.hypot(segments[..., 0], segments[..., 1]).max()))
 
 
-def robot_solid(pose: Pose, fingers: tuple[float, float] = (c.FINGER_OPEN, -c.FINGER_OPEN)) -> Solid:
-    """The robot at `pose`: the disc and the segments of both fingers."""
+def robot_solid(
+    pose: Pose, fingers: tuple[float, float] = (c.FINGER_OPEN, -c.FINGER_OPEN), body: str = GRIPPER
+) -> Solid:
+    """The robot at `pose`: the disc and the segments of both fingers, or what another body consists of."""
     import shapely
 
     x, y, _ = pose
-    segments, reach = _robot_segments(fingers)
+    segments, reach = _robot_segments(fingers, body)
     polygons = np.asarray(shapely.polygons(placed(segments, pose)))  # one call for all four is much faster
-    return Solid(x, y, reach, (Part(shapely.Point(x, y), c.ROBOT_RADIUS), *map(Part, polygons)))
+    shape = body_named(body)
+    disc = () if shape.outline else (Part(shapely.Point(x, y), shape.radius),)
+    return Solid(x, y, reach, (*disc, *map(Part, polygons)))
 
 
 def region_solid(region: GoalRegion) -> Solid:
@@ -169,9 +183,9 @@ def _shrunk(part: Part, by: float) -> Part:
     return Part(part.core.buffer(part.radius - by))
 
 
-def inside_walls(solid: Solid, tolerance: float = 0.0) -> bool:
-    """Whether the solid is within the workspace, up to `tolerance`."""
-    limit = c.ARENA_HALF_WIDTH + tolerance
+def inside_walls(solid: Solid, tolerance: float = 0.0, half_width: float = c.ARENA_HALF_WIDTH) -> bool:
+    """Whether the solid is within walls at this distance from the middle, up to `tolerance`."""
+    limit = half_width + tolerance
     if max(abs(solid.x), abs(solid.y)) + solid.reach <= limit:
         return True
     for part in solid.parts:
@@ -183,7 +197,8 @@ def inside_walls(solid: Solid, tolerance: float = 0.0) -> bool:
 
 def solids(scene: Scene) -> dict[str, Solid]:
     """Everything solid in the scene by name: "robot", then "block 0", "block 1", ..."""
-    bodies = {"robot": robot_solid(scene.robot.pose, scene.robot.fingers)}
+    robot = scene.robot
+    bodies = {"robot": robot_solid(robot.pose, robot.fingers, robot.body)}
     bodies |= {f"block {index}": block_solid(block.shape, block.pose) for index, block in enumerate(scene.blocks)}
     return bodies
 
@@ -201,11 +216,12 @@ def check_scene(scene: Scene) -> None:
     for thing in (scene.robot, *scene.blocks):
         if abs(thing.angle) > MAX_ANGLE:
             raise InvalidSceneError(f"the angle of {thing} is larger than {MAX_ANGLE:g} rad; subtract whole turns")
-    things = list(solids(scene).items())
+    things, half = list(solids(scene).items()), scene.half_width
     for name, solid in things:
-        if not inside_walls(solid, OVERLAP_TOLERANCE):
+        if not inside_walls(solid, OVERLAP_TOLERANCE, half):
             raise InvalidSceneError(
-                f"{name} at ({solid.x:.3f}, {solid.y:.3f}) is not inside the walls, which are at x, y = -1 and 1"
+                f"{name} at ({solid.x:.3f}, {solid.y:.3f}) is not inside the walls, which are at x, y = "
+                f"{-half:g} and {half:g}"
             )
     for index, (name, solid) in enumerate(things):
         for other_name, other in things[:index]:
@@ -214,8 +230,11 @@ def check_scene(scene: Scene) -> None:
                     f"{other_name} and {name} overlap at ({solid.x:.3f}, {solid.y:.3f}); move one of them"
                 )
     for index, region in enumerate(scene.regions):
-        if not inside_walls(region_solid(region), OVERLAP_TOLERANCE):
-            raise InvalidSceneError(f"region {index} ({region}) is not inside the walls, at x, y = -1 and 1")
+        reaches_out = OVERHANG if region.border == "solid" else OVERLAP_TOLERANCE
+        if not inside_walls(region_solid(region), reaches_out, half):
+            raise InvalidSceneError(
+                f"region {index} ({region}) is not inside the walls, at x, y = {-half:g} and {half:g}"
+            )
 
 
 def _check_fingers(robot: Robot) -> None:

@@ -15,11 +15,16 @@ from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
 from magical_mj.scene import constants as c
-from magical_mj.scene.constants import COLOURS, SHAPES, Colour, Shape
+from magical_mj.scene.bodies import GRIPPER, check_body_name
+from magical_mj.scene.constants import BORDERS, COLOURS, SHAPES, Border, Colour, Shape
 from magical_mj.utils.errors import InvalidSceneError, short_repr
+from magical_mj.utils.imports import check_named
 
 SCENE_FORMAT: Final = 1
 """Version of the JSON form, stored in it as ``"format"``."""
+
+SMALLEST_ARENA, LARGEST_ARENA = 0.5, 2.0
+"""Of the half width, in world units."""
 
 MAX_NUMBER: Final = 1e10
 """The largest absolute value of a number in a scene; MuJoCo treats larger ones as a failed simulation."""
@@ -35,15 +40,20 @@ class Robot:
     """The robot's pose and the relative angles (rad) of its left and right finger.
 
     A finger's angle is 0 when closed and ``+pi/8`` (left) or ``-pi/8`` (right) when open, the default.
+    The body is one of `magical_mj.scene.bodies.BODIES`, or ``"package.module:BODY"``. Angles of fingers that it lacks
+    mean nothing, and stay as they are.
     """
 
     x: float
     y: float
     angle: float
     fingers: tuple[float, float] = (c.FINGER_OPEN, -c.FINGER_OPEN)
+    body: str = GRIPPER
 
     def __post_init__(self) -> None:
         _set_numbers(self, "x", "y", "angle")
+        if self.body != GRIPPER:
+            object.__setattr__(self, "body", check_body_name(self.body))
         fingers = _as_tuple(self.fingers, "Robot.fingers must be two angles (left, right)", 2)
         left, right = (_as_number("Robot.fingers", angle) for angle in fingers)
         object.__setattr__(self, "fingers", (left, right))
@@ -63,11 +73,14 @@ class Block:
     x: float
     y: float
     angle: float
+    mass: float = c.BLOCK_MASS
 
     def __post_init__(self) -> None:
         _set_choice(self, "shape", SHAPES)
         _set_choice(self, "colour", COLOURS)
-        _set_numbers(self, "x", "y", "angle")
+        _set_numbers(self, "x", "y", "angle", "mass")
+        if self.mass <= 0:
+            raise InvalidSceneError(f"Block.mass must be positive, not {self.mass}")
 
     @property
     def pose(self) -> Pose:
@@ -77,16 +90,18 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class GoalRegion:
-    """An axis-aligned box that is drawn but not solid."""
+    """An axis-aligned box that is drawn, with a border of this kind, but not solid."""
 
     colour: Colour
     x_min: float
     y_min: float
     x_max: float
     y_max: float
+    border: Border = "dashed"
 
     def __post_init__(self) -> None:
         _set_choice(self, "colour", COLOURS)
+        _set_choice(self, "border", BORDERS)
         _set_numbers(self, "x_min", "y_min", "x_max", "y_max")
         if not (self.x_min < self.x_max and self.y_min < self.y_max):
             raise InvalidSceneError(f"{self} is empty: x_min < x_max and y_min < y_max are needed")
@@ -134,14 +149,23 @@ class Dynamics:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A world at rest: the robot, the blocks, the goal regions and the dynamics. Immutable and hashable."""
+    """A world at rest: the robot, the blocks, the goal regions and the dynamics. Immutable and hashable.
+
+    The inner faces of the walls are at x, y = -half_width and half_width.
+    """
 
     robot: Robot
     blocks: tuple[Block, ...] = ()
     regions: tuple[GoalRegion, ...] = ()
     dynamics: Dynamics = field(default_factory=Dynamics)
+    half_width: float = c.ARENA_HALF_WIDTH
 
     def __post_init__(self) -> None:
+        _set_numbers(self, "half_width")
+        if not SMALLEST_ARENA <= self.half_width <= LARGEST_ARENA:
+            raise InvalidSceneError(
+                f"Scene.half_width must be in {SMALLEST_ARENA}..{LARGEST_ARENA}, not {self.half_width}"
+            )
         for name, kind in (("blocks", Block), ("regions", GoalRegion)):
             parts = _as_tuple(getattr(self, name), f"Scene.{name} must be a sequence of {kind.__name__}")
             object.__setattr__(self, name, parts)
@@ -169,7 +193,7 @@ class Scene:
 
     def to_json(self) -> str:
         """The scene as one line of JSON; floats are exact, so `from_json` gives an equal scene."""
-        return json.dumps({"format": SCENE_FORMAT, **dataclasses.asdict(self)}, separators=(",", ":"))
+        return json.dumps({"format": SCENE_FORMAT, **_written(self)}, separators=(",", ":"))
 
     @classmethod
     def from_json(cls, text: str | bytes) -> Scene:
@@ -177,6 +201,7 @@ class Scene:
 
         Raises:
             InvalidSceneError: if the text is not JSON, lacks a field, has an unknown one, or has an invalid value.
+            UntrustedNameError: if its body is a reference to code that the user has not named.
         """
         try:
             data = json.loads(text, object_pairs_hook=_without_repeats)
@@ -191,11 +216,14 @@ class Scene:
         for name in ("blocks", "regions"):
             if not isinstance(data.get(name, []), list):
                 raise InvalidSceneError(f"Scene.{name} must be a list, not {short_repr(data[name])}")
+        robot = _part(Robot, data["robot"])
+        check_named(robot.body, "a scene")
         return cls(
-            robot=_part(Robot, data["robot"]),
+            robot=robot,
             blocks=tuple(_part(Block, item) for item in data.get("blocks", ())),
             regions=tuple(_part(GoalRegion, item) for item in data.get("regions", ())),
             dynamics=_part(Dynamics, data.get("dynamics", {})),
+            half_width=data.get("half_width", c.ARENA_HALF_WIDTH),
         )
 
     def digest(self) -> str:
@@ -205,6 +233,20 @@ class Scene:
         """
         text = json.dumps(_not_default(self), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+UNWRITTEN: Final = {"body": GRIPPER, "mass": c.BLOCK_MASS, "border": "dashed", "half_width": c.ARENA_HALF_WIDTH}
+"""Fields that JSON has only where they differ from these, the benchmark's: what was written before had none of them."""
+
+
+def _written(value: Any) -> Any:
+    """A part of a scene as lists and dicts for its JSON form."""
+    if isinstance(value, tuple):
+        return [_written(item) for item in value]
+    if not dataclasses.is_dataclass(value):
+        return value
+    fields = {entry.name: _written(getattr(value, entry.name)) for entry in dataclasses.fields(value)}
+    return {name: field for name, field in fields.items() if name not in UNWRITTEN or field != UNWRITTEN[name]}
 
 
 def _not_default(value: Any) -> Any:

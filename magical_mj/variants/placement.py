@@ -19,6 +19,7 @@ import numpy as np
 
 from magical_mj.scene import Block, GoalRegion, Pose, Robot, Scene
 from magical_mj.scene import constants as c
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.geometry import Solid, block_solid, inside_walls, region_solid, robot_solid, solids, touch
 from magical_mj.utils.errors import PlacementError
 from magical_mj.variants.rules import VariationRules
@@ -41,10 +42,6 @@ class Box(NamedTuple):
         u, v, w = rng.random(3).tolist()
         return x + (x_high - x) * u, y + (y_high - y) * v, angle + (angle_high - angle) * w
 
-
-WORKSPACE: Final = Box(
-    (-c.ARENA_HALF_WIDTH, -c.ARENA_HALF_WIDTH, -math.pi), (c.ARENA_HALF_WIDTH, c.ARENA_HALF_WIDTH, math.pi)
-)
 
 Boxes = Callable[[Pose, GoalRegion | None], Box]
 """From a thing's old pose and the region it belongs in (already placed; or None) to the box its pose is drawn from."""
@@ -79,7 +76,7 @@ def layout(rules: VariationRules, scene: Scene, rng: np.random.Generator) -> Sce
 
     def anywhere(_: Pose, home: GoalRegion | None) -> Box:
         if home is None:
-            return WORKSPACE
+            return Box((-scene.half_width, -scene.half_width, -math.pi), (scene.half_width, scene.half_width, math.pi))
         (x, y), half = home.centre, min(home.height, home.width) / 2 - rules.inner_margin
         return Box((x - half, y - half, -math.pi), (x + half, y + half, math.pi))
 
@@ -91,7 +88,7 @@ def contact(scene: Scene) -> str | None:
     areas = {f"region {number}": region_solid(region) for number, region in enumerate(scene.regions)}
     bodies = solids(scene)
     for name, solid in (areas | bodies).items():
-        if not inside_walls(solid):
+        if not inside_walls(solid, half_width=scene.half_width):
             return f"{name} touches a wall"
     pairs = [*itertools.combinations(areas.items(), 2), *itertools.combinations(bodies.items(), 2)]
     for thing, body in zip((scene.robot, *scene.blocks), bodies.items(), strict=True):
@@ -139,7 +136,7 @@ def _place_once(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: 
     areas: list[Solid] = []
     placed_regions: list[GoalRegion] = []
     for region in regions:
-        pose, area = _find(region, boxes((*region.centre, 0.0), None), areas, rng)
+        pose, area = _find(region, boxes((*region.centre, 0.0), None), areas, scene.half_width, rng)
         placed_regions.append(_at(region, pose))
         areas.append(area)
 
@@ -152,7 +149,7 @@ def _place_once(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: 
         thing, home = things[index], homes[index]
         own_region = None if home is None else placed_regions[home]
         obstacles = placed + [area for number, area in enumerate(areas) if number != home]
-        poses[index], solid = _find(thing, boxes(thing.pose, own_region), obstacles, rng)
+        poses[index], solid = _find(thing, boxes(thing.pose, own_region), obstacles, scene.half_width, rng)
         placed.append(solid)
 
     return replace(scene.moved(poses[0], poses[1:]), regions=tuple(placed_regions))
@@ -166,31 +163,34 @@ def _home(thing: Robot | Block, regions: Sequence[GoalRegion]) -> int | None:
 def _at(region: GoalRegion, pose: Pose) -> GoalRegion:
     """The region with its centre at the pose's position; regions are never turned."""
     (x, y, _), half_width, half_height = pose, region.width / 2, region.height / 2
-    return GoalRegion(region.colour, x - half_width, y - half_height, x + half_width, y + half_height)
+    box = x - half_width, y - half_height, x + half_width, y + half_height
+    return GoalRegion(region.colour, *box, region.border)
 
 
 def _solid(thing: Robot | Block | GoalRegion, pose: Pose) -> Solid:
     """The area that the thing would cover at `pose`."""
     if isinstance(thing, Robot):
-        return robot_solid(pose, thing.fingers)
+        return robot_solid(pose, thing.fingers, thing.body)
     if isinstance(thing, Block):
         return block_solid(thing.shape, pose)
     return region_solid(_at(thing, pose))
 
 
 def _find(
-    thing: Robot | Block | GoalRegion, box: Box, obstacles: Sequence[Solid], rng: np.random.Generator
+    thing: Robot | Block | GoalRegion, box: Box, obstacles: Sequence[Solid], half: float, rng: np.random.Generator
 ) -> tuple[Pose, Solid]:
     """The first pose drawn from the box at which the thing touches nothing, and the area it covers there.
+
+    The walls are `half` from the middle.
 
     Raises:
         _NoRoomError: if there is none among `MAX_TRIES` draws.
     """
     for _ in range(MAX_TRIES):
         pose = box.draw(rng)
-        if isinstance(thing, Robot) and max(abs(pose[0]), abs(pose[1])) + c.ROBOT_RADIUS > c.ARENA_HALF_WIDTH:
+        if isinstance(thing, Robot) and thing.body == GRIPPER and max(map(abs, pose[:2])) + c.ROBOT_RADIUS > half:
             continue  # already the disc touches; the fingers' outlines need not be computed
         solid = _solid(thing, pose)
-        if inside_walls(solid) and not any(touch(solid, other) for other in obstacles):
+        if inside_walls(solid, half_width=half) and not any(touch(solid, other) for other in obstacles):
             return pose, solid
     raise _NoRoomError(thing)

@@ -73,7 +73,7 @@ def play(number: int, settings: PhysicsSettings = SETTINGS) -> tuple[Scene, NDAr
     world = World(scene)
     model = mujoco.MjModel.from_xml_string(world_mjcf(scene, settings=settings))
     data = mujoco.MjData(model)
-    signal, actor = controls(settings), hands(kind, np.random.default_rng(number))
+    signal, actor = controls(settings=settings), hands(kind, np.random.default_rng(number))
     action, track = next(actor), []
     for _ in range(STEPS):
         data.ctrl[:] = signal[action]

@@ -79,9 +79,11 @@ class Labelled(Block):
 
 def test_a_field_that_is_added_later_stays_when_things_move_and_changes_no_digest() -> None:
     pose = ("star", "red", 0.5, 0.5, 0.0)
-    plain, same, other = (Scene(Robot(0, 0, 0), (b,)) for b in (Block(*pose), Labelled(*pose), Labelled(*pose, "a")))
+    plain, same, other = (
+        Scene(Robot(0, 0, 0), (b,)) for b in (Block(*pose), Labelled(*pose), Labelled(*pose, label="a"))
+    )
     assert same.digest() == plain.digest() != other.digest()
-    assert other.moved(blocks=[(0.1, 0.2, 0.3)]).blocks == (Labelled("star", "red", 0.1, 0.2, 0.3, "a"),)
+    assert other.moved(blocks=[(0.1, 0.2, 0.3)]).blocks == (Labelled("star", "red", 0.1, 0.2, 0.3, label="a"),)
     assert other.moved(robot=(0.1, 0.2, 0.3)).blocks == other.blocks
 
 

@@ -20,6 +20,7 @@ from magical_mj.assets.region import regions_mjcf
 from magical_mj.assets.robot import actuators_mjcf, robot_mjcf, robot_pairs, tendons_mjcf
 from magical_mj.assets.world import APART, model_mjcf
 from magical_mj.scene import Scene
+from magical_mj.scene.bodies import body_named
 
 NAMESPACES: Final = {"body": "body", "joint": "joint", "geom": "geom", "fixed": "tendon"}
 """The elements whose numbers and colours a scene determines -> what composer calls them."""
@@ -97,9 +98,11 @@ class Arena(composer.Entity):
     """
 
     def _build(self, scene: Scene) -> None:
-        self._model = mjcf.from_xml_string(model_mjcf())
+        body = scene.robot.body
+        self._model = mjcf.from_xml_string(model_mjcf(body=body, half=scene.half_width))
         self._model.size.memory = str(33 * 2**20)  # as dm_control writes it once trees are attached anew
-        more = f"<actuator>{actuators_mjcf()}</actuator><contact>{APART}</contact>"
+        apart = APART if body_named(body).fingers else ""
+        more = f"<actuator>{actuators_mjcf(body)}</actuator><contact>{apart}</contact>"
         self.robot = Thing("robot", _robot, scene, more)
         self.blocks: list[Thing] = []
         self._things: dict[tuple[str, str], Thing] = {}  # all blocks so far: parsing one takes 40 ms
@@ -155,7 +158,8 @@ class Arena(composer.Entity):
 
 
 def _robot(scene: Scene) -> str:
-    return robot_mjcf(scene.robot, SETTINGS) + tendons_mjcf(scene.dynamics, SETTINGS)
+    robot = scene.robot
+    return robot_mjcf(robot, SETTINGS, scene.half_width) + tendons_mjcf(robot, scene.dynamics, SETTINGS)
 
 
 def _block(index: int, scene: Scene) -> str:
@@ -164,8 +168,8 @@ def _block(index: int, scene: Scene) -> str:
 
 def _pairs(scene: Scene) -> list[dict[str, str]]:
     """The attributes of the contacts of feet with the floor."""
-    feet = "".join(block_pair(index, scene.dynamics, SETTINGS) for index in range(len(scene.blocks)))
-    return [pair.attrib for pair in _without_comments(feet + robot_pairs(scene.dynamics, SETTINGS))]
+    feet = "".join(block_pair(index, block, scene.dynamics, SETTINGS) for index, block in enumerate(scene.blocks))
+    return [pair.attrib for pair in _without_comments(feet + robot_pairs(scene.robot, scene.dynamics, SETTINGS))]
 
 
 def _without_comments(text: str) -> list[Element]:

@@ -1,0 +1,129 @@
+"""The robot's bodies as data: what it is besides a drive that moves it in the plane.
+
+`gripper` is MAGICAL's robot. The three sticks are those of x-magical (Zakka et al. 2021, XIRL), which pushes with the
+whole side that it has ahead. All have one mass, and so one drive: what a body can do differs by its shape.
+A body of one's own is a `Body` in a module, given as ``"package.module:BODY"``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.scene import constants as c
+from magical_mj.utils.errors import InvalidSceneError, short_repr
+from magical_mj.utils.imports import is_reference, resolve
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Body:
+    """One body of the robot, in its own frame: x to the right, y ahead, world units.
+
+    Attributes:
+        outline: the corners of a convex polygon around the origin, counter-clockwise; empty for a disc.
+        radius: of a disc.
+        mass: without the fingers.
+        inertia: the moment about the origin, without the fingers.
+        fingers: whether it has the gripper's two fingers.
+        eye: the centre of the right eye; the left one is its mirror image.
+
+    Raises:
+        InvalidSceneError: if the outline is no such polygon, or a number is not positive.
+    """
+
+    outline: tuple[Point, ...] = ()
+    radius: float = c.ROBOT_RADIUS
+    mass: float = c.ROBOT_MASS
+    inertia: float = c.ROBOT_INERTIA
+    fingers: bool = False
+    eye: Point = c.EYE_CENTRE
+
+    def __post_init__(self) -> None:
+        """Checks the numbers."""
+        if not all(isinstance(value, int | float) and 0 < value < math.inf for value in self._sizes):
+            raise InvalidSceneError(f"radius, mass and inertia of a body must be positive: {short_repr(self)}")
+        if self.outline:
+            corners = np.array(self.outline, float)
+            ahead = np.roll(corners, -1, axis=0) - corners if corners.ndim == 2 and len(corners) > 2 else np.zeros(2)
+            onward = np.roll(ahead, -1, axis=0)
+            if ahead.ndim < 2 or not (ahead[:, 0] * onward[:, 1] > ahead[:, 1] * onward[:, 0]).all():
+                raise InvalidSceneError(
+                    "the outline of a body must be the corners (x, y) of a convex polygon, counter-clockwise, not "
+                    f"{short_repr(self.outline)}"
+                )
+
+    @property
+    def _sizes(self) -> tuple[Any, ...]:
+        return self.radius, self.mass, self.inertia
+
+    @property
+    def total_mass(self) -> float:
+        """With the fingers."""
+        return self.mass + 2 * c.FINGER_MASS * self.fingers
+
+    @property
+    def reach(self) -> float:
+        """The largest distance of a point of it, fingers apart, from the origin."""
+        return max((math.hypot(*corner) for corner in self.outline), default=self.radius)
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """The outline as an array. Shape (n, 2)."""
+        return np.array(self.outline)
+
+
+def stick(width: float, inertia: float, thickness: float = 0.1) -> Body:
+    """A box whose long side is across the heading."""
+    x, y = width / 2, thickness / 2
+    return Body(((x, y), (-x, y), (-x, -y), (x, -y)), inertia=inertia, eye=(0.06, 0.0))
+
+
+GRIPPER: Final = "gripper"
+"""The default."""
+BODIES: Final[Mapping[str, Body]] = MappingProxyType(
+    {
+        GRIPPER: Body(fingers=True),
+        "shortstick": stick(0.3, inertia=0.1 / 12),
+        "mediumstick": stick(0.6, inertia=0.37 / 12),
+        "longstick": stick(1.6, inertia=2.608 / 12),  # 1.5 % above its box's: so slowly does the original's spin
+    }
+)
+
+
+@lru_cache(32)
+def body_named(name: str) -> Body:
+    """The body with this name, or the one that ``"package.module:BODY"`` refers to, whose module is imported.
+
+    Raises:
+        InvalidSceneError: if there is none.
+        UntrustedNameError: if it is a reference that a file names, and the command does not.
+    """
+    if name in BODIES:
+        return BODIES[name]
+    try:
+        body: Any = resolve(check_body_name(name))
+    except ImportError as error:
+        raise InvalidSceneError(f"the body {short_repr(name)} cannot be imported: {error}") from error
+    if not isinstance(body, Body):
+        raise InvalidSceneError(f"{name} must be a magical_mj.scene.bodies.Body, not {short_repr(body)}")
+    return body
+
+
+def check_body_name(name: object) -> str:
+    """The name, if a body can have it; nothing is imported.
+
+    Raises:
+        InvalidSceneError: if no body can have it.
+    """
+    if isinstance(name, str) and (name in BODIES or is_reference(name)):
+        return str(name)
+    raise InvalidSceneError(f'the body is {short_repr(name)}; it must be one of {", ".join(BODIES)}, or "module:BODY"')
