@@ -155,8 +155,9 @@ def replay(movie: Film, score: EpisodeResult) -> None:
         EvaluationError: if the replay ends with another score, because versions have changed.
     """
     rules = check_rules(score.rules)
-    with closing(magical_mj.Engine(score.task, score.variant, seed=score.seed, rules=rules)) as env:
-        title = f"{score.task} {score.variant}, seed {score.seed}: {score.policy}"
+    with closing(magical_mj.Engine(score.task, score.variant, seed=score.seed, rules=rules, shifts=score.shift)) as env:
+        where = " ".join(filter(None, (score.task, score.variant, score.shift)))
+        title = f"{where}, seed {score.seed}: {score.policy}"
         movie.begin(title, side_by_side(env, movie.size, movie.views), env.score())
         for step, (action, _) in enumerate(play(env, actions_of(score.actions)), start=1):
             movie.add(side_by_side(env, movie.size, movie.views), step, action, env.score())

@@ -33,7 +33,15 @@ Key = tuple[str, int, str, str, int, str]
 """Identifies an episode: policy, run, task, variant, seed, shift."""
 GROWING: Final = ("policies", "environments", "shifts")
 """The settings of which a resumed evaluation may have more; of seeds it may, too."""
-OLDER: Final = {"worlds": "single", "split": "test", "first_seed": 0, "shifts": [""], "wrap": "", "like": ""}
+OLDER: Final = {
+    "worlds": "single",
+    "split": "test",
+    "first_seed": 0,
+    "shifts": [""],
+    "shift_protocol": 1,
+    "wrap": "",
+    "like": "",
+}
 """Settings of which older versions write nothing."""
 
 

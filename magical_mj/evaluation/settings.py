@@ -12,6 +12,8 @@ from msgspec import Meta
 from magical_mj._version import __version__
 from magical_mj.envs.presets import preset_named
 from magical_mj.rendering.backend import drawn_by
+from magical_mj.shifts import expand_shifts, shift_label
+from magical_mj.shifts.registry import PROTOCOL as SHIFT_PROTOCOL
 from magical_mj.tasks.plugins import code_digest
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import SPLITS, TASKS, Pair, environments
@@ -83,12 +85,17 @@ class EvaluationSettings(Settings):
     ] = "mujoco"
     device: Annotated[str, Meta(description="Of MuJoCo Warp: cuda, cuda:1 or cpu.")] = DEVICE
     trust: Annotated[bool, Meta(description="Run the code that model files contain.")] = False
+    shifts: Annotated[
+        str,
+        Meta(description="Shifts to play beside what is not shifted: camera:1-5,light; or all. See docs/shifts.md."),
+    ] = ""
     wrap: Annotated[str, Meta(description="A Gymnasium wrapper to play in, package.module:NAME.")] = ""
     like: Annotated[str, Meta(description="The task that policies are told instead of their own.")] = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _ = self.environments
+        for task, _ in self.environments:
+            self.shift_labels(task)
         preset_named(self.preset)
         check_backend(self.backend, self.address)
         if self.device != DEVICE and not self.batched:
@@ -97,8 +104,8 @@ class EvaluationSettings(Settings):
             check_name("task", self.like, TASKS)
         if self.wrap and not is_reference(self.wrap):
             raise SettingsError(f"wrap is package.module:NAME of a Gymnasium wrapper, not {short_repr(self.wrap)}")
-        if self.wrap and self.batched:
-            raise SettingsError("batched worlds have no single environments that could be wrapped: leave out --wrap")
+        if self.batched and (self.wrap or self.shifts):
+            raise SettingsError("batched worlds have neither shifts nor wrappers: leave them out, or --simulator warp")
 
     @property
     def batched(self) -> bool:
@@ -109,6 +116,10 @@ class EvaluationSettings(Settings):
     def environments(self) -> list[Pair]:
         """The pairs of tasks and variants that are played."""
         return environments(self.tasks, self.variants)
+
+    def shift_labels(self, task: str) -> list[str]:
+        """What is shifted in a task, one setting after another, as in rows; the first one is nothing."""
+        return list(dict.fromkeys(["", *map(shift_label, expand_shifts(self.shifts, task))]))
 
     @property
     def seeds(self) -> range:
@@ -125,10 +136,12 @@ class EvaluationSettings(Settings):
             **{name: getattr(self, name) for name in ("preset", "rules", "time_limit")},
             "worlds": WORLDS[self.simulator],
             "protocol": PROTOCOL,
+            "shift_protocol": SHIFT_PROTOCOL,
             "demonstrations": DEMONSTRATIONS,
             "version": __version__,
             "mujoco": MUJOCO_VERSION,
             "gl": drawn_by(),
+            "shifts": list(dict.fromkeys(label for task, _ in self.environments for label in self.shift_labels(task))),
             "wrap": self.wrap,
             "like": self.like,
             **{f"code of {task}": code_digest(task) for task in others},

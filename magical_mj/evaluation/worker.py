@@ -12,6 +12,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from typing import Any, Final, TypeVar
 
 import gymnasium
@@ -22,6 +23,7 @@ from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
 from magical_mj.policies.interface import Act, Episode, PolicyError, reason, told, uses_simulation
 from magical_mj.policies.loading import Source
+from magical_mj.shifts import parse_shifts
 from magical_mj.tasks.registry import sample_scene, task_spec
 from magical_mj.utils.errors import SettingsError, UntrustedNameError, short_repr
 from magical_mj.utils.imports import resolve, with_place
@@ -74,8 +76,8 @@ def plan(policies: Sequence[Source], settings: EvaluationSettings, done: Collect
     size = settings.envs * max(1, round(SEEDS_PER_UNIT / settings.envs))
     evaluation = secrets.token_hex(8)
     for task, variant in settings.environments:
-        for source in policies:
-            every = Unit(source, task, variant, tuple(settings.seeds), settings, evaluation)
+        for source, shift in product(policies, settings.shift_labels(task)):
+            every = Unit(source, task, variant, tuple(settings.seeds), settings, evaluation, shift)
             left = tuple(seed for key, seed in zip(every.keys, every.seeds, strict=True) if key not in done)
             units += [replace(every, seeds=left[start : start + size]) for start in range(0, len(left), size)]
     return sorted(units, key=lambda unit: -unit.steps)
@@ -131,12 +133,13 @@ class Player:
                 "preset": getattr(policy, "preset", None) if uses_simulation(policy) else settings.preset,
                 "worlds": WORLDS[settings.simulator],
                 "split": settings.split,
+                "shift": unit.shift,
                 "wrap": settings.wrap,
             }
             for episode, outcome in zip(episodes, self._outcomes(unit, episodes), strict=True):
                 self.cause = outcome.cause
-                scene = sample_scene(unit.task, unit.variant, episode.seed)
-                yield EpisodeResult.of(replace(episode, task=unit.task), outcome, scene=scene.digest(), **facts)
+                scene = start_digest(unit.task, unit.variant, episode.seed, unit.shift)
+                yield EpisodeResult.of(replace(episode, task=unit.task), outcome, scene=scene, **facts)
 
     def close(self) -> None:
         """Closes the environments, unless an abandoned call may still use them."""
@@ -153,7 +156,7 @@ class Player:
         return [self._single(unit, episode) for episode in episodes]  # to find out which episodes fail
 
     def _single(self, unit: Unit, episode: Episode) -> Outcome:
-        policy, key = self._policy(unit), (unit.task, unit.variant)  # a new one, after a time limit
+        policy, key = self._policy(unit), (unit.task, unit.variant, unit.shift)  # a new one, after a time limit
         if unit.settings.batched:
             playing = lambda: play_side_by_side(self._vector(unit), policy, [episode])  # noqa: E731
         else:
@@ -176,7 +179,7 @@ class Player:
         return self._keep("policy", key, lambda: self._caller.call(unit.source.load, None))
 
     def _vector(self, unit: Unit) -> Envs:
-        return self._keep("vector", (unit.task, unit.variant), lambda: _vector_env(unit))
+        return self._keep("vector", (unit.task, unit.variant, unit.shift), lambda: _vector_env(unit))
 
     def _keep(self, what: str, key: Any, make: Callable[[], T]) -> T:
         """The object made for this key; one that was kept for another key is replaced."""
@@ -207,11 +210,21 @@ def single_env(unit: Unit, observed: bool) -> Env:
     """
     settings = unit.settings
     if observed:
-        env = gymnasium.make(env_id(unit.task, unit.variant, settings.preset), rules=settings.rules).unwrapped
+        name = env_id(unit.task, unit.variant, settings.preset)
+        env = gymnasium.make(name, rules=settings.rules, shifts=unit.shift).unwrapped
         return _wrapped(env, settings.wrap) if settings.wrap else env
     from magical_mj.engine import Engine  # imported late: it loads the simulator
 
-    return Engine(unit.task, unit.variant, seed=0, rules=settings.rules)
+    return Engine(unit.task, unit.variant, seed=0, rules=settings.rules, shifts=unit.shift)
+
+
+def start_digest(task: str, variant: str, seed: int, shift: str) -> str:
+    """The digest of the scene in which an episode starts."""
+    if not shift:
+        return sample_scene(task, variant, seed).digest()
+    from magical_mj.engine.engine import Setup  # imported late: it loads the simulator
+
+    return Setup(task, variant).begin(parse_shifts(shift), seed)[0].digest()
 
 
 def _wrapped(env: gymnasium.Env[Any, Any], wrap: str) -> gymnasium.Env[Any, Any]:
@@ -240,9 +253,8 @@ def _vector_env(unit: Unit) -> Envs:
         name = f"magical_mj:{env_id(unit.task, unit.variant, settings.preset)}"
         kwargs: dict[str, Any] = {"autoreset_mode": mode}
         wrappers = [partial(_wrapped, wrap=settings.wrap)] if settings.wrap else []
-        return gymnasium.make_vec(
-            name, settings.envs, "sync", vector_kwargs=kwargs, wrappers=wrappers, rules=settings.rules
-        )
+        made = {"rules": settings.rules, "shifts": unit.shift}
+        return gymnasium.make_vec(name, settings.envs, "sync", vector_kwargs=kwargs, wrappers=wrappers, **made)
     from magical_mj import batched  # these need PyTorch
     from magical_mj.batched.environment import Arrays
 

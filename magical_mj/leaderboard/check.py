@@ -86,7 +86,11 @@ def verify(folder: Path | str, *, jobs: int | None = None, watch: Callable[[], o
     settings, episodes = recorded_settings(folder), read(folder)
     if any(episode.worlds != "single" for episode in episodes):
         return Findings(unfit=[f"it was played in batched worlds: {UNOFFICIAL}"])
+    if wrappers := {episode.wrap for episode in episodes if episode.wrap}:
+        return Findings(unfit=[f"it was played in {', '.join(sorted(wrappers))}, and is replayed in plain worlds only"])
     findings = Findings()
+    if others := {episode.split for episode in episodes} - {"test"}:
+        findings.unfit.append(f"split: results are those on test, and it was played on {', '.join(sorted(others))}")
     required = {"protocol": {PROTOCOL}, "demonstrations": {DEMONSTRATIONS}, "rules": {row.rules for row in episodes}}
     for name, values in required.items():
         recorded = f"{settings[name]!r} is recorded" if name in settings else "nothing is recorded"
@@ -148,7 +152,7 @@ def missing(episodes: Iterable[EpisodeResult], tasks: Collection[str], runs: Ite
         runs: the numbers of runs of which there may be no episodes at all.
     """
     seeds: dict[tuple[int, str, str], set[int]] = defaultdict(set)
-    for episode in episodes:
+    for episode in (episode for episode in episodes if not episode.shift):
         seeds[episode.run, episode.task, episode.variant].add(episode.seed)
     problems = []
     for run in sorted({*runs, *(run for run, _, _ in seeds)}):
@@ -228,9 +232,9 @@ def replay(recorded: Iterable[Recorded], jobs: int | None = None) -> Iterator[tu
     Yields:
         The name that came with an episode, and how it differs from its record (None if it does not), as they come.
     """
-    alike: dict[tuple[str, str, str], list[Recorded]] = defaultdict(list)
+    alike: dict[tuple[str, ...], list[Recorded]] = defaultdict(list)
     for source, episode in recorded:
-        alike[episode.task, episode.variant, episode.rules].append((source, episode))
+        alike[episode.task, episode.variant, episode.rules, episode.shift].append((source, episode))
     chunks: list[list[Recorded]] = []
     for episodes in alike.values():  # a scene that several entries have played is sampled and compiled once
         episodes.sort(key=lambda recorded: (recorded[1].seed, recorded[0]))
@@ -245,7 +249,8 @@ def _replay(chunk: Sequence[Recorded]) -> list[tuple[str, str | None]]:
     from magical_mj.engine import Engine  # which loads the simulator
 
     first, results = chunk[0][1], []
-    with closing(Engine(first.task, first.variant, seed=first.seed, rules=check_rules(first.rules))) as engine:
+    rules = check_rules(first.rules)
+    with closing(Engine(first.task, first.variant, seed=first.seed, rules=rules, shifts=first.shift)) as engine:
         for source, episode in chunk:
             engine.reset(seed=None if episode.seed == engine.seed else episode.seed)  # None: the same scene again
             difference = _difference(episode, engine)

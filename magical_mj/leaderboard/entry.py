@@ -441,4 +441,5 @@ def _episodes(content: Content, name: object) -> list[EpisodeResult]:
 
 def name_of(episode: EpisodeResult) -> str:
     """The episode in words, for problems."""
-    return f"run {episode.run}, {episode.task} {episode.variant}, seed {episode.seed}"
+    shift = f" {episode.shift}" if episode.shift else ""
+    return f"run {episode.run}, {episode.task} {episode.variant}{shift}, seed {episode.seed}"

@@ -106,7 +106,7 @@ def parse_shifts(shifts: Shifts, task: str | None = None) -> dict[str, int]:
     """The strength of each shift: ours first, in their order, then others by name. Those of strength 0 are left out.
 
     Args:
-        shifts: names and strengths as a dict, or as text like ``"camera:3,latency:1"``; None: no shifts.
+        shifts: names and strengths as a dict, or as text like ``"camera:3,latency:1"``, or a label; None: no shifts.
         task: the task that is to have them; None: any.
 
     Raises:
@@ -115,7 +115,7 @@ def parse_shifts(shifts: Shifts, task: str | None = None) -> dict[str, int]:
         SettingsError: if a strength is none of 0 to 5, a shift is named twice, or the task cannot have it.
     """
     if isinstance(shifts, str):
-        pairs = [_pair(part.strip()) for part in shifts.split(",") if part.strip()]
+        pairs = [_pair(part.strip()) for part in shifts.replace("+", ",").split(",") if part.strip()]
     elif isinstance(shifts, Mapping):
         pairs = list(shifts.items())
     elif shifts is None:
@@ -175,7 +175,7 @@ def expand_shifts(shifts: str | Iterable[Mapping[str, int]], task: str | None = 
             able = [name for name, kind in SHIFTS.items() if task is None or not kind.supports(task)]
             settings += [{name: strength} for name in able for strength in range(1, STRENGTHS + 1)]
         elif "+" in part:
-            settings.append(parse_shifts(part.replace("+", ","), task))
+            settings.append(parse_shifts(part, task))
         else:
             name, least, most = _range(part)
             settings += [parse_shifts({name: strength}, task) for strength in range(least, most + 1)]

@@ -171,7 +171,7 @@ def extremes(scores: Iterable[EpisodeResult]) -> list[tuple[str, EpisodeResult]]
     worst: dict[tuple[str, str], EpisodeResult] = {}
     for score in scores:
         key = score.policy, score.task
-        if score.actions:
+        if score.actions and not score.shift:
             best[key] = max(best.get(key, score), score, key=attrgetter("score"))
             worst[key] = min(worst.get(key, score), score, key=attrgetter("score"))
     both = [(name, episodes[key]) for key in best for name, episodes in (("best", best), ("worst", worst))]

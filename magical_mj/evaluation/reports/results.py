@@ -319,7 +319,9 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
     paired = both.dropna()
     if paired.empty:
         raise EvaluationError(f"{first} and {second} have no scene in common")
-    groups = sorted(set(paired.index.droplevel([2, 3])), key=lambda pair: (pair[1] != "", VARIANTS.index(pair[0])))
+    groups = sorted(
+        set(paired.index.droplevel([2, 3])), key=lambda pair: (pair[1] != "", VARIANTS.index(pair[0]), pair[1])
+    )
     rows = [_comparison(" ".join(filter(None, pair)), both.loc[pair], paired.loc[pair]) for pair in groups]
     if "" in paired.index.get_level_values("shift"):
         unshifted = (table.xs("", level="shift") for table in (both, paired))
