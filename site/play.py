@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from fetch import MUJOCO, fetched
+from fetch import CACHE
 
 import magical_mj
 from magical_mj.engine.export import mjcf_text
+from magical_mj.web.npm import library_files
 from magical_mj.web.page_data import PAGE, catalogue, environment_scenes
 
 FOLDER: Final = Path(__file__).parent.parent / "out" / "site" / "play"
@@ -34,9 +35,9 @@ def write_play(folder: Path) -> int:
         env.close()
         _write(folder / "scenes" / f"{task}-{variant}.json", with_models(data, models))
     _write(folder / "catalogue.json", catalogue(magical_mj.ENVIRONMENTS, "browser"))
-    (folder / "mujoco").mkdir()
-    for name in ("mujoco.js", "mujoco.wasm"):
-        shutil.copy(fetched(MUJOCO) / name, folder / "mujoco" / name)
+    for name, content in library_files(CACHE).items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(content)
     return sum(path.stat().st_size for path in folder.rglob("*"))
 
 

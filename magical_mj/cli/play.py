@@ -286,8 +286,8 @@ def serve_page(
         raise SettingsError("the page knows the scores of the benchmark's own tasks only: play others in a window")
     if first is not None and first[:2] not in environments:
         raise SettingsError(f"{first[0]}-{first[1]} is not among --tasks and --variants")
-    if first is not None and first[2] > LARGEST_SEED:
-        raise SettingsError(f"seeds in a browser are at most {LARGEST_SEED}, not {short_repr(first[2])}")
+    if first is not None:
+        check_seed_in_browser(first[2])
     if first is not None and collect is not None:
         raise SettingsError("with --collect the server chooses what is played: give --tasks and --variants, not TASK")
     if wanted is not None and collect is None:
@@ -305,8 +305,20 @@ def serve_page(
     server = PlayServer(environments, host, port, origin=origin, collection=collection)
     if collection is not None:
         server.token = collection.token()
+    serve_until_interrupted(server, "" if first is None else "#" + "-".join(map(str, first)))
+
+
+def check_seed_in_browser(seed: int) -> int:
+    """The seed, if JavaScript can count that far; else raises a `SettingsError`."""
+    if seed > LARGEST_SEED:
+        raise SettingsError(f"seeds in a browser are at most {LARGEST_SEED}, not {short_repr(seed)}")
+    return seed
+
+
+def serve_until_interrupted(server: PlayServer, place: str) -> None:
+    """Serve until somebody presses Ctrl-C; `place` is what follows the server's address in the link."""
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(_serve(server, "" if first is None else "#" + "-".join(map(str, first))))
+        asyncio.run(_serve(server, place))
 
 
 async def _serve(server: PlayServer, place: str) -> None:

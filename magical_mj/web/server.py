@@ -28,7 +28,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from http import HTTPStatus
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers
@@ -48,7 +48,6 @@ HEADERS: Final = {
     "Allow": "GET, HEAD",
     "Cache-Control": "no-store",
     "Connection": "close",
-    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'",
     "Referrer-Policy": "no-referrer",  # the address holds the token
     "X-Content-Type-Options": "nosniff",
 }
@@ -73,6 +72,8 @@ class PlayServer:
     token: str = field(default_factory=lambda: secrets.token_urlsafe(16))
     origin: str | None = None
     collection: Collection | None = None
+    scripts: ClassVar[str] = "'self'"
+    """Where scripts may come from, for browsers."""
 
     def __post_init__(self) -> None:
         known = {**catalogue(self.environments, "server"), "collects": self.collection is not None}
@@ -128,6 +129,9 @@ class PlayServer:
         if content is None:
             return _response(HTTPStatus.NOT_FOUND)
         response = _response(HTTPStatus.OK, content, mimetypes.guess_type(name or "index.html")[0])
+        response.headers["Content-Security-Policy"] = (
+            f"default-src 'self'; script-src {self.scripts}; img-src 'self' data: blob:; frame-ancestors 'none'"
+        )
         if request.method == "HEAD":
             response.body = b""
         return response

@@ -8,15 +8,20 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
+import dm_control.suite
+import gymnasium
+import mujoco
 import numpy as np
 
 import magical_mj
 from magical_mj.engine import Engine
 from magical_mj.engine.export import mjcf_text
 from magical_mj.scene import Scene
+from magical_mj.web.inspection import model_files
 from magical_mj.web.page_data import drawing_style, scene_data
 
 ROUGH: Final = 200
+STEPS: Final = 100
 GLANCES: Final = (1, 20, 100)  # steps after which states are compared; and the last one
 SCORED: Final = 10  # every so many states of the demonstrations are scored
 GATHERED: Final = 30  # scored states of each environment
@@ -113,9 +118,68 @@ def _pictured(env: Engine, view: str) -> dict[str, Any]:
     }
 
 
+def stepped() -> Iterator[dict[str, Any]]:
+    """Models, some from elsewhere and with files beside them, and the state after 100 steps at full throttle."""
+    for task, variant in magical_mj.ENVIRONMENTS[::7]:
+        env = magical_mj.Engine(task, variant, seed=1)
+        controls = [0.8, 0.8, 2.5, 2.5, 1.0, 1.0]  # the largest values that any action has
+        yield _stepped(f"{task}-{variant}-1", {f"{task}-{variant}-1.xml": mjcf_text(env).encode()}, controls)
+        env.close()
+    locomotion, suite = (Path(module.__file__ or "").parent for module in (gymnasium, dm_control.suite))
+    locomotion /= "envs/mujoco/assets"
+    for path in (locomotion / "ant.xml", locomotion / "walker2d_v5.xml", suite / "cartpole.xml"):
+        yield _stepped(path.name, model_files(path))
+    files = {"tetrahedron.xml": TETRAHEDRON.encode(), "tetrahedron.obj": OBJ.encode()}
+    yield _stepped("tetrahedron.xml", files)
+
+
+TETRAHEDRON: Final = """<mujoco>
+  <compiler meshdir="shapes"/>
+  <asset><mesh file="tetrahedron.obj"/></asset>
+  <worldbody>
+    <geom type="plane" size="2 2 .1"/>
+    <!-- It falls on a corner -->
+    <body name="stone" pos="0 0 .6" euler="30 40 0"><freejoint/><geom type="mesh" mesh="tetrahedron"/></body>
+  </worldbody>
+</mujoco>
+"""
+OBJ: Final = """v 0 0 0
+v .3 0 0
+v 0 .3 0
+v 0 0 .3
+f 1 3 2
+f 1 2 4
+f 1 4 3
+f 2 3 4
+"""
+
+
+def _stepped(name: str, contents: dict[str, bytes], controls: list[float] | None = None) -> dict[str, Any]:
+    main, *others = contents
+    text = contents[main].decode()
+    model = mujoco.MjModel.from_xml_string(text, {other: contents[other] for other in others})
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.ctrl[:] = model.actuator_ctrlrange[:, 1] if controls is None else controls
+    for _ in range(STEPS):
+        mujoco.mj_step(model, data)
+    return {
+        "name": name,
+        "files": {path: content.decode() for path, content in contents.items()},
+        "qpos": data.qpos.tolist(),
+        "qvel": data.qvel.tolist(),
+    }
+
+
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
-    cases = {"episodes": list(episodes()), "scores": list(scores()), "pictures": list(pictures())}
+    cases = {
+        "stepped": list(stepped()),
+        "episodes": list(episodes()),
+        "scores": list(scores()),
+        "pictures": list(pictures()),
+    }
     for name, content in {**cases, "look": drawing_style()}.items():
         (folder / f"{name}.json").write_text(json.dumps(content))

@@ -31,6 +31,7 @@ websockets = pytest.importorskip("websockets")
 from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 from websockets.sync.client import ClientConnection, connect  # noqa: E402
 
+from magical_mj.web.inspection import model_files  # noqa: E402
 from magical_mj.web.server import PlayServer  # noqa: E402
 
 
@@ -293,3 +294,24 @@ def test_an_episode_at_the_server_is_pythons_and_outlives_a_kill(server: tuple[A
     assert (demo.scene_seed, demo.demonstrator, demo.score) == (7, "human", env.score())
     assert demos.verify(demo).exact
     env.close()
+
+
+def test_a_model_is_read_with_the_files_that_it_names(tmp_path: Path) -> None:
+    (tmp_path / "shapes").mkdir()
+    (tmp_path / "shapes" / "stone.obj").write_text("v 0 0 0")
+    (tmp_path / "secret.txt").write_text("not named")
+    (tmp_path / "parts.xml").write_text(
+        '<mujoco><compiler meshdir="shapes"/><asset><mesh file="stone.obj"/></asset></mujoco>'
+    )
+    model = tmp_path / "model.xml"
+    model.write_text('<mujoco><include file="parts.xml"/><asset><mesh file="missing.obj"/></asset></mujoco>')
+    assert list(model_files(model)) == ["model.xml", "parts.xml", "stone.obj"]
+    model.write_text("<mujoco><broken")
+    assert list(model_files(model)) == ["model.xml"]  # the page says what is wrong
+
+
+def test_a_model_that_is_not_there_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["inspect", "nothing.xml"]) == 2
+    assert "there is no file nothing.xml" in capsys.readouterr().err
+    assert main(["inspect", "nothing.xml", "--seed", "2"]) == 2
+    assert "only with TASK" in capsys.readouterr().err

@@ -18,9 +18,14 @@ export function recording({ task, variant, seed, game }, protocol) {
 
 /** Offers a recording as a download. @param {ReturnType<typeof recording>} data */
 export function save(data) {
+  download(`${data.task}-${data.variant}-${data.seed}.json`, new Blob([JSON.stringify(data)], { type: "application/json" }));
+}
+
+/** @param {string} name @param {Blob} content */
+export function download(name, content) {
   const link = document.createElement("a");
-  link.href = URL.createObjectURL(new Blob([JSON.stringify(data)], { type: "application/json" }));
-  link.download = `${data.task}-${data.variant}-${data.seed}.json`;
+  link.href = URL.createObjectURL(content);
+  link.download = name;
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href));
 }

@@ -9,6 +9,7 @@
  *   demonstrations: actions in its only scene
  * @typedef {(environment: Environment, entry: {seed: number, mjcf?: number[], scene: Scene | null}, task: string, variant: string) => Promise<Episode>} Opener
  */
+import { loadMujoco } from "./mujoco.js";
 import { Simulation } from "./simulation.js";
 
 /**
@@ -33,20 +34,10 @@ export async function fetchJson(path) {
  * @returns {Opener}
  */
 export function inBrowser() {
-  /** @type {Promise<any> | null} */
-  let loading = null;
-  let failures = 0;  // browsers remember that an address failed
-  const load = () => loading ??= import(new URL(`mujoco/mujoco.js${failures ? `?${failures}` : ""}`, document.baseURI).href)
-    .then((module) => module.default())
-    .catch((error) => {
-      loading = null;
-      failures++;
-      throw error;
-    });
-  load().catch(() => {});  // whoever opens a scene is told
+  loadMujoco().catch(() => {});  // whoever opens a scene is told
   return async ({ elements = [] }, { scene, mjcf = [] }) => {
     if (!scene) throw new Error("there is no such scene here");
-    const simulation = new Simulation(await load(), mjcf.map((i) => elements[i]).join(""), scene);
+    const simulation = new Simulation(await loadMujoco(), mjcf.map((i) => elements[i]).join(""), scene);
     return { scene, act: (action) => simulation.act(action), close: () => simulation.close() };
   };
 }

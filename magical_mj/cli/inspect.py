@@ -1,0 +1,53 @@
+"""`magical-mj inspect`: look at a scene or at any MuJoCo model in the browser, while it runs."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import magical_mj
+from magical_mj.cli.console import Seed, Variant, check_fits
+from magical_mj.cli.play import Host, Port, check_seed_in_browser, serve_until_interrupted
+from magical_mj.engine.export import mjcf_text
+from magical_mj.tasks.registry import ENVIRONMENTS, task_spec, variant_name
+from magical_mj.utils.errors import SettingsError
+from magical_mj.utils.extras import check_extra
+
+Model = Annotated[
+    str, typer.Argument(metavar="TASK|FILE", help="A task as elsewhere, or an MJCF file (.xml).", show_default=False)
+]
+
+
+def inspect(
+    context: typer.Context,
+    model: Model,
+    variant: Variant = "Demo",
+    seed: Seed = 0,
+    host: Host = "127.0.0.1",
+    port: Port = 8008,
+) -> None:
+    """Open a page that shows a model in 3-D and runs it: bodies, joints, contacts, sensors, actuators.
+
+    It prints the page's address. The first time, npm fetches MuJoCo's WebAssembly build and two libraries (5 MB).
+    """
+    is_file = model.lower().endswith((".xml", ".mjcf"))
+    check_fits(context, not is_file, "with TASK", "variant", "seed")
+    check_extra("models in a browser", "web")
+    from magical_mj.web.inspection import InspectServer, model_files
+
+    if is_file:
+        path = Path(model)
+        if not path.is_file():
+            raise SettingsError(f"there is no file {path}")
+        files, place = model_files(path), "#file"
+    else:
+        name = f"{task_spec(model).name}-{variant_name(variant)}-{check_seed_in_browser(seed)}"
+        if (task_spec(model).name, variant_name(variant)) in ENVIRONMENTS:
+            files, place = {}, f"#{name}"
+        else:
+            with closing(magical_mj.Engine(model, variant, seed=seed)) as engine:
+                files, place = {f"{name}.xml": mjcf_text(engine).encode()}, "#file"
+    serve_until_interrupted(InspectServer(ENVIRONMENTS, host, port, model=files), f"inspect.html{place}")

@@ -1,0 +1,93 @@
+"""The server of `magical-mj inspect`: the page that shows models, of every scene of the benchmark or of one file."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar, Final
+from xml.etree import ElementTree as ET
+
+from magical_mj.engine import Engine
+from magical_mj.engine.export import mjcf_text
+from magical_mj.tasks.registry import ENVIRONMENTS
+from magical_mj.utils.errors import MagicalError, SettingsError
+from magical_mj.web.npm import library_files
+from magical_mj.web.server import PlayServer
+
+FOLDERS: Final = ("meshdir", "texturedir", "assetdir")
+"""Settings of models that say where their files lie."""
+MOST_BYTES: Final = 200_000_000
+"""The largest size of a model with all its files: the browser holds them in memory."""
+
+
+@dataclass
+class InspectServer(PlayServer):
+    """Serves `inspect.html` with the libraries that it needs, under a secret address as the page to play on.
+
+    Args:
+        model: the file that the page shows first, and the content of it and of all files that it names; the file is
+            the first entry. Without one, the page shows scenes of the benchmark.
+
+    Raises:
+        MagicalError: if the libraries cannot be fetched.
+    """
+
+    model: dict[str, bytes] = field(default_factory=dict)
+    scripts: ClassVar[str] = "'self' 'unsafe-eval'"
+    """MuJoCo's JavaScript writes functions of its own."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        known = json.loads(self._files["catalogue.json"])
+        if self.model:
+            name, *files = self.model
+            known["model"] = {"name": name, "files": files}
+        self._files["catalogue.json"] = json.dumps(known).encode()
+        self._files |= library_files()
+        self._files |= {f"model/{name}": content for name, content in self.model.items()}
+
+    def _content(self, name: str) -> bytes | None:
+        if not name.startswith("models/"):
+            return super()._content(name)
+        task, variant, seed = [*name.removeprefix("models/").removesuffix(".xml").split("-"), "", ""][:3]
+        if (task, variant) not in ENVIRONMENTS or not seed.isascii() or not seed.isdigit():
+            return None
+        try:
+            with closing(Engine(task, variant, seed=int(seed))) as engine:
+                return mjcf_text(engine).encode()
+        except (MagicalError, ValueError):  # a seed that is too large
+            return None
+
+
+def model_files(path: Path) -> dict[str, bytes]:
+    """A model and the files that it names, by their last names; the model comes first.
+
+    Only files named by `<include>`, meshes, textures, height fields and skins are read. Models that do not parse are
+    shown to the page as they are, which says what MuJoCo's compiler has to say.
+
+    Raises:
+        OSError: if the model cannot be read.
+        SettingsError: if everything together is too large.
+    """
+    contents = {path.name: path.read_bytes()}
+    waiting = [path.name]
+    folders = {path.parent}
+    while waiting:
+        try:
+            root = ET.fromstring(contents[waiting.pop()])  # noqa: S314 (the user's own file)
+        except ET.ParseError:
+            continue
+        named = [element.get("file", "") for element in root.iter() if element.get("file")]
+        folders |= {path.parent / element.get(key, "") for element in root.iter("compiler") for key in FOLDERS}
+        for name in named:
+            found = next((folder / name for folder in sorted(folders) if (folder / name).is_file()), None)
+            if found is None or found.name in contents:
+                continue
+            contents[found.name] = found.read_bytes()
+            if found.suffix == ".xml":
+                waiting.append(found.name)
+            if sum(map(len, contents.values())) > MOST_BYTES:
+                raise SettingsError(f"{path} and the files that it names have more than {MOST_BYTES:,} bytes")
+    return contents

@@ -1,0 +1,110 @@
+"""What the pages need from npm: MuJoCo's WebAssembly build, and libraries that draw. Fetched once, in fixed versions.
+
+Each archive is used only if it has the bytes that we know.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import os
+import shutil
+import subprocess
+import tarfile
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from magical_mj.utils.errors import MagicalError
+
+
+class Package(NamedTuple):
+    """A package of npm."""
+
+    name: str
+    version: str
+    sha512: str
+    """Of its archive, in base64, as npm states it."""
+
+
+MUJOCO: Final = Package(
+    "@mujoco/mujoco",
+    "3.14.0",
+    "WPUYidu4Fx8+uM4hQv80SOA0ifpWGrsNJguKs8JBV8SCTxjKQ2/rqsh880nUH0/Vwa8vuefghvCQkkoed3bkUg==",
+)
+"""MuJoCo's own WebAssembly build; Apache-2.0."""
+THREE: Final = Package(
+    "three",
+    "0.187.0",
+    "Qiu7R+Cmh8CstZsY1uJOSWnVlfo7ZtNLV7mF8Jltk3LB3AtDu9cRZlcnRKkAk8Y4z6KKw35z7Y7Urd7jWY8etA==",
+)
+"""three.js, which draws solids; MIT."""
+UPLOT: Final = Package(
+    "uplot",
+    "1.6.32",
+    "KIMVnG68zvu5XXUbC4LQEPnhwOxBuLyW1AHtpm6IKTXImkbLgkMy+jabjLgSLMasNuGGzQm/ep3tOkyTxpiQIw==",
+)
+"""uPlot, which draws values over time; MIT."""
+FILES: Final = {
+    "mujoco/mujoco.js": (MUJOCO, "mujoco.js"),
+    "mujoco/mujoco.wasm": (MUJOCO, "mujoco.wasm"),
+    "three/three.module.js": (THREE, "build/three.module.js"),
+    "three/three.core.js": (THREE, "build/three.core.js"),
+    "three/OrbitControls.js": (THREE, "examples/jsm/controls/OrbitControls.js"),
+    "three/uPlot.esm.js": (UPLOT, "dist/uPlot.esm.js"),
+    "three/uPlot.min.css": (UPLOT, "dist/uPlot.min.css"),
+}
+"""Where the pages expect a file -> its package, and its path in that."""
+
+
+def library_files(cache: Path | None = None) -> dict[str, bytes]:
+    """The files of `FILES`, by the names that the pages use.
+
+    Args:
+        cache: where packages are kept; None: in the user's folder for such things.
+
+    Raises:
+        MagicalError: as `fetched`.
+    """
+    files = {name: (fetched(package, cache) / path).read_bytes() for name, (package, path) in FILES.items()}
+    controls = "three/OrbitControls.js"  # which imports three.js by a name that only bundlers know
+    files[controls] = files[controls].replace(b"from 'three'", b"from './three.module.js'")
+    return files
+
+
+def fetched(package: Package, cache: Path | None = None) -> Path:
+    """The folder with the package's files, fetched by npm if it is not there yet.
+
+    Raises:
+        MagicalError: if npm is missing or fails, or sends something else.
+    """
+    cache = cache or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "magical_mj" / "npm"
+    folder = cache / "node_modules" / package.name
+    if _is(folder, package):
+        return folder
+    if shutil.which("npm") is None:
+        raise MagicalError(f"{package.name} {package.version} must be fetched once by npm: install node 20 or newer")
+    cache.mkdir(parents=True, exist_ok=True)
+    command = ["npm", "pack", "--silent", f"{package.name}@{package.version}"]
+    done = subprocess.run(command, cwd=cache, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise MagicalError(f"npm could not fetch {package.name} {package.version}: {done.stderr.strip()}")
+    archive = cache / done.stdout.split()[-1]
+    digest = base64.b64encode(hashlib.sha512(archive.read_bytes()).digest()).decode()
+    if digest != package.sha512:
+        raise MagicalError(f"{archive} has the SHA-512 {digest}, not {package.sha512}: it is not what was tested")
+    shutil.rmtree(folder, ignore_errors=True)
+    unpacked = cache / f"{archive.name}.unpacked"
+    with tarfile.open(archive) as tar:
+        tar.extractall(unpacked, filter="data")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    (unpacked / "package").rename(folder)
+    unpacked.rmdir()
+    (folder / ".sha512").write_text(package.sha512)
+    archive.unlink()
+    return folder
+
+
+def _is(folder: Path, package: Package) -> bool:
+    """Whether the folder was unpacked from just this archive."""
+    mark = folder / ".sha512"
+    return mark.exists() and mark.read_text() == package.sha512

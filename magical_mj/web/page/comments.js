@@ -1,0 +1,43 @@
+// @ts-check
+/**
+ * What a model file says about its own parts: the comments that stand before bodies and before the classes of geoms.
+ * @typedef {{file: string, bodies: string[], geoms: string[]}} Comments  by the numbers that MuJoCo gives them; "" for none
+ */
+
+/** The elements below another one that have this name. @param {Element} parent @param {string} name */
+const children = (parent, name) => [...parent.children].filter(({ tagName }) => tagName === name);
+
+/**
+ * Reads a file's comments. Numbers follow from the order in the file; where the file makes more bodies or geoms than it
+ * writes, as by including others, it has no comments.
+ * @param {string} text  MJCF
+ * @param {number} bodyCount  of the compiled model
+ * @param {number} geomCount
+ * @returns {Comments}
+ */
+export function readComments(text, bodyCount, geomCount) {
+  const root = new DOMParser().parseFromString(text, "text/xml");
+  const file = [...root.childNodes].filter((node) => node instanceof Comment).map(words).join("\n\n");
+  const world = root.querySelector("worldbody");
+  if (!world) return { file, bodies: [], geoms: [] };
+  const bodies = [world, ...world.querySelectorAll("body")];
+  const geoms = bodies.flatMap((body) => children(body, "geom"));
+  const classes = new Map([...root.querySelectorAll("default[class]")].map((one) => [one.getAttribute("class"), before(one)]));
+  return {
+    file,
+    bodies: bodies.length === bodyCount ? bodies.map((body) => body === world ? "The world" : before(body)) : [],
+    geoms: geoms.length === geomCount ? geoms.map((geom) => classes.get(geom.getAttribute("class")) ?? "") : [],
+  };
+}
+
+/** The comment before an element, or before the row of its like in which it stands. @param {Element} element */
+function before(element) {
+  for (let node = element.previousSibling; node; node = node.previousSibling) {
+    if (node instanceof Comment) return words(node);
+    if (node instanceof Element && node.tagName !== element.tagName) return "";
+  }
+  return "";
+}
+
+/** @param {Node} comment */
+const words = (comment) => (comment.nodeValue ?? "").trim().replace(/[ \t]+/g, " ");

@@ -1,0 +1,377 @@
+// @ts-check
+/** The page on which any model is looked at while it runs: a file that is opened or dropped, or a scene of the benchmark. */
+import { fromLetters } from "./actions.js";
+import { parseAddress } from "./address.js";
+import { Controls } from "./controls.js";
+import { loadMujoco, onProgress } from "./mujoco.js";
+import { Plots } from "./plots.js";
+import { download } from "./recording.js";
+import { fetchJson, loadEnvironment } from "./scenes.js";
+import { Stage } from "./stage.js";
+import { World } from "./world.js";
+
+const RATE = 8;  // actions a second
+const REST = 250;  // milliseconds without movement, after which the picture is drawn as well as it can be
+const SLOW = 60;  // milliseconds from picture to picture
+const LATE = 0.25;  // seconds: whoever lags behind so much does not catch up
+/** @param {string} id */
+const element = (id) => /** @type {any} */ (document.getElementById(id));
+/** @type {Stage} */
+let stage;
+const plots = new Plots(element("plot"), element("plotted"));
+const controls = new Controls(element("world"), []);
+
+/** What is on the page now. */
+const shown = {
+  /** @type {World | null} */ world: null,
+  name: "", text: "", running: false, stale: true, behind: 0, last: 0, selected: -1,
+  /** @type {number[] | null} actions of the expert */ script: null,
+  /** @type {string} the expert's actions as letters, where they are known */ expert: "",
+  done: 0, driven: false, turned: -Infinity, rough: false,
+};
+let choices = 0;  // the last one wins, whatever was loaded in between
+
+/** @param {string} what @param {boolean} isWrong */
+function say(what, isWrong = false) {
+  const message = element("message");
+  message.textContent = what;
+  message.classList.toggle("wrong", isWrong);
+}
+
+/**
+ * Opens a model, and keeps the one before if that fails.
+ * @param {string} name
+ * @param {() => Promise<{text: string, files?: Map<string, Uint8Array>, expert?: string}>} read
+ */
+async function open(name, read) {
+  const choice = ++choices;
+  try {
+    const [mujoco, { text, files, expert }] = await Promise.all([loadMujoco(), read()]);
+    if (choice !== choices) return;
+    element("download").hidden = true;
+    const world = new World(mujoco, text, files);
+    shown.world?.close();
+    Object.assign(shown, { turned: shown.last, world, name, text, expert: expert ?? "", script: null, done: 0, driven: false, behind: 0 });
+    run(false);
+    stage.open(world);
+    showModel(world);
+    say("");
+  } catch (error) {
+    if (choice === choices) say(`${name} cannot be shown.\n${/** @type {Error} */ (error).message}`, true);
+  }
+}
+
+/** @param {World} world */
+function showModel(world) {
+  document.title = `${shown.name} · Inspect a model · MAGICAL`;
+  element("legend").hidden = !world.controls;
+  element("expert").hidden = !shown.expert;
+  element("model").href = `data:text/xml;charset=utf-8,${encodeURIComponent(shown.text)}`;
+  element("model").download = shown.name.endsWith(".xml") ? shown.name : `${shown.name}.xml`;
+  element("file-says").hidden = !world.comments.file;
+  element("file-says").querySelector("pre").textContent = world.comments.file;
+  element("tree").replaceChildren(...treeOf(world));
+  element("controls").hidden = !world.model.nu;
+  element("controls").querySelector("div").replaceChildren(...slidersOf(world));
+  plots.open(world);
+  select(-1);
+}
+
+/** A button for each body, below that of which it is a part. @param {World} world */
+function treeOf(world) {
+  const { model } = world, depths = [0];
+  return Array.from({ length: model.nbody }, (_, body) => {
+    if (body) depths[body] = depths[model.body_parentid[body]] + 1;
+    const button = document.createElement("button");
+    button.textContent = world.label(body);
+    button.style.setProperty("--depth", String(depths[body]));
+    button.onclick = () => select(body);
+    return button;
+  });
+}
+
+/** @param {World} world */
+function slidersOf(world) {
+  const { model } = world;
+  const mostUsed = (/** @type {number} */ id) => world.controls
+    ? Math.max(...Array.from(/** @type {Float64Array} */ (world.controls)).filter((_, i) => i % model.nu === id).map(Math.abs)) : 1;
+  return world.names("actuator", "actuator", model.nu).map((name, id) => {
+    const label = document.createElement("label"), slider = document.createElement("input"), value = document.createElement("output");
+    const range = model.actuator_ctrlrange.subarray(2 * id, 2 * id + 2);  // 0 0: unlimited; MuJoCo's build gives no flags
+    const [low, high] = range[0] < range[1] ? range : [-mostUsed(id), mostUsed(id)];
+    Object.assign(slider, { type: "range", min: low, max: high, step: (high - low) / 200 || 1 });
+    slider.oninput = () => {
+      shown.driven = false;
+      shown.script = null;
+      world.data.ctrl[id] = Number(slider.value);
+      value.textContent = Number(slider.value).toFixed(2);
+    };
+    label.append(name, slider, value);
+    return label;
+  });
+}
+
+function showSliders() {
+  const { ctrl } = /** @type {World} */ (shown.world).data;
+  element("controls").querySelectorAll("label").forEach((/** @type {HTMLElement} */ label, /** @type {number} */ id) => {
+    const [slider, value] = /** @type {any} */ (label.querySelectorAll("input, output"));
+    if (document.activeElement !== slider) slider.value = String(ctrl[id]);
+    value.textContent = ctrl[id].toFixed(2);
+  });
+}
+
+/** @param {number} body  -1: none */
+function select(body) {
+  shown.selected = body;
+  shown.stale = true;
+  stage.select(body);
+  [...element("tree").children].forEach((button, i) => { button.ariaCurrent = String(i === body); });
+  const tree = element("tree"), chosen = tree.children[body];
+  if (chosen && (chosen.offsetTop < tree.scrollTop || chosen.offsetTop > tree.scrollTop + tree.clientHeight - 30)) tree.scrollTop = chosen.offsetTop - 60;
+  describe();
+}
+
+/** Says about the selected body what is the case now. */
+function describe() {
+  const about = element("about"), world = /** @type {World} */ (shown.world);
+  if (shown.selected < 0) {
+    const { nbody, njnt, ngeom, nu } = world.model;
+    about.replaceChildren(tag("h2", shown.name), tag("p", `${nbody} bodies, ${njnt} joints, ${ngeom} geoms, ${nu} actuators. Click a body to learn about it.`));
+    return;
+  }
+  const { name, about: words, facts, joints, geoms } = world.describe(shown.selected);
+  about.replaceChildren(tag("h2", name), ...words ? [tag("p", words)] : [], table("facts", [], facts),
+    ...joints.length ? [tag("h3", `${joints.length} joints`), table("list", ["Name", "Type", "Position", "Velocity", "Range", "Damping", "Dry friction"], joints)] : [],
+    ...geoms.length ? [tag("h3", `${geoms.length} geoms`), table("list", ["Name", "Type", "Size", "Group", "Friction", "Contype / affinity", "What it is"], geoms)] : []);
+}
+
+/** @param {string} name @param {string} text */
+function tag(name, text) {
+  const one = document.createElement(name);
+  one.textContent = text;
+  return one;
+}
+
+/** @param {string} kind @param {string[]} header @param {string[][]} rows */
+function table(kind, header, rows) {
+  const box = document.createElement("div"), all = document.createElement("table");
+  box.className = "scroll";
+  box.tabIndex = 0;
+  all.className = kind;
+  const row = (/** @type {string[]} */ cells, /** @type {(i: number) => string} */ kindOf) => {
+    const line = document.createElement("tr");
+    line.append(...cells.map((cell, i) => tag(kindOf(i), cell)));
+    return line;
+  };
+  if (header.length) all.createTHead().append(row(header, () => "th"));
+  const body = all.createTBody();
+  body.append(...rows.map((cells) => row(cells, (i) => kind === "facts" && i === 0 ? "th" : "td")));
+  box.append(all);
+  return box;
+}
+
+/** @param {boolean} running */
+function run(running) {
+  shown.running = running;
+  shown.last = performance.now();
+  shown.behind = 0;
+  element("run").firstChild.textContent = running ? "Pause " : "Run ";
+}
+
+/** The smallest step that makes sense: an action of the benchmark, or else a step of MuJoCo. */
+function step() {
+  const world = /** @type {World} */ (shown.world);
+  shown.stale = true;
+  if (!world.controls) world.step();
+  else if (shown.script) world.act(shown.script[shown.done++] ?? 0);
+  else if (controls.touched || shown.driven) {
+    shown.driven = true;
+    world.act(controls.next());
+  } else for (let i = 0; i < world.substeps; i++) world.step();
+  plots.note();
+}
+
+let pace = 0;  // milliseconds from picture to picture while something moves
+
+/** @param {number} time  milliseconds */
+function frame(time) {
+  const { world } = shown;
+  if (world) {
+    if (!shown.running && world.controls && controls.touched) run(true);
+    if (shown.running) {
+      const period = world.controls ? 1 / RATE : world.model.opt.timestep, speed = Number(element("speed").value);
+      shown.behind = Math.min(LATE, shown.behind + (time - shown.last) / 1000);
+      for (const began = performance.now(); shown.behind * speed >= period && performance.now() - began < 30; shown.behind -= period / speed) step();
+      if (shown.script && shown.done >= shown.script.length) run(false);
+    }
+    const isMoving = shown.running || time - shown.turned < REST;
+    if (isMoving) pace = 0.9 * pace + 0.1 * (time - shown.last);
+    if (pace > SLOW) stage.slow = true;
+    shown.last = time;
+    if (shown.stale || (shown.rough && !isMoving)) show(world, isMoving);
+  }
+  requestAnimationFrame(frame);
+}
+
+let described = 0;  // when the words were last brought up to date
+
+/** @param {World} world @param {boolean} isMoving */
+function show(world, isMoving) {
+  shown.stale = false;
+  shown.rough = isMoving && stage.slow;
+  stage.draw(isMoving);
+  element("time").textContent = `${world.data.time.toFixed(3)} s`;
+  const now = performance.now();
+  if (shown.running && now - described < 150) return;
+  described = now;
+  showSliders();
+  if (shown.selected >= 0) describe();
+  plots.draw();
+}
+
+function reset() {
+  Object.assign(shown, { script: null, done: 0, driven: false, stale: true });
+  shown.world?.reset();
+  run(false);
+}
+
+/** Plays what the expert does here. */
+function expert() {
+  reset();
+  shown.script = fromLetters(shown.expert);
+  run(true);
+}
+
+function state() {
+  const world = /** @type {World} */ (shown.world), { model } = world;
+  const names = { joints: world.names("jnt", "joint", model.njnt), actuators: world.names("actuator", "actuator", model.nu) };
+  return { model: shown.name, ...world.state(), ...names };
+}
+
+/** Opens files that were dropped or chosen: one model, and what it needs. @param {Iterable<File>} files */
+async function openFiles(files) {
+  history.replaceState(null, "", "#file");
+  const all = [...files], models = all.filter(({ name }) => /\.(xml|mjcf)$/i.test(name));
+  const texts = await Promise.all(models.map((file) => file.text()));
+  const included = models.filter(({ name }) => texts.some((text) => text.includes(`"${name}"`) || text.includes(`/${name}"`)));
+  const main = models.find((file) => !included.includes(file)) ?? models[0];
+  if (!main) return say("A model is an .xml file: open it together with the files that it needs.", true);
+  await open(main.name, async () => ({
+    text: texts[models.indexOf(main)],
+    files: new Map(await Promise.all(all.filter((file) => file !== main).map(
+      async (file) => /** @type {[string, Uint8Array]} */ ([file.name, new Uint8Array(await file.arrayBuffer())])))),
+  }));
+}
+
+/** @type {any} */
+let catalogue = null;
+
+/** @param {string} task @param {string} variant @param {number} seed */
+async function openScene(task, variant, seed) {
+  showNames(task, variant, seed);
+  await open(`${task}-${variant}-${seed}`, async () => {
+    if (catalogue.simulation === "server") {
+      const reply = await fetch(`models/${task}-${variant}-${seed}.xml`);
+      if (!reply.ok) throw new Error(await reply.text());
+      return { text: await reply.text() };
+    }
+    const { scenes, elements = [] } = await loadEnvironment(task, variant);
+    const entry = scenes.find((one) => one.seed === seed);
+    if (!entry) throw new Error(`Here are the seeds ${scenes[0].seed} to ${scenes[scenes.length - 1].seed}; magical-mj inspect shows all.`);
+    return { text: (entry.mjcf ?? []).map((i) => elements[i]).join(""), expert: entry.expert };
+  });
+}
+
+/** @param {string} task @param {string} variant @param {number} seed */
+function showNames(task, variant, seed) {
+  history.replaceState(null, "", `#${task}-${variant}-${seed}`);
+  const variants = catalogue.environments.filter((/** @type {any} */ one) => one.task === task);
+  element("variant").replaceChildren(...variants.map((/** @type {any} */ one) => new Option(one.variant)));
+  Object.assign(element("task"), { value: task });
+  Object.assign(element("variant"), { value: variant });
+  element("seed").value = seed;
+  element("play").href = `./#${task}-${variant}-${seed}`;
+}
+
+/** What the address says: `#FindDupe-All-3`, or the file that the server was given. */
+async function openAddress() {
+  const { hash } = location, given = catalogue.model;
+  if (hash === "#file" && !given) return;
+  if (given && (!hash || hash === "#file")) {
+    return open(given.name, async () => {
+      const reply = await Promise.all([given.name, ...given.files].map((name) => fetch(`model/${encodeURIComponent(name)}`)));
+      const contents = await Promise.all(reply.map((one) => one.arrayBuffer()));
+      const files = given.files.map((/** @type {string} */ name, /** @type {number} */ i) => [name, new Uint8Array(contents[i + 1])]);
+      return { text: new TextDecoder().decode(contents[0]), files: new Map(files) };
+    });
+  }
+  const { task, variant, seed, unknown } = parseAddress(hash, catalogue);
+  await openScene(task, variant, seed);
+  if (unknown) say(unknown, true);
+}
+
+/** @type {Record<string, string>} the buttons that keys press */
+const SHORTCUTS = { KeyP: "run", Period: "step", KeyR: "reset" };
+
+function connect() {
+  element("run").onclick = () => run(!shown.running);
+  element("step").onclick = () => {
+    run(false);
+    if (shown.world) step();
+  };
+  element("reset").onclick = reset;
+  element("expert").onclick = expert;
+  element("picture").onclick = async () => download(`${shown.name}.png`, await stage.picture());
+  element("state").onclick = () => download(`${shown.name}-state.json`, new Blob([JSON.stringify(state(), null, 1)], { type: "application/json" }));
+  element("copy").onclick = () => navigator.clipboard.writeText(JSON.stringify(state())).then(() => say("The state was copied."), (error) => say(error.message, true));
+  element("file").onchange = () => openFiles(element("file").files);
+  element("open").onkeydown = (/** @type {KeyboardEvent} */ { key }) => { if (key === "Enter" || key === " ") element("file").click(); };
+  element("switches").onchange = (/** @type {any} */ { target }) => {
+    if (target.name === "insets") stage.insets = target.checked;
+    else stage.shown[/** @type {keyof Stage["shown"]} */ (target.name)] = target.checked;
+    shown.stale = true;
+  };
+  for (const id of ["controls", "sensors"]) element(id).ontoggle = () => { shown.stale = true; };
+  element("task").onchange = () => {
+    const { variant } = parseAddress(`#${element("task").value}-${element("variant").value}`, catalogue);
+    openScene(element("task").value, variant, 0);
+  };
+  for (const id of ["variant", "seed"]) element(id).onchange = () => openScene(element("task").value, element("variant").value, Math.max(0, Number(element("seed").value)));
+  addEventListener("hashchange", openAddress);
+  addEventListener("keydown", (event) => {
+    const elsewhere = /** @type {any} */ (event.target).matches("select, input");
+    if (elsewhere || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (SHORTCUTS[event.code]) element(SHORTCUTS[event.code]).click();
+  });
+  new ResizeObserver(() => { shown.stale = true; }).observe(element("world"));
+  const canvas = element("world");
+  let pressed = [0, 0];
+  canvas.addEventListener("pointerdown", (/** @type {PointerEvent} */ event) => { pressed = [event.offsetX, event.offsetY]; });
+  canvas.addEventListener("pointerup", (/** @type {PointerEvent} */ { offsetX, offsetY }) => {
+    if (shown.world && Math.hypot(offsetX - pressed[0], offsetY - pressed[1]) < 5) select(stage.bodyAt(offsetX, offsetY));
+  });
+  const drop = element("stage");
+  addEventListener("dragover", (event) => {
+    event.preventDefault();
+    drop.classList.add("dragged");
+  });
+  addEventListener("dragleave", () => drop.classList.remove("dragged"));
+  addEventListener("drop", (event) => {
+    event.preventDefault();
+    drop.classList.remove("dragged");
+    openFiles(event.dataTransfer?.files ?? []);
+  });
+}
+
+try {
+  stage = new Stage(element("world"), () => { Object.assign(shown, { stale: true, turned: shown.last }); });
+  onProgress((share) => { element("download").value = share; });
+  catalogue = await fetchJson("catalogue.json");
+  element("task").replaceChildren(...Object.keys(catalogue.tasks).map((name) => new Option(name)));
+  if (catalogue.simulation === "server") for (const id of ["home", "play"]) element(id).removeAttribute("href");
+  connect();
+  requestAnimationFrame(frame);
+  await openAddress();
+} catch (error) {
+  say(`${/** @type {Error} */ (error).message}\nReload the page to try again.`, true);
+}

@@ -1,0 +1,53 @@
+// @ts-check
+/** MuJoCo's WebAssembly build: fetched once, with a word on how far that is, and compiled while it arrives. */
+
+/** @type {Promise<any> | null} */
+let loading = null;
+let failures = 0;  // browsers remember that an address failed
+
+/** Called with the share of the download that is here, 0 to 1. @type {(share: number) => void} */
+let tell = () => {};
+
+/**
+ * The module; the same one however often it is asked for. After a failure it is fetched again.
+ * @returns {Promise<any>}
+ */
+export function loadMujoco() {
+  const again = failures ? `?${failures}` : "";
+  const address = (/** @type {string} */ name) => new URL(`mujoco/${name}${again}`, document.baseURI).href;
+  loading ??= Promise.all([import(address("mujoco.js")), compiled(address("mujoco.wasm"))])
+    .then(([{ default: start }, module]) => start({
+      /** @param {any} imports @param {(instance: WebAssembly.Instance, module: WebAssembly.Module) => void} done */
+      instantiateWasm: (imports, done) => {
+        WebAssembly.instantiate(module, imports).then((instance) => done(instance, module));
+        return {};
+      },
+    }))
+    .catch((error) => {
+      loading = null;
+      failures += 1;
+      throw new Error(`MuJoCo could not be loaded (${error.message})`);
+    });
+  return loading;
+}
+
+/** Who is told how far the download is. @param {(share: number) => void} listener */
+export function onProgress(listener) {
+  tell = listener;
+}
+
+/** @param {string} address */
+async function compiled(address) {
+  const reply = await fetch(address);
+  if (!reply.ok || !reply.body) throw new Error(`${reply.status} ${reply.statusText}`);
+  const size = Number(document.documentElement.dataset.wasm) || Number(reply.headers.get("content-length"));
+  let here = 0;
+  const counted = reply.body.pipeThrough(new TransformStream({
+    transform(chunk, controller) {
+      here += chunk.byteLength;
+      tell(size ? Math.min(1, here / size) : 0);
+      controller.enqueue(chunk);
+    },
+  }));
+  return WebAssembly.compileStreaming(new Response(counted, { headers: { "content-type": "application/wasm" } }));
+}

@@ -1,0 +1,185 @@
+// @ts-check
+/**
+ * Any model in MuJoCo's WebAssembly build: its state, its parts, and what the file says about them.
+ * @typedef {import("./comments.js").Comments} Comments
+ * @typedef {{name: string, about: string, facts: [string, string][], joints: string[][], geoms: string[][]}} Description
+ */
+import { readComments } from "./comments.js";
+
+const JOINTS = ["free", "ball", "slide", "hinge"];
+const GEOMS = ["plane", "height field", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh", "SDF"];
+/** The file's attributes that name other files, and the settings that say where those lie. */
+const FILES = /\bfile\s*=\s*["']([^"']+)["']/g;
+const FOLDERS = /\b(?:meshdir|texturedir|assetdir)\s*=\s*["']([^"']*)["']/g;
+
+/** @param {ArrayLike<number>} values @param {number} [digits] */
+const numbers = (values, digits = 4) => [...Array.from(values)].map((value) => Number(value.toPrecision(digits))).join(" ");
+
+export class World {
+  /**
+   * @param {any} mujoco  the module
+   * @param {string} text  MJCF
+   * @param {Map<string, Uint8Array>} files  those that the model needs, by name
+   */
+  constructor(mujoco, text, files = new Map()) {
+    this.mujoco = mujoco;
+    this.model = compiled(mujoco, text, files);
+    this.data = new mujoco.MjData(this.model);
+    /** @type {Comments} */
+    this.comments = readComments(text, this.model.nbody, this.model.ngeom);
+    const { numeric_adr: first, numeric_size: size, numeric_data: values } = this.model;
+    const custom = (/** @type {string} */ name) => {
+      const id = mujoco.mj_name2id(this.model, mujoco.mjtObj.mjOBJ_NUMERIC.value, name);
+      return id < 0 ? null : values.slice(first[id], first[id] + size[id]);
+    };
+    const controls = custom("controls"), { nu } = this.model;
+    /** A row of ctrl for each action; null if the file is not of this benchmark. */
+    this.controls = controls?.length === 18 * nu && nu > 0 ? controls : null;
+    this.substeps = custom("substeps")?.[0] ?? 1;
+    this.horizon = custom("horizon")?.[0] ?? null;
+    this.reset();
+  }
+
+  /** Goes to the first keyframe if there is one, else to the initial state. */
+  reset() {
+    const { mujoco, model, data } = this;
+    if (model.nkey) mujoco.mj_resetDataKeyframe(model, data, 0);
+    else mujoco.mj_resetData(model, data);
+    mujoco.mj_forward(model, data);
+  }
+
+  /** Takes one action of the benchmark, which is several steps of MuJoCo. @param {number} action */
+  act(action) {
+    const { ctrl } = this.data;
+    ctrl.set(/** @type {Float64Array} */ (this.controls).subarray(action * ctrl.length, (action + 1) * ctrl.length));
+    for (let i = 0; i < this.substeps; i++) this.step();
+  }
+
+  /** One step of MuJoCo, with ctrl as it is. */
+  step() {
+    this.mujoco.mj_step(this.model, this.data);
+  }
+
+  /** The state as plain data. */
+  state() {
+    const { time, qpos, qvel, act, ctrl } = this.data;
+    return { time, qpos: [...qpos], qvel: [...qvel], act: [...act], ctrl: [...ctrl] };
+  }
+
+  /** The name of a part, "" if it has none. @param {string} kind  "body", "jnt", "geom", ... @param {number} id */
+  name(kind, id) {
+    const { names, [`name_${kind}adr`]: first } = this.model;
+    return new TextDecoder().decode(names.slice(first[id], names.indexOf(0, first[id])));
+  }
+
+  /** Names of many, numbered where they have none. @param {string} kind @param {string} word @param {number} count */
+  names(kind, word, count) {
+    return Array.from({ length: count }, (_, id) => this.name(kind, id) || `${word} ${id}`);
+  }
+
+  /** What a list of the bodies says of one. @param {number} body */
+  label(body) {
+    return body === 0 ? "world" : this.name("body", body) || `body ${body}`;
+  }
+
+  /** Everything about a body at this moment. @param {number} body @returns {Description} */
+  describe(body) {
+    const { model, data, mujoco } = this, at = (/** @type {any} */ all, /** @type {number} */ width) => all.subarray(body * width, (body + 1) * width);
+    const velocity = new mujoco.DoubleBuffer(6);
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY.value, body, velocity, 0);
+    const [rx, ry, rz, vx, vy, vz] = velocity.GetView();
+    velocity.delete();
+    const [w, x, y, z] = at(data.xquat, 4);
+    const heading = Math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z));
+    const parent = model.body_parentid[body];
+    /** @type {[string, string][]} */
+    const facts = [
+      ["Position", numbers(at(data.xpos, 3))], ["Quaternion", numbers([w, x, y, z])], ["Heading", `${numbers([heading])} rad`],
+      ["Velocity", numbers([vx, vy, vz])], ["Angular velocity", numbers([rx, ry, rz])],
+      ["Mass", numbers([model.body_mass[body]])], ["With all below it", numbers([model.body_subtreemass[body]])],
+      ["Inertia", numbers(at(model.body_inertia, 3))],
+    ];
+    if (body) facts.push(["Part of", this.label(parent)]);
+    const range = (/** @type {any} */ first, /** @type {any} */ count) => Array.from({ length: Math.max(0, count[body]) }, (_, i) => first[body] + i);
+    return {
+      name: this.label(body),
+      about: this.comments.bodies[body] ?? "",
+      facts,
+      joints: range(model.body_jntadr, model.body_jntnum).map((joint) => this.#joint(joint)),
+      geoms: range(model.body_geomadr, model.body_geomnum).map((geom) => this.#geom(geom)),
+    };
+  }
+
+  /** @param {number} joint */
+  #joint(joint) {
+    const { model, data } = this, type = model.jnt_type[joint], width = [7, 4, 1, 1][type], freedom = [6, 3, 1, 1][type];
+    const at = model.jnt_qposadr[joint], dof = model.jnt_dofadr[joint];
+    const [low, high] = model.jnt_range.subarray(2 * joint, 2 * joint + 2);
+    return [
+      this.name("jnt", joint) || `joint ${joint}`, JOINTS[type], numbers(data.qpos.subarray(at, at + width)),
+      numbers(data.qvel.subarray(dof, dof + freedom)), low < high ? numbers([low, high]) : "free",
+      numbers([model.dof_damping[dof]]), numbers([model.dof_frictionloss[dof]]),
+    ];
+  }
+
+  /** @param {number} geom */
+  #geom(geom) {
+    const { model } = this, row = (/** @type {any} */ all) => numbers(all.subarray(3 * geom, 3 * geom + 3));
+    return [
+      this.name("geom", geom) || `geom ${geom}`, GEOMS[model.geom_type[geom]] ?? "other", row(model.geom_size), String(model.geom_group[geom]),
+      row(model.geom_friction), `${model.geom_contype[geom]} / ${model.geom_conaffinity[geom]}`, this.comments.geoms[geom] ?? "",
+    ];
+  }
+
+  /** Frees the memory, which JavaScript does not do by itself. */
+  close() {
+    this.data.delete();
+    this.model.delete();
+  }
+}
+
+/**
+ * @param {any} mujoco
+ * @param {string} text
+ * @param {Map<string, Uint8Array>} files
+ */
+function compiled(mujoco, text, files) {
+  const vfs = new mujoco.MjVFS();
+  try {
+    for (const [path, content] of placed(text, files)) vfs.addBuffer(path, content);
+    return mujoco.MjModel.from_xml_string(text, vfs);
+  } catch (error) {
+    throw new Error(explained(/** @type {Error} */ (error).message, text));
+  } finally {
+    vfs.delete();
+  }
+}
+
+/**
+ * Files under all paths at which the model may look for them: whoever drops files drops their last names only.
+ * @param {string} text
+ * @param {Map<string, Uint8Array>} files
+ */
+function placed(text, files) {
+  const found = new Map();
+  const texts = [text, ...[...files].filter(([name]) => name.endsWith(".xml")).map(([, content]) => new TextDecoder().decode(content))];
+  const folders = texts.flatMap((one) => [...one.matchAll(FOLDERS)].map(([, folder]) => folder.replace(/\/?$/, "/")));
+  for (const [name, content] of files) {
+    const paths = texts.flatMap((one) => [...one.matchAll(FILES)].map(([, path]) => path)).filter((path) => last(path) === last(name));
+    for (const path of [name, ...paths, ...paths.flatMap((path) => folders.map((folder) => folder + path))]) found.set(path.replace(/^\.\//, ""), content);
+  }
+  return found;
+}
+
+/** @param {string} path */
+const last = (path) => path.split(/[\\/]/).pop();
+
+/** What the compiler says, without what only programmers need, and with the line that it means. @param {string} message @param {string} text */
+function explained(message, text) {
+  const said = message.replace(/^(MuJoCo Error: )?(Loading error: )?((XML )?Error: )?/, "").trim();
+  const missing = /Error opening file '([^']+)'|resource not found.*?'([^']+)'|could not open.*?'([^']+)'/i.exec(said);
+  if (missing) return `The model needs the file ${missing.slice(1).find(Boolean)}: open it together with the model.`;
+  const line = Number(/line (\d+)/i.exec(said)?.[1]);
+  const quoted = line ? text.split("\n")[line - 1]?.trim().slice(0, 200) : "";
+  return quoted ? `${said}\n\n${line}: ${quoted}` : said;
+}

@@ -1,0 +1,175 @@
+// @ts-check
+/** The page that shows models, in headless Chromium: it opens every scene and models from elsewhere, and runs them as Python does. */
+import assert from "node:assert/strict";
+import { spawn } from "node:child_process";
+import { mkdir, mkdtemp, readFile, symlink, writeFile } from "node:fs/promises";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { createInterface } from "node:readline";
+import { fileURLToPath } from "node:url";
+import { after, before, test } from "node:test";
+import { launch, serve } from "./browser.mjs";
+
+const PYTHON = fileURLToPath(new URL("../../.venv/bin/python", import.meta.url));
+const OUT = fileURLToPath(new URL("../../out/", import.meta.url));
+const STEPS = 100, TOLERANCE = 1e-9;
+/** @type {Awaited<ReturnType<typeof serve>>} */
+let site;
+/** @type {Awaited<ReturnType<typeof launch>>} */
+let browser;
+/** @type {import("playwright-core").Page} */
+let page;
+/** @type {string[]} */
+const complaints = [];
+
+before(async () => {
+  site = await serve(`${OUT}site`);
+  browser = await launch();
+  page = await browser.context.newPage();
+  await page.setViewportSize({ width: 400, height: 500 });  // few pixels, which software draws
+  page.on("console", (message) => { if (message.type() === "error") complaints.push(message.text()); });
+  page.on("pageerror", (error) => complaints.push(error.message));
+});
+after(async () => {
+  await browser.close();
+  site.close();
+});
+
+const message = () => page.textContent("#message");
+/** @param {string} name */
+const untilOpen = (name) => page.waitForFunction((name) => document.title.startsWith(`${name} `)
+  && document.getElementById("message")?.textContent === "", name, { timeout: 30000 });
+/** @param {Record<string, string>} files */
+const openFiles = (files) => page.setInputFiles("#file", Object.entries(files).map(
+  ([name, text]) => ({ name, mimeType: "text/plain", buffer: Buffer.from(text) })));
+const state = async () => {
+  const [download] = await Promise.all([page.waitForEvent("download"), page.click("#state")]);
+  return JSON.parse(await readFile(await download.path(), "utf8"));
+};
+
+test("all scenes open", async () => {
+  await page.goto(`${site.address}play/inspect.html`);
+  const since = performance.now();
+  const { environments } = await page.evaluate(async () => (await fetch("catalogue.json")).json());
+  for (const { task, variant } of environments) {
+    const name = `${task}-${variant}-0`;
+    await page.evaluate((hash) => { location.hash = hash; }, name);
+    await untilOpen(name);
+    assert.ok(await page.locator("#tree button", { hasText: "robot" }).count());
+  }
+  assert.deepEqual(complaints, []);
+  console.log(`${environments.length} scenes opened in ${((performance.now() - since) / 1000).toFixed(0)} s`);
+});
+
+test("100 steps end where Python's do, also in models from elsewhere that need other files", async () => {
+  /** @type {any[]} */
+  const cases = JSON.parse(await readFile(`${OUT}site-test/stepped.json`, "utf8"));
+  await page.goto("about:blank");
+  await page.goto(`${site.address}play/inspect.html`);
+  await page.waitForFunction(() => document.title.startsWith("Move"));
+  for (const { name, files, qpos, qvel } of cases) {
+    await openFiles(files);
+    await untilOpen(name.endsWith(".xml") ? name : `${name}.xml`);
+    await page.evaluate((steps) => {
+      for (const slider of /** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll("#controls input"))) {
+        slider.value = slider.max;
+        slider.dispatchEvent(new Event("input"));
+      }
+      const clock = () => Number(document.getElementById("time")?.textContent?.split(" ")[0]);
+      const step = /** @type {HTMLElement} */ (document.getElementById("step"));
+      const isOurs = !document.getElementById("legend")?.hidden;
+      for (let i = 0; i < (isOurs ? steps / 10 : steps); i++) step.click();
+      return clock();
+    }, STEPS);
+    const there = await state();
+    const difference = Math.max(...[...qpos, ...qvel].map((value, i) => Math.abs(value - [...there.qpos, ...there.qvel][i])));
+    console.log(`${name}: ${difference.toExponential(1)}`);
+    assert.ok(difference < TOLERANCE, `${name}: ${difference}`);
+  }
+  assert.deepEqual(complaints, []);
+});
+
+test("a body that is clicked is described, with what the file says of it", async () => {
+  await page.goto("about:blank");
+  await page.goto(`${site.address}play/inspect.html#MoveToCorner-Demo-0`);
+  await untilOpen("MoveToCorner-Demo-0");
+  await page.locator("#tree button", { hasText: "block0" }).click();
+  const words = await page.textContent("#about");
+  for (const part of ["Block 0: ", "Mass0.5", "block0_x", "slide", "feet of blocks"]) assert.ok(words?.includes(part), part);
+  await page.evaluate(() => { location.hash = "#MoveToRegion-Demo-0"; });
+  await untilOpen("MoveToRegion-Demo-0");
+  await page.locator("#world").scrollIntoViewIfNeeded();
+  const box = /** @type {any} */ (await page.locator("#world").boundingBox());
+  const found = new Set();
+  for (let x = 0.1; x < 0.8 && !found.has("face"); x += 0.08) for (let y = 0.2; y < 0.9; y += 0.06) {
+    await page.mouse.click(box.x + x * box.width, box.y + y * box.height);
+    found.add(await page.textContent("#about h2"));
+  }
+  assert.ok(found.has("world") && found.has("face"), [...found].join());
+});
+
+test("the robot is driven by keys, and helpers and plots follow", async () => {
+  await page.evaluate(() => { location.hash = "#FindDupe-All-3"; });
+  await untilOpen("FindDupe-All-3");
+  const begun = await state();
+  for (const name of ["contacts", "joints", "inertia", "collision"]) await page.check(`[name=${name}]`);
+  await page.click("#sensors summary");
+  await page.focus("#world");
+  await page.keyboard.down("ArrowUp");
+  await page.evaluate(() => {
+    Object.assign(window, { frames: 0 });
+    const count = () => { /** @type {any} */ (window).frames++; requestAnimationFrame(count); };
+    count();
+  });
+  const since = performance.now();
+  await page.waitForTimeout(2000);
+  const rate = Number(await page.evaluate("frames")) / (performance.now() - since) * 1000;
+  await page.keyboard.up("ArrowUp");
+  await page.keyboard.press("p");
+  const driven = await state();
+  console.log(`${rate.toFixed(0)} frames/s with all helpers, by software`);
+  assert.ok(driven.time > begun.time);
+  assert.notDeepEqual(driven.qpos, begun.qpos);
+  assert.match(await page.textContent("#plot") ?? "", /robot_x/);
+  const [download] = await Promise.all([page.waitForEvent("download"), page.click("#picture")]);
+  assert.equal(download.suggestedFilename(), "FindDupe-All-3.png");
+  await page.keyboard.press("r");
+  assert.deepEqual((await state()).qpos, begun.qpos);
+  await page.click("#expert");
+  await page.waitForFunction(() => Number.parseFloat(document.getElementById("time")?.textContent ?? "") > 0.4);
+  assert.deepEqual(complaints, []);
+});
+
+test("what is wrong with a model is said, and the one before stays", async () => {
+  await openFiles({ "bad.xml": "<mujoco>\n<worldbody>\n<geom type='blob'/>\n</worldbody></mujoco>" });
+  await page.waitForFunction(() => document.getElementById("message")?.textContent);
+  assert.equal(await message(), "bad.xml cannot be shown.\ninvalid keyword: 'blob'\nElement 'geom', line 3\n\n3: <geom type='blob'/>");
+  await openFiles({ "needy.xml": "<mujoco><asset><mesh name='x' file='a.stl'/></asset></mujoco>" });
+  await page.waitForFunction(() => document.getElementById("message")?.textContent?.startsWith("needy"));
+  assert.match(await message() ?? "", /needs the file a.stl: open it together/);
+  assert.ok(await page.locator("#tree button", { hasText: "robot" }).count());
+  await page.evaluate(() => { location.hash = "#FindDuple-All-1"; });
+  await page.waitForFunction(() => location.hash === "#FindDupe-All-1");
+  await page.waitForFunction(() => document.getElementById("message")?.textContent?.includes("no task “FindDuple”: this is FindDupe-All-1"));
+  assert.deepEqual(complaints, []);
+});
+
+test("the command serves any scene, or a file with those that it needs", async () => {
+  const folder = await mkdtemp(join(tmpdir(), "magical-inspect-"));
+  await mkdir(join(folder, "magical_mj"));
+  await symlink(`${OUT}npm`, join(folder, "magical_mj", "npm"));  // what is fetched already
+  const { files } = JSON.parse(await readFile(`${OUT}site-test/stepped.json`, "utf8")).at(-1);
+  await mkdir(join(folder, "shapes"));
+  for (const [name, text] of Object.entries(files)) await writeFile(join(folder, name.endsWith(".obj") ? "shapes" : "", name), text);
+  for (const [what, title] of [[["FindDupe", "All", "--seed", "1234"], "FindDupe-All-1234"], [[join(folder, "tetrahedron.xml")], "tetrahedron.xml"]]) {
+    const server = spawn(PYTHON, ["-m", "magical_mj", "inspect", ...what, "--port", "0"], { env: { ...process.env, XDG_CACHE_HOME: folder } });
+    try {
+      const { value: address } = await createInterface(server.stdout)[Symbol.asyncIterator]().next();
+      await page.goto(address);
+      await untilOpen(String(title));
+    } finally {
+      server.kill();
+    }
+  }
+  assert.deepEqual(complaints, []);
+});
