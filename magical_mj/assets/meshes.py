@@ -174,8 +174,13 @@ def _body_outline(body: Body, depth: float) -> Points:
 @cache
 def library(body: str = GRIPPER, half: float = c.ARENA_HALF_WIDTH) -> str:
     """The shared meshes of every model, as MJCF."""
-    return "".join(
+    return "".join(mesh_mjcf(name, mesh) for name, mesh in meshes(body, half).items())
+
+
+def mesh_mjcf(name: str, mesh: Mesh) -> str:
+    """A mesh as MJCF."""
+    vertices, faces = mesh
+    return (
         f'<mesh name="{name}" inertia="shell" vertex="{single(vertices.ravel().tolist())}" '
         f'face="{" ".join(map(str, faces.ravel()))}"/>'
-        for name, (vertices, faces) in meshes(body, half).items()
     )

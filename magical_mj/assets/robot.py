@@ -17,7 +17,7 @@ Wheels and rotors come in pairs because a load slows the original's servos; see 
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import lru_cache
 from typing import Final, Literal
 
 import mujoco
@@ -259,10 +259,11 @@ def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics, scope
         model.tendon_frictionloss[model.tendon(f"{scope}{motor}").id] = torque
 
 
-def controls(body: str = GRIPPER, settings: PhysicsSettings = SETTINGS) -> NDArray[np.float64]:
+def controls(body: str = GRIPPER, veer: float = 0.0, settings: PhysicsSettings = SETTINGS) -> NDArray[np.float64]:
     """The values of `ctrl` for each of the 18 actions: speeds of wheels, rotors and finger motors. Shape (18, 6).
 
     A body without fingers has none of the last two, shape (18, 4), and ignores the actions' part for the gripper.
+    `veer` is that of `Dynamics`.
     """
     rows = []
     fingers = body_named(body).fingers
@@ -274,20 +275,21 @@ def controls(body: str = GRIPPER, settings: PhysicsSettings = SETTINGS) -> NDArr
             loaded_speed = (0.0, settings.loaded_forward, -settings.loaded_backward)[action.drive]
             loaded_turn = (0.0, settings.loaded_turn, -settings.loaded_turn)[action.turn]
             grip = -c.SPEED_FINGER
-        rows.append((speed, loaded_speed, turn, loaded_turn, *((grip, -grip) if fingers else ())))
+        turns = turn + veer * speed, loaded_turn + veer * loaded_speed
+        rows.append((speed, loaded_speed, *turns, *((grip, -grip) if fingers else ())))
     return np.array(rows)
 
 
-@cache
-def _controls(body: str) -> NDArray[np.float64]:
-    signals = controls(body)
+@lru_cache(16)
+def _controls(body: str, veer: float) -> NDArray[np.float64]:
+    signals = controls(body, veer)
     signals.setflags(write=False)
     return signals
 
 
-def control_signal(action: int, body: str = GRIPPER) -> NDArray[np.float64]:
+def control_signal(action: int, body: str = GRIPPER, veer: float = 0.0) -> NDArray[np.float64]:
     """The values of MuJoCo's `ctrl` for an action (0..17). Shape (6,), without fingers (4,)."""
-    return _controls(body)[action]
+    return _controls(body, veer)[action]
 
 
 TURN_GAIN: Final = 0.5 / TIMESTEP

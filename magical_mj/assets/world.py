@@ -22,9 +22,10 @@ from magical_mj.assets.block import SIDES, block_inertia, block_mjcf, block_pair
 from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, TIMESTEP, PhysicsSettings, geom_classes
 from magical_mj.assets.meshes import library
 from magical_mj.assets.mjcf import numbers
+from magical_mj.assets.pebble import pebble_library, pebble_mjcf, pebble_pair, rewrite_pebble
 from magical_mj.assets.region import BONE, blank_regions_mjcf, dash_count, regions_mjcf, rewrite_region
 from magical_mj.assets.robot import JOINTS, actuators_mjcf, rewrite_robot, robot_mjcf, robot_pairs, tendons_mjcf
-from magical_mj.scene import Block, Robot, Scene
+from magical_mj.scene import Block, Pebble, Robot, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.scene.constants import Shape
@@ -51,10 +52,14 @@ def world_mjcf(scene: Scene, settings: PhysicsSettings = SETTINGS, regions: str 
     dynamics, robot, half = scene.dynamics, scene.robot, scene.half_width
     blocks = "".join(block_mjcf(index, block, dynamics, settings) for index, block in enumerate(scene.blocks))
     feet = "".join(block_pair(index, block, dynamics, settings) for index, block in enumerate(scene.blocks))
+    pebbles = "".join(pebble_mjcf(index, pebble, settings) for index, pebble in enumerate(scene.pebbles))
+    feet += robot_pairs(robot, dynamics, settings)
+    feet += "".join(pebble_pair(index, settings) for index in range(len(scene.pebbles)))
     return model_mjcf(
-        bodies=blocks + robot_mjcf(robot, settings, half),
+        bodies=blocks + robot_mjcf(robot, settings, half) + pebbles,
+        meshes=pebble_library() if scene.pebbles else "",
         regions=regions_mjcf(scene.regions) if regions is None else regions,
-        contacts=feet + robot_pairs(robot, dynamics, settings) + (APART if body_named(robot.body).fingers else ""),
+        contacts=feet + (APART if body_named(robot.body).fingers else ""),
         tendons=tendons_mjcf(robot, dynamics, settings),
         actuators=actuators_mjcf(robot.body),
         settings=settings,
@@ -67,6 +72,7 @@ def model_mjcf(
     *,
     bodies: str = "",
     regions: str = "",
+    meshes: str = "",
     contacts: str = "",
     tendons: str = "",
     actuators: str = "",
@@ -97,7 +103,7 @@ def model_mjcf(
   <!-- What geoms are: two meet if a bit of the contype of one is in the conaffinity of the other -->
   <default>{geom_classes(settings)}</default>
   <!-- Flat polygons, in which things are drawn, and the sides of pentagons and stars -->
-  <asset>{style.SKY}{library(body, half)}</asset>
+  <asset>{style.SKY}{library(body, half)}{meshes}</asset>
   <!-- The world -->
   <worldbody>{_arena(half)}{bodies}</worldbody>
   <deformable>{regions}</deformable>
@@ -148,6 +154,8 @@ class Structure(NamedTuple):
     """The robot's body."""
     half_width: float = c.ARENA_HALF_WIDTH
     """Of the arena."""
+    pebbles: int = 0
+    """The number of pebbles."""
 
 
 _COMPILER: Final = threading.Lock()
@@ -158,7 +166,7 @@ _GEOM: Final = ("name", "type", "size", "pos", "fromto", "meshname")
 
 def world_spec(structure: Structure) -> mujoco.MjSpec:
     """A spec of the worlds with this structure; `World.rewrite` writes the numbers into the compiled model."""
-    spec = _unshaped(structure.masses, structure.dashes, structure.body, structure.half_width).copy()
+    spec = _unshaped(*structure[1:]).copy()
     find_class = cache(spec.find_default)
     for index, (shape, mass) in enumerate(zip(structure.shapes, structure.masses, strict=True)):
         block = spec.body(f"block{index}")
@@ -184,10 +192,13 @@ def world_model(structure: Structure) -> mujoco.MjModel:
 
 
 @lru_cache(16)
-def _unshaped(masses: tuple[float, ...], dashes: tuple[int, ...], body: str, half_width: float) -> mujoco.MjSpec:
-    """A spec with blocks of these masses without sides and collision geoms, and regions of these numbers of dashes."""
+def _unshaped(
+    dashes: tuple[int, ...], masses: tuple[float, ...], body: str, half_width: float, pebbles: int
+) -> mujoco.MjSpec:
+    """A spec of the worlds with this structure, with blocks that have no sides and no collision geoms."""
     apart = tuple(Block("circle", "red", index, 0, 0, mass) for index, mass in enumerate(masses))
-    scene = Scene(Robot(0, 0, 0, body=body), apart, half_width=half_width)
+    grit = tuple(Pebble(0, -index) for index in range(pebbles))
+    scene = Scene(Robot(0, 0, 0, body=body), apart, half_width=half_width, pebbles=grit)
     spec = mujoco.MjSpec.from_string(world_mjcf(scene, regions=blank_regions_mjcf(dashes)))
     for index in range(len(masses)):
         block = spec.body(f"block{index}")
@@ -235,6 +246,7 @@ class World:
             tuple(block.mass for block in scene.blocks),
             scene.robot.body,
             scene.half_width,
+            len(scene.pebbles),
         )
         self._planar = planar(len(scene.blocks))
         self.has_fingers = body_named(scene.robot.body).fingers
@@ -255,6 +267,8 @@ class World:
         rewrite_robot(model, scene.robot, scene.dynamics, "robot/" if nested else "")
         for index, block in enumerate(scene.blocks):
             rewrite_block(model, index, block, scene.dynamics, f"block{index}/" if nested else "")
+        for index, pebble in enumerate(scene.pebbles):
+            rewrite_pebble(model, index, pebble, f"pebble{index}/" if nested else "")
         for index, region in enumerate(scene.regions):
             rewrite_region(model, index, region)
         mujoco.mj_setConst(model, data)
@@ -277,7 +291,10 @@ class World:
         """The scene as it is now."""
         robot, *blocks = self.poses(qpos).tolist()
         now = self.scene.moved(robot, blocks)
-        if not self.has_fingers:
-            return now
-        fingers = tuple(self.fingers(qpos).tolist())
-        return dataclasses.replace(now, robot=dataclasses.replace(now.robot, fingers=fingers))
+        if self.has_fingers:
+            fingers = tuple(self.fingers(qpos).tolist())
+            now = dataclasses.replace(now, robot=dataclasses.replace(now.robot, fingers=fingers))
+        if self.scene.pebbles:
+            places = qpos[-3 * len(self.scene.pebbles) :].reshape(-1, 3)[:, :2].tolist()
+            now = dataclasses.replace(now, pebbles=tuple(Pebble(x, y) for x, y in places))
+        return now

@@ -59,6 +59,8 @@ def _check_simulated(scene: Scene) -> None:
         f"the body {scene.robot.body!r}": scene.robot.body == GRIPPER,
         "blocks of other masses": all(block.mass == c.BLOCK_MASS for block in scene.blocks),
         "solid borders": all(region.border == "dashed" for region in scene.regions),
+        "pebbles (the shift clutter)": not scene.pebbles,
+        "unequal wheels (the shift slip)": not scene.dynamics.veer,
         f"an arena of half width {scene.half_width:g}": scene.half_width == c.ARENA_HALF_WIDTH,
     }
     other = [what for what, is_plain in plain.items() if not is_plain]
@@ -107,7 +109,7 @@ class WorldScenes:
             regions=np.zeros((worlds, regions, 4)),
             region_colours=np.full((worlds, regions), ABSENT, np.int32),
             fingers=np.array([scene.robot.fingers for scene in scenes]),
-            dynamics=np.array([astuple(scene.dynamics) for scene in scenes]),
+            dynamics=np.array([astuple(scene.dynamics)[:-1] for scene in scenes]),  # without `veer`
             dashes=np.zeros((worlds, regions, DASHES, 4), np.float32),
         )
         for world, scene in enumerate(scenes):

@@ -26,6 +26,7 @@ from magical_mj.engine.engine import Engine
 from magical_mj.scene import Scene
 from magical_mj.scene.bodies import body_named
 from magical_mj.scene.geometry import check_scene
+from magical_mj.shifts.registry import shift_label
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.utils import files
 from magical_mj.utils.errors import InvalidSceneError, short_repr
@@ -43,7 +44,7 @@ HEADER: Final = """<!--
 ABOUT: Final = """For programs. "scene": at the start of the episode. "controls": a row for each action, which is
     9 * gripper (0 open, 1 close) + 3 * turn (0 none, 1 left, 2 right) + drive (0 none, 1 forwards, 2 backwards)"""
 NUMERIC: Final = ("protocol", "substeps", "horizon")
-THINGS: Final = re.compile(r'(?<=[\[,])(?=\{|"(?:robot|blocks|regions|dynamics)")')
+THINGS: Final = re.compile(r'(?<=[\[,])(?=\{|"(?:robot|blocks|regions|dynamics|pebbles)")')
 """The places where the JSON of a scene is broken into lines, one for each thing."""
 BLOCK_PARTS: Final = ("outline", "fill", "sides")
 SENSORS: Final = "For plots: where everything is and how fast, in world coordinates"
@@ -103,6 +104,7 @@ def mjcf_text(source: Scene | Engine) -> str:
         scene, data = source.initial_scene, source.data
         drawn = source.seed is not None  # else the scene may be of no variant, or of another one
         about |= {"task": source.task, "variant": source.variant if drawn else None, "seed": source.seed}
+        about |= {"shifts": shift_label(source.shifts) or None}
         about |= {"rules": source.rules if source.task else None, "horizon": source.horizon}
     about = {name: value for name, value in about.items() if value is not None}
     return _header(about) + _indented(_model(scene, about, data))
@@ -164,14 +166,15 @@ def _custom(scene: Scene, about: Mapping[str, Any]) -> Element:
         else:
             SubElement(custom, "text", {"name": name, "data": str(value)})
     SubElement(custom, "text", {"name": "scene", "data": "\n" + THINGS.sub("\n", scene.to_json())})
-    rows = (numbers(*row) for row in controls(scene.robot.body))
+    rows = (numbers(*row) for row in controls(scene.robot.body, scene.dynamics.veer))
     SubElement(custom, "numeric", {"name": "controls", "data": "\n" + "\n".join(rows)})
     return custom
 
 
 def _sensors(scene: Scene) -> Element:
-    """The `<sensor>` element: value and velocity of each coordinate of the robot, its fingers and the blocks."""
+    """The `<sensor>` element: value and velocity of each coordinate of the robot, its fingers, blocks and pebbles."""
     bodies = ["robot", *(f"block{index}" for index in range(len(scene.blocks)))]
+    bodies += [f"pebble{index}" for index in range(len(scene.pebbles))]
     joints = [f"{body}_{axis}" for body in bodies for axis in ("x", "y", "angle")]
     if body_named(scene.robot.body).fingers:
         joints[3:3] = ["left_finger", "right_finger"]

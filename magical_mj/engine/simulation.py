@@ -186,10 +186,10 @@ class Simulation:
         Raises:
             InvalidActionError: if the action is not one of the 18.
         """
-        number = action_number(action)
+        number, scene = action_number(action), self.world.scene
         if self.shifts is not None:
             number = self.shifts.action(number)
-        self.data.ctrl[:] = control_signal(number, self.world.scene.robot.body)
+        self.data.ctrl[:] = control_signal(number, scene.robot.body, scene.dynamics.veer)
 
     def advance(self, steps: int) -> None:
         """Takes some steps of MuJoCo.

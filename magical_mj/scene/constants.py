@@ -48,6 +48,12 @@ PENTAGON_RADIUS: Final = BLOCK_SIZE * math.sqrt(math.pi / (2.5 * math.sin(0.4 * 
 STAR_OUTER_RADIUS: Final = 1.3 * BLOCK_SIZE
 STAR_INNER_RADIUS: Final = 0.5 * STAR_OUTER_RADIUS
 
+# Pebbles, which only shifts put into scenes
+PEBBLE_RADIUS: Final = 0.03
+PEBBLE_MASS: Final = 0.02
+PEBBLE_FRICTION_FORCE: Final = 0.1
+PEBBLE_FRICTION_TORQUE: Final = 0.001
+
 # Target speeds of the servos
 SPEED_FORWARD: Final = 0.8  # units/s
 SPEED_BACKWARD: Final = 0.6  # units/s

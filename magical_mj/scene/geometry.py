@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.scene import GoalRegion, Pose, Robot, Scene
+from magical_mj.scene import GoalRegion, Pebble, Pose, Robot, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.scene.constants import Shape
@@ -153,6 +153,14 @@ def robot_solid(
     return Solid(x, y, reach, (*disc, *map(Part, polygons)))
 
 
+def pebble_solid(pebble: Pebble) -> Solid:
+    """A pebble."""
+    import shapely
+
+    part = Part(shapely.Point(pebble.x, pebble.y), c.PEBBLE_RADIUS)
+    return Solid(pebble.x, pebble.y, c.PEBBLE_RADIUS, (part,))
+
+
 def region_solid(region: GoalRegion) -> Solid:
     """A goal region as an obstacle, as placement treats it."""
     import shapely
@@ -217,6 +225,7 @@ def check_scene(scene: Scene) -> None:
         if abs(thing.angle) > MAX_ANGLE:
             raise InvalidSceneError(f"the angle of {thing} is larger than {MAX_ANGLE:g} rad; subtract whole turns")
     things, half = list(solids(scene).items()), scene.half_width
+    things += [(f"pebble {index}", pebble_solid(pebble)) for index, pebble in enumerate(scene.pebbles)]
     for name, solid in things:
         if not inside_walls(solid, OVERLAP_TOLERANCE, half):
             raise InvalidSceneError(

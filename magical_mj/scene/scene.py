@@ -32,7 +32,7 @@ MAX_NUMBER: Final = 1e10
 Pose = tuple[float, float, float]
 """x, y in world units and the angle in radians."""
 
-_Part = TypeVar("_Part", bound="Robot | Block | GoalRegion | Dynamics")
+_Part = TypeVar("_Part", bound="Robot | Block | GoalRegion | Dynamics | Pebble")
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,10 +127,22 @@ class GoalRegion:
 
 
 @dataclass(frozen=True, slots=True)
+class Pebble:
+    """A small loose disc that belongs to no task: only shifts put some into scenes. Its centre is at (x, y)."""
+
+    x: float
+    y: float
+
+    def __post_init__(self) -> None:
+        _set_numbers(self, "x", "y")
+
+
+@dataclass(frozen=True, slots=True)
 class Dynamics:
     """The five force caps of the world, all positive; the Dynamics variant draws other values.
 
-    MuJoCo's least coefficient of friction bounds what they do: whatever smaller caps say,
+    `veer` is the angle (rad) by which the robot turns for each world unit that it drives, as with unequal wheels; only
+    shifts change it. MuJoCo's least coefficient of friction bounds what they do: whatever smaller caps say,
     blocks resist with at least 0.1, and the robot drives with at least 0.2.
     """
 
@@ -139,11 +151,12 @@ class Dynamics:
     finger_torque: float = c.FINGER_TORQUE
     block_friction_force: float = c.BLOCK_FRICTION_FORCE
     block_friction_torque: float = c.BLOCK_FRICTION_TORQUE
+    veer: float = 0.0
 
     def __post_init__(self) -> None:
         for entry in dataclasses.fields(self):
             _set_numbers(self, entry.name)
-            if getattr(self, entry.name) <= 0:
+            if entry.name != "veer" and getattr(self, entry.name) <= 0:
                 raise InvalidSceneError(f"Dynamics.{entry.name} must be positive, not {getattr(self, entry.name)}")
 
 
@@ -159,6 +172,7 @@ class Scene:
     regions: tuple[GoalRegion, ...] = ()
     dynamics: Dynamics = field(default_factory=Dynamics)
     half_width: float = c.ARENA_HALF_WIDTH
+    pebbles: tuple[Pebble, ...] = ()
 
     def __post_init__(self) -> None:
         _set_numbers(self, "half_width")
@@ -166,7 +180,7 @@ class Scene:
             raise InvalidSceneError(
                 f"Scene.half_width must be in {SMALLEST_ARENA}..{LARGEST_ARENA}, not {self.half_width}"
             )
-        for name, kind in (("blocks", Block), ("regions", GoalRegion)):
+        for name, kind in (("blocks", Block), ("regions", GoalRegion), ("pebbles", Pebble)):
             parts = _as_tuple(getattr(self, name), f"Scene.{name} must be a sequence of {kind.__name__}")
             object.__setattr__(self, name, parts)
         for parts, kind in (
@@ -174,6 +188,7 @@ class Scene:
             (self.blocks, Block),
             (self.regions, GoalRegion),
             ((self.dynamics,), Dynamics),
+            (self.pebbles, Pebble),
         ):
             for part in parts:
                 if not isinstance(part, kind):
@@ -213,7 +228,7 @@ class Scene:
         if type(version) is not int or version != SCENE_FORMAT:
             raise InvalidSceneError(f'a scene must have "format": {SCENE_FORMAT}; write it with Scene.to_json')
         _check_fields(cls, data)
-        for name in ("blocks", "regions"):
+        for name in ("blocks", "regions", "pebbles"):
             if not isinstance(data.get(name, []), list):
                 raise InvalidSceneError(f"Scene.{name} must be a list, not {short_repr(data[name])}")
         robot = _part(Robot, data["robot"])
@@ -224,6 +239,7 @@ class Scene:
             regions=tuple(_part(GoalRegion, item) for item in data.get("regions", ())),
             dynamics=_part(Dynamics, data.get("dynamics", {})),
             half_width=data.get("half_width", c.ARENA_HALF_WIDTH),
+            pebbles=tuple(_part(Pebble, item) for item in data.get("pebbles", ())),
         )
 
     def digest(self) -> str:
@@ -235,7 +251,14 @@ class Scene:
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-UNWRITTEN: Final = {"body": GRIPPER, "mass": c.BLOCK_MASS, "border": "dashed", "half_width": c.ARENA_HALF_WIDTH}
+UNWRITTEN: Final = {
+    "body": GRIPPER,
+    "mass": c.BLOCK_MASS,
+    "border": "dashed",
+    "half_width": c.ARENA_HALF_WIDTH,
+    "veer": 0.0,
+    "pebbles": [],
+}
 """Fields that JSON has only where they differ from these, the benchmark's: what was written before had none of them."""
 
 

@@ -16,12 +16,10 @@ from magical_mj.variants.rules import VariationRules
 Picture = NDArray[np.uint8]
 """Shape (height, width, 3), top row first."""
 Values = Mapping[str, float]
-"""Factor -> its value in an episode; ``"seed"`` -> the seed of what a shift draws besides its factors."""
+"""Factor -> its value in an episode; ``"seed"`` -> the seed of the episode, for what a shift draws besides."""
 
 STRENGTHS: Final = 5
 """The greatest strength; the least, 0, is no shift."""
-SEEDS: Final = 2**31
-"""Seeds of shifts are below this."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +101,7 @@ class Shift:
 
     def rng(self, *key: int) -> np.random.Generator:
         """A random generator that depends on the seed of the episode and on the numbers in `key`, such as a step."""
-        seeds = np.random.SeedSequence(int(self.values["seed"]), spawn_key=key)
-        return np.random.Generator(np.random.PCG64(seeds))
+        return _generator(type(self), int(self.values["seed"]), 1, *key)
 
     def scene(self, scene: Scene, rules: VariationRules) -> Scene:
         """The scene in which the episode starts, instead of `scene`; `rules` are those of the task."""
@@ -144,8 +141,11 @@ HISTORY: Final = 16
 
 def draw(kind: type[Shift], seed: int, strength: int) -> dict[str, float]:
     """The values of a shift in the episode of a seed. All strengths of it have the same directions."""
-    sequence = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(kind.name.encode()),))
-    rng = np.random.Generator(np.random.PCG64(sequence))
-    own = int(rng.integers(SEEDS))
-    values = {factor.name: factor.value(rng.random(), strength) for factor in kind.factors}
-    return {**values, "seed": own}
+    rng = _generator(kind, seed, 0)
+    return {**{factor.name: factor.value(rng.random(), strength) for factor in kind.factors}, "seed": seed}
+
+
+def _generator(kind: type[Shift], seed: int, *key: int) -> np.random.Generator:
+    """The bit generator is named explicitly, since later versions of numpy may change that of `default_rng`."""
+    sequence = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(kind.name.encode()), *key))
+    return np.random.Generator(np.random.PCG64(sequence))

@@ -36,15 +36,36 @@ class Box(NamedTuple):
     low: Pose
     high: Pose
 
-    def draw(self, rng: np.random.Generator) -> Pose:
-        """One joint draw of x, y and angle."""
+    def draw(self, rng: np.random.Generator, tries: int) -> Pose:
+        """One joint draw of x, y and angle, however many `tries` there were before."""
+        del tries
         (x, y, angle), (x_high, y_high, angle_high) = self
         u, v, w = rng.random(3).tolist()
         return x + (x_high - x) * u, y + (y_high - y) * v, angle + (angle_high - angle) * w
 
 
-Boxes = Callable[[Pose, GoalRegion | None], Box]
-"""From a thing's old pose and the region it belongs in (already placed; or None) to the box its pose is drawn from."""
+class Near(NamedTuple):
+    """Poses near one, to be tried further and further away from it; the first is the pose itself."""
+
+    pose: Pose
+    home: GoalRegion | None
+
+    def draw(self, rng: np.random.Generator, tries: int) -> Pose:
+        """A pose that differs at most by `STRIDE` times the tries, in each coordinate; the centre stays at home."""
+        (x, y, angle), home = self.pose, self.home
+        u, v, w = (min(STRIDE * tries, c.ARENA_HALF_WIDTH) * (2 * rng.random(3) - 1)).tolist()
+        x, y = x + u, y + v
+        if home is not None:
+            x, y = min(max(x, home.x_min), home.x_max), min(max(y, home.y_min), home.y_max)
+        return x, y, angle + w
+
+
+STRIDE: Final = 0.001
+"""By how much poses are further away with each try, in world units and in rad."""
+
+Thing = Robot | Block | GoalRegion
+Boxes = Callable[[Thing, GoalRegion | None], Box | Near]
+"""From a thing and the region it belongs in (already placed; or None) to the box its pose is drawn from."""
 
 
 def jitter(rules: VariationRules, scene: Scene, rng: np.random.Generator) -> Scene:
@@ -74,13 +95,52 @@ def layout(rules: VariationRules, scene: Scene, rng: np.random.Generator) -> Sce
         height, width = _between(rng, *rules.region_size), _between(rng, *rules.region_size)
         regions.append(replace(region, x_max=region.x_min + width, y_max=region.y_min + height))
 
-    def anywhere(_: Pose, home: GoalRegion | None) -> Box:
+    def anywhere(_: Thing, home: GoalRegion | None) -> Box:
         if home is None:
             return Box((-scene.half_width, -scene.half_width, -math.pi), (scene.half_width, scene.half_width, math.pi))
         (x, y), half = home.centre, min(home.height, home.width) / 2 - rules.inner_margin
         return Box((x - half, y - half, -math.pi), (x + half, y + half, math.pi))
 
     return _place(scene, regions, anywhere, rng)
+
+
+def along(scene: Scene, other: Scene, way: float, rng: np.random.Generator) -> Scene:
+    """The scene with everything moved to between its place and that in `other`: `way` of it, from 0 to 1.
+
+    Where things would touch, they are moved aside as little as some tries at random find.
+
+    Args:
+        scene: the scene.
+        other: the same things at other poses, and regions of other sizes.
+        way: 1 gives the poses and sizes of `other`, to the bit.
+        rng: for what has to be moved aside.
+
+    Raises:
+        PlacementError: if no legal placement was found.
+    """
+
+    def between(start: float, end: float) -> float:
+        return start * (1 - way) + end * way
+
+    def turned(start: float, end: float) -> float:
+        return end if way == 1 else start + way * math.remainder(end - start, 2 * math.pi)
+
+    def moved(thing: Robot | Block, there: Robot | Block) -> Pose:
+        return between(thing.x, there.x), between(thing.y, there.y), turned(thing.angle, there.angle)
+
+    sides = ("x_min", "y_min", "x_max", "y_max")
+    regions = tuple(
+        replace(region, **{side: between(getattr(region, side), getattr(there, side)) for side in sides})
+        for region, there in zip(scene.regions, other.regions, strict=True)
+    )
+    robot = moved(scene.robot, other.robot)
+    blocks = [moved(block, there) for block, there in zip(scene.blocks, other.blocks, strict=True)]
+    direct = replace(scene.moved(robot, blocks), regions=regions)
+    if contact(direct) is None and _homes(direct) == _homes(scene):
+        return direct
+    poses: dict[Thing, Pose] = {region: (*region.centre, 0.0) for region in regions}
+    poses |= dict(zip((scene.robot, *scene.blocks), (robot, *blocks), strict=True))
+    return _place(scene, regions, lambda thing, home: Near(poses[thing], home), rng)
 
 
 def contact(scene: Scene) -> str | None:
@@ -102,9 +162,10 @@ def _between(rng: np.random.Generator, low: float, high: float) -> float:
     return low + (high - low) * rng.random()
 
 
-def _around(pose: Pose, home: GoalRegion | None) -> Box:
-    """The poses close to `pose`, with the centre in the home region if there is one."""
-    (x, y, angle), step, turn = pose, c.JITTER_POSITION, c.JITTER_ANGLE
+def _around(thing: Thing, home: GoalRegion | None) -> Box:
+    """The poses close to that of `thing`, with the centre in the home region if there is one."""
+    x, y, angle = (*thing.centre, 0.0) if isinstance(thing, GoalRegion) else thing.pose
+    step, turn = c.JITTER_POSITION, c.JITTER_ANGLE
     xs, ys = (x - step, x + step), (y - step, y + step)
     if home is not None:
         xs = [min(max(x, home.x_min), home.x_max) for x in xs]
@@ -136,12 +197,12 @@ def _place_once(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: 
     areas: list[Solid] = []
     placed_regions: list[GoalRegion] = []
     for region in regions:
-        pose, area = _find(region, boxes((*region.centre, 0.0), None), areas, scene.half_width, rng)
+        pose, area = _find(region, boxes(region, None), areas, scene.half_width, rng)
         placed_regions.append(_at(region, pose))
         areas.append(area)
 
     things = (scene.robot, *scene.blocks)
-    homes = [_home(thing, scene.regions) for thing in things]
+    homes = _homes(scene)
     poses = [thing.pose for thing in things]
     placed: list[Solid] = []
     # the robot first, then the outer blocks, then those that belong in a region
@@ -149,10 +210,15 @@ def _place_once(scene: Scene, regions: Sequence[GoalRegion], boxes: Boxes, rng: 
         thing, home = things[index], homes[index]
         own_region = None if home is None else placed_regions[home]
         obstacles = placed + [area for number, area in enumerate(areas) if number != home]
-        poses[index], solid = _find(thing, boxes(thing.pose, own_region), obstacles, scene.half_width, rng)
+        poses[index], solid = _find(thing, boxes(thing, own_region), obstacles, scene.half_width, rng)
         placed.append(solid)
 
     return replace(scene.moved(poses[0], poses[1:]), regions=tuple(placed_regions))
+
+
+def _homes(scene: Scene) -> list[int | None]:
+    """The home of the robot and then of each block."""
+    return [_home(thing, scene.regions) for thing in (scene.robot, *scene.blocks)]
 
 
 def _home(thing: Robot | Block, regions: Sequence[GoalRegion]) -> int | None:
@@ -167,7 +233,7 @@ def _at(region: GoalRegion, pose: Pose) -> GoalRegion:
     return GoalRegion(region.colour, *box, region.border)
 
 
-def _solid(thing: Robot | Block | GoalRegion, pose: Pose) -> Solid:
+def _solid(thing: Thing, pose: Pose) -> Solid:
     """The area that the thing would cover at `pose`."""
     if isinstance(thing, Robot):
         return robot_solid(pose, thing.fingers, thing.body)
@@ -177,7 +243,7 @@ def _solid(thing: Robot | Block | GoalRegion, pose: Pose) -> Solid:
 
 
 def _find(
-    thing: Robot | Block | GoalRegion, box: Box, obstacles: Sequence[Solid], half: float, rng: np.random.Generator
+    thing: Thing, box: Box | Near, obstacles: Sequence[Solid], half: float, rng: np.random.Generator
 ) -> tuple[Pose, Solid]:
     """The first pose drawn from the box at which the thing touches nothing, and the area it covers there.
 
@@ -186,8 +252,8 @@ def _find(
     Raises:
         _NoRoomError: if there is none among `MAX_TRIES` draws.
     """
-    for _ in range(MAX_TRIES):
-        pose = box.draw(rng)
+    for tries in range(MAX_TRIES):
+        pose = box.draw(rng, tries)
         if isinstance(thing, Robot) and thing.body == GRIPPER and max(map(abs, pose[:2])) + c.ROBOT_RADIUS > half:
             continue  # already the disc touches; the fingers' outlines need not be computed
         solid = _solid(thing, pose)

@@ -42,7 +42,7 @@ def vary(rules: VariationRules, variant: str, seed: int) -> Scene:
         TaskError: if a rule of the task does not return a scene.
     """
     seed = check_seed(seed)
-    rngs = {axis: _generator(rules.name, axis, seed) for axis in varied_axes(rules, variant)}
+    rngs = {axis: axis_generator(rules.name, axis, seed) for axis in varied_axes(rules, variant)}
     scene = rules.demo
     dynamics = draw_dynamics(rngs["dynamics"]) if "dynamics" in rngs else None
     if dynamics is not None:
@@ -106,7 +106,7 @@ def check_seed(seed: Any) -> int:
     return number
 
 
-def _generator(task: str, axis: Axis, seed: int) -> np.random.Generator:
+def axis_generator(task: str, axis: Axis, seed: int) -> np.random.Generator:
     """The random generator of one axis of one task; it is independent of those of other axes and tasks.
 
     The bit generator is named explicitly, since later versions of numpy may change that of `default_rng`.

@@ -16,6 +16,7 @@ from dm_control import composer, mjcf
 from magical_mj.assets.block import block_mjcf, block_pair
 from magical_mj.assets.contacts import SETTINGS, geom_classes
 from magical_mj.assets.mjcf import elements
+from magical_mj.assets.pebble import pebble_library, pebble_mjcf, pebble_pair
 from magical_mj.assets.region import regions_mjcf
 from magical_mj.assets.robot import actuators_mjcf, robot_mjcf, robot_pairs, tendons_mjcf
 from magical_mj.assets.world import APART, model_mjcf
@@ -95,6 +96,7 @@ class Arena(composer.Entity):
     Attributes:
         robot: the robot.
         blocks: the blocks in the order of the scene.
+        pebbles: likewise.
     """
 
     def _build(self, scene: Scene) -> None:
@@ -105,10 +107,11 @@ class Arena(composer.Entity):
         more = f"<actuator>{actuators_mjcf(body)}</actuator><contact>{apart}</contact>"
         self.robot = Thing("robot", _robot, scene, more)
         self.blocks: list[Thing] = []
+        self.pebbles: list[Thing] = []
         self._things: dict[tuple[str, str], Thing] = {}  # all blocks so far: parsing one takes 40 ms
         self._pairs: list[Any] = []
         self._skins: list[Any] = []
-        self._shapes: list[str] | None = None
+        self._shapes: tuple[list[str], int] | None = None
         self.show(scene)
 
     @property
@@ -118,11 +121,11 @@ class Arena(composer.Entity):
 
     def show(self, scene: Scene) -> None:
         """Makes the trees those of this scene."""
-        shapes: list[str] = [block.shape for block in scene.blocks]
+        shapes = [str(block.shape) for block in scene.blocks], len(scene.pebbles)
         if shapes != self._shapes:
             self._replace_blocks(scene)
             self._shapes = shapes
-        for thing in (*self.blocks, self.robot):
+        for thing in (*self.blocks, self.robot, *self.pebbles):
             thing.show(scene)
         for pair, attributes in zip(self._pairs, _pairs(scene), strict=True):
             pair.friction = attributes["friction"]
@@ -137,7 +140,7 @@ class Arena(composer.Entity):
 
     def _replace_blocks(self, scene: Scene) -> None:
         """Attaches other blocks, and the robot after them: it is drawn over them."""
-        for thing in self.blocks if self._shapes is None else (*self.blocks, self.robot):
+        for thing in self.blocks if self._shapes is None else (*self.blocks, self.robot, *self.pebbles):
             thing.detach()
         for pair in self._pairs:
             pair.remove()
@@ -146,9 +149,17 @@ class Arena(composer.Entity):
             if (name, block.shape) not in self._things:
                 self._things[name, block.shape] = Thing(name, partial(_block, index), scene)
         self.blocks = [self._things[name, block.shape] for name, block in zip(names, scene.blocks, strict=True)]
-        for thing in (*self.blocks, self.robot):
+        if scene.pebbles and self._model.find("mesh", "pebble_outline") is None:
+            for mesh in elements(pebble_library()):
+                self._model.asset.add("mesh", **mesh.attrib)
+        grit = [f"pebble{index}" for index in range(len(scene.pebbles))]
+        for index, name in enumerate(grit):
+            if (name, "pebble") not in self._things:
+                self._things[name, "pebble"] = Thing(name, partial(_pebble, index), scene)
+        self.pebbles = [self._things[name, "pebble"] for name in grit]
+        for thing in (*self.blocks, self.robot, *self.pebbles):
             thing.attach_to(self, scene)
-        feet = dict(zip(names, self.blocks, strict=True))
+        feet = dict(zip((*names, *grit), (*self.blocks, *self.pebbles), strict=True))
         self._pairs = []
         for attributes in _pairs(scene):
             foot = attributes["geom2"]
@@ -166,10 +177,16 @@ def _block(index: int, scene: Scene) -> str:
     return block_mjcf(index, scene.blocks[index], scene.dynamics, SETTINGS)
 
 
+def _pebble(index: int, scene: Scene) -> str:
+    return pebble_mjcf(index, scene.pebbles[index], SETTINGS)
+
+
 def _pairs(scene: Scene) -> list[dict[str, str]]:
     """The attributes of the contacts of feet with the floor."""
     feet = "".join(block_pair(index, block, scene.dynamics, SETTINGS) for index, block in enumerate(scene.blocks))
-    return [pair.attrib for pair in _without_comments(feet + robot_pairs(scene.robot, scene.dynamics, SETTINGS))]
+    feet += robot_pairs(scene.robot, scene.dynamics, SETTINGS)
+    feet += "".join(pebble_pair(index, SETTINGS) for index in range(len(scene.pebbles)))
+    return [pair.attrib for pair in _without_comments(feet)]
 
 
 def _without_comments(text: str) -> list[Element]:
