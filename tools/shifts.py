@@ -32,7 +32,7 @@ Key = tuple[str, str, str, int]
 def episode(key: Key) -> tuple[Key, float]:
     """Plays one episode of a Demo environment; its score."""
     agent, task, label, seed = key
-    policy = AGENTS[agent].make()
+    policy = AGENTS[agent]()
     with closing(magical_mj.Engine(task, seed=seed, shifts=label.replace("+", ","))) as env:
         begin(policy, Episode(task, "Demo", seed, env=env))
         for _ in play(env, iter(lambda: policy(None), None)):
