@@ -17,6 +17,7 @@ from typer.main import get_command
 
 import magical_mj
 from magical_mj.cli.app import app
+from tests.helpers.commands import Shell
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "README.md").read_text("utf-8")
@@ -41,11 +42,9 @@ def test_python_block_runs(code: str, tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_command_runs(command: str, tmp_path: Path) -> None:
-    arguments = [sys.executable, "-m", "magical_mj", *shlex.split(command)]
-    result = subprocess.run(arguments, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stderr
-    assert result.stderr == ""
+def test_command_runs(command: str, shell: Shell, tmp_path: Path) -> None:
+    code, _, error = shell(*shlex.split(command))
+    assert (code, error) == (0, "")
     named = re.findall(r"\S+\.(?:png|mp4)", command)
     assert all((tmp_path / name).stat().st_size > 0 for name in named)
 

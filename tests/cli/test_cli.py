@@ -15,7 +15,7 @@ from PIL import Image
 import magical_mj
 from magical_mj.cli import environments
 from magical_mj.utils import files
-from tests.helpers.commands import COMMANDS, Shell, opened, process
+from tests.helpers.commands import COMMANDS, Shell, opened
 
 
 def test_list_shows_every_environment(shell: Shell) -> None:
@@ -106,16 +106,16 @@ def test_a_demo_leaves_alone_what_it_must(shell: Shell, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_demo(tmp_path: Path) -> None:
+def test_demo(shell: Shell, tmp_path: Path) -> None:
     """The main job, on the quickest task, over what a killed run left."""
     (tmp_path / ".run.0123abcd-4567cdef.part.json").write_text("{")
     (tmp_path / "scores.jsonl").touch()
     magical_mj.evaluate("expert,random,noop", out=tmp_path, tasks="MoveToRegion", episodes=1, jobs=1)
-    result = process("demo", "--tasks", "MoveToRegion", "--episodes", "1", "--jobs", "2", "--out", str(tmp_path))
-    assert (result.returncode, result.stderr) == (0, "")
-    assert "replacing an earlier run" in result.stdout
-    assert "expert: mean score 1.000 over 6 environments" in result.stdout
-    page = Path(result.stdout.splitlines()[-1])
+    code, out, error = shell("demo", "--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1, "--out", tmp_path)
+    assert (code, error) == (0, "")
+    assert "replacing an earlier run" in out
+    assert "expert: mean score 1.000 over 6 environments" in out
+    page = Path(out.splitlines()[-1])
     assert page == tmp_path / "report.md"
     linked = re.findall(r"\]\(([^)]+)\)", page.read_text())
     assert {"bars.png", "heat_map.png", "environments.png", "best-expert-MoveToRegion.mp4"} <= set(linked)
