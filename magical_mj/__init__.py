@@ -6,22 +6,13 @@ A table of tasks and test variants (`magical_mj.ENVIRONMENTS`): through dm_env w
 
 from __future__ import annotations
 
-import signal
 import sys
-from pathlib import PurePath
+from importlib import import_module
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
 from typing import TYPE_CHECKING, Any
 
-if (PurePath(sys.argv[0]).stem == "magical-mj" or ("-m" in sys.argv[:1] and "magical_mj" in sys.orig_argv)) and (
-    signal.getsignal(signal.SIGINT) is signal.default_int_handler
-):  # Ctrl-C ends the command without a traceback, even while its modules are imported; `magical_mj.cli` takes it over
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
 from magical_mj._version import __version__
-from magical_mj.envs.registration import env_id, register_all
-from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene, actions
-from magical_mj.scene import state_vector as observations
-from magical_mj.tasks import protocol
-from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, sample_scene, score
 
 if TYPE_CHECKING:
     from magical_mj import batched, demos, evaluation, shifts
@@ -30,20 +21,14 @@ if TYPE_CHECKING:
     from magical_mj.envs import wrappers
     from magical_mj.envs.composer import Environment, load, load_scene
     from magical_mj.envs.gymnasium_env import MagicalEnv
+    from magical_mj.envs.registration import env_id
     from magical_mj.envs.vector import make_vec
     from magical_mj.evaluation import evaluate
     from magical_mj.policies import expert as experts
-
-_LAZY = {  # loaded at first use, so that listing tasks and sampling scenes start no simulator
-    "Engine": "engine",
-    "Environment": "envs.composer",
-    "MagicalEnv": "envs.gymnasium_env",
-    "load": "envs.composer",
-    "load_scene": "envs.composer",
-    "make_vec": "envs.vector",
-    "evaluate": "evaluation",
-    "export_mjcf": "engine.export",
-}
+    from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene, actions
+    from magical_mj.scene import state_vector as observations
+    from magical_mj.tasks import protocol
+    from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, sample_scene, score
 
 __all__ = [
     "ENVIRONMENTS",
@@ -78,24 +63,46 @@ __all__ = [
 ]
 
 
-_LAZY_MODULES = {
+_NAMES = {  # loaded at first use, so that help and the listing of tasks start no simulator
+    **dict.fromkeys(("ENVIRONMENTS", "TASKS", "VARIANTS", "sample_scene", "score"), "tasks.registry"),
+    **dict.fromkeys(("Block", "Dynamics", "GoalRegion", "Robot", "Scene"), "scene"),
+    **dict.fromkeys(("Environment", "load", "load_scene"), "envs.composer"),
+    "Engine": "engine",
+    "MagicalEnv": "envs.gymnasium_env",
+    "env_id": "envs.registration",
+    "evaluate": "evaluation",
+    "export_mjcf": "engine.export",
+    "make_vec": "envs.vector",
+}
+_MODULES = {
+    "actions": "scene.actions",
     "batched": "batched",
     "demos": "demos",
     "evaluation": "evaluation",
     "experts": "policies.expert",
+    "observations": "scene.state_vector",
+    "protocol": "tasks.protocol",
     "shifts": "shifts",
     "wrappers": "envs.wrappers",
+}
+_FOLDERS = {  # with these modules of theirs, which are there without another import
+    "envs": "envs.registration",
+    **dict.fromkeys(("scene", "tasks", "utils", "variants"), "tasks.registry"),
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _LAZY and name not in _LAZY_MODULES:
+    if name in _MODULES:
+        value = import_module(f"{__name__}.{_MODULES[name]}")
+    elif name in _NAMES:
+        value = getattr(import_module(f"{__name__}.{_NAMES[name]}"), name)
+    elif name in _FOLDERS:
+        import_module(f"{__name__}.{_FOLDERS[name]}")
+        value = sys.modules[f"{__name__}.{name}"]
+    else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
-
-    if name in _LAZY_MODULES:
-        return import_module(f"{__name__}.{_LAZY_MODULES[name]}")
-    return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:
@@ -103,4 +110,31 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-register_all()
+class _Registering(MetaPathFinder):
+    """Registers the environments as soon as gymnasium is imported, which takes ten times as long as this package."""
+
+    def find_spec(self, name: str, *where: Any) -> ModuleSpec | None:
+        """The place of gymnasium, with a loader that registers the environments when it has loaded it."""
+        if name != "gymnasium":
+            return None
+        others = (finder.find_spec(name, *where) for finder in sys.meta_path if finder is not self)
+        spec = next(filter(None, others), None)
+        if spec is not None and spec.loader is not None:
+            execute = spec.loader.exec_module
+
+            def execute_and_register(module: Any) -> None:
+                execute(module)
+                _register()
+
+            spec.loader.exec_module = execute_and_register
+        return spec
+
+
+def _register() -> None:
+    import_module("magical_mj.envs.registration")
+
+
+if "gymnasium" in sys.modules:
+    _register()
+else:
+    sys.meta_path.insert(0, _Registering())

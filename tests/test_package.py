@@ -118,6 +118,22 @@ def test_import_needs_no_extra_and_no_opengl() -> None:
     assert result.stdout.split() == []
 
 
+def test_importing_gymnasium_registers_the_environments_and_importing_the_package_loads_little() -> None:
+    code = (
+        "import sys, magical_mj; print(sorted({'gymnasium', 'numpy', 'shapely'} & sys.modules.keys()))\n"
+        "import importlib.util; importlib.util.find_spec('gymnasium')  # as libraries do that can use it\n"
+        "import gymnasium.spaces; print(gymnasium.spec('magical_mj/FindDupe-Demo-State-v0').max_episode_steps)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (result.stdout, result.stderr) == ("[]\n100\n", "")
+
+
+@pytest.mark.parametrize("module", ["envs.presets", "envs.gymnasium_env", "envs.registration", "policies.models"])
+def test_any_module_can_be_the_first_one_imported(module: str) -> None:
+    code = f"import magical_mj.{module}, gymnasium; gymnasium.spec('magical_mj/FindDupe-Demo-State-v0')"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).stderr == b""
+
+
 def test_every_public_name_is_there_and_offered() -> None:
     """In a process in which nothing has been loaded yet."""
     code = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Sequence
 
 
@@ -10,6 +11,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     While modules are imported, Ctrl-C ends the process by the signal, which shells show as 130, too.
     """
+    if arguments is None and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     from magical_mj.cli.app import run
 
     return run(arguments)

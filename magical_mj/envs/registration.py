@@ -50,7 +50,7 @@ class SingleWrappers(tuple[WrapperSpec, ...]):
 
 
 def register_all() -> None:
-    """Registers every environment that is not registered yet. Importing `magical_mj` does this."""
+    """Registers every environment that is not registered yet. Importing this module does this."""
     for (task, variant), preset in itertools.product(ENVIRONMENTS, PRESETS):
         _register(task, task, variant, preset, task_spec(task).horizon())
     for task, variant, preset in itertools.product(task_plugins(), VARIANTS, PRESETS):
@@ -78,3 +78,6 @@ def _register(task: str, name: str, variant: str, preset: str, steps: int | None
     elif steps is not None:
         registry[id_].max_episode_steps = steps  # of a task that was edited and reloaded
     return id_
+
+
+register_all()
