@@ -30,6 +30,7 @@ from rich.text import Text
 
 from magical_mj import TASKS, VARIANTS
 from magical_mj.envs.presets import PRESETS
+from magical_mj.rendering.backend import RendererName
 from magical_mj.tasks.registry import task_spec, variant_name
 from magical_mj.utils.errors import MagicalError
 from magical_mj.utils.escape import terminal
@@ -76,6 +77,9 @@ Cameras = Annotated[
     str, typer.Option("--camera", help="Views side by side, separated by commas: allo, ego; scene: solid, for people.")
 ]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Worker processes.", show_default="one per core")]
+Renderer = Annotated[
+    RendererName | None, typer.Option(help="What draws flat views.", show_default="opengl where it works")
+]
 Trust = Annotated[bool, typer.Option("--trust", help="Use tasks whose code the files name, and run it.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there already.")]
 

@@ -16,6 +16,7 @@ import magical_mj
 from magical_mj.cli.console import (
     Force,
     Jobs,
+    Renderer,
     Size,
     Tasks,
     Variants,
@@ -223,6 +224,7 @@ def video(
     count: Filmed = 1,
     size: Size = 384,
     speed: Speed = 1,
+    renderer: Renderer = None,
     force: Force = False,
 ) -> None:
     """Make a video of demonstrations, with both views side by side."""
@@ -232,7 +234,7 @@ def video(
     with film(out, size, speed, overwrite=force) as movie:
         for demo in demos:
             title = f"{demo.task} {demo.variant}, seed {demo.scene_seed}: {demo.demonstrator}"
-            frames = magical_mj.demos.render_demo(demo, ("allo", "ego"), size)
+            frames = magical_mj.demos.render_demo(demo, ("allo", "ego"), size, renderer)
             for step, (pictures, scene) in enumerate(zip(frames, demo.scenes(), strict=True)):
                 views = np.concatenate([pictures["allo"], pictures["ego"]], axis=1)
                 reached = score(demo.task, demo.scene, scene)

@@ -16,6 +16,7 @@ from magical_mj.cli.console import (
     Cameras,
     Force,
     OptionalTask,
+    Renderer,
     Seed,
     Task,
     Variant,
@@ -76,6 +77,7 @@ def view(
     out: Picture = None,
     size: Size = None,
     camera: Cameras = "allo,ego",
+    renderer: Renderer = None,
     force: Force = False,
 ) -> None:
     """Draw the initial scene of an environment from above and from the robot's view, or those of all environments."""
@@ -86,11 +88,11 @@ def view(
             raise typer.BadParameter("give either TASK or --grid, not both.")
         check_fits(context, False, "for one environment: the grid shows all from above", "camera")
         path = check_writable(out or Path(f"environments-{seed}.png"), force)
-        picture = contact_sheet(seed, size or 128)
+        picture = contact_sheet(seed, size or 128, renderer)
     else:
         if task is None:
             raise typer.BadParameter("give TASK, or --grid for all environments.")
-        with closing(magical_mj.Engine(task, variant, seed=seed)) as env:
+        with closing(magical_mj.Engine(task, variant, seed=seed, renderer=renderer)) as env:
             path = check_writable(out or Path(file_name(task, variant, seed, ".png")), force)
             picture = Image.fromarray(side_by_side(env, size or 384, views))
     with files.new_file(path, overwrite=force) as unfinished:
@@ -105,13 +107,13 @@ def export(task: Task, out: Folder, variant: Variant = "Demo", seed: Seed = 0, f
         console().print(magical_mj.export_mjcf(env, path, overwrite=force), soft_wrap=True)
 
 
-def contact_sheet(seed: int, size: int) -> Image.Image:
+def contact_sheet(seed: int, size: int, renderer: str | None = None) -> Image.Image:
     """The initial scenes of all environments from above, `size` pixels wide each: tasks down, variants across."""
     pitch = size + GAP
     sheet = Image.new("RGB", (MARGIN + len(VARIANTS) * pitch, MARGIN + len(TASKS) * pitch), PAPER)
     for row, task in enumerate(TASKS):
         for column, variant in enumerate(VARIANTS):
-            cell = _scene(task, variant, seed, size)
+            cell = _scene(task, variant, seed, size, renderer)
             sheet.paste(cell, (MARGIN + column * pitch, MARGIN + row * pitch))
     _label(sheet, VARIANTS, pitch)
     upright = sheet.rotate(-90, expand=True)  # the tasks' names are rotated
@@ -119,10 +121,10 @@ def contact_sheet(seed: int, size: int) -> Image.Image:
     return upright.rotate(90, expand=True)
 
 
-def _scene(task: str, variant: str, seed: int, size: int) -> Image.Image:
+def _scene(task: str, variant: str, seed: int, size: int, renderer: str | None) -> Image.Image:
     if (task, variant) not in ENVIRONMENTS:
         return Image.new("RGB", (size, size), ABSENT)
-    with closing(magical_mj.Engine(task, variant, seed=seed)) as env:
+    with closing(magical_mj.Engine(task, variant, seed=seed, renderer=renderer)) as env:
         return Image.fromarray(env.render("allo", size))
 
 

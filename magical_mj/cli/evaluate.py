@@ -182,7 +182,7 @@ def play_all(screen: Console, evaluation: Evaluation) -> None:
 
 def demo(out: Tour = Path("out/demo"), tasks: Tasks = "all", episodes: Each = 3, jobs: Jobs = None) -> None:
     """Evaluate the expert, the random and the no-op agent in all environments, and write the report."""
-    settings = EvaluationSettings(tasks=tasks, episodes=episodes, jobs=jobs, out=out)
+    settings = EvaluationSettings(tasks=tasks, episodes=episodes, jobs=jobs, out=out, renderer="software")
     check_extra("the tour's figures and videos", "eval", "video")
     busy = EvaluationError(f"another demo is running in {out}; wait for it, or give another folder by --out")
     with files.locked(make_writable_folder(out), busy=busy):
@@ -202,11 +202,11 @@ def _tour(screen: Console, out: Path, settings: EvaluationSettings) -> None:
             scores.truncate(0)
     evaluation = Evaluation(TOURED, settings)  # writes the settings, by which the folder is recognised
     with files.new_file(out / SHEET, overwrite=True) as unfinished:
-        contact_sheet(0, size=128).save(unfinished)
+        contact_sheet(0, 128, settings.renderer).save(unfinished)
     play_all(screen, evaluation)
     episodes = extremes(score for score in evaluation.scores if score.policy == TOURED[0])
     best = [(which, score) for which, score in episodes if which == "best"]
-    links = {"The initial scenes of all environments": SHEET, **film_episodes(best, out)}
+    links = {"The initial scenes of all environments": SHEET, **film_episodes(best, out, settings.renderer)}
     page = report([out], out, links=links)
     count = counted(len(evaluation.scores), "episode")
     screen.print(f"{count}, {time.perf_counter() - start:.0f} s; scores, tables, figures, videos:")

@@ -148,14 +148,15 @@ def film(
         raise failed  # ffmpeg does not report this
 
 
-def replay(movie: Film, score: EpisodeResult) -> None:
-    """Replays the actions of an evaluated episode, and adds it to a video.
+def replay(movie: Film, score: EpisodeResult, renderer: str | None = None) -> None:
+    """Replays the actions of an evaluated episode, and adds it to a video, drawn by `renderer`.
 
     Raises:
         EvaluationError: if the replay ends with another score, because versions have changed.
     """
     rules = check_rules(score.rules)
-    with closing(magical_mj.Engine(score.task, score.variant, seed=score.seed, rules=rules, shifts=score.shift)) as env:
+    how = {"rules": rules, "renderer": renderer, "shifts": score.shift}
+    with closing(magical_mj.Engine(score.task, score.variant, seed=score.seed, **how)) as env:
         where = " ".join(filter(None, (score.task, score.variant, score.shift)))
         title = f"{where}, seed {score.seed}: {score.policy}"
         movie.begin(title, side_by_side(env, movie.size, movie.views), env.score())
@@ -203,12 +204,14 @@ def file_names(episodes: Iterable[tuple[str, EpisodeResult]]) -> list[str]:
     return names
 
 
-def film_episodes(episodes: Sequence[tuple[str, EpisodeResult]], out: Path) -> dict[str, str]:
+def film_episodes(
+    episodes: Sequence[tuple[str, EpisodeResult]], out: Path, renderer: str | None = None
+) -> dict[str, str]:
     """Makes videos of episodes, each given with a word such as "best"; returns description -> file name."""
     links: dict[str, str] = {}
     for name, (which, score) in zip(file_names(episodes), episodes, strict=True):
         with film(out / name, REPORT_SIZE, REPORT_SPEED, overwrite=True) as movie:
-            replay(movie, score)
+            replay(movie, score, renderer)
         about = f"{score.variant}, seed {score.seed}, score {score.score:.2f}"
         links[f"{score.policy}, {which} of {score.task}: {about}"] = name
     return links

@@ -15,7 +15,16 @@ import numpy as np
 import typer
 
 import magical_mj
-from magical_mj.cli.console import OptionalTask, Seed, Size, Variant, check_fits, console, make_writable_folder
+from magical_mj.cli.console import (
+    OptionalTask,
+    Renderer,
+    Seed,
+    Size,
+    Variant,
+    check_fits,
+    console,
+    make_writable_folder,
+)
 from magical_mj.cli.film import INK, PAPER, side_by_side
 from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.scene.constants import CONTROL_RATE
@@ -74,6 +83,7 @@ def play(
     record: Record = None,
     size: Size = 480,
     speed: Speed = 1.0,
+    renderer: Renderer = None,
     web: Web = False,
     tasks: Tasks = "all",
     variants: Variants = "all",
@@ -89,7 +99,7 @@ def play(
 
     With --web, and any of the options below it, in a browser: on this machine, or on another one through ssh -L.
     """
-    check_fits(context, not web, "in a window, that is, without --web", "record", "size", "speed")
+    check_fits(context, not web, "in a window, that is, without --web", "record", "size", "speed", "renderer")
     check_fits(context, web, "with --web", "tasks", "variants", "collect", "wanted", "host", "port", "origin")
     check_fits(context, task is not None, "with TASK", "seed")
     if web:
@@ -100,7 +110,7 @@ def play(
         raise typer.BadParameter("give TASK, or --web to choose in the browser.")
     browser = "; without one, play in a browser: magical-mj play --web" if task_name(task) in TASKS else ""
     with (
-        closing(magical_mj.Engine(task, variant, seed=seed)) as env,
+        closing(magical_mj.Engine(task, variant, seed=seed, renderer=renderer)) as env,
         closing(Window(f"{task} {variant_name(variant)}", size, speed, browser)) as window,
     ):
         game = Game(env, task, seed, None if record is None else make_writable_folder(record))

@@ -17,7 +17,7 @@ from rich.table import Column
 from rich.text import Text
 
 from magical_mj import learners
-from magical_mj.cli.console import Bars, Trust, check_fits, console
+from magical_mj.cli.console import Bars, Renderer, Trust, check_fits, console
 from magical_mj.learners.settings import PPOSettings, TrainingSettings, check_changes, users, uses
 from magical_mj.policies.agents import AGENTS
 from magical_mj.utils.errors import MagicalError, SettingsError, check_name
@@ -109,6 +109,7 @@ def train(
     preset: Preset = TrainingSettings.preset,
     device: Device = TrainingSettings.device,
     worlds: Worlds = PPOSettings.worlds,
+    renderer: Renderer = None,
     quick: Quick = False,
     change: Change = None,
     resume: Resume = False,
@@ -120,6 +121,7 @@ def train(
 
     check_name("method", method, METHODS)
     options = {"seed": seed, "augment": augment, "preset": preset, "device": device, "ppo.worlds": worlds}
+    options |= {} if renderer is None else {"renderer": renderer}  # quick trainings have their own
     others = {}
     for text in change or []:
         name, equals, others[name] = text.partition("=")

@@ -29,9 +29,11 @@ class Transitions(NamedTuple):
     """Shape (n,)."""
 
 
-def transitions(demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop_noop: bool = True) -> Transitions:
+def transitions(
+    demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop_noop: bool = True, renderer: str | None = None
+) -> Transitions:
     """All transitions of all demonstrations in one pair of arrays; see `stream` for the arguments."""
-    parts = list(stream(demos, preset, drop_noop=drop_noop))
+    parts = list(stream(demos, preset, drop_noop=drop_noop, renderer=renderer))
     if not parts:
         raise DemonstrationError("there are no demonstrations to take transitions from")
     actions = np.concatenate([part.actions for part in parts])
@@ -42,7 +44,9 @@ def transitions(demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop
     return Transitions(np.concatenate(rows), actions)
 
 
-def stream(demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop_noop: bool = True) -> Iterator[Transitions]:
+def stream(
+    demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop_noop: bool = True, renderer: str | None = None
+) -> Iterator[Transitions]:
     """The transitions of one demonstration after the other. Pictures are drawn only when they are needed.
 
     Observations are the same as those of the preset's Gymnasium environment: the first stack of an episode is filled
@@ -53,15 +57,16 @@ def stream(demos: Iterable[Demonstration], preset: str = "LoRes4E", *, drop_noop
         preset: the name of a Gymnasium preset, "" for the pair of current views.
         drop_noop: leave out the transitions with the no-op action, as the original does. Stacks still hold the frames
             of all steps.
+        renderer: what draws pictures, as in `magical_mj.Engine`.
     """
     for demo in demos:
-        rows = observations(demo, preset)
+        rows = observations(demo, preset, renderer)
         steps = np.flatnonzero(demo.actions != NOOP) if drop_noop else np.arange(len(demo.actions))
         before = {view: stacks[steps] for view, stacks in rows.items()} if isinstance(rows, dict) else rows[steps]
         yield Transitions(before, demo.actions[steps])
 
 
-def observations(demo: Demonstration, preset: str = "LoRes4E") -> Observations:
+def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | None = None) -> Observations:
     """The observations of the preset at the start and after each action: steps + 1 rows."""
     how, world = preset_named(preset), World(demo.scene)
     with np.errstate(all="ignore"):  # numbers below the smallest of float32 become 0, whatever the caller's settings
@@ -71,16 +76,21 @@ def observations(demo: Demonstration, preset: str = "LoRes4E") -> Observations:
                 [encode(world.poses(qpos), world.poses(qvel), world.fingers(qpos)) for qpos, qvel in states]
             )
         if how.layout != "dict":
-            return _stacked(demo, how, how.frames)
-        rows: dict[str, NDArray[Any]] = {view: _stacked(demo, how, ((view, count),)) for view, count in how.frames}
+            return _stacked(demo, how, how.frames, renderer)
+        rows: dict[str, NDArray[Any]] = {
+            view: _stacked(demo, how, ((view, count),), renderer) for view, count in how.frames
+        }
         if how.fingers:
             rows["fingers"] = np.array([world.fingers(qpos) for qpos in demo.qpos], np.float32)
         return rows
 
 
-def _stacked(demo: Demonstration, preset: Preset, frames: tuple[tuple[str, int], ...]) -> NDArray[np.uint8]:
+def _stacked(
+    demo: Demonstration, preset: Preset, frames: tuple[tuple[str, int], ...], renderer: str | None
+) -> NDArray[np.uint8]:
     stack = FrameStack(frames, preset.image_size, channels_first=preset.layout == "chw")
     rows = np.empty((len(demo.qpos), *stack.shape), np.uint8)
-    for number, pictures in enumerate(render_demo(demo, [view for view, _ in frames], preset.image_size)):
+    drawing = render_demo(demo, [view for view, _ in frames], preset.image_size, renderer)
+    for number, pictures in enumerate(drawing):
         rows[number] = stack.push(drawn(pictures)) if number else stack.start(drawn(pictures))
     return rows

@@ -77,7 +77,7 @@ def verify(demo: Demonstration) -> Verdict:
 
 
 def render_demo(
-    demo: Demonstration, views: Sequence[str] = ("allo",), size: int = SIZE
+    demo: Demonstration, views: Sequence[str] = ("allo",), size: int = SIZE, renderer: str | None = None
 ) -> Iterator[dict[str, Picture]]:
     """The pictures before the first action and after each action, drawn from the recorded states.
 
@@ -85,11 +85,12 @@ def render_demo(
         demo: the demonstration.
         views: any of "ego" and "allo".
         size: side of the pictures in pixels.
+        renderer: what draws them, as in `magical_mj.Engine`.
 
     Yields:
         View -> picture, shape (size, size, 3).
     """
-    with closing(Engine(demo.task, demo.variant, scene=demo.scene)) as env:
+    with closing(Engine(demo.task, demo.variant, scene=demo.scene, renderer=renderer)) as env:
         for positions in demo.qpos:
             env.data.qpos[:] = positions
             mujoco.mj_kinematics(env.model, env.data)

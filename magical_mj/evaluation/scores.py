@@ -113,7 +113,7 @@ class EpisodeResult:
         Args:
             episode: the episode.
             outcome: what came of it.
-            facts: the fields `policy`, `rules`, `preset`, `scene` and those after it.
+            facts: the fields `policy`, `rules`, `preset`, `scene` and those after it; `gl`, if a renderer was chosen.
         """
         return cls(
             run=episode.run,
@@ -125,10 +125,9 @@ class EpisodeResult:
             seconds=round(outcome.seconds, 4),
             version=__version__,
             mujoco=MUJOCO_VERSION,
-            gl=drawn_by(),
             actions=letters_of(outcome.actions),
             failure=outcome.failure,
-            **facts,
+            **({"gl": drawn_by()} | facts),
         )
 
     @property

@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from magical_mj._version import __version__
 from magical_mj.envs.presets import preset_named
-from magical_mj.rendering.backend import drawn_by
+from magical_mj.rendering.backend import RendererName, drawn_by
 from magical_mj.shifts import expand_shifts, shift_label
 from magical_mj.shifts.registry import PROTOCOL as SHIFT_PROTOCOL
 from magical_mj.tasks.plugins import code_digest
@@ -84,6 +84,7 @@ class EvaluationSettings(Settings):
         ),
     ] = "mujoco"
     device: Annotated[str, Meta(description="Of MuJoCo Warp: cuda, cuda:1 or cpu.")] = DEVICE
+    renderer: Annotated[RendererName | None, Meta(description="What draws pictures: opengl or software.")] = None
     trust: Annotated[bool, Meta(description="Run the code that model files contain.")] = False
     shifts: Annotated[
         str,
@@ -140,7 +141,7 @@ class EvaluationSettings(Settings):
             "demonstrations": DEMONSTRATIONS,
             "version": __version__,
             "mujoco": MUJOCO_VERSION,
-            "gl": drawn_by(),
+            "gl": drawn_by(self.renderer),
             "shifts": list(dict.fromkeys(label for task, _ in self.environments for label in self.shift_labels(task))),
             "wrap": self.wrap,
             "like": self.like,

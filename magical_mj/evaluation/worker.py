@@ -23,6 +23,7 @@ from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
 from magical_mj.policies.interface import Act, Episode, PolicyError, reason, told, uses_simulation
 from magical_mj.policies.loading import Source
+from magical_mj.rendering.backend import drawn_by
 from magical_mj.shifts import parse_shifts
 from magical_mj.tasks.registry import sample_scene, task_spec
 from magical_mj.utils.errors import SettingsError, UntrustedNameError, short_repr
@@ -132,6 +133,7 @@ class Player:
                 "rules": settings.rules,
                 "preset": getattr(policy, "preset", None) if uses_simulation(policy) else settings.preset,
                 "worlds": WORLDS[settings.simulator],
+                "gl": drawn_by(settings.renderer),
                 "split": settings.split,
                 "shift": unit.shift,
                 "wrap": settings.wrap,
@@ -200,6 +202,11 @@ class Player:
         self._caller = TimeLimitedCaller()
 
 
+def arguments(unit: Unit) -> dict[str, Any]:
+    """How a unit's environments are made."""
+    return {"rules": unit.settings.rules, "renderer": unit.settings.renderer, "shifts": unit.shift}
+
+
 def single_env(unit: Unit, observed: bool) -> Env:
     """The environment for a policy: Gymnasium's with the preset's observations, or the bare engine.
 
@@ -208,14 +215,13 @@ def single_env(unit: Unit, observed: bool) -> Env:
     Raises:
         SettingsError: if there is no such wrapper, or what it returns is no environment of ours with our actions.
     """
-    settings = unit.settings
+    settings, how = unit.settings, arguments(unit)
     if observed:
-        name = env_id(unit.task, unit.variant, settings.preset)
-        env = gymnasium.make(name, rules=settings.rules, shifts=unit.shift).unwrapped
+        env = gymnasium.make(env_id(unit.task, unit.variant, settings.preset), **how).unwrapped
         return _wrapped(env, settings.wrap) if settings.wrap else env
     from magical_mj.engine import Engine  # imported late: it loads the simulator
 
-    return Engine(unit.task, unit.variant, seed=0, rules=settings.rules, shifts=unit.shift)
+    return Engine(unit.task, unit.variant, seed=0, **how)
 
 
 def start_digest(task: str, variant: str, seed: int, shift: str) -> str:
@@ -250,11 +256,15 @@ def _wrapped(env: gymnasium.Env[Any, Any], wrap: str) -> gymnasium.Env[Any, Any]
 def _vector_env(unit: Unit) -> Envs:
     settings, mode = unit.settings, gymnasium.vector.AutoresetMode.DISABLED
     if not settings.batched:
-        name = f"magical_mj:{env_id(unit.task, unit.variant, settings.preset)}"
-        kwargs: dict[str, Any] = {"autoreset_mode": mode}
-        wrappers = [partial(_wrapped, wrap=settings.wrap)] if settings.wrap else []
-        made = {"rules": settings.rules, "shifts": unit.shift}
-        return gymnasium.make_vec(name, settings.envs, "sync", vector_kwargs=kwargs, wrappers=wrappers, **made)
+        name, how = env_id(unit.task, unit.variant, settings.preset), arguments(unit)
+        if settings.wrap:
+            outer = [partial(_wrapped, wrap=settings.wrap)]
+            kwargs: dict[str, Any] = {"autoreset_mode": mode}
+            return gymnasium.make_vec(name, settings.envs, "sync", vector_kwargs=kwargs, wrappers=outer, **how)
+        from magical_mj.envs.vector import make_vec  # imported late: it loads the simulator
+
+        threads = None if settings.jobs == 1 else 1  # other processes have the other cores
+        return make_vec(name, settings.envs, autoreset_mode=mode, threads=threads, **how)
     from magical_mj import batched  # these need PyTorch
     from magical_mj.batched.environment import Arrays
 

@@ -92,7 +92,7 @@ def _episode(
     if isinstance(demonstration, Demonstration):
         if demonstration.task != task:
             raise DemonstrationError(f"one of the demonstrations given for {task} is of {demonstration.task}")
-        demonstration = demos.transitions([demonstration], settings.preset, drop_noop=False)
+        demonstration = demos.transitions([demonstration], settings.preset, drop_noop=False, renderer=settings.renderer)
     observations, actions = np.asarray(demonstration.observations), np.asarray(demonstration.actions)
     needed = (len(actions), len(STATE_NAMES)) if settings.states else (len(actions), *SHAPE)
     if actions.ndim != 1 or observations.shape != needed:

@@ -13,6 +13,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 from msgspec import Meta
 
 from magical_mj.envs.presets import PRESETS, preset_named
+from magical_mj.rendering.backend import RendererName
 from magical_mj.tasks.registry import TASKS, listed, task_name, task_spec
 from magical_mj.utils.errors import SettingsError, check_name
 from magical_mj.utils.files import read_toml
@@ -215,6 +216,9 @@ class TrainingSettings(Settings):
         Meta(description="all, none, or no-trans-rot."),
     ] = "all"
     device: Annotated[str, Meta(description="auto, cpu, cuda, ...")] = "auto"
+    renderer: Annotated[
+        RendererName | None, Meta(description="What draws pictures: opengl or software; quick trainings use software.")
+    ] = None
     evaluations: Annotated[
         Natural, Meta(description="how often the policy is evaluated on the demo variant during the training")
     ] = 10
@@ -290,7 +294,10 @@ _USERS: Final[Mapping[str, tuple[str, ...]]] = {
     "discriminator.gradient_penalty": ("wgail-gp",),
 }
 """Setting -> the methods that use it, where these are not all that use its part."""
-_OF_PICTURES: Final = ("network.first_kernel", "network.first_stride", "network.first_channels", "network.channels")
+_OF_PICTURES: Final = (
+    "renderer",
+    *(f"network.{name}" for name in ("first_kernel", "first_stride", "first_channels", "channels")),
+)
 _OF_STATES: Final = ("network.entity", "network.attention")
 
 _SHORT: Final[Mapping[str, Any]] = {
@@ -311,6 +318,7 @@ _SHORT: Final[Mapping[str, Any]] = {
 
 QUICK: Final[Mapping[str, Any]] = {
     **_SHORT,
+    "renderer": "software",
     "network.first_stride": 4,
     "network.first_channels": 32,
     "network.channels": 64,
@@ -449,7 +457,7 @@ def to_toml(settings: TrainingSettings) -> str:
         if is_dataclass(value) and item.name in parts:
             lines = [f"{inner.name} = {toml_value(getattr(value, inner.name))}" for inner in fields(value)]
             tables.append("\n".join([f"[{item.name}]", *lines]))
-        elif not is_dataclass(value):
+        elif not is_dataclass(value) and value is not None:
             plain.append(f"{item.name} = {toml_value(value)}")
     return "\n\n".join(["\n".join(plain), *tables]) + "\n"
 

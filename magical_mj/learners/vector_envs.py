@@ -111,7 +111,8 @@ class LocalEnvs(TrainingEnvs):
     """
 
     def __init__(self, settings: TrainingSettings) -> None:
-        worlds = [MagicalEnv(settings.tasks[task], "Demo", settings.preset) for task in task_numbers(settings)]
+        tasks = [settings.tasks[task] for task in task_numbers(settings)]
+        worlds = [MagicalEnv(task, "Demo", settings.preset, renderer=settings.renderer) for task in tasks]
         self._envs = VectorEnv(worlds, autoreset_mode=AutoresetMode.DISABLED)
         super().__init__(settings, (self._envs.single_observation_space, self._envs.single_action_space))
         self._episodes = np.full(self.num_envs, -1)

@@ -14,8 +14,10 @@ from PIL import Image
 
 import magical_mj
 from magical_mj.cli import environments
+from magical_mj.evaluation.scores import read
+from magical_mj.rendering.backend import OSMESA_LIBRARIES
 from magical_mj.utils import files
-from tests.helpers.commands import COMMANDS, Shell, opened
+from tests.helpers.commands import COMMANDS, Shell, opened, process
 
 
 def test_list_shows_every_environment(shell: Shell) -> None:
@@ -106,16 +108,23 @@ def test_a_demo_leaves_alone_what_it_must(shell: Shell, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_demo(shell: Shell, tmp_path: Path) -> None:
-    """The main job, on the quickest task, over what a killed run left."""
+def test_demo(tmp_path: Path) -> None:
+    """The main job, on the quickest task, over what a killed run left, where no OpenGL can be loaded."""
     (tmp_path / ".run.0123abcd-4567cdef.part.json").write_text("{")
     (tmp_path / "scores.jsonl").touch()
-    magical_mj.evaluate("expert,random,noop", out=tmp_path, tasks="MoveToRegion", episodes=1, jobs=1)
-    code, out, error = shell("demo", "--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1, "--out", tmp_path)
-    assert (code, error) == (0, "")
-    assert "replacing an earlier run" in out
-    assert "expert: mean score 1.000 over 6 environments" in out
-    page = Path(out.splitlines()[-1])
+    settings = {"tasks": "MoveToRegion", "episodes": 1, "jobs": 1, "renderer": "software"}
+    magical_mj.evaluate("expert,random,noop", out=tmp_path, **settings)
+    broken = tmp_path.parent / "broken libraries"
+    broken.mkdir()
+    for name in ("libEGL.so.1", "libGL.so.1", *OSMESA_LIBRARIES):
+        (broken / name).write_text("no library")
+    command = ("demo", "--tasks", "MoveToRegion", "--episodes", "1", "--jobs", "1", "--out", str(tmp_path))
+    result = process(*command, MUJOCO_GL="", DISPLAY="", LD_LIBRARY_PATH=str(broken))
+    assert (result.returncode, result.stderr) == (0, "")
+    assert {row.gl for row in read(tmp_path)} == {"software"}
+    assert "replacing an earlier run" in result.stdout
+    assert "expert: mean score 1.000 over 6 environments" in result.stdout
+    page = Path(result.stdout.splitlines()[-1])
     assert page == tmp_path / "report.md"
     linked = re.findall(r"\]\(([^)]+)\)", page.read_text())
     assert {"bars.png", "heat_map.png", "environments.png", "best-expert-MoveToRegion.mp4"} <= set(linked)

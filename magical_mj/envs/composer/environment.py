@@ -25,6 +25,7 @@ from magical_mj.engine import State
 from magical_mj.engine.engine import Setup
 from magical_mj.engine.simulation import Simulation, check_state, shift_model, with_shifts, write_numbers
 from magical_mj.envs.composer.entities import Arena
+from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene, check_scene_type
 from magical_mj.scene import constants as c
@@ -71,6 +72,7 @@ class SceneTask(composer.Task):
         observations: any of "ego", "allo" and "state".
         image_size: side of the pictures in pixels.
         reward: "none", or "score" for the score at the last step.
+        renderer: what draws observations, as in `magical_mj.Engine`.
 
     Attributes:
         world: the world of this episode's scene.
@@ -87,9 +89,11 @@ class SceneTask(composer.Task):
         observations: Sequence[str],
         image_size: int,
         reward: Reward,
+        renderer: str | None,
     ) -> None:
         self.setup, self.strengths = setup, strengths
         self.observations, self.image_size, self.reward = tuple(observations), image_size, reward
+        self.renderer = check_renderer(renderer)
         self.steps = 0
         self._simulation: Simulation | None = None
         self._compiled: tuple[mujoco.MjModel, mujoco.MjModel] | None = None
@@ -117,6 +121,7 @@ class SceneTask(composer.Task):
         if self._simulation is None or self._simulation.model is not model or self._simulation.data is not data:
             self.free()
             self._simulation = Simulation.around(self.world, model, data, CAMERA_NAMES)
+            self._simulation.renderer = self.renderer
         self._simulation.world, self._simulation.shifts = self.world, self.shifts
         return self._simulation
 
@@ -390,7 +395,8 @@ class Environment(composer.Environment):
                 "load another one, make the same changes, and call its set_state() with this one's get_state()"
             )
         shifts = None if task.shifts is None else EpisodeShifts(task.shifts.draws)
-        loaded = task.setup, task.strengths, self.initial_scene, shifts, task.observations, task.image_size, task.reward
+        looks = task.observations, task.image_size, task.reward, task.renderer
+        loaded = task.setup, task.strengths, self.initial_scene, shifts, *looks
         seeds = self.random_state.get_state(legacy=False), self.seed, self._first_seed
         return _copied, (loaded, seeds, self._fixed, self._recompile, None if self._over else self.get_state())
 
@@ -431,6 +437,7 @@ def load(
     reward: Reward = "none",
     rules: Rules = "paper",
     shifts: Shifts = None,
+    renderer: str | None = None,
     recompile_mjcf_every_episode: bool = False,
 ) -> Environment:
     """A dm_env environment of the benchmark, by dm_control's composer.
@@ -450,6 +457,7 @@ def load(
         reward: "none" (always 0: the benchmark has no reward) or "score" (the score, at the last step).
         rules: "paper", or "released" for the scores and horizons of the original's released code.
         shifts: shifts and their strengths, such as "camera:3,latency:1" or a dict; see docs/shifts.md.
+        renderer: what draws observations, "opengl" or "software"; None: MAGICAL_MJ_RENDERER, or what works.
         recompile_mjcf_every_episode: compile the tree for every episode, as hooks that change it need.
 
     Raises:
@@ -463,7 +471,8 @@ def load(
     check_name("reward", reward, REWARDS)
     setup = Setup(task, variant, rules)
     strengths = parse_shifts(shifts, task)
-    return _loaded(setup, strengths, seed, scene, observations, image_size, reward, recompile_mjcf_every_episode)
+    looks = observations, image_size, reward, renderer
+    return _loaded(setup, strengths, seed, scene, *looks, recompile=recompile_mjcf_every_episode)
 
 
 def load_scene(
@@ -472,6 +481,7 @@ def load_scene(
     seed: int | None = None,
     observations: Sequence[str] = VIEWS,
     image_size: int = 96,
+    renderer: str | None = None,
     recompile_mjcf_every_episode: bool = False,
 ) -> Environment:
     """A dm_env environment that starts every episode in `scene`: no task, so no score and no horizon.
@@ -480,7 +490,8 @@ def load_scene(
         UnknownNameError, InvalidSceneError, InvalidSeedError, SettingsError: as `load`.
     """
     Setup(None).check(scene)
-    return _loaded(Setup(None), {}, seed, scene, observations, image_size, "none", recompile_mjcf_every_episode)
+    looks = observations, image_size, "none", renderer
+    return _loaded(Setup(None), {}, seed, scene, *looks, recompile=recompile_mjcf_every_episode)
 
 
 def _loaded(
@@ -491,6 +502,8 @@ def _loaded(
     observations: Sequence[str],
     image_size: int,
     reward: Reward,
+    renderer: str | None,
+    *,
     recompile: bool,
 ) -> Environment:
     if not isinstance(observations, list | tuple):
@@ -499,5 +512,5 @@ def _loaded(
         check_name("observation", name, OBSERVATIONS)
     seed = None if seed is None else check_seed(seed)
     first = setup.begin(strengths, (seed or 0) if scene is None else check_scene_type(scene))
-    task = SceneTask(setup, strengths, *first, observations, check_size(image_size), reward)
+    task = SceneTask(setup, strengths, *first, observations, check_size(image_size), reward, renderer)
     return Environment(task, seed, fixed=scene is not None, recompile=recompile)
