@@ -7,7 +7,7 @@ import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,7 +155,7 @@ def replay(movie: Film, score: EpisodeResult, renderer: str | None = None) -> No
         EvaluationError: if the replay ends with another score, because versions have changed.
     """
     rules = check_rules(score.rules)
-    how = {"rules": rules, "renderer": renderer, "shifts": score.shift}
+    how: dict[str, Any] = {"rules": rules, "renderer": renderer, "shifts": score.shift}
     with closing(magical_mj.Engine(score.task, score.variant, seed=score.seed, **how)) as env:
         where = " ".join(filter(None, (score.task, score.variant, score.shift)))
         title = f"{where}, seed {score.seed}: {score.policy}"
