@@ -4,8 +4,9 @@
   network is not told where in the arena it is.)
 - mirror: the task is the same in a mirror.
 - rename: colours and shapes are names: what matters is which things share them. False for a task that names a colour.
-- displace: what a demonstration never involves does not matter: not where it is, nor whether it is there. Until the
-  robot reaches a thing, those that come later may be anywhere. False where the mere place of a thing counts.
+- displace: what a demonstration never involves does not matter: not where it is, nor whether it is there. On the way to
+  a block, everything else may be elsewhere, and so may blocks that come later. False where the mere place of a thing
+  counts.
 - detours: whoever has left a demonstration's way does well to come back to it. The robot drives away from the
   demonstration in the simulation of the demo scene, and the reverse of what it did is what a sample shows.
 
@@ -33,6 +34,8 @@ from magical_mj.utils.errors import PhysicsError
 
 MOVED: Final = 0.03
 """Units that a block must move to count as moved."""
+GRIPPING: Final = 3
+"""Steps before a block moves, in which the robot counts as being there."""
 CLEAR: Final = 0.3
 """Units between the middles of a displaced thing and of others."""
 REACH: Final = 0.75
@@ -53,10 +56,13 @@ class Samples(NamedTuple):
     """Shape (n, names)."""
     actions: Tensor
     """Shape (n,)."""
+    groups: Tensor
+    """With what each block is displaced, shape (n, MAX_BLOCKS): the region that it is in, or MAX_REGIONS + its own
+    number; -1 if there is no such block."""
     movable: Tensor
-    """Which things may be displaced, shape (n, MAX_REGIONS + MAX_BLOCKS): regions with what is in them, and blocks."""
+    """Which of these groups may be displaced, shape (n, MAX_REGIONS + MAX_BLOCKS)."""
     droppable: Tensor
-    """Which of these may be missing, likewise."""
+    """Which may be missing, likewise."""
 
     def of(self, rows: Tensor) -> Samples:
         """Some of them."""
@@ -68,14 +74,13 @@ def demonstrated(demonstrations: Sequence[Demonstration], excursions: int, seed:
     rng = np.random.default_rng(seed)
     with closing(Engine.of_scene(demonstrations[0].scene)) as engine:
         ways = [_Way(engine, demonstration) for demonstration in demonstrations]
-        groups = _groups(ways[0].states[0])
         steps = [np.flatnonzero(way.actions != NOOP) for way in ways]
-        parts = [way.samples(number, groups) for way, number in zip(ways, steps, strict=True)]
+        parts = [way.samples(number) for way, number in zip(ways, steps, strict=True)]
         detours = []
         for _ in range(excursions):
             way = ways[rng.integers(len(ways))]
             step = int(rng.integers(np.flatnonzero(way.actions != NOOP)[-1] + 1))
-            detours.append(_detour(engine, way, step, groups, rng))
+            detours.append(_detour(engine, way, step, rng))
     return _joined(parts), _joined([part for part in detours if part is not None] or parts)
 
 
@@ -107,32 +112,29 @@ class _Way:
         visited = np.stack([_inside(region, robot) for region in regions])
         self.used = (within[:, -1] != within[:, 0]).any(1) | (visited[:, -1] != visited[:, 0])
         """Which regions a block or the robot enters or leaves, shape (MAX_REGIONS,)."""
-        self.first = int(self.begins.min())
         self.never = never
 
-    def samples(self, steps: NDArray[np.int64], groups: NDArray[np.int64]) -> Samples:
+    def samples(self, steps: NDArray[np.int64]) -> Samples:
         """The states before some of its actions, with these actions."""
-        movable, droppable = self.loose(steps, groups)
-        return Samples(torch.from_numpy(self.states[steps]), torch.from_numpy(self.actions[steps]), movable, droppable)
+        return Samples(torch.from_numpy(self.states[steps]), torch.from_numpy(self.actions[steps]), *self.loose(steps))
 
-    def loose(self, steps: NDArray[np.int64], groups: NDArray[np.int64]) -> tuple[Tensor, Tensor]:
-        """Which groups may be displaced at these steps, and which may be missing."""
-        count = MAX_REGIONS + MAX_BLOCKS
-        movable, droppable = (np.zeros((len(steps), count), bool) for _ in range(2))
-        target = self.next.argmin(1)
-        for group in range(count):
+    def loose(self, steps: NDArray[np.int64]) -> tuple[Tensor, Tensor, Tensor]:
+        """What belongs together at these steps, what of it may be displaced, and what may be missing."""
+        states = torch.from_numpy(self.states[steps])
+        groups, there = _groups(states), regions_of(states)[..., 0].numpy() > 0
+        coming, target = self.next[steps].min(1), self.next[steps].argmin(1)
+        on_its_way = (coming < self.never) & (coming > steps + GRIPPING)
+        movable, droppable = (np.zeros((len(steps), MAX_REGIONS + MAX_BLOCKS), bool) for _ in range(2))
+        for group in range(MAX_REGIONS + MAX_BLOCKS):
             members = groups == group
-            region = group < MAX_REGIONS and bool(regions_of(torch.from_numpy(self.states[:1]))[0, group, 0] > 0)
-            if not members.any() and not region:
-                continue
-            begins = self.begins[members].min(initial=self.never)
-            used = region and bool(self.used[group])
-            droppable[:, group] = begins == self.never and not used
-            # What is reached later may be elsewhere; a region that is used only until the first block moves.
-            later = (steps < begins) & ~members[target[steps]]
-            later &= (steps < self.first) & (self.first < self.never) if region else True
-            movable[:, group] = droppable[:, group] | later
-        return torch.from_numpy(movable), torch.from_numpy(droppable)
+            exists = members.any(1) | (group < MAX_REGIONS and there[:, group])
+            begins = np.where(members, self.begins, self.never).min(1)
+            used = group < MAX_REGIONS and bool(self.used[group])
+            droppable[:, group] = exists & (begins == self.never) & (not used)
+            comes_next = members[np.arange(len(steps)), target] & (coming < self.never)
+            later = (steps < begins) & (group >= MAX_REGIONS)
+            movable[:, group] = droppable[:, group] | (exists & ~comes_next & (on_its_way | later))
+        return torch.from_numpy(groups), torch.from_numpy(movable), torch.from_numpy(droppable)
 
 
 def _inside(region: NDArray[np.float32], places: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -140,13 +142,14 @@ def _inside(region: NDArray[np.float32], places: NDArray[np.float32]) -> NDArray
     return (region[0] > 0) & (x >= region[1]) & (x <= region[3]) & (y >= region[2]) & (y <= region[4])
 
 
-def _groups(state: NDArray[np.float32]) -> NDArray[np.int64]:
-    """The group of each block: that of the region in which it begins, or its own; -1 if there is no such block."""
-    tensor = torch.from_numpy(state[None])
-    blocks, regions = blocks_of(tensor)[0].numpy(), regions_of(tensor)[0].numpy()
-    groups = np.where(blocks[:, 0] > 0, MAX_REGIONS + np.arange(MAX_BLOCKS), -1)
-    for number, region in enumerate(regions):
-        groups[_inside(region, blocks[:, 1:3]) & (blocks[:, 0] > 0)] = number
+def _groups(states: Tensor) -> NDArray[np.int64]:
+    """See `Samples.groups`."""
+    blocks, regions = blocks_of(states).numpy(), regions_of(states).numpy()
+    groups = np.where(blocks[..., 0] > 0, MAX_REGIONS + np.arange(MAX_BLOCKS), -1)
+    for number in range(MAX_REGIONS):
+        low, high = regions[:, None, number, 1:3], regions[:, None, number, 3:5]
+        within = ((blocks[..., 1:3] >= low) & (blocks[..., 1:3] <= high)).all(2)
+        groups[within & (blocks[..., 0] > 0) & (regions[:, None, number, 0] > 0)] = number
     return groups
 
 
@@ -154,9 +157,7 @@ def _joined(parts: Sequence[Samples]) -> Samples:
     return Samples(*(torch.cat(values) for values in zip(*parts, strict=True)))
 
 
-def _detour(
-    engine: Engine, way: _Way, step: int, groups: NDArray[np.int64], rng: np.random.Generator
-) -> Samples | None:
+def _detour(engine: Engine, way: _Way, step: int, rng: np.random.Generator) -> Samples | None:
     """The way back from a random excursion that begins at a step; None if it does not lead back."""
     engine.set_state(way.saved[step])
     start = way.states[step]
@@ -188,8 +189,8 @@ def _detour(
     turned = abs(math.remainder(float(end[2] - start[2]), math.tau))
     if np.linalg.norm(end[:2] - start[:2]) > BACK[0] or turned > BACK[1] or _shifted(end, start) > BACK[2]:
         return None
-    movable, droppable = (part.expand(len(back), -1) for part in way.loose(np.array([step]), groups))
-    return Samples(torch.from_numpy(np.array(states)), torch.tensor(back), movable, droppable)
+    loose = (part.expand(len(back), -1) for part in way.loose(np.array([step])))
+    return Samples(torch.from_numpy(np.array(states)), torch.tensor(back), *loose)
 
 
 def _shifted(state: NDArray[np.float32], start: NDArray[np.float32]) -> float:
@@ -231,7 +232,7 @@ def _colours(states: Tensor) -> tuple[Tensor, Tensor]:
     return blocks_of(states)[..., COLOURS], regions_of(states)[..., 5:]
 
 
-def displace(samples: Samples, groups: Tensor, generator: torch.Generator) -> None:
+def displace(samples: Samples, generator: torch.Generator) -> None:
     """Moves some things elsewhere, and removes some of those that may be missing, in place."""
     states, movable, droppable = samples.states, samples.movable, samples.droppable
     shape = movable.shape
@@ -240,25 +241,18 @@ def displace(samples: Samples, groups: Tensor, generator: torch.Generator) -> No
     blocks, regions = blocks_of(states), regions_of(states)
     places = (torch.rand((*shape, 2), generator=generator) * 2 - 1) * REACH
     for group in movable.any(0).nonzero()[:, 0].tolist():
-        mine = groups == group
+        mine = samples.groups == group
         old = (
             (regions[:, group, 1:3] + regions[:, group, 3:5]) / 2
             if group < MAX_REGIONS
             else blocks[:, group - MAX_REGIONS, 1:3]
         )
         new = places[:, group]
-        others = blocks[:, ~mine]
-        apart = (others[..., 1:3] - new[:, None]).norm(dim=2) + 10.0 * (others[..., 0] < 0.5)
+        apart = (blocks[..., 1:3] - new[:, None]).norm(dim=2) + 10.0 * (mine | (blocks[..., 0] < 0.5))
         free = (apart.amin(1) > CLEAR) & ((states[:, :2] - new).norm(dim=1) > CLEAR) & moving[:, group]
         shift = (new - old) * free[:, None]
-        blocks[:, mine, 1:3] += shift[:, None]
-        blocks[:, mine, 0] *= ~dropped[:, group, None]
+        blocks[..., 1:3] += shift[:, None] * mine[..., None]
+        blocks[..., 0] *= ~(mine & dropped[:, group, None])
         if group < MAX_REGIONS:
             regions[:, group, 1:5] += shift.repeat(1, 2)
             regions[:, group, 0] *= ~dropped[:, group]
-
-
-def groups_of(demonstration: Demonstration) -> Tensor:
-    """The group of each block of a demonstration's first state, as `displace` needs it, shape (MAX_BLOCKS,)."""
-    with closing(Engine.of_scene(demonstration.scene)) as engine:
-        return torch.from_numpy(_groups(engine.state_vector()))

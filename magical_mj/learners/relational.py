@@ -21,7 +21,7 @@ import torch
 from torch import nn
 
 from magical_mj.evaluation.run import evaluate
-from magical_mj.learners.assumptions import Samples, demonstrated, displace, groups_of, mirror, rename
+from magical_mj.learners.assumptions import Samples, demonstrated, displace, mirror, rename
 from magical_mj.learners.data import drawn, shipped
 from magical_mj.learners.learner import Learner, restore_optimizer, seeded
 from magical_mj.learners.relational_network import Ensemble, graph
@@ -33,6 +33,8 @@ REPORT: Final = "assumptions.json"
 """In a run's folder: the score in the demo scene after each trial, and whether the assumption was kept."""
 BATCHES: Final = 16
 """In an update: changing and describing many samples at once costs half of what it costs batch by batch."""
+AVERAGED: Final = 0.2
+"""The share of the latest weights, after each update, in the moving average that plays: it plays more evenly."""
 NOISE: Final = (0.01, 0.01, 0.02)
 """Deviation of what is added to the robot's pose in samples: units, units, rad."""
 
@@ -49,11 +51,11 @@ class Relational(Learner):
         demonstrations = [shown[i] for i in drawn(task, settings.seed, settings.demonstrations, len(shown))]
         excursions = chosen.detours if "detours" in chosen.assumptions else 0
         self._samples, self._detours = demonstrated(demonstrations, excursions, settings.seed)
-        self._groups = groups_of(demonstrations[0])
         self._draw = torch.Generator().manual_seed(settings.seed)
         with seeded(settings.seed):
-            self._actor = Ensemble(chosen).to(self.device)
-        self._count, self._trials = 0, (1 + len(chosen.assumptions)) * chosen.trial
+            self._learning, self._actor = Ensemble(chosen).to(self.device), Ensemble(chosen).to(self.device)
+        self._actor.load_state_dict(self._learning.state_dict())
+        self._count, self._trials = 0, (2 + len(chosen.assumptions)) * chosen.trial
         self.updates = self._trials + chosen.updates
         self._kept: list[str] = []
         self._report: list[dict[str, Any]] = []
@@ -77,7 +79,7 @@ class Relational(Learner):
         chosen = self.settings.relational
         assumed = [*self._kept, *self._tried]
         losses, right = [], []
-        for network, optimizer in zip(self._actor.networks, self._optimizers, strict=True):
+        for network, optimizer in zip(self._learning.networks, self._optimizers, strict=True):
             states, actions = self._draw_samples(assumed, BATCHES * chosen.batch_size)
             network.arena.fill_(float("egocentric" not in assumed))
             seen = graph(states, network.arena)
@@ -89,8 +91,13 @@ class Relational(Learner):
                 optimizer.step()
                 losses.append(loss.detach())
                 right.append((logits.argmax(1) == actions[rows]).float().mean())
+        with torch.no_grad():
+            for mean, latest in zip(self._actor.parameters(), self._learning.parameters(), strict=True):
+                mean.lerp_(latest, AVERAGED)
+            for flag, latest in zip(self._actor.buffers(), self._learning.buffers(), strict=True):
+                flag.copy_(latest)
         self._count += 1
-        if self._count <= self._trials and self._count % chosen.trial == 0:
+        if chosen.trial < self._count <= self._trials and self._count % chosen.trial == 0:
             self._judge()
             self._restart()
         elif self._count > self._trials:
@@ -111,6 +118,7 @@ class Relational(Learner):
             "kept": self._kept,
             "report": self._report,
             "actor": self._actor.state_dict(),
+            "learning": self._learning.state_dict(),
             "before": self._before,
             "optimizers": [optimizer.state_dict() for optimizer in self._optimizers],
             "draw": self._draw.get_state(),
@@ -121,15 +129,16 @@ class Relational(Learner):
         self._count, self._kept, self._report = state["count"], list(state["kept"]), list(state["report"])
         self._before = state["before"]
         self._actor.load_state_dict(state["actor"])
+        self._learning.load_state_dict(state["learning"])
         for optimizer, saved in zip(self._optimizers, state["optimizers"], strict=True):
             restore_optimizer(optimizer, saved)
         self._draw.set_state(state["draw"])
 
     @property
     def _tried(self) -> tuple[str, ...]:
-        """The assumption on trial now, if one is: first comes a time without any."""
-        number = self._count // self.settings.relational.trial
-        on_trial = number and self._count < self._trials
+        """The assumption on trial now, if one is: first comes twice the time of a trial without any."""
+        number = self._count // self.settings.relational.trial - 1
+        on_trial = number > 0 and self._count < self._trials
         return self.settings.relational.assumptions[number - 1 : number] if on_trial else ()
 
     def _draw_samples(self, assumed: list[str], size: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -143,7 +152,7 @@ class Relational(Learner):
         samples = samples.of(torch.randperm(size, generator=self._draw))
         states, actions = samples.states, samples.actions
         if "displace" in assumed:
-            displace(samples, self._groups, self._draw)
+            displace(samples, self._draw)
         if "mirror" in assumed:
             actions = mirror(states, actions, self._draw)
         if "rename" in assumed:
@@ -157,12 +166,13 @@ class Relational(Learner):
         asked = {"tasks": self.settings.tasks, "preset": self.settings.preset, "episodes": chosen.rollouts}
         frame = evaluate(self.policy(), variants="Demo", envs=chosen.rollouts, jobs=1, **asked)
         score = float(frame["score"].mean())
-        number = self._count // chosen.trial - 1
+        number = self._count // chosen.trial - 2
         name = chosen.assumptions[number - 1] if number else None
         best = max((trial["score"] for trial in self._report if trial["kept"]), default=0.0)
         keep = score >= best - chosen.loss
         self._report.append({"assumption": name, "score": score, "kept": keep})
         if not keep:
+            self._learning.load_state_dict(self._before)
             self._actor.load_state_dict(self._before)
         elif name is not None:
             self._kept.append(name)

@@ -171,8 +171,8 @@ class RelationalSettings(Settings):
     hidden: Count = 64
     networks: Annotated[int, Meta(ge=1, le=100, description="whose probabilities are averaged")] = 1
     trial: Annotated[
-        Count, Meta(description="updates, of 16 batches each, of each assumption's trial, and before the first")
-    ] = 20
+        Count, Meta(description="updates, of 16 batches each, of each assumption's trial; twice that before the first")
+    ] = 30
     updates: Annotated[Count, Meta(description="with the assumptions that were kept, after the trials")] = 160
     batch_size: Count = 64
     learning_rate: Annotated[Positive, Meta(description="of Adam in the trials; then it falls to 0")] = 1e-3

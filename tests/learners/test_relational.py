@@ -96,20 +96,20 @@ def test_names_are_exchanged_and_what_shares_them_is_not() -> None:
     assert torch.equal(states[:, :8], other[:, :8])
 
 
-def test_only_what_a_demonstration_never_involves_is_displaced() -> None:
-    demonstration = shipped("FixColour")[0]
-    samples, _ = assumptions.demonstrated([demonstration], 0, 0)
-    groups = assumptions.groups_of(demonstration)
+def test_only_what_does_not_matter_now_is_displaced() -> None:
+    """Never the block that the robot is heading for, nor the robot; others are, and regions with what is in them."""
+    samples, _ = assumptions.demonstrated([shipped("FixColour")[0]], 0, 0)
     other = Samples(samples.states.clone(), *samples[1:])
-    assumptions.displace(other, groups, torch.Generator().manual_seed(0))
-    block = int(groups[groups >= 0].argmin())
-    moved = (blocks_of(samples.states) != blocks_of(other.states)).any(2)
-    assert moved.any()
-    for number, group in enumerate(groups.tolist()):
-        if group >= 0:
-            assert not (moved[:, number] & ~samples.movable[:, group]).any()
+    assumptions.displace(other, torch.Generator().manual_seed(0))
     assert torch.equal(samples.states[:, :8], other.states[:, :8])
-    assert block >= 0
+    shift = blocks_of(other.states)[..., 1:3] - blocks_of(samples.states)[..., 1:3]
+    assert (shift != 0).any()
+    for number, (group, moved) in enumerate(zip(samples.groups.T, shift.norm(dim=2).T, strict=True)):
+        rows = (moved > 0).nonzero()[:, 0]
+        assert samples.movable[rows, group[rows]].all()
+        inside = rows[group[rows] < assumptions.MAX_REGIONS]
+        middles = [regions_of(states)[inside, group[inside], 1:3] for states in (other.states, samples.states)]
+        torch.testing.assert_close(middles[0] - middles[1], shift[inside, number])
 
 
 def test_detours_lead_back() -> None:

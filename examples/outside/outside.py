@@ -1,0 +1,257 @@
+"""Four tasks outside of the benchmark, to see what a method does where its author knew nothing of the task.
+
+- RedLeft: the red block in the left half. It names a colour.
+- VisitStar: the robot beside the star. It names a shape, and nothing need be moved.
+- PairUp: the two blocks of one colour side by side.
+- Huddle: all blocks together.
+
+A fifth is PushOut, in ../push_out. The demo scenes have no goal regions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from magical_mj.scene import Block, Robot, Scene
+from magical_mj.scene.constants import COLOURS, SHAPES
+from magical_mj.tasks.planning import Noise, Point, Subgoal, bring, drive, places_anywhere, scene_after
+from magical_mj.tasks.rules import any_shapes, pick, require
+from magical_mj.tasks.spec import Rules, TaskSpec
+
+LEFT: Final = -0.2
+"""The greatest x of a block in the left half: clear of the middle."""
+BESIDE: Final = 0.45
+"""The greatest distance between the centres of things that are side by side."""
+TOGETHER: Final = 0.45
+"""The greatest distance of a block from the middle of all in a huddle."""
+DEMONSTRATIONS: Final = Path(__file__).parent / "outside_demonstrations"
+"""Where `magical-mj demos generate` puts them, as README.md shows."""
+
+
+def _distance(first: Block | Robot, second: Block | Robot) -> float:
+    return math.dist((first.x, first.y), (second.x, second.y))
+
+
+def _numbers(scene: Scene, fits: Callable[[Block], bool]) -> list[int]:
+    return [number for number, block in enumerate(scene.blocks) if fits(block)]
+
+
+def _only(name: str, count: int, what: str, fits: Callable[[Block], bool]) -> Callable[[Scene], None]:
+    """A check that so many blocks fit."""
+
+    def check(scene: Scene) -> None:
+        require(len(_numbers(scene, fits)) == count, name, f"{count} {what}")
+
+    return check
+
+
+def _around(scene: Scene, block: int, least: float, most: float) -> list[Point]:
+    here = scene.blocks[block]
+    return [place for place in places_anywhere() if least <= math.dist(place, (here.x, here.y)) <= most]
+
+
+def _red(block: Block) -> bool:
+    return block.colour == "red"
+
+
+def _star(block: Block) -> bool:
+    return block.shape == "star"
+
+
+# RedLeft
+
+
+def red_left(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    """1 if the red block is in the left half."""
+    return float(all(final.blocks[number].x <= LEFT for number in _numbers(final, _red)))
+
+
+def plan_red_left(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
+    """It goes to the nearest place there."""
+    places = [place for place in places_anywhere() if place[0] <= LEFT - 0.15]
+    return [bring(now, number, places, noise) for number in _numbers(now, _red)]
+
+
+def other_colours(rng: np.random.Generator, scene: Scene) -> Scene:
+    """Red stays; the other blocks get uniform colours that are not red."""
+    others = tuple(colour for colour in COLOURS if colour != "red")
+    blocks = (block if _red(block) else replace(block, colour=pick(rng, others)) for block in scene.blocks)
+    return replace(scene, blocks=tuple(blocks))
+
+
+RED_LEFT: Final = TaskSpec(
+    name="RedLeft",
+    summary="bring the red block into the left half",
+    demo=Scene(
+        Robot(-0.1, -0.7, 0.3),
+        (
+            Block("square", "red", 0.45, 0.3, 0.2),
+            Block("circle", "blue", 0.4, -0.4, 0.0),
+            Block("pentagon", "green", -0.5, 0.5, 0.7),
+        ),
+    ),
+    steps=100,
+    score=red_left,
+    check=_only("RedLeft", 1, "red block", _red),
+    plan=plan_red_left,
+    demonstrations=DEMONSTRATIONS,
+    colour=other_colours,
+    shape=any_shapes,
+)
+
+# VisitStar
+
+
+def visit_star(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    """1 if the robot is beside the star."""
+    return float(all(_distance(final.robot, final.blocks[number]) <= BESIDE for number in _numbers(final, _star)))
+
+
+def plan_visit_star(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
+    """The robot drives beside it, and leaves it where it is."""
+    (star,) = _numbers(now, _star)
+    return [drive(now, _around(now, star, 0.34, 0.4), noise, tolerance=0.06)]
+
+
+def other_shapes(rng: np.random.Generator, scene: Scene) -> Scene:
+    """The star stays; the other blocks get uniform shapes that are none."""
+    others = tuple(shape for shape in SHAPES if shape != "star")
+    blocks = (block if _star(block) else replace(block, shape=pick(rng, others)) for block in scene.blocks)
+    return replace(scene, blocks=tuple(blocks))
+
+
+def any_block_colours(rng: np.random.Generator, scene: Scene) -> Scene:
+    """Independent uniform colours."""
+    return replace(scene, blocks=tuple(replace(block, colour=pick(rng, COLOURS)) for block in scene.blocks))
+
+
+VISIT_STAR: Final = TaskSpec(
+    name="VisitStar",
+    summary="drive beside the star",
+    demo=Scene(
+        Robot(0.5, -0.6, 1.0),
+        (
+            Block("star", "blue", -0.4, 0.45, 0.4),
+            Block("square", "yellow", 0.45, 0.4, 0.1),
+            Block("circle", "red", -0.5, -0.4, 0.0),
+        ),
+    ),
+    steps=60,
+    score=visit_star,
+    check=_only("VisitStar", 1, "star", _star),
+    plan=plan_visit_star,
+    demonstrations=DEMONSTRATIONS,
+    colour=any_block_colours,
+    shape=other_shapes,
+)
+
+# PairUp
+
+
+def _pair(scene: Scene) -> list[int]:
+    colours = [block.colour for block in scene.blocks]
+    return _numbers(scene, lambda block: colours.count(block.colour) == 2)
+
+
+def pair_up(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    """1 if the two blocks of one colour are side by side."""
+    first, second = (final.blocks[number] for number in _pair(final))
+    return float(_distance(first, second) <= BESIDE)
+
+
+def plan_pair_up(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
+    """One of them goes beside the other."""
+    first, second = _pair(now)
+    return [bring(now, first, _around(now, second, 0.28, 0.36), noise)]
+
+
+def check_pair(scene: Scene) -> None:
+    """Raise `InvalidSceneError` unless exactly two blocks share a colour."""
+    require(len(_pair(scene)) == 2, "PairUp", "two blocks of one colour")
+
+
+def colours_of_pair(rng: np.random.Generator, scene: Scene) -> Scene:
+    """The pair gets a uniform colour, the others another one each."""
+    left: Sequence[str] = COLOURS
+    blocks, pair = list(scene.blocks), _pair(scene)
+    for numbers in (pair, *([number] for number in range(len(blocks)) if number not in pair)):
+        colour = pick(rng, left)
+        left = [other for other in left if other != colour]
+        for number in numbers:
+            blocks[number] = replace(blocks[number], colour=colour)
+    return replace(scene, blocks=tuple(blocks))
+
+
+PAIR_UP: Final = TaskSpec(
+    name="PairUp",
+    summary="bring the two blocks of one colour side by side",
+    demo=Scene(
+        Robot(0.0, -0.7, 0.0),
+        (
+            Block("square", "green", 0.5, 0.4, 0.2),
+            Block("circle", "green", -0.5, -0.2, 0.0),
+            Block("star", "red", -0.4, 0.55, 0.5),
+        ),
+    ),
+    steps=100,
+    score=pair_up,
+    check=check_pair,
+    plan=plan_pair_up,
+    demonstrations=DEMONSTRATIONS,
+    colour=colours_of_pair,
+    shape=any_shapes,
+)
+
+# Huddle
+
+
+def _farthest(scene: Scene) -> float:
+    points = np.array([(block.x, block.y) for block in scene.blocks])
+    return float(np.linalg.norm(points - points.mean(0), axis=1).max())
+
+
+def huddle(initial: Scene, final: Scene, rules: Rules = "paper") -> float:
+    """1 if all blocks are near their middle."""
+    return float(_farthest(final) <= TOGETHER)
+
+
+def plan_huddle(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
+    """All blocks but the first go beside it."""
+    todo: list[Subgoal] = []
+    for number in range(1, len(now.blocks)):
+        if _distance(now.blocks[0], now.blocks[number]) > 0.4:
+            after = scene_after(now, todo)
+            todo.append(bring(after, number, _around(after, 0, 0.28, 0.36), noise))
+    return todo
+
+
+def apart(scene: Scene) -> None:
+    """Raise `InvalidSceneError` unless there are blocks to gather."""
+    require(len(scene.blocks) > 1, "Huddle", "several blocks")
+
+
+HUDDLE: Final = TaskSpec(
+    name="Huddle",
+    summary="bring all blocks together",
+    demo=Scene(
+        Robot(0.6, -0.7, 0.5),
+        (
+            Block("square", "green", 0.55, 0.55, 0.2),
+            Block("circle", "yellow", -0.55, -0.4, 0.0),
+            Block("star", "red", -0.5, 0.55, 0.5),
+        ),
+    ),
+    steps=140,
+    score=huddle,
+    check=apart,
+    plan=plan_huddle,
+    demonstrations=DEMONSTRATIONS,
+    colour=any_block_colours,
+    shape=any_shapes,
+)
