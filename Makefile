@@ -11,7 +11,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test fast bench mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints system site site-test site-picture node chromium xvfb
+.PHONY: demo test fast bench mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints notebooks release-check system site site-test site-picture node chromium xvfb
 
 demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
@@ -102,17 +102,35 @@ $(LEROBOT)/.installed: pyproject.toml
 	$(LEROBOT)/bin/python -m pip install --quiet --editable '.[eval]' 'lerobot[dataset,training,evaluation,diffusion]==0.6.1' pytest pytest-xdist
 	@touch $@
 
+release-check: $(VENV)/.installed-release  ## build the wheel and the sdist in dist/, and check them, the changelog and the tag
+	rm -rf dist
+	$(BIN)/validate-pyproject pyproject.toml
+	$(BIN)/python -m build --no-isolation --outdir dist
+	$(BIN)/twine check --strict dist/*
+	$(BIN)/check-wheel-contents dist/*.whl
+	$(BIN)/python tools/release.py $(TAG)
+
+notebooks: $(VENV)/.installed-notebooks  ## run examples/notebooks, and keep what they show
+	$(BIN)/python tools/notebooks.py
+
 constraints:  ## write constraints.txt: the newest versions that a fresh environment gets today
 	$(PYTHON) -m venv $(VENV)-new
-	$(VENV)-new/bin/python -m pip install --quiet --editable '.[dev]' 'torch==2.13.0'
+	$(VENV)-new/bin/python -m pip install --quiet 'pip>=25.1'
+	$(VENV)-new/bin/python -m pip install --quiet --editable . --group dev 'torch==2.13.0'
 	{ echo "# The versions that the tests ran with; make and CI install through this file. Written by make constraints."; \
 	$(VENV)-new/bin/python -m pip freeze --exclude-editable | sed 's/+cpu$$//'; } > constraints.txt
 	rm -r $(VENV)-new
 
+$(VENV)/.installed-all: pyproject.toml constraints.txt magical_mj/_version.py $(BIN)/python | system
+	@echo "installing magical-mj[all] into $(VENV) ..."
+	@$(INSTALL) --editable '.[all]'
+	@touch $@
+
 $(VENV)/.installed-%: pyproject.toml constraints.txt magical_mj/_version.py $(BIN)/python | system
-	@echo "installing magical-mj[$*] into $(VENV) ..."
-	@$(INSTALL) --editable '.[$*]'
-	@touch $@ $(VENV)/.installed-all
+	@echo "installing magical-mj for $* into $(VENV) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check 'pip>=25.1' # the first with --group
+	@$(INSTALL) --editable . --group $*
+	@touch $@ $(if $(filter dev,$*),$(VENV)/.installed-all)
 
 $(BIN)/python: | system
 	$(PYTHON) -m venv $(VENV)

@@ -79,9 +79,10 @@ def test_wheel_metadata(wheel: zipfile.ZipFile) -> None:
 def test_constraints_satisfy_the_requirements() -> None:
     lines = [line for line in (ROOT / "constraints.txt").read_text().splitlines() if not line.startswith("#")]
     tested = {canonical(Requirement(line).name): line.split("==")[1] for line in lines}
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    content = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    project = content["project"]
     extras = itertools.chain.from_iterable(project["optional-dependencies"].values())
-    for requirement in map(Requirement, [*project["dependencies"], *extras]):
+    for requirement in map(Requirement, [*project["dependencies"], *extras, *content["dependency-groups"]["dev"]]):
         name = canonical(requirement.name)
         if name not in ("magical-mj", "setuptools"):  # which pip freeze leaves out
             assert requirement.specifier.contains(tested[name]), f"{requirement}, tested with {tested[name]}"
