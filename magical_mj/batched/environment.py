@@ -72,6 +72,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         seed = check_seed(seed)
         self._rules: Rules = check_rules(rules)
         observed = preset_named(preset)
+        if observed.depth == 1:
+            raise SettingsError(f"batched worlds draw no segmentations: choose another preset than {preset}")
         size = observed.image_size if image_size is None else check_size(image_size)
         self.device = check_device(device)
         self._specs = [task_spec(task) for task, _ in pairs]

@@ -88,7 +88,7 @@ def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | N
 def _stacked(
     demo: Demonstration, preset: Preset, frames: tuple[tuple[str, int], ...], renderer: str | None
 ) -> NDArray[np.uint8]:
-    stack = FrameStack(frames, preset.image_size, channels_first=preset.layout == "chw")
+    stack = FrameStack(frames, preset.image_size, preset.depth, channels_first=preset.layout == "chw")
     rows = np.empty((len(demo.qpos), *stack.shape), np.uint8)
     drawing = render_demo(demo, [view for view, _ in frames], preset.image_size, renderer)
     for number, pictures in enumerate(drawing):

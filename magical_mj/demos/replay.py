@@ -83,7 +83,7 @@ def render_demo(
 
     Args:
         demo: the demonstration.
-        views: any of "ego" and "allo".
+        views: any of "ego" and "allo", and of "ego-segmentation" and "allo-segmentation".
         size: side of the pictures in pixels.
         renderer: what draws them, as in `magical_mj.Engine`.
 

@@ -247,7 +247,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         return info | {"score": np.float64(score)} if self._score_every_step else info
 
     def _draw(self, view: str, place: Images) -> None:
-        self._engine.render(view, len(place), out=place)
+        self._engine.render(view, len(place), out=place if place.shape[2] == 3 else place[..., 0])
 
     def _check_observable(self, scene: Scene | None) -> None:
         """Raises an `InvalidSceneError`, while the present episode can go on, if the state vector is too short."""

@@ -15,7 +15,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from magical_mj.scene.state_vector import STATE_NAMES
+from magical_mj.scene.state_vector import SEGMENTATIONS, STATE_NAMES
 from magical_mj.utils.errors import check_name
 
 Layout = Literal["dict", "hwc", "chw", "state"]
@@ -28,7 +28,8 @@ class Preset:
     """How observations are made from pictures.
 
     Attributes:
-        frames: the views and how many of the latest frames of each, in the order in which they are stacked.
+        frames: the views and how many of the latest frames of each, in the order in which they are stacked: pictures,
+            or segmentations (docs/pictures.md says what their ids are).
         layout: "hwc" and "chw" stack all frames along the channels of one array, oldest first; "dict" gives
             one such array (height x width x channels) per view; "state" is the state vector instead.
         image_size: default side of the pictures in pixels.
@@ -43,6 +44,11 @@ class Preset:
     summary: str
     fingers: bool = False
 
+    @property
+    def depth(self) -> int:
+        """The number of channels of a frame: of a picture 3, of a segmentation 1."""
+        return 1 if any(view in SEGMENTATIONS for view, _ in self.frames) else 3
+
 
 PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
     {
@@ -55,6 +61,8 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
             (("ego", 1), ("allo", 1)), "dict", 96, "a dict of both current frames and the angles of the fingers", True
         ),
         "LoResCHW4E": Preset((("ego", 4),), "chw", 96, "LoRes4E with the channels first, as PyTorch wants them"),
+        "LoResSeg4E": Preset((("ego-segmentation", 4),), "hwc", 96, "LoRes4E as segmentations: ids of what is where"),
+        "LoResSeg4A": Preset((("allo-segmentation", 4),), "hwc", 96, "LoRes4A as segmentations"),
         "State": Preset((), "state", 96, "the state vector (magical_mj.observations.STATE_NAMES)"),
     }
 )
@@ -86,7 +94,7 @@ def observation_space(preset: Preset, shapes: Mapping[str, tuple[int, ...]]) -> 
 Images = NDArray[np.uint8]
 
 Draw = Callable[[str, Images], object]
-"""Writes the picture of a view into an array of shape (size, size, 3), which may be a view of a larger array."""
+"""Writes a frame of a view into an array of shape (size, size, depth), which may be a view of a larger array."""
 
 
 class FrameStack:
@@ -98,21 +106,24 @@ class FrameStack:
     Args:
         frames: the views and how many frames of each, in the order in which they are stacked.
         size: side of the frames in pixels.
+        depth: the number of channels of a frame.
         channels_first: stacks of shape (channels, size, size) instead of (size, size, channels).
     """
 
     MOVES: Final = 16
     """The number of times that the window moves before it returns to the beginning of the buffer."""
 
-    def __init__(self, frames: tuple[tuple[str, int], ...], size: int, *, channels_first: bool = False) -> None:
-        count = 3 * sum(number for _, number in frames)
+    def __init__(
+        self, frames: tuple[tuple[str, int], ...], size: int, depth: int = 3, *, channels_first: bool = False
+    ) -> None:
+        count = depth * sum(number for _, number in frames)
         self.remembers = any(number > 1 for _, number in frames)
         """Whether a stack depends on the one before."""
         self.shape = (count, size, size) if channels_first else (size, size, count)
         self._channels_last = (1, 2, 0) if channels_first else (0, 1, 2)
-        ends = np.cumsum([3 * number for _, number in frames]).tolist()
-        self._channels = [(view, end - 3 * number, end) for (view, number), end in zip(frames, ends, strict=True)]
-        self._shift = 3 * size * size if channels_first else 3
+        ends = np.cumsum([depth * number for _, number in frames]).tolist()
+        self._channels = [(view, end - depth * number, end) for (view, number), end in zip(frames, ends, strict=True)]
+        self._depth, self._shift = depth, depth * size * size if channels_first else depth
         self._memory = np.zeros(count * size * size + self.MOVES * self._shift, np.uint8)
         self._first = 0
 
@@ -124,10 +135,10 @@ class FrameStack:
     def start(self, draw: Draw) -> Images:
         """The stack at the start of an episode, all its frames the first picture: `latest`."""
         self._draw_newest(draw)
-        pixels = self.latest.transpose(self._channels_last)
+        pixels, depth = self.latest.transpose(self._channels_last), self._depth
         for _, first, end in self._channels:
-            for channel in range(first, end - 3):
-                pixels[..., channel] = pixels[..., end - 3 + (channel - first) % 3]
+            for channel in range(first, end - depth):
+                pixels[..., channel] = pixels[..., end - depth + (channel - first) % depth]
         return self.latest
 
     def push(self, draw: Draw) -> Images:
@@ -143,7 +154,7 @@ class FrameStack:
         """Draws the newest frame of each view into the latest stack."""
         pixels = self.latest.transpose(self._channels_last)
         for view, _, end in self._channels:
-            draw(view, pixels[..., end - 3 : end])
+            draw(view, pixels[..., end - self._depth : end])
 
 
 class Stacks:
@@ -159,12 +170,12 @@ class Stacks:
     def __init__(self, preset: Preset, size: int) -> None:
         self._stacks: dict[str, FrameStack] = {}
         if preset.layout == "dict":
-            self._stacks = {view: FrameStack(((view, count),), size) for view, count in preset.frames}
+            self._stacks = {view: FrameStack(((view, count),), size, preset.depth) for view, count in preset.frames}
         elif preset.layout != "state":
             name = "+".join(f"{view}{count}" for view, count in preset.frames) + (
                 "-chw" if preset.layout == "chw" else ""
             )
-            self._stacks = {name: FrameStack(preset.frames, size, channels_first=preset.layout == "chw")}
+            self._stacks = {name: FrameStack(preset.frames, size, preset.depth, channels_first=preset.layout == "chw")}
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
@@ -200,7 +211,8 @@ def drawn(pictures: Mapping[str, Images]) -> Draw:
     """A `Draw` that copies pictures which exist already."""
 
     def write(view: str, place: Images) -> None:
-        for channel in range(3):  # three strided copies are faster than one of triples
-            place[..., channel] = pictures[view][..., channel]
+        frame = pictures[view].reshape(place.shape)  # of a segmentation: with its channel
+        for channel in range(place.shape[-1]):  # three strided copies are faster than one of triples
+            place[..., channel] = frame[..., channel]
 
     return write

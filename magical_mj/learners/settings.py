@@ -22,8 +22,8 @@ from magical_mj.utils.settings import Count, Names, Natural, Settings, changed
 
 STATE: Final = "State"
 """The preset of the state track."""
-LEARNABLE: Final = (*(name for name, preset in PRESETS.items() if preset.layout == "hwc"), STATE)
-"""The presets that learners can look at: one stack of frames, the channels last, or states."""
+LEARNABLE: Final = (*(name for name, kind in PRESETS.items() if kind.layout == "hwc" and kind.depth > 1), STATE)
+"""The presets that learners can look at: one stack of pictures, the channels last, or states."""
 AUGMENTATIONS: Final[Mapping[str, tuple[str, ...]]] = {
     "all": ("translation", "rotation", "colour", "noise"),
     "no-trans-rot": ("colour", "noise"),

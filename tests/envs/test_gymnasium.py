@@ -17,6 +17,7 @@ from gymnasium.utils.env_checker import check_env
 
 import magical_mj
 from magical_mj.envs.presets import PRESETS
+from magical_mj.scene.state_vector import SEGMENTATIONS, VIEWS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import InvalidActionError, InvalidSceneError, UnknownNameError
 
@@ -73,6 +74,8 @@ SHAPES = {
     "LoResStack": {"ego": (96, 96, 12), "allo": (96, 96, 12)},
     "LoResFingers": {"ego": (96, 96, 3), "allo": (96, 96, 3)},
     "LoResCHW4E": (12, 96, 96),
+    "LoResSeg4E": (96, 96, 4),
+    "LoResSeg4A": (96, 96, 4),
 }
 
 
@@ -83,6 +86,9 @@ def stacked(preset: str, frames_so_far: list[dict[str, np.ndarray]]) -> np.ndarr
         return {"ego": ego[-1], "allo": allo[-1]}
     if preset == "LoResStack":
         return {"ego": np.concatenate(ego[-4:], axis=2), "allo": np.concatenate(allo[-4:], axis=2)}
+    if "Seg" in preset:
+        view = "ego-segmentation" if preset == "LoResSeg4E" else "allo-segmentation"
+        return np.stack([frame[view] for frame in frames_so_far[-4:]], axis=2)
     frames = {"LoRes4A": allo[-4:], "LoRes3EA": [allo[-1], *ego[-3:]]}.get(preset, ego[-4:])
     picture = np.concatenate(frames, axis=2)
     return picture.transpose(2, 0, 1) if preset == "LoResCHW4E" else picture
@@ -95,7 +101,7 @@ def test_frames_are_stacked_oldest_first(preset: str) -> None:
     engine, size = magical_mj.Engine("MatchRegions", seed=0), 384 if preset == "" else 96
 
     def drawn() -> dict[str, np.ndarray]:
-        return {view: engine.render(view, size) for view in ("ego", "allo")}
+        return {view: engine.render(view, size) for view in (*VIEWS, *SEGMENTATIONS)}
 
     frames_so_far = [drawn()]
     observation, _ = env.reset(seed=0)
