@@ -15,6 +15,7 @@ from magical_mj.engine.simulation import Simulation, State, check_state, with_sh
 from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene, check_scene_type
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.geometry import check_scene
 from magical_mj.scene.state_vector import CAMERAS, SEGMENTATIONS
 from magical_mj.shifts.episode import Draws, EpisodeShifts, draw_shifts
@@ -41,27 +42,36 @@ class Setup:
             scenes, which have no score and no horizon.
         variant: one of `magical_mj.VARIANTS` that the task has.
         rules: "paper", or "released" for the scores and horizons of the original's released code.
+        body: the robot's body, which a plain scene says itself.
 
     Raises:
         UnknownNameError: for an unknown task, variant or rules, or an unsupported pair.
         TaskError: if the task of another package is invalid.
+        SettingsError, InvalidSceneError: if the task is not offered with the body; if there is no such body.
     """
 
     task: str | None
     variant: str = "Demo"
     rules: Rules = "paper"
+    body: str = GRIPPER
 
     def __post_init__(self) -> None:
         """Checks the names."""
         if self.task is not None:
             object.__setattr__(self, "variant", variant_name(self.variant))
             environment_axes(self.task, self.variant)
+            task_spec(self.task).check_body(self.body)
         check_rules(self.rules)
 
     @property
     def horizon(self) -> int | None:
         """The number of actions after which an episode ends; None: never."""
-        return None if self.task is None else task_spec(self.task).horizon(self.rules)
+        return None if self.task is None else task_spec(self.task).horizon(self.rules, self.body)
+
+    @property
+    def speeds(self) -> bool:
+        """Whether actions are x-magical's speeds."""
+        return self.task is not None and task_spec(self.task).speeds
 
     def check(self, scene: object) -> None:
         """Raises `InvalidSceneError` unless it is a `Scene` in which an episode can start."""
@@ -69,6 +79,11 @@ class Setup:
         check_scene(scene)
         if self.task is not None:
             task_spec(self.task).check(scene)
+            if scene.robot.body != self.body:
+                raise InvalidSceneError(
+                    f"the robot of this scene has the body {scene.robot.body!r}, and this environment is made for "
+                    f"{self.body!r}: make another one with body={scene.robot.body!r}"
+                )
 
     def sample(self, seed: int) -> Scene:
         """The scene of this seed.
@@ -79,7 +94,7 @@ class Setup:
         """
         if self.task is None:
             raise SettingsError("a plain scene has no seeds: give a scene or a state")
-        return sample_scene(self.task, self.variant, seed)
+        return sample_scene(self.task, self.variant, seed, self.body)
 
     def begin(
         self, shifts: Mapping[str, int], start: int | Scene, draws: Draws | None = None
@@ -140,6 +155,7 @@ class Engine:
         seed: the seed of the first scene; None: drawn from the system's entropy.
         renderer: "opengl" or "software" for flat views; None: MAGICAL_MJ_RENDERER, or what works (docs/pictures.md).
         shifts: shifts and their strengths, such as ``"camera:3,latency:1"`` or ``{"camera": 3}``; see docs/shifts.md.
+        body: the robot's body, see docs/bodies.md.
 
     Attributes:
         setup: task, variant and rules, with what follows from them.
@@ -154,7 +170,8 @@ class Engine:
         TaskError: if the task of another package is invalid.
         InvalidSceneError: if the scene is illegal or not one of the task.
         InvalidSeedError: if the seed is not an integer, or negative.
-        SettingsError: if both a scene and a seed are given; for wrong shifts, or such as the task cannot have.
+        SettingsError: if both a scene and a seed are given; for wrong shifts, or such as the task cannot have; for a
+            body that it does not offer.
         ShiftError: if a shift of another package is invalid.
     """
 
@@ -168,9 +185,10 @@ class Engine:
         seed: int | None = None,
         renderer: str | None = None,
         shifts: Shifts = None,
+        body: str = GRIPPER,
     ) -> None:
         task_spec(task)  # None, too, is no task
-        setup = Setup(task, variant, rules)
+        setup = Setup(task, variant, rules, body)
         setup.check_start(seed=seed, scene=scene)
         strengths = parse_shifts(shifts, task)
         if scene is None:
@@ -205,6 +223,7 @@ class Engine:
         self.rules: Rules = setup.rules
         self.horizon = setup.horizon
         self._simulation: Simulation | None = Simulation(scene, renderer, shifts)
+        self._simulation.speeds = setup.speeds
         self.shifts = strengths
         self.seed: int | None = None
         self.steps, self._broken = 0, False
@@ -285,7 +304,7 @@ class Engine:
         """One action of 1/8 s. Returns whether the episode is over.
 
         Raises:
-            InvalidActionError: if the action is not one of the 18.
+            InvalidActionError: if the action is not one of the 18, nor, in x-magical's suite, a vector of speeds.
             StateError: if the episode is over already.
             PhysicsError: if the simulation becomes unstable, which ends the episode.
         """

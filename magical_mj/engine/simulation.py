@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.assets.contacts import SUBSTEPS
-from magical_mj.assets.robot import control_signal
+from magical_mj.assets.robot import control_signal, speed_signal
 from magical_mj.assets.world import World, world_model
 from magical_mj.rendering.canvas import Picture
 from magical_mj.rendering.renderer import Views, check_out
 from magical_mj.scene import Scene
-from magical_mj.scene.actions import action_number
+from magical_mj.scene.actions import Action, action_number, as_speeds, to_vector
 from magical_mj.scene.scene import MAX_NUMBER
 from magical_mj.scene.state_vector import VIEWS, StateEncoder
 from magical_mj.shifts.episode import Draws, EpisodeShifts
@@ -103,6 +103,7 @@ class Simulation:
         model: MuJoCo's model. `start` replaces it if the new scene has another structure.
         data: MuJoCo's state of that model.
         shifts: those of the present episode; None: none.
+        speeds: whether actions are x-magical's speeds, see `magical_mj.assets.robot.speed_signal`.
     """
 
     def __init__(self, scene: Scene, renderer: str | None = None, shifts: EpisodeShifts | None = None) -> None:
@@ -130,6 +131,7 @@ class Simulation:
         self.world, self.model, self.data = world, model, data or mujoco.MjData(model)
         self.renderer: str | None = None
         self.shifts: EpisodeShifts | None = None
+        self.speeds = False
         self._cameras = cameras
         self._views: Views | None = None
         self._encoder: tuple[Scene, StateEncoder] | None = None
@@ -172,7 +174,7 @@ class Simulation:
     def copy(self) -> Simulation:
         """Another simulation in the same state, which shares the model, and takes actions as they are commanded."""
         twin = Simulation.around(self.world, self.model, copy(self.data), self._cameras)
-        twin.renderer = self.renderer
+        twin.renderer, twin.speeds = self.renderer, self.speeds
         return twin
 
     def act(self, action: Any) -> None:
@@ -184,12 +186,27 @@ class Simulation:
         """Writes the controls of an action.
 
         Raises:
-            InvalidActionError: if the action is not one of the 18.
+            InvalidActionError: if the action is not one of the 18, nor, where actions are speeds, a vector of them.
         """
+        if self.speeds:
+            self._command_speeds(action)
+            return
         number, scene = action_number(action), self.world.scene
         if self.shifts is not None:
             number = self.shifts.action(number)
         self.data.ctrl[:] = control_signal(number, scene.robot.body, scene.dynamics.veer)
+
+    def _command_speeds(self, action: Any) -> None:
+        """Writes the controls of a vector of speeds, or of one of the 18 actions: full speed, or none."""
+        world, data = self.world, self.data
+        size = 3 if world.has_fingers else 2
+        if np.ndim(action) == 0 or isinstance(action, Action):
+            number = action_number(action)
+            vector = to_vector(number if self.shifts is None else self.shifts.action(number))[:size]
+        else:
+            vector = as_speeds(action, size)
+        fingers = world.fingers(data.qpos) if world.has_fingers else None
+        data.ctrl[:] = speed_signal(vector, fingers, data.ctrl)
 
     def advance(self, steps: int) -> None:
         """Takes some steps of MuJoCo.

@@ -15,12 +15,13 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from magical_mj.engine import Engine, State
-from magical_mj.envs.presets import Images, Stacks, observation_space, preset_named
+from magical_mj.envs.presets import Images, Preset, Stacks, observation_space, preset_named
 from magical_mj.envs.wrappers import check_limit, continuous_space
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS, to_discrete
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.state_vector import CAMERAS, VIEWS, StateEncoder
 from magical_mj.shifts.registry import Shifts
 from magical_mj.tasks.registry import TASKS
@@ -62,6 +63,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         action: "discrete" or "continuous".
         renderer: "opengl" or "software" for flat views; None: MAGICAL_MJ_RENDERER, or what works (docs/pictures.md).
         shifts: shifts and their strengths, such as "camera:3,latency:1" or a dict; see docs/shifts.md.
+        body: the robot's body, one that the task offers; see docs/bodies.md.
         render_mode: "rgb_array"; Gymnasium makes "human" (a window) from it.
         render_view: the view of `render`: "ego", "allo", "both" side by side, or "scene", in 3-D from above a corner.
         render_size: side of each view in pixels.
@@ -76,7 +78,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self,
         task: str,
         variant: str = "Demo",
-        preset: str = "",
+        preset: str | Preset = "",
         *,
         image_size: int | None = None,
         reward: Reward = "none",
@@ -84,6 +86,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         action: ActionForm = "discrete",
         renderer: str | None = None,
         shifts: Shifts = None,
+        body: str = GRIPPER,
         render_mode: str | None = None,
         render_view: str = "allo",
         render_size: int = 384,
@@ -97,13 +100,13 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self.render_mode = render_mode
         self._views = VIEWS if render_view == "both" else (render_view,)
         self._render_size = check_size(render_size, "render_size")
-        self._preset = preset_named(preset)
+        self._preset = preset if isinstance(preset, Preset) else preset_named(preset)
         size = self._preset.image_size if image_size is None else check_size(image_size)
         self._stacks = Stacks(self._preset, size)
         check_name("reward", reward, REWARDS)
         self.reward: Reward = reward
-        self._engine = Engine(task, variant, seed=0, rules=rules, renderer=renderer, shifts=shifts)
-        self._limit = None if limit is None else check_limit(limit, task, rules)
+        self._engine = Engine(task, variant, seed=0, rules=rules, renderer=renderer, shifts=shifts, body=body)
+        self._limit = None if limit is None else check_limit(limit, self._engine.setup)
         self._continuous = action == "continuous"
         self.action_space = continuous_space() if self._continuous else spaces.Discrete(len(ACTIONS))
         self.observation_space = observation_space(self._preset, self._stacks.shapes)
@@ -204,9 +207,13 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             InvalidActionError: if the action is not one of the 18.
             gymnasium.error.ResetNeeded: before the first reset and after the last step.
         """
-        last = self.advance(to_discrete(action) if self._continuous else action)
+        last = self.advance(self.to_action(action))
         observation = self.observe()
         return observation, *self.outcome(last=last)
+
+    def to_action(self, action: Any) -> Any:
+        """An action as the engine takes it; an `InvalidActionError` if it is a vector, and not one of these."""
+        return to_discrete(action) if self._continuous else action
 
     def advance(self, action: Any) -> bool:
         """The simulation of a step, with its pictures: see `step`. Returns whether it was the episode's last."""

@@ -8,14 +8,19 @@ The ids of a task given as ``"package.module:SPEC"`` are registered when `env_id
 from __future__ import annotations
 
 import itertools
+import re
+from typing import Final
 
 import gymnasium
+from gymnasium.envs import registration
 from gymnasium.envs.registration import EnvSpec, WrapperSpec
 
 from magical_mj.envs.presets import PRESETS, preset_named
+from magical_mj.tasks import SUITES
 from magical_mj.tasks.plugins import task_plugins
 from magical_mj.tasks.registry import ENVIRONMENTS, VARIANTS, environment_axes, task_name, task_spec, variant_name
 from magical_mj.utils.errors import TaskError
+from magical_mj.variants import variants_of
 
 
 def env_id(task: str, variant: str = "Demo", preset: str = "") -> str:
@@ -49,12 +54,40 @@ class SingleWrappers(tuple[WrapperSpec, ...]):
         return 0
 
 
+AT_THE_END: Final = SingleWrappers((WrapperSpec("ScoreAtTheEnd", "magical_mj.envs.wrappers:ScoreAtTheEnd", {}),))
+
+
 def register_all() -> None:
     """Registers every environment that is not registered yet. Importing this module does this."""
     for (task, variant), preset in itertools.product(ENVIRONMENTS, PRESETS):
         _register(task, task, variant, preset, task_spec(task).horizon())
     for task, variant, preset in itertools.product(task_plugins(), VARIANTS, PRESETS):
         _register(task, task, variant, preset, None)
+    _register_xmagical()
+
+
+def _register_xmagical() -> None:
+    """Registers the 96 ids of the suite xmagical: those of x-magical behind ``magical_mj/xmagical/``.
+
+    Gymnasium's pattern for ids knows one slash only, so that it is widened to further ones in the namespace. All ids
+    that it matched before it matches as before.
+    """
+    registration.ENV_ID_RE = re.compile(
+        registration.ENV_ID_RE.pattern.replace(r"(?P<namespace>[\w:-]+)", r"(?P<namespace>[\w:-]+(?:/[\w:-]+)*)")
+    )
+    spec = SUITES["xmagical"]["SweepToTop"]
+    for body, observation, view in itertools.product(spec.bodies, ("State", "Pixels"), ("Allo", "Ego")):
+        for variant in variants_of(spec):
+            test = variant if variant == "Demo" else f"Test{variant.replace('Colour', 'Color')}"
+            id_ = f"magical_mj/xmagical/{spec.name}-{body.capitalize()}-{observation}-{view}-{test}-v0"
+            gymnasium.registry[id_] = EnvSpec(
+                id_,
+                entry_point="magical_mj.envs.xmagical:XMagicalEnv",
+                vector_entry_point="magical_mj.envs.xmagical:make_suite_worlds",
+                kwargs={"body": body, "variant": variant, "observation": observation, "view": view},
+                max_episode_steps=spec.horizon("paper", body),
+                additional_wrappers=AT_THE_END,
+            )
 
 
 def _register(task: str, name: str, variant: str, preset: str, steps: int | None) -> str:
@@ -69,9 +102,7 @@ def _register(task: str, name: str, variant: str, preset: str, steps: int | None
             vector_entry_point="magical_mj.envs.vector:make_worlds",
             kwargs={"task": task, "variant": variant, "preset": preset},
             max_episode_steps=steps,
-            additional_wrappers=SingleWrappers(
-                (WrapperSpec("ScoreAtTheEnd", "magical_mj.envs.wrappers:ScoreAtTheEnd", {}),)
-            ),
+            additional_wrappers=AT_THE_END,
         )
     elif (other := registry[id_].kwargs["task"]) != task:
         raise TaskError(f"{id_} is the id of {other}; give the task {task} another name than {name!r}")

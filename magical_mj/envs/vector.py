@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from magical_mj.envs.gymnasium_env import MagicalEnv, check_options
 from magical_mj.envs.registration import env_id
-from magical_mj.scene.actions import ACTIONS, to_discrete
+from magical_mj.scene.actions import ACTIONS
 from magical_mj.utils.errors import ClosedError, InvalidActionError, SettingsError, as_integer, short_repr
 from magical_mj.utils.parallel import cores
 from magical_mj.variants import check_seed
@@ -77,11 +77,16 @@ def make_worlds(
     Raises:
         SettingsError: if a number is not possible.
     """
-    for name, value in (("num_envs", num_envs), ("threads", threads), ("max_episode_steps", max_episode_steps)):
-        if value is not None and as_integer(value, 1) is None:
-            raise SettingsError(f"{name} must be an integer of at least 1, not {short_repr(value)}")
+    check_counts(num_envs=num_envs, threads=threads, max_episode_steps=max_episode_steps)
     worlds = [MagicalEnv(task, variant, preset, limit=max_episode_steps, **settings) for _ in range(num_envs)]
     return VectorEnv(worlds, threads, autoreset_mode)
+
+
+def check_counts(**counts: int | None) -> None:
+    """Raises a `SettingsError` unless each of these is None or an integer above 0."""
+    for name, value in counts.items():
+        if value is not None and as_integer(value, 1) is None:
+            raise SettingsError(f"{name} must be an integer of at least 1, not {short_repr(value)}")
 
 
 class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
@@ -233,14 +238,14 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         if self.closed:
             raise ClosedError("the environment is closed; make another one")
 
-    def _checked(self, actions: Any) -> list[int]:
-        """The numbers of the actions, before any world takes one."""
+    def _checked(self, actions: Any) -> list[Any]:
+        """The actions as the worlds take them, before any does."""
         try:
             rows: NDArray[Any] = np.asarray(actions)
         except ValueError:  # of different lengths
             rows = np.empty(0)
         if isinstance(self.single_action_space, spaces.Box) and rows.ndim == 2 and len(rows) == self.num_envs:
-            return [to_discrete(row) for row in rows]
+            return [self.envs[0].to_action(row) for row in rows]
         fitting = rows.shape == (self.num_envs,) and rows.dtype.kind in "iu" and rows.min() >= 0
         if isinstance(self.single_action_space, spaces.Box) or not fitting or rows.max() >= len(ACTIONS):
             raise InvalidActionError(

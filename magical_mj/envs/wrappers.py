@@ -11,9 +11,8 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from magical_mj.engine import Engine
+from magical_mj.engine.engine import Setup
 from magical_mj.scene.actions import ACTIONS, to_discrete, to_vector
-from magical_mj.tasks.registry import task_spec
-from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import InvalidActionError, SettingsError
 
 
@@ -71,8 +70,8 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         engine = getattr(self.unwrapped, "engine", None)
         if not isinstance(engine, Engine) or engine.task is None:
             raise SettingsError(f"ScoreAtTheEnd wraps the environments of magical_mj, not {self.unwrapped}")
-        self._engine, self._horizon = engine, task_spec(engine.task).horizon(engine.rules)
-        check_limit((env.spec.max_episode_steps or 0) if env.spec else 0, engine.task, engine.rules)
+        self._engine, self._horizon = engine, engine.setup.horizon or 0
+        check_limit((env.spec.max_episode_steps or 0) if env.spec else 0, engine.setup)
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -93,16 +92,16 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         return observation, reward, terminated, truncated, info
 
 
-def check_limit(limit: int, task: str, rules: Rules) -> int:
+def check_limit(limit: int, setup: Setup) -> int:
     """The number of steps of a task's episodes if they may end after `limit` steps.
 
     Raises:
         SettingsError: if the limit is longer than the task's own horizon, and not that of its id.
     """
-    horizon = task_spec(task).horizon(rules)
-    if limit > horizon and limit != task_spec(task).horizon():
+    horizon = setup.horizon or 0
+    if limit > horizon and limit != Setup(setup.task, setup.variant, body=setup.body).horizon:  # of the id
         raise SettingsError(
-            f"max_episode_steps={limit} is more than the {horizon} steps after which every episode of {task} ends; "
-            "give a smaller number, or none for the task's own"
+            f"max_episode_steps={limit} is more than the {horizon} steps after which every episode of {setup.task} "
+            "ends; give a smaller number, or none for the task's own"
         )
     return min(limit, horizon)

@@ -153,3 +153,21 @@ def to_discrete(vector: ArrayLike) -> int:
         )
     drive, turn = (1 if entry > THRESHOLD else 2 if entry < -THRESHOLD else 0 for entry in entries[:2])
     return Action(Gripper(int(entries[2] > 0)), Turn(turn), Drive(drive)).number
+
+
+def as_speeds(action: ArrayLike, size: int) -> NDArray[np.float64]:
+    """One of x-magical's actions, (speed, turn) and for a gripper grip, as numbers. Shape (size,).
+
+    Raises:
+        InvalidActionError: for another shape, or entries that are not finite numbers.
+    """
+    try:
+        entries = np.asarray(action, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        entries = np.empty(0)
+    if entries.shape != (size,) or not np.isfinite(entries).all():
+        parts = "speed, turn, grip" if size == 3 else "speed, turn; this body has no gripper"
+        raise InvalidActionError(
+            f"{short_repr(action)} is not an action here: those are {size} finite numbers in [-1, 1] ({parts})"
+        )
+    return entries

@@ -19,10 +19,11 @@ from magical_mj.tasks import (
     match_regions,
     move_to_corner,
     move_to_region,
+    sweep_to_top,
 )
 from magical_mj.tasks.spec import RULES, Rules, TaskSpec
 
-__all__ = ["RULES", "SPECS", "Rules", "TaskSpec"]
+__all__ = ["KNOWN", "RULES", "SPECS", "SUITES", "Rules", "TaskSpec"]
 
 _SPECS: Final = (
     move_to_corner.SPEC,
@@ -37,3 +38,13 @@ _SPECS: Final = (
 
 SPECS: Final[Mapping[str, TaskSpec]] = MappingProxyType({spec.name: spec for spec in _SPECS})
 """All tasks by name, in the paper's order."""
+
+SUITES: Final[Mapping[str, Mapping[str, TaskSpec]]] = MappingProxyType(
+    {"magical": SPECS, "xmagical": MappingProxyType({sweep_to_top.SPEC.name: sweep_to_top.SPEC})}
+)
+"""The suites: the benchmark, which "all" stands for, and others beside it, each with a protocol number of its own."""
+
+KNOWN: Final[Mapping[str, TaskSpec]] = MappingProxyType(
+    {name: spec for suite in SUITES.values() for name, spec in suite.items()}
+)
+"""The tasks of all suites by name."""

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from magical_mj.scene import Scene
 from magical_mj.scene.geometry import check_scene
-from magical_mj.tasks import RULES, SPECS, TaskSpec
+from magical_mj.tasks import KNOWN, RULES, SPECS, TaskSpec
 from magical_mj.utils.errors import (
     InvalidSceneError,
     MagicalError,
@@ -42,7 +42,7 @@ def task_plugins() -> Mapping[str, EntryPoint]:
     """
     plugins: dict[str, EntryPoint] = {}
     for point in sorted(entry_points(group=GROUP)):
-        if point.name in SPECS or plugins.get(point.name, point) != point:
+        if point.name in KNOWN or plugins.get(point.name, point) != point:
             problem = "another task has that name"
         elif not is_task_name(point.name):
             problem = "the name of a task must be made of letters and digits"
@@ -87,7 +87,7 @@ def load_spec(task: str) -> TaskSpec:
     check_spec(spec, task)
     if point is not None and spec.name != task:
         raise TaskError(f"{point.value} is announced as {task!r}, but its name is {spec.name!r}: they must be the same")
-    if spec.name in SPECS and SPECS[spec.name] is not spec:
+    if spec.name in KNOWN and KNOWN[spec.name] is not spec:
         raise TaskError(f"{task} is called {spec.name!r}, as a task of the benchmark is: give it a name of its own")
     _CHECKED[task] = spec
     return spec

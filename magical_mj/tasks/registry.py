@@ -8,7 +8,8 @@ from typing import Final, cast
 import numpy as np
 
 from magical_mj.scene import Scene, check_scene_type
-from magical_mj.tasks import RULES, SPECS, Rules, TaskSpec
+from magical_mj.scene.bodies import GRIPPER
+from magical_mj.tasks import KNOWN, RULES, SPECS, Rules, TaskSpec
 from magical_mj.tasks.plugins import check_drawn, load_spec, task_plugins
 from magical_mj.utils.errors import InvalidSceneError, SettingsError, check_name, short_repr, unknown_name
 from magical_mj.utils.imports import errors_of_task, is_reference
@@ -47,17 +48,18 @@ def task_spec(task: str) -> TaskSpec:
     """The definition of a task.
 
     Args:
-        task: one of `TASKS`, a task that an installed package announces, or ``"package.module:SPEC"``.
+        task: one of `TASKS`, or of another suite, a task that an installed package announces, or
+            ``"package.module:SPEC"``.
 
     Raises:
         UnknownNameError: if there is no such task.
         TaskError: if it is the task of another package, and cannot be played.
     """
-    if isinstance(task, str) and task in SPECS:
-        return SPECS[task]
+    if isinstance(task, str) and task in KNOWN:
+        return KNOWN[task]
     if isinstance(task, str) and (task in task_plugins() or is_reference(task)):
         return load_spec(task)
-    raise unknown_name("task", task, (*TASKS, *task_plugins(), "package.module:SPEC"))
+    raise unknown_name("task", task, (*KNOWN, *task_plugins(), "package.module:SPEC"))
 
 
 def task_name(task: str) -> str:
@@ -68,7 +70,7 @@ def task_name(task: str) -> str:
         TaskError: if it is the task of another package, and cannot be played.
     """
     spec = task_spec(task)
-    known = spec.name in SPECS or spec.name in task_plugins()
+    known = spec.name in KNOWN or spec.name in task_plugins()
     return spec.name if known and task_spec(spec.name) is spec else task
 
 
@@ -147,22 +149,25 @@ def check_rules(rules: str) -> Rules:
     return cast("Rules", rules)
 
 
-def sample_scene(task: str, variant: str, seed: int) -> Scene:
+def sample_scene(task: str, variant: str, seed: int, body: str = GRIPPER) -> Scene:
     """The scene in which an episode with this seed starts: the same on every machine and in every process.
 
-    The scenes of seeds 0 to 99 are those on which the environment is evaluated.
+    The scenes of seeds 0 to 99 are those on which the environment is evaluated. With another body of the robot, the
+    poses are drawn from the same generators until that body fits.
 
     Raises:
+        SettingsError: if the task is not offered with this body.
         UnknownNameError: if there is no such task or variant, or the task does not have this variant.
         InvalidSeedError: if the seed is not an integer, or negative; any size will do.
         PlacementError: if no legal placement was found (not known to happen in the benchmark).
         TaskError: if the task of another package draws a scene in which it cannot start, or its code raises an error.
     """
     spec, variant = task_spec(task), variant_name(variant)
-    if spec.name in SPECS:
-        return vary(spec, variant, seed)  # known to be right
+    spec.check_body(body)
+    if spec.name in KNOWN:
+        return vary(spec, variant, seed, body)  # known to be right
     with errors_of_task(f"{spec.name}-{variant} cannot be drawn from seed {short_repr(seed)}"):
-        scene = vary(spec, variant, seed)
+        scene = vary(spec, variant, seed, body)
         check_drawn(spec, variant, seed, scene)
     return scene
 

@@ -10,8 +10,9 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 
 from magical_mj.scene import Scene
+from magical_mj.scene.bodies import BODIES, GRIPPER, check_body_name
 from magical_mj.tasks.planning import Noise, Subgoal
-from magical_mj.utils.errors import TaskError, as_integer, short_repr
+from magical_mj.utils.errors import SettingsError, TaskError, as_integer, short_repr
 from magical_mj.utils.imports import errors_of_task
 from magical_mj.variants import VariationRules
 
@@ -46,6 +47,13 @@ class TaskSpec(VariationRules):
     score: ScoreFunction
     """How well the final scene solves the task, in [0, 1]."""
 
+    bodies: tuple[str, ...] = (GRIPPER,)
+    """The robot's bodies that can solve the task: those of `magical_mj.scene.bodies.BODIES` that it offers."""
+    steps_of: tuple[tuple[str, int], ...] = ()
+    """Bodies that have another horizon, with theirs."""
+    speeds: bool = False
+    """Whether actions are x-magical's speeds (`magical_mj.assets.robot.speed_signal`); the 18 then mean full speed."""
+
     plan: Plan | None = None
     """The plan of the scripted expert. Without one, everything except the expert works."""
     like: str = ""
@@ -65,11 +73,25 @@ class TaskSpec(VariationRules):
         released = self.released_steps is None or as_integer(self.released_steps, 1) is not None
         self._require("released_steps", released, "an integer above 0, or None")
 
-    def horizon(self, rules: Rules = "paper") -> int:
+    def horizon(self, rules: Rules = "paper", body: str = GRIPPER) -> int:
         """The number of control steps of an episode."""
+        if body in dict(self.steps_of):
+            return dict(self.steps_of)[body]
         if rules == "released" and self.released_steps is not None:
             return self.released_steps
         return self.steps
+
+    def check_body(self, body: str) -> None:
+        """Raises `SettingsError` unless the task offers this body; references to one's own are not looked at.
+
+        Raises:
+            InvalidSceneError: if there is no such body.
+        """
+        if check_body_name(body) in BODIES and body not in self.bodies:
+            raise SettingsError(
+                f"{self.name} is not offered with the body {body!r}, for that cannot solve it; it has "
+                f"{', '.join(self.bodies)} (docs/bodies.md)"
+            )
 
     def checked_score(self, initial: Scene, final: Scene, rules: Rules) -> float:
         """What `score` returns, which must be a number in [0, 1] up to rounding; what rounding adds is cut off.

@@ -147,7 +147,8 @@ def contact(scene: Scene) -> str | None:
     """What placement would reject about the scene's poses, such as "block 1 touches a wall"; None: nothing."""
     areas = {f"region {number}": region_solid(region) for number, region in enumerate(scene.regions)}
     bodies = solids(scene)
-    for name, solid in (areas | bodies).items():
+    inner = {name: areas[name] for name, region in zip(areas, scene.regions, strict=True) if region.border == "dashed"}
+    for name, solid in (inner | bodies).items():
         if not inside_walls(solid, half_width=scene.half_width):
             return f"{name} touches a wall"
     pairs = [*itertools.combinations(areas.items(), 2), *itertools.combinations(bodies.items(), 2)]

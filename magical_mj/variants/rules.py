@@ -10,7 +10,6 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 
 from magical_mj.scene import Scene
-from magical_mj.scene.constants import ARENA_HALF_WIDTH
 from magical_mj.utils.errors import TaskError, UnknownNameError, check_name, short_repr
 
 Axis = Literal["jitter", "layout", "colour", "shape", "count", "dynamics"]
@@ -39,6 +38,8 @@ rule adds may have any pose, since they are placed afterwards; but a block that 
 """
 
 _ROUNDING: Final = 1e-9
+WIDER: Final = 0.2
+"""By how much (world units) a region may be wider than the arena: x-magical's zone is."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +59,12 @@ class VariationRules:
     colour: AxisRule | None = None
     shape: AxisRule | None = None
     count: AxisRule | None = None
-    layout: bool = True
-    """Whether poses may be drawn from the whole workspace."""
+    jitter: bool = True
+    """Whether poses may change a little."""
+    layout: bool | AxisRule = True
+    """Whether poses may be drawn from the whole workspace; or a rule of the task's own, which draws them."""
+    drive_forces: tuple[float, float] = (2.2, 3.5)
+    """The range of the drive's force cap in Dynamics."""
     region_size: tuple[float, float] = (0.0, 0.0)
     """Least and greatest height and width of the goal regions, in world units."""
     inner_margin: float = 0.0
@@ -71,7 +76,10 @@ class VariationRules:
         if not is_task_name(self.name):
             raise TaskError(f"the name of a task must be made of letters and digits, not {short_repr(self.name)}")
         self._require("demo", isinstance(self.demo, Scene), "a magical_mj.Scene")
-        self._require("layout", isinstance(self.layout, bool), "a bool")
+        self._require("jitter", isinstance(self.jitter, bool), "a bool")
+        self._require("layout", isinstance(self.layout, bool) or callable(self.layout), "a bool, or a function")
+        forces = isinstance(self.drive_forces, tuple) and len(self.drive_forces) == 2
+        self._require("drive_forces", forces and 0 < self.drive_forces[0] <= self.drive_forces[1], "a range above 0")
         self._require("check", callable(self.check), "a function")
         for axis in ("colour", "shape", "count"):
             rule = getattr(self, axis)
@@ -88,7 +96,9 @@ class VariationRules:
     def _check_regions(self) -> None:
         """Raise `TaskError` unless the sizes are possible, and those of the demo's regions are among them."""
         sides = [side for region in self.demo.regions for side in (region.height, region.width)]
-        possible = _are_sizes(self.region_size) and (self.region_size[0] > 0 or not sides)
+        possible = _are_sizes(self.region_size, 2 * self.demo.half_width + WIDER) and (
+            self.region_size[0] > 0 or not sides
+        )
         self._require("region_size", possible, "the least and greatest side of its goal regions, above 0")
         low, high = self.region_size
         if not all(low - _ROUNDING <= side <= high + _ROUNDING for side in sides):
@@ -104,16 +114,16 @@ def is_task_name(name: Any) -> bool:
     return isinstance(name, str) and name.isascii() and name.isalnum()
 
 
-def _are_sizes(sizes: Any) -> bool:
-    """Whether these are a least and a greatest size of something in the workspace."""
+def _are_sizes(sizes: Any, most: float) -> bool:
+    """Whether these are a least and a greatest size, of at most `most`."""
     if not isinstance(sizes, tuple | list) or len(sizes) != 2 or not all(isinstance(x, int | float) for x in sizes):
         return False
-    return 0 <= sizes[0] <= sizes[1] <= 2 * ARENA_HALF_WIDTH
+    return 0 <= sizes[0] <= sizes[1] <= most
 
 
 def supported_axes(rules: VariationRules) -> tuple[Axis, ...]:
-    """The axes that a task supports: always jitter and dynamics, the others as it declares."""
-    return tuple(axis for axis in AXES if axis in ("jitter", "dynamics") or getattr(rules, axis))
+    """The axes that a task supports: always dynamics, the others as it declares."""
+    return tuple(axis for axis in AXES if axis == "dynamics" or getattr(rules, axis))
 
 
 def variants_of(rules: VariationRules) -> tuple[str, ...]:

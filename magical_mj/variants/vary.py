@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from magical_mj.scene import Dynamics, Scene
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.utils.errors import InvalidSeedError, PlacementError, TaskError, as_integer, short_repr
 from magical_mj.variants.placement import contact, jitter, layout
 from magical_mj.variants.rules import AXES, Axis, VariationRules, varied_axes
@@ -19,18 +20,20 @@ MAX_SHAPE_DRAWS: Final = 1_000
 
 DYNAMICS_RANGES: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
     {
-        "drive_force": (2.2, 3.5),
         "turn_torque": (0.7, 1.5),
         "finger_torque": (2.5, 4.5),
         "block_friction_force": (1.0, 1.8),
         "block_friction_torque": (0.07, 0.15),
     }
 )
-"""Force or torque cap -> the range from which it is drawn, independently and uniformly, as in the released code."""
+"""Force or torque cap -> the range from which it is drawn, independently and uniformly, as in the released code.
+
+The drive's force is drawn before them, from the task's range.
+"""
 
 
-def vary(rules: VariationRules, variant: str, seed: int) -> Scene:
-    """The scene in which `variant` of the task starts, for a seed of any size.
+def vary(rules: VariationRules, variant: str, seed: int, body: str = GRIPPER) -> Scene:
+    """The scene in which `variant` of the task starts with this body of the robot, for a seed of any size.
 
     Each axis has its own random generator, so that adding a draw to one axis never changes another. Dynamics are
     drawn first, since a task's rules may change them, then counts, on which the other axes depend, and poses last.
@@ -44,7 +47,9 @@ def vary(rules: VariationRules, variant: str, seed: int) -> Scene:
     seed = check_seed(seed)
     rngs = {axis: axis_generator(rules.name, axis, seed) for axis in varied_axes(rules, variant)}
     scene = rules.demo
-    dynamics = draw_dynamics(rngs["dynamics"]) if "dynamics" in rngs else None
+    if body != scene.robot.body:
+        scene = replace(scene, robot=replace(scene.robot, body=body))
+    dynamics = draw_dynamics(rngs["dynamics"], rules.drive_forces) if "dynamics" in rngs else None
     if dynamics is not None:
         scene = replace(scene, dynamics=dynamics)
     if "count" in rngs:
@@ -59,13 +64,15 @@ def vary(rules: VariationRules, variant: str, seed: int) -> Scene:
     if "jitter" in rngs:
         scene = jitter(rules, scene, rngs["jitter"])
     if "layout" in rngs:
-        scene = layout(rules, scene, rngs["layout"])
+        own = callable(rules.layout)
+        scene = _draw(rules, "layout", rngs["layout"], scene) if own else layout(rules, scene, rngs["layout"])
     return scene
 
 
-def draw_dynamics(rng: np.random.Generator) -> Dynamics:
+def draw_dynamics(rng: np.random.Generator, drive_forces: tuple[float, float]) -> Dynamics:
     """Five independent uniform draws; the values for blocks hold for all blocks."""
-    return Dynamics(**{name: low + (high - low) * rng.random() for name, (low, high) in DYNAMICS_RANGES.items()})
+    ranges = {"drive_force": drive_forces, **DYNAMICS_RANGES}
+    return Dynamics(**{name: low + (high - low) * rng.random() for name, (low, high) in ranges.items()})
 
 
 def _draw(rules: VariationRules, axis: Axis, rng: np.random.Generator, scene: Scene) -> Scene:

@@ -30,6 +30,7 @@ from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene, check_scene_type
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.state_vector import CAMERAS, OBSERVATIONS, STATE_NAMES, VIEWS, StateEncoder
 from magical_mj.shifts.episode import EpisodeShifts
 from magical_mj.shifts.registry import Shifts, parse_shifts
@@ -123,6 +124,7 @@ class SceneTask(composer.Task):
             self._simulation = Simulation.around(self.world, model, data, CAMERA_NAMES)
             self._simulation.renderer = self.renderer
         self._simulation.world, self._simulation.shifts = self.world, self.shifts
+        self._simulation.speeds = self.setup.speeds
         return self._simulation
 
     def free(self) -> None:
@@ -438,6 +440,7 @@ def load(
     rules: Rules = "paper",
     shifts: Shifts = None,
     renderer: str | None = None,
+    body: str = GRIPPER,
     recompile_mjcf_every_episode: bool = False,
 ) -> Environment:
     """A dm_env environment of the benchmark, by dm_control's composer.
@@ -458,6 +461,7 @@ def load(
         rules: "paper", or "released" for the scores and horizons of the original's released code.
         shifts: shifts and their strengths, such as "camera:3,latency:1" or a dict; see docs/shifts.md.
         renderer: what draws observations, "opengl" or "software"; None: MAGICAL_MJ_RENDERER, or what works.
+        body: the robot's body, one that the task offers; see docs/bodies.md.
         recompile_mjcf_every_episode: compile the tree for every episode, as hooks that change it need.
 
     Raises:
@@ -469,7 +473,7 @@ def load(
     """
     task_spec(task)  # None, too, is no task
     check_name("reward", reward, REWARDS)
-    setup = Setup(task, variant, rules)
+    setup = Setup(task, variant, rules, body)
     strengths = parse_shifts(shifts, task)
     looks = observations, image_size, reward, renderer
     return _loaded(setup, strengths, seed, scene, *looks, recompile=recompile_mjcf_every_episode)

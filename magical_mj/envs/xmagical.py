@@ -1,0 +1,158 @@
+"""The suite xmagical: SweepToTop as x-magical's users know it, in Gymnasium's API."""
+
+from __future__ import annotations
+
+from typing import Any, Final, Literal, get_args
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from magical_mj.envs.gymnasium_env import MagicalEnv, Observation
+from magical_mj.envs.presets import Preset
+from magical_mj.envs.vector import VectorEnv, check_counts
+from magical_mj.scene.actions import as_speeds
+from magical_mj.scene.bodies import GRIPPER
+from magical_mj.tasks.spec import Rules
+from magical_mj.tasks.sweep_to_top import REWARDS, SPEC, RewardKind, arrived, dense_reward, original_scene, state_vector
+from magical_mj.utils.errors import check_name
+
+ObservationKind = Literal["State", "Pixels"]
+View = Literal["Allo", "Ego"]
+OBSERVATIONS: Final[tuple[ObservationKind, ...]] = get_args(ObservationKind)
+SEEDS: Final = ("protocol", "original")
+STATE_BOUND: Final = 1.25
+"""No entry of the state vector is beyond: positions reach 1.1, and debris is pressed into walls a little."""
+IMAGE_SIZE: Final = 384
+
+
+class XMagicalEnv(MagicalEnv):
+    """SweepToTop of x-magical; make it with `gymnasium.make("magical_mj/xmagical/SweepToTop-...")`.
+
+    ## Actions
+    `Box(-1, 1, (2,))`, with a gripper `(3,)`: speed (units/s, full from 0.8), turn (rad ahead of the heading, full from
+    0.0625), grip (rad by which the fingers close; 0 and below is open, closed from 0.3927). One action lasts 1/8 s.
+
+    ## Observations
+    "State": see `magical_mj.tasks.sweep_to_top.state_vector`, shape (16,), with a gripper (17,). "Pixels": a picture.
+
+    ## Episodes
+    They are truncated after 100 steps, with the long stick after 50, and never terminate. `info["eval_score"]` is the
+    score in [0, 1] at the last step (0.0 before), `info["is_success"]` whether it is 1, and `info["in_zone"]` which
+    debris is in the zone now. Resets, states and scenes are as in `magical_mj.MagicalEnv`.
+
+    Args:
+        body: one of `magical_mj.scene.bodies.BODIES`.
+        variant: one of its six variants.
+        observation: "State" or "Pixels".
+        view: "Allo" or "Ego": of pictures, and of what `render` draws.
+        image_size: side of the pictures in pixels.
+        reward: "sparse", the score at every step, or "dense", minus the mean distance of the debris to the top.
+        seeds: "protocol", or "original" for the scenes that x-magical draws from its seeds.
+        rules: "paper", or "released" for the original's observation space, whose bounds positions exceed.
+        renderer: as `magical_mj.MagicalEnv`.
+        render_mode: "rgb_array".
+        render_view: the view of `render` instead: "ego", "allo", "both" or "scene".
+        render_size: side of each view in pixels.
+        limit: the number of steps after which episodes end before the horizon.
+    """
+
+    def __init__(
+        self,
+        body: str = GRIPPER,
+        variant: str = "Demo",
+        observation: ObservationKind = "State",
+        view: View = "Allo",
+        *,
+        image_size: int | None = None,
+        reward: RewardKind = "sparse",
+        seeds: Literal["protocol", "original"] = "protocol",
+        rules: Rules = "paper",
+        renderer: str | None = None,
+        render_mode: str | None = None,
+        render_view: str = "",
+        render_size: int = IMAGE_SIZE,
+        limit: int | None = None,
+    ) -> None:
+        check_name("kind of observation", observation, OBSERVATIONS)
+        check_name("view", view, get_args(View))
+        check_name("reward", reward, REWARDS)
+        check_name("kind of seeds", seeds, SEEDS)
+        camera = view.lower()
+        super().__init__(
+            SPEC.name,
+            variant,
+            "State" if observation == "State" else Preset(((camera, 1),), "hwc", IMAGE_SIZE, "one picture"),
+            image_size=image_size,
+            rules=rules,
+            renderer=renderer,
+            body=body,
+            render_mode=render_mode,
+            render_view=render_view or camera,
+            render_size=render_size,
+            limit=limit,
+        )
+        self.rewards: RewardKind = reward
+        self._original = np.random.RandomState(0) if seeds == "original" else None  # seeded by the first reset
+        self._size = 3 if self.engine.simulation.world.has_fingers else 2
+        self.action_space = spaces.Box(-1.0, 1.0, (self._size,), np.float32)
+        if observation == "State":
+            bound = 1.0 if rules == "released" else STATE_BOUND
+            shape = state_vector(self.scene).shape
+            self.observation_space = spaces.Box(-bound, bound, shape, np.float32)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """As `magical_mj.MagicalEnv.reset`. Original seeds are below 2**32, and resets without one go on drawing."""
+        if self._original is None or (options or {}).keys() & {"scene", "state"}:
+            return super().reset(seed=seed, options=options)
+        if seed is not None or not self._begun:
+            number = int(self.np_random.integers(2**32)) if seed is None else seed
+            self._original = np.random.RandomState(number)
+        scene = original_scene(self.engine.variant, self._original, self.engine.setup.body)
+        return super().reset(seed=seed, options={**(options or {}), "scene": scene})
+
+    def to_action(self, action: Any) -> NDArray[np.float64]:
+        """The action as numbers; an `InvalidActionError` if it is not one of this body."""
+        return as_speeds(action, self._size)
+
+    def outcome(self, *, last: bool) -> tuple[float, bool, bool, dict[str, Any]]:
+        """The reward of a step, whether it was the last (never by termination), and the info."""
+        info = self._info(last=last)
+        reward = float(info["in_zone"].mean()) if self.rewards == "sparse" else dense_reward(self.scene)
+        return reward, False, last, info
+
+    def observe(self, out: Observation | None = None) -> Observation:
+        """The present observation, in fresh arrays or in `out`."""
+        if self._preset.layout != "state":
+            return super().observe(out)
+        state = state_vector(self.scene)
+        if out is None:
+            return state
+        np.copyto(out, state)  # pyright: ignore[reportArgumentType] - states are arrays
+        return out
+
+    def _info(self, *, last: bool) -> dict[str, Any]:
+        inside = arrived(self.scene)
+        score = float(inside.mean()) if last else 0.0
+        return {"eval_score": np.float64(score), "is_success": np.array(score == 1.0), "in_zone": inside}
+
+
+def make_suite_worlds(
+    *,
+    num_envs: int = 1,
+    threads: int | None = None,
+    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    max_episode_steps: int | None = None,
+    **settings: Any,
+) -> VectorEnv:
+    """What `gymnasium.make_vec` calls; see `magical_mj.envs.vector.make_worlds`. Settings are those of `XMagicalEnv`.
+
+    Raises:
+        SettingsError: if a number is not possible.
+    """
+    check_counts(num_envs=num_envs, threads=threads, max_episode_steps=max_episode_steps)
+    worlds = [XMagicalEnv(limit=max_episode_steps, **settings) for _ in range(num_envs)]
+    return VectorEnv(worlds, threads, autoreset_mode)
