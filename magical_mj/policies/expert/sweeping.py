@@ -1,0 +1,225 @@
+"""SweepToTop's expert: it tries sweeps in a copy of the simulation, and plays the first that brings all debris home.
+
+A sweep is a sequence of lanes. In each the robot goes below some of the debris, faces the top, and drives there with
+the debris ahead of it. Which debris shares a lane, the order of lanes, and the ways between them are drawn anew for
+every try. Actions are x-magical's speeds, so they can be as fine as steering needs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical_mj.engine import Engine
+from magical_mj.engine.simulation import Simulation
+from magical_mj.scene import constants as c
+from magical_mj.scene.bodies import body_named
+from magical_mj.tasks.sweep_to_top import HALF_WIDTH, arrived
+
+TRIES: Final = 60
+"""Sweeps that are tried before the best one is played."""
+HALF_DEBRIS: Final = 0.11  # world units
+CLEARANCE: Final = 0.04
+EDGE: Final = 0.04  # of debris' centre from the end of the body that pushes it, at least
+GRIPPER_HALF: Final = 0.13  # what open fingers push between them
+NEAR, ALIGNED = 0.05, 0.06  # world units, rad
+PATIENCE: Final = 8  # steps without progress, after which a lane is left
+FAST: Final = 0.8
+ACCELERATION: Final = 3.2  # rad/s^2 with which a heading is approached: the long stick brakes with 4.7
+
+Action = NDArray[np.float32]
+
+
+class Lane(NamedTuple):
+    """Debris that is pushed together."""
+
+    debris: tuple[int, ...]
+    x: float
+    """Where the robot's centre drives."""
+
+
+class Sweep(NamedTuple):
+    """One try: the actions, and the share of the debris that was brought home."""
+
+    actions: list[Action]
+    score: float
+
+
+class Sweeper:
+    """The expert for an engine of SweepToTop. Each call gives the action for the engine's present state.
+
+    Args:
+        env: an engine of SweepToTop. It may be reset again.
+        seed: of its random choices.
+    """
+
+    def __init__(self, env: Engine, seed: int = 0) -> None:
+        self._env, self._seed = env, seed
+        self._plan = iter(())
+        self._states: list[bytes] = []
+        self._actions: list[Action] = []
+
+    def __call__(self) -> Action:
+        """The action for the present state."""
+        engine = self._env
+        if engine.steps == 0 or not self._actions:
+            self._actions = plan(engine, np.random.default_rng(self._seed)).actions
+            self._first = engine.steps
+        step = engine.steps - self._first
+        size = 3 if engine.simulation.world.has_fingers else 2
+        return self._actions[step] if step < len(self._actions) else np.zeros(size, np.float32)
+
+
+def plan(engine: Engine, rng: np.random.Generator) -> Sweep:
+    """The first sweep that brings all debris home, or the best of all that were tried."""
+    best = Sweep([], -1.0)
+    for number in range(TRIES):
+        sweep = _Try(engine, rng, steady=number == 0).sweep()
+        if sweep.score > best.score:
+            best = sweep
+        if best.score == 1.0:
+            break
+    return best
+
+
+class _Try:
+    """One try in a copy of the simulation."""
+
+    def __init__(self, engine: Engine, rng: np.random.Generator, *, steady: bool) -> None:
+        self._simulation: Simulation = engine.simulation.copy()
+        self._simulation.restore(engine.simulation.save())
+        self._left = (engine.horizon or 100) - engine.steps
+        self._rng, self._steady = rng, steady
+        body = body_named(engine.setup.body)
+        self._fingers = body.fingers
+        self._half = GRIPPER_HALF if body.fingers or not body.outline else float(body.corners[:, 0].max())
+        self._reach = body.reach
+        self._actions: list[Action] = []
+        self._wiggle = 0.0 if steady else float(rng.choice([0.0, 0.0, 0.2, 0.35]))
+
+    def sweep(self) -> Sweep:
+        """All lanes, one after the other, as long as there are steps and debris left."""
+        while self._left > 0:
+            lanes = self._lanes()
+            if not lanes:
+                break
+            self._drive_lane(lanes[0])
+        score = float(arrived(self._simulation.scene).mean())
+        return Sweep(self._actions, score)
+
+    def _lanes(self) -> list[Lane]:
+        """Lanes for the debris that is not home, in the order in which they are to be driven."""
+        scene = self._simulation.scene
+        home = arrived(scene)
+        todo = sorted((block.x, index) for index, block in enumerate(scene.blocks) if not home[index])
+        lanes: list[Lane] = []
+        while todo:
+            group = [todo.pop(0)]
+            room = 2 * (self._half - EDGE)
+            share = self._steady or self._rng.random() < 0.7
+            while todo and share and todo[0][0] - group[0][0] <= room:
+                group.append(todo.pop(0))
+            low, high = group[-1][0] - self._half + EDGE, group[0][0] + self._half - EDGE
+            limit = HALF_WIDTH - self._half - 0.02
+            wanted = scene.robot.x if self._half > 0.5 else (group[0][0] + group[-1][0]) / 2
+            x = min(max(min(max(wanted, low), high), -limit), limit)
+            lanes.append(Lane(tuple(index for _, index in group), x))
+        robot = scene.robot
+        noise = 0.0 if self._steady else 0.8
+        lanes.sort(key=lambda lane: abs(lane.x - robot.x) + noise * self._rng.random())
+        return lanes
+
+    def _drive_lane(self, lane: Lane) -> None:
+        """Goes below the lane's debris, and drives to the top."""
+        scene = self._simulation.scene
+        lowest = min(scene.blocks[index].y for index in lane.debris)
+        below = lowest - HALF_DEBRIS - CLEARANCE - self._ahead()
+        x, y, angle = scene.robot.pose
+        in_front = y < below + 0.02 and abs(x - lane.x) < 0.25 + 0.4 * max(0.0, below - y)
+        if not in_front or abs(math.remainder(angle, 2 * math.pi)) > 0.6:
+            side = self._half if self._half < 0.5 else 0.0
+            lower = min((block.y for block in scene.blocks if block.y < 0.7), default=lowest)
+            aside = (lower if self._half < 0.5 else lowest) - HALF_DEBRIS - CLEARANCE - side
+            depth = max(-HALF_WIDTH + max(0.2, self._ahead()), min(below, aside))
+            if y > depth + 0.05 and abs(x - lane.x) > 0.1:
+                straight = self._steady or self._rng.random() < 0.5
+                if straight:  # back out of the debris before going aside
+                    self._go(x, depth, reverse=True)
+            self._go(lane.x, depth, reverse=self._simulation.scene.robot.y > depth + 0.1)
+        self._face(0.0)
+        self._push(lane)
+
+    def _ahead(self) -> float:
+        """How far the front is ahead of the robot's centre."""
+        return 0.33 if self._fingers else 0.05
+
+    def _push(self, lane: Lane) -> None:
+        """Drives to the top along the lane."""
+        best, waited = -math.inf, 0
+        for step in range(self._left):
+            scene = self._simulation.scene
+            home = arrived(scene)
+            if all(home[index] for index in lane.debris):
+                return
+            progress = sum(min(scene.blocks[index].y, 0.95) for index in lane.debris) + 0.3 * scene.robot.y
+            waited = 0 if progress > best + 0.01 else waited + 1
+            best = max(best, progress)
+            if waited > (PATIENCE if not self._wiggle else 3 * PATIENCE):
+                self._act(-FAST, 0.0)
+                return
+            robot = scene.robot
+            aside = 1.6 * (robot.x - lane.x)
+            heading = min(max(aside, -0.35), 0.35)
+            if self._wiggle and waited > 2:
+                heading = self._wiggle * (1 if (step // 4) % 2 else -1)
+            self._act(FAST, self._turn(heading))
+
+    def _face(self, heading: float) -> None:
+        for _ in range(self._left):
+            if abs(math.remainder(heading - self._simulation.scene.robot.angle, 2 * math.pi)) < ALIGNED:
+                return
+            self._act(0.0, self._turn(heading))
+
+    def _go(self, x: float, y: float, *, reverse: bool) -> None:
+        """Drives to a point, forwards or backwards."""
+        for _ in range(min(self._left, 40)):
+            robot = self._simulation.scene.robot
+            dx, dy = x - robot.x, y - robot.y
+            way = math.hypot(dx, dy)
+            if way < NEAR:
+                return
+            heading = math.atan2(-dx, dy) + (math.pi if reverse else 0.0)
+            error = math.remainder(heading - robot.angle, 2 * math.pi)
+            along = math.cos(error) * way
+            if abs(error) > 1.3 and way < 0.15:
+                return
+            speed = min(FAST, 6 * abs(along)) if abs(error) < 0.5 else 0.0
+            self._act(-speed if reverse else speed, self._turn(heading))
+
+    def _turn(self, heading: float) -> float:
+        """The turn of an action that approaches a heading (rad) without going beyond it."""
+        simulation = self._simulation
+        error = math.remainder(heading - simulation.scene.robot.angle, 2 * math.pi)
+        rate = min(7 * abs(error), math.sqrt(2 * ACCELERATION * abs(error)), c.SPEED_TURN)
+        if self._half < 0.5:
+            rate = min(8 * abs(error), c.SPEED_TURN)
+        return math.copysign(rate, error) / 40
+
+    def _act(self, speed: float, turn: float) -> None:
+        if self._left <= 0:
+            return
+        action = np.array([speed, turn, -1.0][: 3 if self._fingers else 2], np.float32)
+        self._simulation.act(action)
+        self._actions.append(action)
+        self._left -= 1
+
+
+def sweeps(engine: Engine, seed: int) -> Iterator[Action]:
+    """The actions of the expert for an episode."""
+    expert = Sweeper(engine, seed)
+    while not engine.over:
+        yield expert()
