@@ -191,7 +191,7 @@ def drawn(probes: Mapping[str, Any]) -> int:
             same &= [block.colour for block in scene.blocks] == row["colors"]
             same &= scene.regions[0].colour == row["goal"]
             same &= np.allclose(poses(scene)[1:], row["debris"], atol=6e-6)
-            values = {key: value for key, value in row.get("phys", {}).items()}
+            values = row.get("phys", {})
             ours = (scene.dynamics.drive_force, scene.dynamics.turn_torque, scene.dynamics.finger_torque)
             ours = (*ours, scene.dynamics.block_friction_force, scene.dynamics.block_friction_torque)
             theirs = [next(value for key, value in values.items() if key.startswith(cap)) for cap in caps if values]
