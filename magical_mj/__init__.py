@@ -16,6 +16,7 @@ from magical_mj._version import __version__
 
 if TYPE_CHECKING:
     from magical_mj import batched, demos, evaluation, shifts
+    from magical_mj.demos import datasets
     from magical_mj.engine import Engine
     from magical_mj.engine.export import export_mjcf
     from magical_mj.envs import wrappers
@@ -45,6 +46,7 @@ __all__ = [
     "__version__",
     "actions",
     "batched",
+    "datasets",
     "demos",
     "env_id",
     "evaluate",
@@ -77,6 +79,7 @@ _NAMES = {  # loaded at first use, so that help and the listing of tasks start n
 _MODULES = {
     "actions": "scene.actions",
     "batched": "batched",
+    "datasets": "demos.datasets",
     "demos": "demos",
     "evaluation": "evaluation",
     "experts": "policies.expert",

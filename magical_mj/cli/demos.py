@@ -52,8 +52,8 @@ Filmed = Annotated[int, typer.Option("--count", min=1, help="How many to film at
 Movie = Annotated[Path, typer.Option("--out", help="The MP4 file.", show_default=False)]
 Speed = Annotated[int, typer.Option(min=1, max=30, help="Times real time.")]
 Target = Annotated[
-    Literal["npz", "minari", "lerobot", "robomimic"],
-    typer.Option(help="A numpy archive, Minari or LeRobot data sets, or robomimic's HDF5."),
+    Literal["npz", "minari", "lerobot", "robomimic", "webdataset"],
+    typer.Option(help="A numpy archive, Minari or LeRobot data sets, robomimic's HDF5, or a WebDataset archive."),
 ]
 Name = Annotated[
     str | None,

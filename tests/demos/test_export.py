@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
 import resource
 import subprocess
 import sys
+import tarfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -24,7 +26,7 @@ from magical_mj.demos import Demonstration
 from magical_mj.demos.export.archives import to_robomimic
 from magical_mj.scene.actions import to_vector
 from magical_mj.tasks.protocol import PROTOCOL
-from magical_mj.utils.errors import DemonstrationError, UnknownNameError
+from magical_mj.utils.errors import DemonstrationError, SettingsError, UnknownNameError
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +58,49 @@ def test_npz_export(demo: Demonstration, tmp_path: Path) -> None:
         busy = np.flatnonzero(demo.actions)
         assert np.array_equal(archive["steps"], busy)
         assert archive["observations_ego"].shape == archive["observations_allo"].shape == (len(busy), 384, 384, 3)
+
+
+def test_webdataset_export(demo: Demonstration, tmp_path: Path) -> None:
+    """In the order in which a stream reads it, with a card that says what it is."""
+    archive = demos.export.webdataset.to_webdataset([demo, demo], tmp_path / "set", "State")
+    with tarfile.open(archive, "r|gz") as stream:
+        parts = {member.name: stream.extractfile(member).read() for member in stream}  # pyright: ignore[reportOptionalMemberAccess]
+    metadata = json.loads(parts.pop("_metadata.json"))
+    assert (metadata["environment"], metadata["protocol"], metadata["steps"]) == ("FixColour-Demo", PROTOCOL, 120)
+    assert metadata["digests"] == [demo.digest] * 2
+    arrays = {name: np.load(io.BytesIO(content), allow_pickle=False) for name, content in parts.items()}
+    assert list(arrays)[:4] == [f"000-0000.{part}.npy" for part in ("obs", "next_obs", "acts", "dones")]
+    assert len(arrays) == 4 * 120
+    observations = demos.observations(demo, "State")
+    assert np.array_equal(arrays["001-0030.obs.npy"], observations[30])
+    assert np.array_equal(arrays["001-0030.next_obs.npy"], arrays["001-0031.obs.npy"])
+    assert [arrays[f"000-{step:04}.acts.npy"].item() for step in range(60)] == demo.actions.tolist()
+    assert [step for step in range(60) if arrays[f"000-{step:04}.dones.npy"]] == [59]
+    card = (tmp_path / "set" / "README.md").read_text()
+    assert card.startswith("---\nlicense: apache-2.0")
+    assert "scores 1.00 to 1.00" in card
+    with pytest.raises(FileExistsError):
+        demos.export.webdataset.to_webdataset([demo], tmp_path / "set")
+
+
+def test_data_sets_in_one_call(tmp_path: Path, minari: Any) -> None:
+    first = magical_mj.datasets.load("MoveToRegion", "npz", tmp_path, preset="State")
+    assert magical_mj.datasets.load("MoveToRegion", "npz", tmp_path, preset="State").keys() == first.keys()
+    assert len(first["actions"]) == np.count_nonzero(np.concatenate([d.actions for d in demos.load("MoveToRegion")]))
+    again = [magical_mj.datasets.load("MoveToRegion", "minari") for _ in range(2)]
+    assert [data.total_episodes for data in again] == [25, 25]
+    assert magical_mj.datasets.load("MoveToRegion", "webdataset", tmp_path, preset="State").is_file()
+    with pytest.raises(UnknownNameError, match="format of data sets"):
+        magical_mj.datasets.load("MoveToRegion", "hdf5")  # pyright: ignore[reportArgumentType]
+
+
+def test_an_environment_with_data_for_training_and_validation() -> None:
+    env, training, validation = magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-TestAll-State-v0")
+    assert (training["terminals"].sum(), validation["terminals"].sum()) == (20, 5)
+    assert env.observation_space.contains(training["next_observations"][0])
+    assert len(training["observations"]) == len(training["actions"]) == len(training["terminals"])
+    with pytest.raises(SettingsError, match="several parts"):
+        magical_mj.datasets.make_env_and_datasets("magical_mj/MoveToRegion-Demo-v0")
 
 
 @pytest.mark.parametrize("seed", [2**63, 2**64])

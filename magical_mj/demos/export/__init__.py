@@ -9,6 +9,7 @@ from magical_mj.demos.demonstration import SUFFIX, Demonstration
 from magical_mj.demos.export.archives import to_npz, to_robomimic
 from magical_mj.demos.export.lerobot import PRESETS, to_lerobot
 from magical_mj.demos.export.minari import minari_name, to_minari
+from magical_mj.demos.export.webdataset import to_webdataset
 from magical_mj.utils.errors import SettingsError
 
 SUFFIXES: Final = {"npz": SUFFIX, "robomimic": ".hdf5"}
@@ -38,6 +39,8 @@ def default_target(
             return minari_name(demos, preset)
         case "lerobot":
             return f"{environment}-{views_of(preset)}{'-fingers' if fingers else ''}-lerobot"
+        case "webdataset":
+            return f"{environment}-{preset or 'views'}-webdataset"
         case _:
             return f"{environment}-{views_of(preset)}{SUFFIXES[to]}"
 
@@ -59,6 +62,8 @@ def make_data_set(
             to_npz(demos, target, preset, drop_noop=drop_noop, overwrite=overwrite)
         case "minari":
             to_minari(demos, target, preset, overwrite=overwrite)
+        case "webdataset":
+            to_webdataset(demos, target, preset, overwrite=overwrite)
         case "lerobot":  # whose folders are never replaced
             to_lerobot(demos, target, views=views_of(preset), fingers=fingers, video=video)
         case _:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration, demonstrators, only_environment
+from magical_mj.demos.export.webdataset import CARD, card
 from magical_mj.demos.learning import observations
 from magical_mj.demos.replay import render_demo
 from magical_mj.scene import constants as c
@@ -104,6 +105,9 @@ def to_lerobot(
                 data_set.add_frame(frame)
             data_set.save_episode()
         data_set.finalize()
+        what = f"{', '.join(keys) or 'the state vector'}, at {c.CONTROL_RATE} Hz"
+        shapes = {key: f"{part['dtype']}, shape {part['shape']}" for key, part in features.items()}
+        (unfinished / CARD).write_text(card(demos, what, shapes), encoding="utf-8")
     return LeRobotDataset(name, root=folder)
 
 

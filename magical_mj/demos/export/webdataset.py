@@ -1,0 +1,141 @@
+"""Demonstrations as WebDataset archives, which stream; and the data card in folders of this format and of LeRobot's.
+
+An archive needs no library to be written, and holds no pickles. What learners of representations read is there: the
+observation before and after each action.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import tarfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from magical_mj.demos.demonstration import Demonstration, demonstrators, only_environment
+from magical_mj.demos.learning import observations
+from magical_mj.scene.actions import ACTIONS
+from magical_mj.scene.constants import CONTROL_RATE
+from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
+from magical_mj.tasks.registry import task_spec
+from magical_mj.utils import files
+
+ARCHIVE: Final = "data-000000.tar.gz"
+CARD: Final = "README.md"
+FEATURES: Final[Mapping[str, str]] = {
+    "obs, next_obs": "the observation before and after the action",
+    "acts": f"the action, uint8 in 0..{len(ACTIONS) - 1}",
+    "dones": "bool: whether it is the last action of the episode",
+}
+
+
+def to_webdataset(
+    demos: Sequence[Demonstration], folder: Path | str, preset: str = "LoRes4E", *, overwrite: bool = False
+) -> Path:
+    """Makes a folder with an archive and a data card of demonstrations of one environment.
+
+    The archive's first record has the key ``_metadata`` and one part, ``json``. Each other one is a transition, with
+    keys such as ``003-0017`` for step 17 of episode 3 and the parts ``obs.npy``, ``next_obs.npy``, ``acts.npy`` and
+    ``dones.npy``; presets with several parts have one for each, such as ``obs.ego.npy``.
+
+    Args:
+        demos: demonstrations of one environment.
+        folder: the folder.
+        preset: the Gymnasium preset of the observations.
+        overwrite: replace an existing folder.
+
+    Returns:
+        The archive.
+
+    Raises:
+        DemonstrationError: if the demonstrations are not of one environment.
+        FileExistsError: if the folder exists.
+    """
+    folder = files.to_path(folder)
+    metadata = {**about(demos), "preset": preset, "features": dict(FEATURES)}
+    with files.new_folder(folder, overwrite=overwrite) as unfinished:
+        unfinished.mkdir()
+        with tarfile.open(unfinished / ARCHIVE, "w:gz", compresslevel=6) as archive:
+            _add(archive, "_metadata.json", json.dumps(metadata, indent=1).encode())
+            for number, demo in enumerate(demos):
+                for step, parts in enumerate(_transitions(demo, preset)):
+                    for name, value in parts.items():
+                        content = io.BytesIO()
+                        np.save(content, value, allow_pickle=False)
+                        _add(archive, f"{number:03}-{step:04}.{name}.npy", content.getvalue())
+        (unfinished / CARD).write_text(card(demos, f"the preset {preset}", FEATURES), encoding="utf-8")
+    return folder / ARCHIVE
+
+
+def about(demos: Sequence[Demonstration]) -> dict[str, Any]:
+    """What a data set's metadata say of its demonstrations, which are of one environment."""
+    return {
+        "environment": only_environment(demos),
+        "demonstrators": demonstrators(demos),
+        "episodes": len(demos),
+        "steps": sum(len(demo.actions) for demo in demos),
+        "scene_seeds": [demo.scene_seed for demo in demos],
+        "scores": [demo.score for demo in demos],
+        "protocol": PROTOCOL,
+        "demonstrations": DEMONSTRATIONS,
+        "magical_mj": sorted({demo.package for demo in demos}),
+        "mujoco": sorted({demo.mujoco for demo in demos}),
+        "digests": [demo.digest for demo in demos],
+    }
+
+
+def card(demos: Sequence[Demonstration], observed: str, features: Mapping[str, str]) -> str:
+    """The data card, Markdown with the header that hubs of data sets read.
+
+    Args:
+        demos: demonstrations of one environment.
+        observed: what the observations are, in words.
+        features: what each name in the data holds.
+    """
+    facts, spec = about(demos), task_spec(demos[0].task)
+    who = " and ".join(facts["demonstrators"])
+    made = "the scripted expert of magical_mj, which knows the state" if who == "expert" else f"{who} in magical_mj"
+    rows = "\n".join(f"| `{name}` | {meaning} |" for name, meaning in features.items())
+    seeds = f"{min(facts['scene_seeds'])} to {max(facts['scene_seeds'])}"
+    return f"""---
+license: apache-2.0
+task_categories: [robotics]
+tags: [imitation-learning, magical, mujoco]
+---
+# {facts["environment"]}: {facts["episodes"]} demonstrations
+
+{spec.summary}: {facts["episodes"]} episodes, {facts["steps"]} steps of 1/{CONTROL_RATE} s, scores \
+{min(facts["scores"]):.2f} to {max(facts["scores"]):.2f}.
+
+| Feature | Holds |
+| --- | --- |
+{rows}
+
+- **Observations**: {observed}.
+- **How made**: by {made}; replayed exactly from the actions. MuJoCo {", ".join(facts["mujoco"])}, magical_mj \
+{", ".join(facts["magical_mj"])}.
+- **Scenes**: of the seeds {seeds} of this environment, protocol {PROTOCOL}. In Demo all scenes are the same one;
+  tests are played in the seeds 0 to 99 of the other variants.
+- **Licence**: Apache-2.0. No people were recorded, unless the demonstrators are `human`.
+"""
+
+
+def _transitions(demo: Demonstration, preset: str) -> Iterator[dict[str, Any]]:
+    rows = observations(demo, preset)
+    views = {f".{view}": part for view, part in rows.items()} if isinstance(rows, dict) else {"": rows}
+    for step, action in enumerate(demo.actions):
+        yield {
+            **{f"obs{view}": part[step] for view, part in views.items()},
+            **{f"next_obs{view}": part[step + 1] for view, part in views.items()},
+            "acts": action,
+            "dones": np.bool_(step + 1 == len(demo.actions)),
+        }
+
+
+def _add(archive: tarfile.TarFile, name: str, content: bytes) -> None:
+    member = tarfile.TarInfo(name)
+    member.size = len(content)
+    archive.addfile(member, io.BytesIO(content))
