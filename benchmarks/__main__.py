@@ -1,6 +1,6 @@
 """`python -m benchmarks`: the speed of the environments on this machine, compared with a bare MuJoCo loop.
 
-From the checkout's folder. Single environments are measured in processor time, batched worlds in wall time.
+From the checkout's folder. Single environments are measured in processor time, vectors and batched worlds in wall time.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
@@ -18,8 +19,9 @@ from rich.table import Table
 
 from magical_mj._version import __version__
 from magical_mj.cli.app import run
-from magical_mj.cli.console import Output, Tasks, Variants, check_fits, console, some_of, with_bar
+from magical_mj.cli.console import Output, Renderer, Tasks, Variants, check_fits, console, some_of, with_bar
 from magical_mj.envs.presets import PRESETS, preset_named
+from magical_mj.rendering.backend import drawn_by
 from magical_mj.tasks.registry import environments, listed
 from magical_mj.utils.extras import check_extra
 from magical_mj.utils.parallel import cores
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     from benchmarks.single import Cause, Measurement
 
 RESETS: Final = ("reset, same structure", "reset, new structure")
-HEAD: Final = ("Environment", "Preset", "steps/s", "bare loop", "share", *RESETS)
+HEAD: Final = ("Environment", "Preset", "steps/s", "bare loop", "share", "32 worlds", *RESETS)
 NAMES: Final = 2  # columns that hold no numbers
 CAUSES: Final[tuple[Cause, ...]] = ("rewritten", "compiled")
 WORLDS: Final = "256,1024,4096,16384"
@@ -53,6 +55,7 @@ def bench(
     variants: Variants = "all",
     presets: Presets = "LoRes4E",
     steps: Steps = 1000,
+    renderer: Renderer = None,
     as_json: Json = False,
     markdown: Markdown = False,
     profile: Profile = False,
@@ -64,7 +67,7 @@ def bench(
     if as_json and markdown:
         raise typer.BadParameter("give one of --json and --markdown.")
     check_fits(context, batched, "with --batched", "num_envs", "device", "profile")
-    check_fits(context, not batched, "without --batched", "steps", "as_json", "markdown")
+    check_fits(context, not batched, "without --batched", "steps", "renderer", "as_json", "markdown")
     names = listed(presets, PRESETS)
     for name in names:
         preset_named(name)  # raises if it is unknown
@@ -75,19 +78,20 @@ def bench(
     from benchmarks.single import composer_share, measure
 
     work = with_bar(Output(stderr=True), "measuring", chosen, len(chosen))
-    measurements = [measure(task, variant, name, steps) for task, variant, name in work]
+    measurements = [measure(task, variant, name, steps, renderer) for task, variant, name in work]
     if as_json:
         facts = {
             "machine": machine(),
             "memory_mb": memory(),
+            "renderer": drawn_by(renderer),
             "dm_env_share": composer_share(),
             "environments": [_entry(speed) for speed in measurements],
         }
         typer.echo(json.dumps(facts, indent=2))
     elif markdown:
-        typer.echo(markdown_table(measurements))
+        typer.echo(markdown_table(measurements, drawn_by(renderer)))
     else:
-        _print_table(measurements)
+        _print_table(measurements, drawn_by(renderer))
 
 
 def _counts(text: str) -> list[int]:
@@ -133,7 +137,7 @@ def _batched_lines(speed: BatchedMeasurement, single: float, profile: bool) -> I
         yield f"  {called}: {kernel.launches:,.0f} launches, {took}"
 
 
-def _print_table(measurements: Sequence[Measurement]) -> None:
+def _print_table(measurements: Sequence[Measurement], renderer: str) -> None:
     table = Table(box=None, header_style="bold", pad_edge=False)
     for column, title in enumerate(HEAD):
         table.add_column(title, justify="right" if column >= NAMES else "left")
@@ -141,7 +145,7 @@ def _print_table(measurements: Sequence[Measurement]) -> None:
         table.add_row(*row)
     out = console()
     out.print(table)
-    out.print(summary(), soft_wrap=True)
+    out.print(summary(measurements, renderer), soft_wrap=True)
 
 
 def rows(measurements: Sequence[Measurement]) -> list[tuple[str, ...]]:
@@ -153,6 +157,7 @@ def rows(measurements: Sequence[Measurement]) -> list[tuple[str, ...]]:
             f"{speed.rate:,.0f}",
             f"{speed.bare_rate:,.0f}",
             f"{speed.share:.0%}",
+            f"{speed.vector_rate:,.0f}",
             *(_milliseconds(speed, cause) for cause in CAUSES),
         )
         for speed in measurements
@@ -164,19 +169,21 @@ def _milliseconds(speed: Measurement, cause: Cause) -> str:
     return "" if median is None or most is None else f"{1000 * median:.1f} ms ({1000 * most:.1f})"
 
 
-def markdown_table(measurements: Sequence[Measurement]) -> str:
+def markdown_table(measurements: Sequence[Measurement], renderer: str) -> str:
     """The table, and below it a description of the machine."""
     lines = [HEAD, [*["---"] * NAMES, *["---:"] * (len(HEAD) - NAMES)], *rows(measurements)]
     table = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
-    return f"{table}\n\n{summary()}"
+    return f"{table}\n\n{summary(measurements, renderer)}"
 
 
-def summary() -> str:
-    """The machine, the memory of this process, and the speed of the dm_env door."""
+def summary(measurements: Sequence[Measurement], renderer: str) -> str:
+    """The mean share, the machine, the memory of this process, and the speed of the dm_env door."""
     from benchmarks.single import composer_share
 
     here, peak, composer = machine(), memory(), composer_share()
-    text = f"{here['cpu']}, {here['cores']} cores; {here['opengl']}"
+    drawn = renderer if renderer == "software" else here["opengl"]
+    share = fmean(speed.share for speed in measurements)
+    text = f"on average {share:.0%} of the bare loop; {here['cpu']}, {here['cores']} cores; {drawn}"
     if peak is not None:
         text += f"; at most {peak:.0f} MB"
     return text if composer is None else f"{text}; dm_env without pictures: {composer:.0%} of the bare loop"
@@ -191,7 +198,7 @@ def _entry(speed: Measurement) -> Mapping[str, Any]:
         }
         for cause in CAUSES
     }
-    names = ("task", "variant", "preset", "steps", "rate", "bare_rate", "share")
+    names = ("task", "variant", "preset", "steps", "rate", "bare_rate", "share", "vector_rate")
     return {name: getattr(speed, name) for name in names} | {"resets": resets}
 
 

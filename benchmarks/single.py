@@ -1,17 +1,18 @@
 """Measures single environments: steps including resets, alternating with a bare MuJoCo loop, and then resets alone.
 
-All times are seconds of this process's processor time, over all its threads, since wall time says more about what else
-the machine does: under load it gave shares of the bare loop between 58 and 100 %, where processor time gives 78 to 89.
+Times are seconds of this process's processor time, over all its threads, since wall time says more about what else the
+machine does: under load it gave shares of the bare loop between 58 and 100 %, where processor time gives 78 to 89. Only
+vectors, whose point is that they use all cores, are measured in wall time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import closing, nullcontext
+from contextlib import closing
 from copy import copy
 from dataclasses import dataclass
 from functools import cache
-from time import process_time
+from time import perf_counter, process_time
 from typing import Final, Literal
 
 import mujoco
@@ -23,8 +24,7 @@ from magical_mj.assets.robot import control_signal
 from magical_mj.assets.world import World, world_model
 from magical_mj.envs.gymnasium_env import MagicalEnv
 from magical_mj.envs.presets import Preset, preset_named
-from magical_mj.rendering.canvas import CANVAS
-from magical_mj.rendering.renderer import Renderer, on_white
+from magical_mj.rendering.renderer import Views
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.utils.errors import MissingExtraError
@@ -35,6 +35,8 @@ Cause = Literal["rewritten", "compiled"]
 TURN: Final = 20
 """The number of steps after which environment and bare loop alternate, so that other load affects both equally."""
 COMPOSER_TURNS: Final = 20
+WORLDS: Final = 32
+"""Of a vector."""
 RESETS: Final = 40
 """Resets that are measured alone."""
 
@@ -48,6 +50,7 @@ class Measurement:
         seconds: the time of these steps and of the resets between them.
         bare_seconds: the time of the same number of steps of the bare loop.
         resets: the times of the resets that were measured alone.
+        vector_rate: steps per second of wall time of `WORLDS` worlds on all cores.
     """
 
     task: str
@@ -57,6 +60,7 @@ class Measurement:
     seconds: float
     bare_seconds: float
     resets: Mapping[Cause, list[float]]
+    vector_rate: float = 0.0
 
     @property
     def rate(self) -> float:
@@ -78,22 +82,36 @@ class Measurement:
         return float(np.quantile(self.resets[cause], share)) if self.resets[cause] else None
 
 
-def measure(task: str, variant: str, preset: str, steps: int) -> Measurement:
+def measure(task: str, variant: str, preset: str, steps: int, renderer: str | None = None) -> Measurement:
     """Plays random episodes in the scenes of seeds 0, 1, 2... until at least `steps` steps are done."""
     done, seconds, bare_seconds = 0, 0.0, 0.0
-    with closing(MagicalEnv(task, variant, preset)) as env:
-        env.reset(seed=0)  # the first frame starts OpenGL
+    with closing(MagicalEnv(task, variant, preset, renderer=renderer)) as env:
+        env.reset(seed=0)  # the first frame starts the renderer
         for seed, plan in enumerate(plans(env)):
             if done >= steps:
                 break
-            taken, bare_taken = _episode(env, seed, plan, preset_named(preset))
+            taken, bare_taken = _episode(env, seed, plan, preset_named(preset), renderer)
             seconds += taken
             bare_seconds += bare_taken
             done += len(plan)
-    return Measurement(task, variant, preset, done, seconds, bare_seconds, _reset_times(task, variant, preset))
+    resets = _reset_times(task, variant, preset, renderer)
+    together = vector_rate(task, variant, preset, steps, renderer)
+    return Measurement(task, variant, preset, done, seconds, bare_seconds, resets, together)
 
 
-def _episode(env: MagicalEnv, seed: int, plan: list[int], preset: Preset) -> tuple[float, float]:
+def vector_rate(task: str, variant: str, preset: str, steps: int, renderer: str | None) -> float:
+    """Steps per second of wall time of `WORLDS` worlds, each of which takes its share of the steps."""
+    settings = {"variant": variant, "preset": preset, "renderer": renderer}
+    rows = np.random.default_rng(0).integers(len(ACTIONS), size=(max(1, steps // WORLDS), WORLDS))
+    with closing(magical_mj.make_vec(task, WORLDS, **settings)) as envs:
+        envs.reset(seed=0)
+        start = perf_counter()
+        for row in rows:
+            envs.step(row)
+        return rows.size / (perf_counter() - start)
+
+
+def _episode(env: MagicalEnv, seed: int, plan: list[int], preset: Preset, renderer: str | None) -> tuple[float, float]:
     """Seconds of an episode with its reset, and of its steps in the bare loop.
 
     The bare loop is made after the first turn, since in normal use nothing happens between a reset and its first steps.
@@ -107,7 +125,7 @@ def _episode(env: MagicalEnv, seed: int, plan: list[int], preset: Preset) -> tup
     start = process_time()
     env.reset(seed=seed)
     seconds = process_time() - start + _seconds(play, first)
-    with closing(BareLoop(env.engine.initial_scene, preset)) as bare:
+    with closing(BareLoop(env.engine.initial_scene, preset, renderer)) as bare:
         bare_seconds = _seconds(bare.run, first)
         for actions in others:
             seconds += _seconds(play, actions)
@@ -129,10 +147,10 @@ def plans(env: MagicalEnv) -> Iterator[list[int]]:
         yield rng.integers(len(ACTIONS), size=env.engine.horizon).tolist()
 
 
-def _reset_times(task: str, variant: str, preset: str) -> dict[Cause, list[float]]:
+def _reset_times(task: str, variant: str, preset: str, renderer: str | None) -> dict[Cause, list[float]]:
     """Seconds of each reset, with the first picture, in the scenes of seeds 0, 1, 2..."""
     times: dict[Cause, list[float]] = {"rewritten": [], "compiled": []}
-    with closing(MagicalEnv(task, variant, preset)) as env:
+    with closing(MagicalEnv(task, variant, preset, renderer=renderer)) as env:
         for seed in range(RESETS):
             before, start = env.engine.simulation.world.structure, process_time()
             env.reset(seed=seed)
@@ -170,34 +188,31 @@ def composer_share() -> float | None:
 class BareLoop:
     """Steps the model of a scene, and draws the views of a preset with the same renderer as the environment.
 
-    There are no resets, hooks, checks, scores, stacked frames or wrappers. The averaging of the pixels is included.
+    There are no resets, hooks, checks, scores, stacked frames or wrappers.
     """
 
-    def __init__(self, scene: Scene, preset: Preset) -> None:
+    def __init__(self, scene: Scene, preset: Preset, renderer: str | None = None) -> None:
         world = World(scene)
         self.model = copy(world_model(world.structure))
         self.data = mujoco.MjData(self.model)
         world.rewrite(self.model, self.data)
         mujoco.mj_resetData(self.model, self.data)  # to the scene
-        self._views = [view for view, _ in preset.frames]
+        self._shown = [view for view, _ in preset.frames]
         self._size = preset.image_size
-        self._renderer = Renderer(self.model)
-        self._canvas = CANVAS if self._views else nullcontext()
-        with self._canvas:
-            self._draw()  # the first picture includes initialisation
+        self._views = Views(self.model, renderer)
+        self._draw()  # the first picture includes initialisation
 
     def run(self, actions: Iterable[int]) -> None:
         """Takes these actions."""
-        with self._canvas:
-            for action in actions:
-                self.data.ctrl[:] = control_signal(action)
-                mujoco.mj_step(self.model, self.data, SUBSTEPS)
-                self._draw()
+        for action in actions:
+            self.data.ctrl[:] = control_signal(action)
+            mujoco.mj_step(self.model, self.data, SUBSTEPS)
+            self._draw()
 
     def _draw(self) -> None:
-        for view in self._views:
-            on_white(self._renderer.paint(self.data, view, self._size))
+        for view in self._shown:
+            self._views.draw(self.data, view, self._size)
 
     def close(self) -> None:
         """Frees the renderer."""
-        self._renderer.close()
+        self._views.close()

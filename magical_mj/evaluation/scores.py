@@ -148,6 +148,7 @@ class EpisodeResult:
 
 
 _FIELDS: Final = tuple(field.name for field in dataclasses.fields(EpisodeResult))
+_KNOWN: Final = frozenset(_FIELDS)
 _USUAL: Final = {"split": "test", "shift": "", "wrap": ""}
 _BEGINNING: Final = b'{"policy": '
 """Of each line."""
@@ -157,16 +158,17 @@ def parse(line: str | bytes) -> EpisodeResult:
     """The episode in a line; raises a ValueError that says what is wrong with it."""
     try:
         values = msgspec.json.decode(line)
-        if not isinstance(values, dict) or not values.keys() <= set(_FIELDS):
+        if not isinstance(values, dict) or not values.keys() <= _KNOWN:
             raise ValueError(f"it must be an object with the keys {', '.join(_FIELDS)}")
         result = msgspec.convert(values, EpisodeResult)
     except RecursionError:
         raise ValueError("lists in lists without end") from None
     except msgspec.MsgspecError as error:
         raise ValueError(str(error)) from None
-    for name, value in values.items():
-        if isinstance(value, str) and name != "failure" and not value.isprintable():
-            raise ValueError(f"{name} must be a text of printable characters, not {short_repr(value)}")
+    texts = {name: value for name, value in values.items() if isinstance(value, str) and name != "failure"}
+    if not "".join(texts.values()).isprintable():
+        name = next(name for name, text in texts.items() if not text.isprintable())
+        raise ValueError(f"{name} must be a text of printable characters, not {short_repr(texts[name])}")
     return result
 
 

@@ -9,6 +9,7 @@ from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 from zlib import crc32
@@ -120,11 +121,12 @@ def _read(folders: Sequence[Path]) -> pd.DataFrame:
     categories: dict[str, dict[str | None, int]] = {name: {None: -1} for name in NAMES}
     codes = {name: array("i") for name in (*NAMES, "folder")}
     numbers = {"run": array("q"), "seed": array("q"), "score": array("d"), "actions": array("q")}
+    texts_of = attrgetter(*("method" if name == "policy" else name for name in NAMES))
+    columns_of_texts = [(known, codes[name].append) for name, known in categories.items()]
     for index, folder in enumerate(folders):
         for score in episodes_in(folder):
-            for name, known in categories.items():
-                text = score.method if name == "policy" else getattr(score, name)
-                codes[name].append(known.setdefault(text, len(known) - 1))
+            for text, (known, append) in zip(texts_of(score), columns_of_texts, strict=True):
+                append(known.setdefault(text, len(known) - 1))
             numbers["actions"].append(crc32(score.actions.encode()))
             try:
                 for name in ("run", "seed", "score"):
