@@ -8,46 +8,73 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.helpers.commands import Shell
 
 ROOT = Path(__file__).parents[2]
 SHORT = ("--tasks", "MoveToRegion", "--variants", "Demo")
+TINY = ("evaluations=0", "checkpoints=1", "demonstrations=2", "bc.batches=2", "bc.batch_size=4", "network.hidden=8")
+SETS = [word for setting in TINY for word in ("--set", setting)]
+EXPERIMENT = """
+methods = ["bc"]
+tasks = ["MoveToRegion"]
+seeds = [0]
+[settings]
+preset = "State"
+{}
+[evaluation]
+variants = "Demo"
+episodes = 1
+""".format("\n".join(TINY))
 COMMANDS = [
     ["list"],
+    ["doctor"],
     ["demos", "info", *SHORT],
+    ["demos", "verify", *SHORT, "--jobs", "1"],
+    ["demos", "generate", *SHORT, "--count", "1", "--jobs", "1", "--out", "{}/demos"],
+    ["demos", "video", *SHORT, "--count", "1", "--size", "32", "--out", "{}/demos.mp4"],
+    ["demos", "export", *SHORT, "--preset", "State", "--out", "{}/a.npz"],
     ["view", "MoveToRegion", "--size", "32", "--out", "{}/a.png"],
     ["export", "MoveToRegion", "--out", "{}/models"],
     ["rollout", "MoveToRegion", "--preset", "State", "--video", "{}/a.mp4", "--size", "32"],
-    ["demos", "export", *SHORT, "--preset", "State", "--out", "{}/a.npz"],
+    ["play", "MoveToRegion", "--size", "32", "--record", "{}/played"],
     ["evaluate", "--policy", "noop", *SHORT, "--episodes", "1", "--jobs", "2", "--preset", "State", "--out", "{}/s"],
     ["verify", "{}/s", "--jobs", "1"],  # which says that not all episodes are there
     ["report", "{}/s"],
+    ["compare", "{}/s", "{}/s"],
     ["submit", "{}/s", "--out", "{}/e.json.xz"],
     ["leaderboard", "{}/e.json.xz", "--all", "--jobs", "1"],
+    ["demo", "--tasks", "MoveToRegion", "--episodes", "1", "--jobs", "1", "--out", "{}/demo"],
+    ["train", "bc", "--tasks", "MoveToRegion", "--preset", "State", "--device", "cpu", *SETS, "--out", "{}/run"],
+    ["experiment", "{}/e.toml", "--jobs", "1", "--out", "{}/experiment"],
 ]
 """Each writes below a folder {}."""
 CODES = [int(command[0] == "verify") for command in COMMANDS]
 RUN = """
 import json, sys
 sys.path.insert(0, {root!r})
-from magical_mj.cli import main
+from magical_mj.cli import main, play
+play.Window.wish = lambda self: "quit"  # somebody who looks at the window, and leaves
 print([main(command) for command in json.loads({commands!r})], file=sys.stderr)
 """
 WITHOUT = ("XDG_CONFIG_HOME", "XDG_CACHE_HOME", "LANG")
 
 
-def commands_in(folder: str) -> list[list[str]]:
-    return [[word.replace("{}", folder) for word in command] for command in COMMANDS]
+def commands_in(folder: Path) -> list[list[str]]:
+    folder.mkdir(parents=True)
+    (folder / "e.toml").write_text(EXPERIMENT)
+    return [[word.replace("{}", str(folder)) for word in command] for command in COMMANDS]
 
 
 def test_every_command_works(tmp_path: Path) -> None:
     """In a folder that cannot be written, isolated, without HOME and TMPDIR, in the C locale."""
     left = {name: value for name, value in os.environ.items() if name not in WITHOUT}
-    program = RUN.format(root=str(ROOT), commands=json.dumps(commands_in(str(tmp_path))))
+    program = RUN.format(root=str(ROOT), commands=json.dumps(commands_in(tmp_path / "out")))
     result = subprocess.run(
         [sys.executable, "-I", "-c", program],
         cwd="/proc",
-        env=left | {"HOME": "/nonexistent", "TMPDIR": "/nonexistent", "LC_ALL": "C"},
+        env=left | {"HOME": "/nonexistent", "TMPDIR": "/nonexistent", "LC_ALL": "C", "SDL_VIDEODRIVER": "dummy"},
         capture_output=True,
         text=True,
         check=False,
@@ -55,8 +82,10 @@ def test_every_command_works(tmp_path: Path) -> None:
     assert result.stderr.splitlines()[-1:] == [str(CODES)], result.stderr
 
 
-def test_files_and_folders_may_have_any_name(shell: Shell, tmp_path: Path) -> None:
+def test_files_and_folders_may_have_any_name(shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    monkeypatch.setattr("magical_mj.cli.play.Window.wish", lambda _: "quit")
     name = "two\nlines" + 237 * "x"
-    commands = commands_in(str(tmp_path / f"{name}.png"))
+    commands = commands_in(tmp_path / f"{name}.png")
     assert [shell(*command)[0] for command in commands] == CODES
     assert shell("view", "MoveToRegion", "--size", 32, "--out", tmp_path / "a" / f"{name}.png")[0] == 0
