@@ -185,5 +185,5 @@ class Relational(Learner):
         """New optimizers, as each trial begins with."""
         rate = self.settings.relational.learning_rate
         self._optimizers = [
-            torch.optim.Adam(network.parameters(), rate, fused=True) for network in self._actor.networks
+            torch.optim.Adam(network.parameters(), rate, fused=True) for network in self._learning.networks
         ]
