@@ -138,6 +138,14 @@ def test_the_rule_keeps_what_the_demo_scene_bears(tmp_path) -> None:  # noqa: AN
     assert load_policy(folder).preset == "State"
 
 
+def test_it_learns_the_demonstrations() -> None:
+    settings = load_settings("relational", "MoveToRegion", **{**SMALL, "relational.trial": 12, "relational.hidden": 32})
+    learner = Relational(settings)
+    metrics = [learner.update() for _ in range(12)]
+    assert metrics[-1]["accuracy"] > 0.5 > metrics[0]["accuracy"]
+    assert metrics[-1]["loss"] < 0.7 * metrics[0]["loss"]
+
+
 def test_a_state_taken_at_any_time_leads_to_the_same_weights() -> None:
     settings = load_settings("relational", "MoveToRegion", **SMALL, **{"relational.assumptions": "mirror,rename"})
     first = Relational(settings)
