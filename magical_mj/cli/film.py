@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import magical_mj
-from magical_mj.evaluation.reports.statistics import SCORE_TOLERANCE
-from magical_mj.evaluation.scores import EpisodeResult
+from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
 from magical_mj.policies.interface import actions_of, play
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.constants import CONTROL_RATE

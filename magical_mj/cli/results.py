@@ -13,22 +13,25 @@ from rich.table import Table
 
 from magical_mj.cli.console import Bars, Jobs, Trust, check_fits, complain, console, make_writable_folder
 from magical_mj.cli.film import file_names, film_episodes
+from magical_mj.evaluation.entry import entry_files, is_entry
 from magical_mj.evaluation.reports.report import begin, extremes, write_report
-from magical_mj.evaluation.reports.results import compare, results
-from magical_mj.evaluation.scores import episodes_in, read
+from magical_mj.evaluation.reports.results import compare, episodes_of, results
+from magical_mj.evaluation.scores import read
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.leaderboard import Entry, Findings, check_entries, read_entry, submit, verify
 from magical_mj.leaderboard.check import MOST_REPLAYED, SHARE
-from magical_mj.leaderboard.entry import entry_files
 from magical_mj.leaderboard.page import check_free, write_pages
 from magical_mj.leaderboard.standings import gaps, standings
+from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import EvaluationError, SettingsError, counted
 from magical_mj.utils.extras import check_extra
 
 SHOWN: Final = 20
 """The largest number of problems that are printed; the others are counted."""
 
-Folders = Annotated[list[Path], typer.Argument(help="The folders of evaluations.", show_default=False)]
+Folders = Annotated[
+    list[Path], typer.Argument(help="The folders of evaluations, or entries of the leaderboard.", show_default=False)
+]
 Report = Annotated[
     Path | None,
     typer.Option("--out", help="The folder for the report.", show_default="DIR/report, of a single DIR"),
@@ -36,6 +39,12 @@ Report = Annotated[
 Published = Annotated[bool, typer.Option("--published", help="Show the paper's own results as well.")]
 Mixed = Annotated[
     bool, typer.Option("--mixed-presets", help="Allow policies with different observations in one report.")
+]
+Rescored = Annotated[
+    Rules | None,
+    typer.Option(
+        help="Score all episodes by these rules; those that were scored by others are replayed.", show_default=False
+    ),
 ]
 Videos = Annotated[
     bool, typer.Option("--videos", help="Make videos of each policy's best and worst episode in each task.")
@@ -67,21 +76,22 @@ def make_report(
     published: Published = False,
     mixed_presets: Mixed = False,
     videos: Videos = False,
+    rules: Rescored = None,
     trust: Trust = False,
 ) -> None:
     """Write a report of one or several evaluations: tables (Markdown, CSV, LaTeX), figures and videos."""
     del trust  # see magical_mj.utils.imports.command_line
-    if out is None and len(folders) > 1:
-        raise typer.BadParameter("several folders have one report: give --out, its folder.")
+    if out is None and (len(folders) > 1 or is_entry(folders[0])):
+        raise typer.BadParameter("only the report of one evaluation has its place in it: give --out, a folder.")
     check_extra("reports", "eval")
     screen = console()
-    data = results(folders, published, mixed_presets)  # raises errors before anything is written
+    data = results(folders, published, mixed_presets, rules)  # raises errors before anything is written
     episodes = []
     if videos:
         if set(data.scores["worlds"]) != {"single"}:
             raise SettingsError(f"--videos replays episodes of single worlds only, not of batched ones: {UNOFFICIAL}")
         check_extra("videos", "video")
-        episodes = extremes(score for folder in folders for score in episodes_in(folder))
+        episodes = extremes(score for folder in folders for score in episodes_of(folder, rules))
     out = make_writable_folder(out or folders[0] / "report")
     replaced = begin(out, file_names(episodes))
     page = write_report(data, out, film_episodes(episodes, out))

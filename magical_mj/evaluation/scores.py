@@ -26,6 +26,8 @@ from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, SettingsError, short_repr
 from magical_mj.utils.settings import check_unchanged
 
+SCORE_TOLERANCE: Final = 1e-9
+"""Scores that differ by less than this are equal."""
 SCORES: Final = "scores.jsonl"
 SETTINGS: Final = "run.json"
 
@@ -134,6 +136,12 @@ class EpisodeResult:
     def key(self) -> Key:
         """Identifies this episode."""
         return self.policy, self.run, self.task, self.variant, self.seed, self.shift
+
+    @property
+    def title(self) -> str:
+        """Which one it is, in words."""
+        environment = " ".join(filter(None, (self.task, self.variant, self.shift)))
+        return f"run {self.run}, {environment}, seed {self.seed}"
 
     @property
     def method(self) -> str:

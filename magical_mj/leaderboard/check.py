@@ -6,38 +6,25 @@ import math
 import random
 import secrets
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from magical_mj.evaluation.reports.statistics import SCORE_TOLERANCE
+from magical_mj.evaluation.entry import SEEDS, Entry, recorded_policies, recorded_settings
+from magical_mj.evaluation.replay import Recorded, inconsistency, replay
 from magical_mj.evaluation.scores import SETTINGS, EpisodeResult, read
 from magical_mj.evaluation.settings import UNOFFICIAL
-from magical_mj.leaderboard.entry import SEEDS, Entry, name_of, recorded_policies, recorded_settings
-from magical_mj.policies.interface import LETTERS, actions_of
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
-from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, check_rules, task_spec
-from magical_mj.utils.errors import PhysicsError, short_repr
-from magical_mj.utils.parallel import map_unordered
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, task_spec
+from magical_mj.utils.errors import short_repr
 from magical_mj.variants import check_seed
-
-if TYPE_CHECKING:
-    from magical_mj.engine import Engine
 
 SHARE: Final = 0.1
 """The share of an entry's episodes that are replayed by default."""
 MOST_REPLAYED: Final = 500
 """The largest number of an entry's episodes that are replayed by default, so that a folder of many takes minutes. Where
 one episode in a hundred is false, such a sample misses all of them once in 150 times, and the next draws others."""
-
-CHUNK: Final = 50
-"""The number of episodes that a worker replays before it reports."""
-
-Recorded = tuple[str, EpisodeResult]
-"""An episode, and the name of the folder or entry that holds it."""
 
 
 @dataclass
@@ -108,7 +95,7 @@ def verify(folder: Path | str, *, jobs: int | None = None, watch: Callable[[], o
         findings.missing += [f"{policy}, {gap}" for gap in missing(played, tasks, runs.get(policy, ()))]
         if others := sum(episode.task not in TASKS for episode in played):
             findings.unfit.append(f"{policy}: {others} episodes are of tasks outside the benchmark")
-    for _, problem in replay([("", episode) for episode in episodes if episode.task in TASKS], jobs):
+    for _, _, problem in replay([("", episode) for episode in episodes if episode.task in TASKS], jobs=jobs):
         findings.add(problem)
         watch()
     return findings
@@ -136,7 +123,7 @@ def _contradictions(
         if episode.steps != count:
             texts["steps"] = f"it says {episode.steps}, and holds {count} actions"
         for name, text in texts.items():
-            problems[name].append(f"{episode.policy}, {name_of(episode)}: {text}")
+            problems[name].append(f"{episode.policy}, {episode.title}: {text}")
     return [
         f"{name}: {first}" + (f"; and {len(others)} more" if others else "")
         for name, (first, *others) in problems.items()
@@ -204,7 +191,7 @@ def check_entries(
             episodes = random.Random(seed).sample(episodes, count)  # noqa: S311
         chosen += [(name, episode) for episode in episodes]
     watch(0, len(chosen))
-    for done, (name, problem) in enumerate(replay(chosen, jobs), start=1):
+    for done, (name, _, problem) in enumerate(replay(chosen, jobs=jobs), start=1):
         findings[name].add(problem)
         watch(done, len(chosen))
     return findings
@@ -216,77 +203,7 @@ def _playable(entry: Entry) -> tuple[list[EpisodeResult], list[str]]:
     playable, problems = [], []
     for episode in entry.counted:
         if problem := inconsistency(episode, horizons[episode.task]):
-            problems.append(f"{name_of(episode)}: {problem}")
+            problems.append(f"{episode.title}: {problem}")
         elif episode.failure is None:
             playable.append(episode)
     return playable, problems
-
-
-def replay(recorded: Iterable[Recorded], jobs: int | None = None) -> Iterator[tuple[str, str | None]]:
-    """Replays episodes in the scenes of their seeds, and compares scenes and scores, in worker processes.
-
-    Args:
-        recorded: the episodes, of the benchmark's environments.
-        jobs: the number of processes; None: one per core.
-
-    Yields:
-        The name that came with an episode, and how it differs from its record (None if it does not), as they come.
-    """
-    alike: dict[tuple[str, ...], list[Recorded]] = defaultdict(list)
-    for source, episode in recorded:
-        alike[episode.task, episode.variant, episode.rules, episode.shift].append((source, episode))
-    chunks: list[list[Recorded]] = []
-    for episodes in alike.values():  # a scene that several entries have played is sampled and compiled once
-        episodes.sort(key=lambda recorded: (recorded[1].seed, recorded[0]))
-        chunks += [episodes[start : start + CHUNK] for start in range(0, len(episodes), CHUNK)]
-    chunks.sort(key=lambda chunk: -sum(len(episode.actions) for _, episode in chunk))
-    results = map(_replay, chunks) if jobs == 1 or len(chunks) == 1 else map_unordered(_replay, chunks, jobs)
-    return chain.from_iterable(results)
-
-
-def _replay(chunk: Sequence[Recorded]) -> list[tuple[str, str | None]]:
-    """The work of one process: replays some episodes of one environment."""
-    from magical_mj.engine import Engine  # which loads the simulator
-
-    first, results = chunk[0][1], []
-    rules = check_rules(first.rules)
-    with closing(Engine(first.task, first.variant, seed=first.seed, rules=rules, shifts=first.shift)) as engine:
-        for source, episode in chunk:
-            engine.reset(seed=None if episode.seed == engine.seed else episode.seed)  # None: the same scene again
-            difference = _difference(episode, engine)
-            results.append((source, f"{name_of(episode)}: {difference}" if difference else None))
-    return results
-
-
-def _difference(episode: EpisodeResult, engine: Engine) -> str | None:
-    """What is wrong with an episode, whose scene the engine is in; None if its replay confirms it."""
-    digest = engine.initial_scene.digest()
-    if episode.scene is not None and episode.scene != digest:
-        return f"it was played in the scene {episode.scene}, and the seed's scene is {digest}"
-    problem = inconsistency(episode, engine.horizon)
-    if problem is not None or episode.failure is not None:
-        return problem
-    try:
-        for action in actions_of(episode.actions):
-            engine.step(action)
-    except PhysicsError as error:
-        return f"it cannot be replayed: {error}"
-    if abs(engine.score() - episode.score) > SCORE_TOLERANCE:
-        return f"the score is {episode.score:g}, and its actions lead to {engine.score():g}"
-    return None
-
-
-def inconsistency(episode: EpisodeResult, horizon: int | None) -> str | None:
-    """What is wrong with an episode without playing it; None if nothing is.
-
-    Args:
-        episode: the episode.
-        horizon: the number of steps of its task.
-    """
-    if episode.failure is not None:
-        return None if episode.score == 0 else f"the policy failed, and its score is {episode.score:g} instead of 0"
-    if set(episode.actions) - set(LETTERS):
-        return "its actions are not all among the 18"
-    if len(episode.actions) != horizon:
-        return f"it has {len(episode.actions)} actions, and episodes have {horizon}"
-    return None

@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
+from magical_mj.evaluation.entry import Card
 from magical_mj.evaluation.reports.tables import DAGGER, NONE, Group, Table, markdown
-from magical_mj.leaderboard.entry import Card
 from magical_mj.leaderboard.standings import (
     BLOCKS,
     LEAST_RUNS,

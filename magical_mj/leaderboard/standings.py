@@ -11,16 +11,16 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from magical_mj.evaluation.entry import SEEDS, SUFFIX, Entry, entry_files, read_entry
 from magical_mj.evaluation.reports.results import PUBLISHED_RULES, published_results
 from magical_mj.evaluation.reports.statistics import (
-    SCORE_TOLERANCE,
     Floats,
     bootstrap,
     interquartile_mean,
     mean_interval,
     robust_mean,
 )
-from magical_mj.leaderboard.entry import SEEDS, SUFFIX, Entry, entry_files, read_entry
+from magical_mj.evaluation.scores import SCORE_TOLERANCE
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, Pair
 from magical_mj.utils.errors import counted
 

@@ -17,6 +17,7 @@ import pytest
 from matplotlib.text import Text
 from PIL import Image
 
+import magical_mj
 from magical_mj.evaluation.reports import report as page
 from magical_mj.evaluation.reports import results, tables
 from magical_mj.evaluation.reports.report import bars, extremes, heat_map, report
@@ -228,6 +229,22 @@ def test_what_does_not_go_together_is_refused(tmp_path: Path) -> None:
         with pytest.raises(EvaluationError, match=problem):
             report([scores, folder], tmp_path / "out")
     assert "`LoRes4E`, `LoRes4A`" in report([scores, presets], tmp_path / "out", mixed_presets=True).read_text()
+
+
+def test_stored_episodes_are_scored_by_the_other_rules(tmp_path: Path) -> None:
+    """As if they had been played by them, after fewer steps where these end earlier; and the actions must fit."""
+    settings = {"tasks": "ClusterShape,MoveToCorner", "variants": "Demo,Layout", "episodes": 2, "jobs": 1}
+    for rules in ("paper", "released"):
+        magical_mj.evaluate("noop,random", out=tmp_path / rules, rules=rules, **settings)
+    rescored, played = (results.gather([tmp_path / name], rules="released") for name in ("paper", "released"))
+    assert rescored.drop(columns="folder").equals(played.drop(columns="folder"))
+    assert not rescored["score"].equals(results.gather([tmp_path / "paper"])["score"])
+    page = report([tmp_path / "paper"], tmp_path / "out", rules="released").read_text()
+    assert "scores by the rules `released`" in page
+    path = tmp_path / "paper" / SCORES
+    path.write_text(path.read_text().replace('"score": 0.25', '"score": 0.75'))
+    with pytest.raises(EvaluationError, match="cannot be scored by the rules 'released': run 0, ClusterShape"):
+        results.gather([tmp_path / "paper"], rules="released")
 
 
 def test_extremes_are_the_best_and_the_worst_of_each_task() -> None:

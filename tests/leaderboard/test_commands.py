@@ -11,8 +11,8 @@ import pytest
 from msgspec.structs import replace
 
 from magical_mj.cli import main
+from magical_mj.evaluation.entry import packed, unpacked
 from magical_mj.leaderboard import read_entry, submit
-from magical_mj.leaderboard.entry import packed, unpacked
 from magical_mj.utils.errors import EvaluationError, SettingsError
 from tests.helpers.entries import EPISODES, rewrite, tampered_score, whole
 

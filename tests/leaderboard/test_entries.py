@@ -15,8 +15,8 @@ import pytest
 from msgspec.structs import replace
 
 import magical_mj
+from magical_mj.evaluation.entry import MOST_UNPACKED, Card, Demonstrations, Training, packed, unpacked
 from magical_mj.leaderboard import read_entry, submit
-from magical_mj.leaderboard.entry import MOST_UNPACKED, Card, Demonstrations, Training, packed, unpacked
 from magical_mj.utils.errors import EvaluationError
 from tests.helpers.entries import EPISODES, check, recorded, rewrite, whole
 

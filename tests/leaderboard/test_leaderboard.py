@@ -13,10 +13,10 @@ import pytest
 from msgspec.structs import replace
 
 import magical_mj
+from magical_mj.evaluation.entry import Card
 from magical_mj.evaluation.reports.tables import NONE
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.leaderboard import Entry
-from magical_mj.leaderboard.entry import Card
 from magical_mj.leaderboard.page import tables, write_pages
 from magical_mj.leaderboard.standings import improvement, rules_of, standing, standings
 from magical_mj.tasks.registry import ENVIRONMENTS

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
+from magical_mj.evaluation.entry import entry_files, packed
 from magical_mj.evaluation.scores import SETTINGS
 from magical_mj.leaderboard import read_entry, submit
-from magical_mj.leaderboard.entry import entry_files, packed
 from magical_mj.leaderboard.standings import standing
 from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError
 from tests.helpers.entries import EPISODES, check, rewrite

@@ -26,6 +26,7 @@ from magical_mj.evaluation.reports.tables import (
 )
 from magical_mj.evaluation.scores import EpisodeResult, folders_of
 from magical_mj.tasks.registry import ENVIRONMENTS, VARIANTS
+from magical_mj.tasks.spec import Rules
 from magical_mj.utils import escape, files
 from magical_mj.utils.errors import EvaluationError, counted
 from magical_mj.utils.extras import check_extra
@@ -91,15 +92,17 @@ def report(
     *,
     with_published: bool = False,
     mixed_presets: bool = False,
+    rules: Rules | None = None,
     links: Mapping[str, str] = MappingProxyType({}),
 ) -> Path:
     """Writes the tables (Markdown, CSV, LaTeX) and figures of some evaluations.
 
     Args:
-        folders: the folders of the evaluations.
+        folders: the folders of the evaluations, or entries of the leaderboard.
         out: the folder for the report; files of an earlier report are replaced.
         with_published: show the paper's results as well.
         mixed_presets: allow policies with different observations in one report.
+        rules: by which all episodes are scored; those that were scored by others are replayed.
         links: description -> file in `out`, for links on the page.
 
     Returns:
@@ -112,7 +115,7 @@ def report(
         MissingExtraError: if an extra is missing.
     """
     check_extra("reports", "eval")
-    return write_report(results(folders_of(folders), with_published, mixed_presets), out, links)
+    return write_report(results(folders_of(folders), with_published, mixed_presets, rules), out, links)
 
 
 def write_report(data: Results, out: Path | str, links: Mapping[str, str] = MappingProxyType({})) -> Path:

@@ -6,8 +6,8 @@ Scores are read line by line into columns, so that a million episodes fit into m
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from operator import attrgetter
 from pathlib import Path
@@ -16,15 +16,12 @@ from zlib import crc32
 
 import numpy as np
 
-from magical_mj.evaluation.reports.statistics import (
-    SCORE_TOLERANCE,
-    Summary,
-    by_environment,
-    by_variant,
-    mean_interval,
-)
-from magical_mj.evaluation.scores import episodes_in
+from magical_mj.evaluation.entry import is_entry, read_entry
+from magical_mj.evaluation.replay import replay
+from magical_mj.evaluation.reports.statistics import Summary, by_environment, by_variant, mean_interval
+from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult, episodes_in
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, in_order
+from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import EvaluationError, SettingsError, short_repr
 from magical_mj.utils.extras import check_extra
 
@@ -55,8 +52,8 @@ class Results:
 
     Attributes:
         scores: a row for each episode; see `gather`.
-        environments: a row for each policy and environment; `published` says whether it is a published result, `rules`
-            how it was scored.
+        environments: a row for each policy and environment that was played without shifts; `published` says whether it
+            is a published result, `rules` how it was scored.
         variants: a row for each policy and variant, over tasks; `missing` names the tasks that it lacks.
         lacks_published: whether the paper's results were wanted, and it has none in these tasks.
     """
@@ -77,8 +74,13 @@ class Results:
         return in_order(self.environments["task"])
 
 
-def gather(folders: Sequence[Path], mixed_presets: bool = False) -> pd.DataFrame:
+def gather(folders: Sequence[Path], mixed_presets: bool = False, rules: Rules | None = None) -> pd.DataFrame:
     """The scores of all folders, a row for each episode, in a fixed order.
+
+    Args:
+        folders: those of evaluations, or entries of the leaderboard.
+        mixed_presets: allow different observations.
+        rules: by which all are scored, after a replay if they were scored by others; None: as they are.
 
     Returns:
         A frame with the columns `NAMES`, `folder`, `run`, `seed`, `score`, and `actions`, a checksum. What several
@@ -90,7 +92,7 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False) -> pd.DataFrame
     """
     if not folders:
         raise EvaluationError("give at least one folder of an evaluation")
-    scores = _read(folders)
+    scores = _read(folders, rules)
     for name in scores["variant"].cat.categories:
         if name not in VARIANTS:
             folder = scores[scores["variant"] == name]["folder"].iloc[0]
@@ -115,7 +117,33 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False) -> pd.DataFrame
     return scores.reset_index(drop=True)
 
 
-def _read(folders: Sequence[Path]) -> pd.DataFrame:
+def episodes_of(folder: Path, rules: Rules | None) -> Iterator[EpisodeResult]:
+    """The episodes of an evaluation or an entry, scored by these rules."""
+    if is_entry(folder):
+        entry = read_entry(folder)
+        played_with = {name: ", ".join(getattr(entry.versions, name)) for name in entry.versions.__struct_fields__}
+        episodes = (replace(episode, **played_with) for episode in entry.episodes)
+    else:
+        episodes = episodes_in(folder)
+    if rules is None:
+        yield from episodes
+        return
+    others: list[tuple[str, EpisodeResult]] = []
+    for episode in episodes:
+        if episode.rules == rules:
+            yield episode
+        elif episode.wrap or episode.worlds != "single":
+            where = episode.wrap or "batched worlds"
+            raise EvaluationError(f"{folder} was played in {where}: it cannot be replayed, and scored by other rules")
+        else:
+            others.append(("", episode))
+    for _, episode, problem in replay(others, rules=rules):
+        if problem is not None:
+            raise EvaluationError(f"{folder} cannot be scored by the rules {rules!r}: {problem}")
+        yield episode
+
+
+def _read(folders: Sequence[Path], rules: Rules | None = None) -> pd.DataFrame:
     import pandas as pd
 
     categories: dict[str, dict[str | None, int]] = {name: {None: -1} for name in NAMES}
@@ -124,7 +152,7 @@ def _read(folders: Sequence[Path]) -> pd.DataFrame:
     texts_of = attrgetter(*("method" if name == "policy" else name for name in NAMES))
     columns_of_texts = [(known, codes[name].append) for name, known in categories.items()]
     for index, folder in enumerate(folders):
-        for score in episodes_in(folder):
+        for score in episodes_of(folder, rules):
             for text, (known, append) in zip(texts_of(score), columns_of_texts, strict=True):
                 append(known.setdefault(text, len(known) - 1))
             numbers["actions"].append(crc32(score.actions.encode()))
@@ -174,7 +202,12 @@ def check_scenes(scores: pd.DataFrame) -> None:
         )
 
 
-def results(folders: Sequence[Path], with_published: bool = False, mixed_presets: bool = False) -> Results:
+def results(
+    folders: Sequence[Path],
+    with_published: bool = False,
+    mixed_presets: bool = False,
+    rules: Rules | None = None,
+) -> Results:
     """The data of a report on these folders.
 
     Raises:
@@ -182,8 +215,12 @@ def results(folders: Sequence[Path], with_published: bool = False, mixed_presets
     """
     import pandas as pd
 
-    scores = gather(folders, mixed_presets)
-    shows_published = with_published and bool(set(scores["task"].cat.categories) & set(TASKS))
+    scores = gather(folders, mixed_presets, rules)
+    plain = scores[scores["shift"] == ""]
+    if plain.empty:
+        raise EvaluationError("all episodes are shifted: evaluate --resume plays the others, too")
+    tasks = in_order(plain["task"])
+    shows_published = with_published and bool(set(tasks) & set(TASKS))
     own = list(scores["policy"].cat.categories)
     papers = list(dict.fromkeys(published_results()["policy"])) if shows_published else []
     if taken := [name for name in own if name in papers]:
@@ -192,22 +229,22 @@ def results(folders: Sequence[Path], with_published: bool = False, mixed_presets
             "(--policy NAME=...), or leave out the published results"
         )
     marks = {"published": False, "rules": str(scores["rules"].iloc[0])}
-    environments = by_environment(scores).assign(**marks)
-    counted = scores[scores["task"].isin(counted_tasks(environments["task"]))]
-    variants = by_variant(counted).assign(**marks)
+    environments = by_environment(plain).assign(**marks)
+    variants = by_variant(plain[plain["task"].isin(counted_tasks(tasks))]).assign(**marks)
     if shows_published:
         marks = {"published": True, "rules": PUBLISHED_RULES}
-        environments = pd.concat([environments, published_by_environment().assign(**marks)])
-        variants = pd.concat([variants, published_by_variant().assign(**marks)])
+        alone = counted_tasks(tasks) if len(tasks) == 1 else TASKS
+        environments = pd.concat([environments, published_by_environment(alone).assign(**marks)])
+        variants = pd.concat([variants, published_by_variant(alone).assign(**marks)])
     environments, variants = (_sorted(table, [*own, *papers]) for table in (environments, variants))
     variants["missing"] = _missing(environments, variants)
     return Results(scores, environments, variants, with_published and not shows_published)
 
 
 def counted_tasks(tasks: Sequence[str] | pd.Series[str]) -> list[str]:
-    """The tasks over which means are taken, of those played: the benchmark's, or if there are none, users' own."""
+    """The tasks over which means are taken: an only one, or the benchmark's, or if there are none, users' own."""
     played = in_order(tasks)
-    return list(TASKS) if set(played) & set(TASKS) else played
+    return list(TASKS) if len(played) > 1 and set(played) & set(TASKS) else played
 
 
 def _sorted(table: pd.DataFrame, policies: list[str]) -> pd.DataFrame:
@@ -221,9 +258,9 @@ def _missing(environments: pd.DataFrame, variants: pd.DataFrame) -> list[str]:
     """For each row of `variants`, the names of the tasks that it lacks, separated by commas."""
     own = environments.loc[~environments["published"], ["policy", "task", "variant"]]
     played = set(own.itertuples(index=False, name=None))
-    pairs = (
-        ENVIRONMENTS if set(own["task"]) & set(TASKS) else dict.fromkeys(zip(own["task"], own["variant"], strict=True))
-    )
+    counted = counted_tasks(own["task"])
+    pairs = [pair for pair in ENVIRONMENTS if pair[0] in counted]
+    pairs = pairs or dict.fromkeys(zip(own["task"], own["variant"], strict=True))
 
     def lacked(policy: str, variant: str) -> str:
         return ", ".join(task for task, other in pairs if other == variant and (policy, task, variant) not in played)
@@ -243,18 +280,19 @@ def published_results() -> pd.DataFrame:
         return pd.read_csv(file).rename(columns={"method": "policy"})
 
 
-def published_by_environment() -> pd.DataFrame:
-    """The published results with the columns of `statistics.by_environment`."""
+def published_by_environment(tasks: Sequence[str] = TASKS) -> pd.DataFrame:
+    """The published results in some tasks, with the columns of `statistics.by_environment`."""
     counts = {"runs": PUBLISHED_RUNS, "episodes": PUBLISHED_RUNS * PUBLISHED_EPISODES, "failures": 0}
-    return _completed(published_results().assign(**counts))
+    published = published_results()
+    return _completed(published[published["task"].isin(tasks)].assign(**counts))
 
 
-def published_by_variant() -> pd.DataFrame:
-    """The published results over tasks, as in the paper's Table 1, with the columns of `statistics.by_variant`."""
+def published_by_variant(tasks: Sequence[str] = TASKS) -> pd.DataFrame:
+    """The published results over some tasks, as in the paper's Table 1, with the columns of `statistics.by_variant`."""
     import pandas as pd
 
     rows = []
-    for (policy, variant), group in published_results().groupby(["policy", "variant"], sort=False):
+    for (policy, variant), group in published_by_environment(tasks).groupby(["policy", "variant"], sort=False):
         means, stds = group["mean"].to_numpy(float), group["std"].to_numpy(float)
         spread = float(np.sqrt((stds**2).mean() + means.var()))  # of all run means: within tasks and between them
         episodes = PUBLISHED_RUNS * PUBLISHED_EPISODES * len(group)

@@ -29,9 +29,6 @@ CONFIDENCE: Final = 0.95
 AT_ONCE: Final = 50_000_000
 """The largest number of resampled values that are held at a time; each takes 16 bytes."""
 
-SCORE_TOLERANCE: Final = 1e-9
-"""Scores that differ by less than this are equal."""
-
 
 class Summary(NamedTuple):
     """The statistics of some run means, with the bounds of the two means' intervals; NaN where there are too few."""

@@ -195,7 +195,7 @@ def submit(
     if not folders:
         raise SettingsError("give at least one folder of an evaluation")
     described = {} if card is None else files.read_toml(Path(card))
-    sources = [(episode, folder) for folder in folders for episode in read(folder)]
+    sources = [(episode, folder) for folder in folders for episode in read(folder) if not episode.shift]
     names = list(dict.fromkeys(episode.policy for episode, _ in sources))
     if policy is not None:
         check_name("policy", policy, names)
@@ -328,6 +328,11 @@ def _text(content: dict[str, Any]) -> bytes:
     return json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
 
 
+def is_entry(path: Path) -> bool:
+    """Whether a path is that of an entry, by its form, and not that of an evaluation."""
+    return path.is_file() or (path / CARD).is_file()
+
+
 def read_entry(path: Path | str) -> Entry:
     """The entry in a file or a folder, which may be anybody's.
 
@@ -345,7 +350,7 @@ def read_entry(path: Path | str) -> Entry:
     first, *others = (unpacked(_content(part, MOST_BYTES), part) for part in parts)
     entry = msgspec.structs.replace(first, card=card)
     for part, other in zip(parts[1:], others, strict=True):
-        if twice := {*map(name_of, entry.episodes)} & {*map(name_of, other.episodes)}:
+        if twice := {row.title for row in entry.episodes} & {row.title for row in other.episodes}:
             raise EvaluationError(f"{part} holds episodes that another file of {path} holds, too: {min(twice)}")
         entry = _extended(entry, other, path, card)
     return entry
@@ -433,13 +438,7 @@ def _episodes(content: Content, name: object) -> list[EpisodeResult]:
             episode = EpisodeResult(task=task, variant=variant, steps=len(fields["actions"]), **fields, **shared)
             if (episode.run, episode.seed) in numbers:
                 remedy = "if these are two runs, evaluate one of them again with another --run"
-                raise EvaluationError(f"{name} holds an episode twice: {name_of(episode)}; {remedy}")
+                raise EvaluationError(f"{name} holds an episode twice: {episode.title}; {remedy}")
             numbers.add((episode.run, episode.seed))
             episodes.append(episode)
     return episodes
-
-
-def name_of(episode: EpisodeResult) -> str:
-    """The episode in words, for problems."""
-    shift = f" {episode.shift}" if episode.shift else ""
-    return f"run {episode.run}, {episode.task} {episode.variant}{shift}, seed {episode.seed}"

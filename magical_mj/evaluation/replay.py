@@ -1,0 +1,115 @@
+"""Playing stored episodes again, in worker processes: to check them, and to score them by other rules."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import replace as changed
+from functools import partial
+from itertools import chain
+from typing import TYPE_CHECKING, Any, Final
+
+from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
+from magical_mj.policies.interface import LETTERS, actions_of
+from magical_mj.tasks.registry import check_rules, task_spec
+from magical_mj.tasks.spec import Rules
+from magical_mj.utils.errors import PhysicsError
+from magical_mj.utils.imports import check_named
+from magical_mj.utils.parallel import map_unordered
+
+if TYPE_CHECKING:
+    from magical_mj.engine import Engine
+
+CHUNK: Final = 50
+"""The number of episodes that a worker replays before it reports."""
+
+Recorded = tuple[Any, EpisodeResult]
+"""An episode, and what its owner knows it by, such as the name of its entry."""
+Replayed = tuple[Any, EpisodeResult, str | None]
+"""The same, scored by other rules if these were wanted, and how it differs from its record; None if it does not."""
+
+
+def replay(recorded: Iterable[Recorded], *, rules: Rules | None = None, jobs: int | None = None) -> Iterator[Replayed]:
+    """Replays episodes in the scenes of their seeds, and compares scenes and scores, in worker processes.
+
+    Args:
+        recorded: the episodes, of environments that may be used.
+        rules: by which they are scored again, after the steps that an episode has by these rules; None: as they are.
+        jobs: the number of processes; None: one per core.
+
+    Yields:
+        Each episode, as they come.
+    """
+    alike: dict[tuple[str, ...], list[Recorded]] = defaultdict(list)
+    for source, episode in recorded:
+        alike[episode.task, episode.variant, episode.rules, episode.shift].append((source, episode))
+    for task, _, _, shift in alike:
+        for name in (task, *(part.rpartition(":")[0] for part in shift.split("+"))):
+            check_named(name, "an episode")
+    chunks: list[list[Recorded]] = []
+    for episodes in alike.values():  # a scene that several entries have played is sampled and compiled once
+        episodes.sort(key=lambda recorded: (recorded[1].seed, recorded[0]))
+        chunks += [episodes[start : start + CHUNK] for start in range(0, len(episodes), CHUNK)]
+    chunks.sort(key=lambda chunk: -sum(len(episode.actions) for _, episode in chunk))
+    work = partial(_replay, rules=rules)
+    results = map(work, chunks) if jobs == 1 or len(chunks) == 1 else map_unordered(work, chunks, jobs)
+    return chain.from_iterable(results)
+
+
+def _replay(chunk: Sequence[Recorded], rules: Rules | None) -> list[Replayed]:
+    """The work of one process: replays some episodes of one environment."""
+    from magical_mj.engine import Engine  # which loads the simulator
+
+    first, results = chunk[0][1], []
+    own = check_rules(first.rules)
+    with closing(Engine(first.task, first.variant, seed=first.seed, rules=own, shifts=first.shift)) as engine:
+        for source, episode in chunk:
+            engine.reset(seed=None if episode.seed == engine.seed else episode.seed)  # None: the same scene again
+            rescored, difference = _played(episode, engine, rules)
+            results.append((source, rescored, f"{episode.title}: {difference}" if difference else None))
+    return results
+
+
+def _played(episode: EpisodeResult, engine: Engine, rules: Rules | None) -> tuple[EpisodeResult, str | None]:
+    """An episode by these rules, whose scene the engine is in; and what is wrong with it: None if it is confirmed."""
+    digest = engine.initial_scene.digest()
+    if episode.scene is not None and episode.scene != digest:
+        return episode, f"it was played in the scene {episode.scene}, and the seed's scene is {digest}"
+    problem = inconsistency(episode, engine.horizon)
+    spec = task_spec(episode.task)
+    steps = spec.horizon(rules or engine.rules)
+    if problem is None and engine.horizon is not None and steps > engine.horizon:
+        problem = f"it has {engine.horizon} actions, and {steps} by the rules {rules!r}: play it again by these"
+    if problem is not None:
+        return episode, problem
+    rescored = changed(episode, rules=rules or episode.rules)
+    if episode.failure is not None:
+        return rescored, None
+    try:
+        for number, action in enumerate(actions_of(episode.actions), start=1):
+            engine.step(action)
+            if number == steps and rules is not None:
+                score = spec.checked_score(engine.initial_scene, engine.scene, rules)
+                rescored = changed(rescored, score=score, steps=steps, actions=episode.actions[:steps])
+    except PhysicsError as error:
+        return episode, f"it cannot be replayed: {error}"
+    if abs(engine.score() - episode.score) > SCORE_TOLERANCE:
+        return episode, f"the score is {episode.score:g}, and its actions lead to {engine.score():g}"
+    return rescored, None
+
+
+def inconsistency(episode: EpisodeResult, horizon: int | None) -> str | None:
+    """What is wrong with an episode without playing it; None if nothing is.
+
+    Args:
+        episode: the episode.
+        horizon: the number of steps of its task.
+    """
+    if episode.failure is not None:
+        return None if episode.score == 0 else f"the policy failed, and its score is {episode.score:g} instead of 0"
+    if set(episode.actions) - set(LETTERS):
+        return "its actions are not all among the 18"
+    if len(episode.actions) != horizon:
+        return f"it has {len(episode.actions)} actions, and episodes have {horizon}"
+    return None
