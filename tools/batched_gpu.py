@@ -107,7 +107,7 @@ def parts(device: str, out: Path, amounts: Amounts) -> Mapping[str, list[str]]:
     where = ["--tasks", "MoveToRegion", "--preset", "LoRes4E"]
     for name, settings in amounts.trainings.items():
         run, scores = str(out / name), str(out / f"{name}-scores")
-        options = [*where, "--worlds", "batched", *on, "--set", "evaluations=0", *settings, "--out", run]
+        options = [*where, "--simulator", "warp", *on, "--set", "evaluations=0", *settings, "--out", run]
         commands[name] = [*COMMAND, "train", "gail", *options, "--resume"]
         played = ["--policy", run, *where, "--variants", "Demo", "--episodes", str(amounts.episodes)]
         commands[f"{name}-score"] = [*COMMAND, "evaluate", *played, "--out", scores, "--resume"]

@@ -45,7 +45,7 @@ MultiTask = Annotated[bool, typer.Option("--multi-task", help="One policy for al
 Augment = Annotated[str, typer.Option(help=SETTINGS["augment"].description)]
 Preset = Annotated[str, typer.Option(help=SETTINGS["preset"].description)]
 Device = Annotated[str, typer.Option(help=SETTINGS["device"].description)]
-Worlds = Annotated[str, typer.Option(help=SETTINGS["ppo.worlds"].description)]
+Simulator = Annotated[str, typer.Option(help=SETTINGS["ppo.simulator"].description)]
 Quick = Annotated[bool, typer.Option("--quick", help="Use a smaller network and a shorter training, for two cores.")]
 Change = Annotated[
     list[str] | None, typer.Option("--set", help="Any setting, such as ppo.clip=0.02.", show_default=False)
@@ -108,7 +108,7 @@ def train(
     augment: Augment = TrainingSettings.augment,
     preset: Preset = TrainingSettings.preset,
     device: Device = TrainingSettings.device,
-    worlds: Worlds = PPOSettings.worlds,
+    simulator: Simulator = PPOSettings.simulator,
     renderer: Renderer = None,
     quick: Quick = False,
     change: Change = None,
@@ -120,7 +120,7 @@ def train(
     from magical_mj.learners.training import METHODS
 
     check_name("method", method, METHODS)
-    options = {"seed": seed, "augment": augment, "preset": preset, "device": device, "ppo.worlds": worlds}
+    options = {"seed": seed, "augment": augment, "preset": preset, "device": device, "ppo.simulator": simulator}
     options |= {} if renderer is None else {"renderer": renderer}  # quick trainings have their own
     others = {}
     for text in change or []:

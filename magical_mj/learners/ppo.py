@@ -265,7 +265,7 @@ class RewardLearner(Learner):
     def check(cls, settings: TrainingSettings) -> None:
         """Also that batched worlds are installed, if these shall be played in."""
         super().check(settings)
-        if settings.ppo.worlds == "batched":
+        if settings.ppo.simulator == "warp":
             check_extra("batched worlds", "gpu")
 
     @property

@@ -36,6 +36,8 @@ ASSUMPTIONS: Final = ("egocentric", "mirror", "rename", "displace", "detours")
 """What `relational` tries to assume about a task, in this order: see `magical_mj.learners.assumptions`."""
 START: Final = "made"
 """The table of a config.toml that says when and with what a run was started; no setting."""
+OLD_SIMULATOR: Final = "ppo.worlds"
+"""What ppo.simulator, "single" or "batched" then, was called in runs of before."""
 GROUP: Final = "magical_mj.methods"
 """The entry-point group in which installed packages announce methods, such as ``mine = "package.module:Mine"``."""
 
@@ -102,10 +104,10 @@ class PPOSettings(Settings):
     part: ClassVar[str] = "ppo"
 
     total_steps: Annotated[Amount, Meta(description="environment steps of the training")] = 1_000_000
-    worlds: Annotated[
-        Literal["single", "batched"],
-        Meta(description="What gail, wgail-gp and al play in: single, or batched on DEVICE (extra gpu)."),
-    ] = "single"
+    simulator: Annotated[
+        Literal["mujoco", "warp"],
+        Meta(description="What gail, wgail-gp and al play in: MuJoCo, or MuJoCo Warp on DEVICE (extra gpu)."),
+    ] = "mujoco"
     environments: Count = 32
     steps: Annotated[Count, Meta(description="in each environment, between two updates")] = 8
     epochs: Count = 12
@@ -246,8 +248,8 @@ class TrainingSettings(Settings):
             raise SettingsError(
                 f"learners look at one stack of frames or at states: preset must be one of {', '.join(LEARNABLE)}"
             )
-        if self.method == "bc" and self.ppo.worlds != "single":
-            raise SettingsError("bc learns without playing: worlds are chosen for gail, wgail-gp and al")
+        if self.method == "bc" and self.ppo.simulator != "mujoco":
+            raise SettingsError("bc learns without playing: a simulator is chosen for gail, wgail-gp and al")
         if "ppo" in PARTS.get(self.method, ()):
             self.check_reinforcement()
 
@@ -482,7 +484,11 @@ def from_toml(path: Path) -> TrainingSettings:
     method, tasks = table.pop("method"), tuple(listed(table.pop("tasks"), TASKS))
     for task in tasks:
         check_named(task, path)
-    return changed(TrainingSettings(method, tasks), flattened(table))
+    values = flattened(table)
+    if OLD_SIMULATOR in values:
+        worlds = values.pop(OLD_SIMULATOR)
+        values["ppo.simulator"] = "mujoco" if worlds == "single" else "warp" if worlds == "batched" else worlds
+    return changed(TrainingSettings(method, tasks), values)
 
 
 def flattened(table: dict[str, Any]) -> dict[str, Any]:

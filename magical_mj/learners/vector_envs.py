@@ -245,7 +245,7 @@ class BatchedEnvs(TrainingEnvs):
 
 def training_envs(settings: TrainingSettings) -> TrainingEnvs:
     """The environments of a run: on all cores, or all in one batch."""
-    return BatchedEnvs(settings) if settings.ppo.worlds == "batched" else LocalEnvs(settings)
+    return BatchedEnvs(settings) if settings.ppo.simulator == "warp" else LocalEnvs(settings)
 
 
 def task_numbers(settings: TrainingSettings) -> NDArray[np.int64]:

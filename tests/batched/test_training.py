@@ -30,7 +30,7 @@ SMALL = {"ppo.environments": 2, "ppo.steps": 2, "ppo.minibatch": 4, "ppo.total_s
 
 
 def in_batch(method: str = "gail", tasks: str = TWO, **changes: Any) -> TrainingSettings:
-    return playing(method, tasks, **{**SMALL, "ppo.worlds": "batched", **changes})
+    return playing(method, tasks, **{**SMALL, "ppo.simulator": "warp", **changes})
 
 
 @pytest.fixture
@@ -120,22 +120,22 @@ def test_a_resumed_training_ends_like_an_uninterrupted_one(method: str, preset: 
 
 def test_the_command_line_trains_in_batched_worlds(tmp_path: Path) -> None:
     out = tmp_path / "run"
-    options = ["--multi-task", "--tasks", TWO, "--preset", "State", "--worlds", "batched", "--device", "cpu"]
+    options = ["--multi-task", "--tasks", TWO, "--preset", "State", "--simulator", "warp", "--device", "cpu"]
     for name, value in {**SMALL, "ppo.total_steps": 4, "evaluations": 0}.items():
         if name.startswith("features."):  # of AL
             continue
         options += ["--set", f"{name}={value}"]
     result = CliRunner().invoke(app, ["train", "gail", *options, "--out", str(out)])
     assert result.exit_code == 0, result.output
-    assert 'worlds = "batched"' in (out / "config.toml").read_text()
+    assert 'simulator = "warp"' in (out / "config.toml").read_text()
     assert load_policy(out).tasks == tuple(TWO.split(","))
 
 
 def test_what_cannot_be_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SettingsError, match="bc learns without playing"):
         in_batch("bc")
-    with pytest.raises(UnknownNameError, match=r"ppo\.worlds 'many'"):
-        playing(**{"ppo.worlds": "many"})
+    with pytest.raises(UnknownNameError, match=r"ppo\.simulator 'many'"):
+        playing(**{"ppo.simulator": "many"})
     find = importlib.util.find_spec
     monkeypatch.setattr("magical_mj.utils.extras.find_spec", lambda name: None if name == "mujoco_warp" else find(name))
     with pytest.raises(MissingExtraError, match=r"batched worlds need mujoco_warp: .*\[gpu\]"):
