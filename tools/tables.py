@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from magical_mj import ENVIRONMENTS, TASKS
 from magical_mj.envs.presets import PRESETS
-from magical_mj.evaluation.reports.statistics import rank_correlation
+from magical_mj.evaluation.reports.statistics import mean_interval, rank_correlation
 from magical_mj.leaderboard.page import label
 from magical_mj.leaderboard.standings import BLOCKS, Standing, own_standings, published
 from magical_mj.scene import constants as c
@@ -90,8 +90,11 @@ def _number(value: float) -> str:
     return "" if value != value else f"{value:.2f}"
 
 
-def overview(standings: Sequence[Standing]) -> str:
-    """Of each method the mean score over tasks in each variant, in blocks; (m/n): of m of the n tasks."""
+def overview(standings: Sequence[Standing], *, intervals: bool = False) -> str:
+    """Of each method the mean score over tasks in each variant, in blocks; (m/n): of m of the n tasks.
+
+    With intervals, each has its 95 % interval over the runs (stratified bootstrap), if there are several.
+    """
     rows: list[Sequence[str]] = []
     for block, heading in BLOCKS.items():
         group = [standing for standing in standings if standing.block == block]
@@ -99,16 +102,40 @@ def overview(standings: Sequence[Standing]) -> str:
         for standing in group:
             name = AGENTS.get(standing.name, label(standing))
             runs = "5" if standing.entry is None else str(len(standing.entry.runs))
-            scores = (_over_tasks(standing, variant) for variant in VARIANTS)
+            scores = (_over_tasks(standing, variant, intervals) for variant in VARIANTS)
             rows.append((name, ", ".join(standing.privileges), runs, *scores))
     return table(("Method", "May also use", "Runs", *VARIANTS), rows)
 
 
-def _over_tasks(standing: Standing, variant: str) -> str:
+def _over_tasks(standing: Standing, variant: str, intervals: bool) -> str:
     wanted = [pair for pair in ENVIRONMENTS if pair[1] == variant]
     there = [pair for pair in wanted if pair in standing.means]
     part = f" ({len(there)}/{len(wanted)})" if len(there) < len(wanted) else ""
+    strata = [standing.means[pair] for pair in there]
+    if intervals and strata and len(strata[0]) > 1:
+        part = " [{:.2f}, {:.2f}]".format(*mean_interval(strata)) + part
     return f"{_mean(standing, (variant,)):.2f}{part}" if there else ""
+
+
+def costs(learnt: Iterable[Standing]) -> str:
+    """Of each of our learners what a training cost, for one task and for all tasks that it learnt."""
+    rows = []
+    for standing in learnt:
+        if standing.entry is None:
+            continue
+        tasks = len({task for task, _ in standing.means})
+        hours, steps = standing.entry.card.training.hours, standing.entry.card.training.steps
+        each = 1 if "(ST" in standing.name else tasks
+        rows.append(
+            (
+                label(standing),
+                str(tasks),
+                *("not recorded" if hours is None else f"{hours * factor:.2g}" for factor in (1 / each, tasks / each)),
+                *("not recorded" if steps is None else f"{steps * factor:,.0f}" for factor in (1 / each, tasks / each)),
+            )
+        )
+    columns = ("Tasks", "Hours a task", "Hours a run", "Environment steps a task", "... a run")
+    return table(("", *columns), rows)
 
 
 def agreement(learnt: Mapping[str, Standing], paper: Sequence[Standing]) -> str:
@@ -165,7 +192,8 @@ def results() -> dict[str, str]:
     """The tables of docs/results.md by name."""
     learnt, agents, paper = _results()
     return {
-        "overview": overview([*learnt.values(), *agents, *paper]),
+        "overview": overview([*learnt.values(), *agents, *paper], intervals=True),
+        "costs": costs(learnt.values()),
         "agreement": agreement(learnt, paper),
         "ablations": ablations(learnt.values(), published()),
     }
