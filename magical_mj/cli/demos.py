@@ -29,6 +29,7 @@ from magical_mj.cli.console import (
     with_bar,
 )
 from magical_mj.cli.film import film
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.registry import Pair, environments, score, task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError, UntrustedNameError
@@ -52,13 +53,16 @@ Filmed = Annotated[int, typer.Option("--count", min=1, help="How many to film at
 Movie = Annotated[Path, typer.Option("--out", help="The MP4 file.", show_default=False)]
 Speed = Annotated[int, typer.Option(min=1, max=30, help="Times real time.")]
 Target = Annotated[
-    Literal["npz", "minari", "lerobot", "robomimic", "webdataset"],
-    typer.Option(help="A numpy archive, Minari or LeRobot data sets, robomimic's HDF5, or a WebDataset archive."),
+    Literal["npz", "minari", "lerobot", "robomimic", "webdataset", "xirl"],
+    typer.Option(
+        help="A numpy archive, Minari or LeRobot data sets, robomimic's HDF5, a WebDataset archive, or XIRL's folders."
+    ),
 ]
 Name = Annotated[
     str | None,
     typer.Option("--out", help="The file, the data set's id, or the folder.", show_default="by environment and preset"),
 ]
+BodyName = Annotated[str, typer.Option("--body", help="The robot's body; see docs/bodies.md.")]
 ExportPreset = Annotated[str | None, typer.Option(help="The observations.", show_default="LoRes4E; State for Minari")]
 DropNoop = Annotated[bool, typer.Option(help="For npz: leave out the steps with the no-op action.")]
 AsVideo = Annotated[bool, typer.Option("--video", help="For LeRobot: videos, which are lossy, instead of pictures.")]
@@ -81,12 +85,16 @@ def generate(
     variants: Variants = "Demo",
     count: Count = 25,
     least_score: Least = 1.0,
+    body: BodyName = GRIPPER,
     jobs: Jobs = None,
 ) -> None:
     """Make demonstrations by the expert. Called again, it continues; nothing is overwritten."""
     pairs = environments(tasks, variants)
     keys = [(*pair, number) for pair in pairs for number in range(count)]
-    paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}-{key[2]:03}.npz" for key in keys}
+    for task, _ in pairs:
+        task_spec(task).check_body(body)
+    by = "" if body == GRIPPER else f"-{body.rpartition(':')[2]}"
+    paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}{by}-{key[2]:03}.npz" for key in keys}
     if len(set(paths.values())) < len(keys):
         raise SettingsError("two of these tasks have the same name, and so would their files: use two folders")
     make_writable_folder(out)
@@ -95,7 +103,7 @@ def generate(
     if there:
         screen.print(f"{len(there)} of {len(paths)} are there already")
     longest_first = sorted(keys, key=lambda key: -pairs.index(key[:2]))
-    todo = [(*key, least_score, paths[key]) for key in longest_first if key not in there]
+    todo = [(*key, least_score, body, paths[key]) for key in longest_first if key not in there]
     try:
         messages = list(with_bar(screen, "demonstrating", map_unordered(make, todo, jobs), len(todo)))
     except KeyboardInterrupt:
@@ -107,11 +115,11 @@ def generate(
         raise DemonstrationError(f"{len(failures)} demonstrations are missing: {'; '.join(failures)}")
 
 
-def make(work: tuple[str, str, int, float, Path]) -> str:
+def make(work: tuple[str, str, int, float, str, Path]) -> str:
     """The work of one process: makes one demonstration; returns an error message, or an empty text."""
-    task, variant, number, least_score, path = work
+    task, variant, number, least_score, body, path = work
     try:
-        magical_mj.demos.write(magical_mj.demos.demonstrate(task, variant, number, least_score), path)
+        magical_mj.demos.write(magical_mj.demos.demonstrate(task, variant, number, least_score, body), path)
     except FileExistsError:  # another process, which generates into the same folder, was faster
         return ""
     except DemonstrationError as error:
@@ -272,7 +280,7 @@ def export(
     groups: dict[str, list[Demonstration]] = {}
     for demo in demos:
         groups.setdefault(demo.name, []).append(demo)
-    if to == "npz":  # one file holds demonstrations of any environments
+    if to in ("npz", "xirl"):  # which hold demonstrations of several environments
         groups = {next(iter(groups)) if len(groups) == 1 else "demonstrations": demos}
     elif out is not None and len(groups) > 1:
         raise typer.BadParameter(
@@ -311,7 +319,10 @@ def sources_of(paths: Sequence[Path] | None, tasks: str, variants: str) -> Seque
     """The files, each once, even if it is given in several ways; by default the demonstrations that come with tasks."""
     pairs = environments(tasks, variants)
     if not paths:
-        return [demo for task in dict.fromkeys(task for task, _ in pairs) for demo in magical_mj.demos.load(task)]
+        specs = {task: task_spec(task) for task, _ in pairs}
+        bodies = {task: spec.bodies if spec.speeds else (GRIPPER,) for task, spec in specs.items()}
+        shipped = [(task, body) for task in specs for body in bodies[task]]
+        return [demo for task, body in shipped for demo in magical_mj.demos.load(task, body=body)]
     chosen: dict[Path, Path] = {}
     for path in paths:
         if path.is_dir():

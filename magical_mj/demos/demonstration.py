@@ -25,10 +25,11 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from magical_mj._version import __version__
-from magical_mj.assets.robot import JOINTS
+from magical_mj.assets.robot import joints
 from magical_mj.assets.world import World
 from magical_mj.scene import Scene
-from magical_mj.scene.actions import ACTIONS
+from magical_mj.scene.actions import ACTIONS, as_speeds
+from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.tasks.plugins import announced_name
 from magical_mj.tasks.registry import environment_axes, score, task_spec, variant_name
 from magical_mj.utils import files
@@ -60,8 +61,8 @@ class Demonstration:
     seed: Seed
     """The expert's seed; of people, the scene's."""
     scene: Scene
-    actions: NDArray[np.uint8]
-    """Shape (steps,)."""
+    actions: NDArray[Any]
+    """Numbers, uint8, shape (steps,); where actions are speeds, as in SweepToTop, vectors, float32, (steps, 2 or 3)."""
     qpos: NDArray[np.float64]
     """MuJoCo's positions, shape (steps + 1, nq)."""
     qvel: NDArray[np.float64]
@@ -73,8 +74,12 @@ class Demonstration:
 
     @property
     def name(self) -> str:
-        """Such as ``"FindDupe-Demo"``: the name of the task, also if that is given by reference, and the variant."""
-        return f"{task_spec(self.task).name}-{self.variant}"
+        """Such as ``"FindDupe-Demo"``: the name of the task, also if that is given by reference, and the variant.
+
+        Bodies other than the gripper stand behind them, as in ``"SweepToTop-Layout-longstick"``.
+        """
+        body = self.scene.robot.body
+        return f"{task_spec(self.task).name}-{self.variant}{'' if body == GRIPPER else f'-{body}'}"
 
     @property
     def digest(self) -> str:
@@ -261,19 +266,23 @@ def _checked_fields(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _check_arrays(demo: Demonstration) -> None:
     """Raises a `DemonstrationError` if the arrays do not fit each other and the scene."""
+    body, speeds = demo.scene.robot.body, task_spec(demo.task).speeds
     shapes = [(array.dtype, array.ndim) for array in (demo.actions, demo.qpos, demo.qvel)]
-    if shapes != [(np.uint8, 1), (np.float64, 2), (np.float64, 2)]:
+    if shapes != [(np.float32, 2) if speeds else (np.uint8, 1), (np.float64, 2), (np.float64, 2)]:
+        kind = "(steps, n) of float32" if speeds else "(steps,) of uint8"
+        raise DemonstrationError(f"actions must be an array {kind}, qpos and qvel arrays (steps + 1, n) of float64")
+    steps, coordinates = len(demo.actions), len(joints(body)) + 3 * len(demo.scene.blocks)
+    if steps == 0 or not demo.qpos.shape == demo.qvel.shape == (steps + 1, coordinates):
         raise DemonstrationError(
-            "actions must be an array (steps,) of uint8, qpos and qvel arrays (steps + 1, n) of float64"
-        )
-    steps, joints = len(demo.actions), len(JOINTS) + 3 * len(demo.scene.blocks)
-    if steps == 0 or not demo.qpos.shape == demo.qvel.shape == (steps + 1, joints):
-        raise DemonstrationError(
-            f"{steps} actions in this scene have states of shape {(steps + 1, joints)}, not {demo.qpos.shape} and "
+            f"{steps} actions in this scene have states of shape {(steps + 1, coordinates)}, not {demo.qpos.shape} and "
             f"{demo.qvel.shape}"
         )
-    if (demo.actions >= len(ACTIONS)).any() or not (np.isfinite(demo.qpos).all() and np.isfinite(demo.qvel).all()):
-        raise DemonstrationError(f"actions must be below {len(ACTIONS)}, and states finite")
+    if not (np.isfinite(demo.qpos).all() and np.isfinite(demo.qvel).all() and np.isfinite(demo.actions).all()):
+        raise DemonstrationError("actions and states must be finite")
+    if speeds:
+        as_speeds(demo.actions[0], 3 if body_named(body).fingers else 2)
+    elif (demo.actions >= len(ACTIONS)).any():
+        raise DemonstrationError(f"actions must be below {len(ACTIONS)}")
 
 
 def only_environment(demos: Sequence[Demonstration]) -> str:

@@ -14,6 +14,8 @@ from magical_mj.demos.replay import render_demo
 from magical_mj.envs.presets import FrameStack, Preset, drawn, preset_named
 from magical_mj.scene.actions import NOOP
 from magical_mj.scene.state_vector import StateEncoder
+from magical_mj.tasks.registry import task_spec
+from magical_mj.tasks.sweep_to_top import state_vector
 from magical_mj.utils.errors import DemonstrationError
 
 Observations = NDArray[Any] | dict[str, NDArray[Any]]
@@ -25,8 +27,8 @@ class Transitions(NamedTuple):
 
     observations: Observations
     """Shape (n, ...): rows are the preset's observations, such as (96, 96, 12) uint8 for LoRes4E."""
-    actions: NDArray[np.uint8]
-    """Shape (n,)."""
+    actions: NDArray[Any]
+    """Numbers, shape (n,); of SweepToTop vectors of speeds, shape (n, 2 or 3)."""
 
 
 def transitions(
@@ -61,7 +63,8 @@ def stream(
     """
     for demo in demos:
         rows = observations(demo, preset, renderer)
-        steps = np.flatnonzero(demo.actions != NOOP) if drop_noop else np.arange(len(demo.actions))
+        acts = demo.actions != NOOP if demo.actions.ndim == 1 else demo.actions[:, :2].any(axis=1)
+        steps = np.flatnonzero(acts) if drop_noop else np.arange(len(demo.actions))
         before = {view: stacks[steps] for view, stacks in rows.items()} if isinstance(rows, dict) else rows[steps]
         yield Transitions(before, demo.actions[steps])
 
@@ -70,6 +73,8 @@ def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | N
     """The observations of the preset at the start and after each action: steps + 1 rows."""
     how, world = preset_named(preset), World(demo.scene)
     with np.errstate(all="ignore"):  # numbers below the smallest of float32 become 0, whatever the caller's settings
+        if how.layout == "state" and task_spec(demo.task).speeds:
+            return np.array([state_vector(scene) for scene in demo.scenes()])
         if how.layout == "state":
             encode, states = StateEncoder(demo.scene), zip(demo.qpos, demo.qvel, strict=True)
             return np.array(

@@ -28,9 +28,10 @@ from numpy.typing import NDArray
 
 from magical_mj.demos.demonstration import Demonstration, Demonstrator
 from magical_mj.engine import Engine
-from magical_mj.policies.expert import Expert
+from magical_mj.policies.expert import expert_of
 from magical_mj.policies.interface import forever, play
-from magical_mj.scene.actions import NOOP, action_number
+from magical_mj.scene.actions import NOOP, Action, action_number, to_vector
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import score, task_name, variant_name
 from magical_mj.utils.errors import DemonstrationError
@@ -41,6 +42,8 @@ Floats = NDArray[np.float64]
 ATTEMPTS: Final = 10
 REST: Final = 80
 """Steps without an action after which an expert's demonstration ends, if the episode does not end before."""
+SHORT_REST: Final = 3
+"""The same in SweepToTop: what lies there stays."""
 STRIDE: Final = 1_000_003
 """The increment of the expert's seed between attempts, so that no two demonstrations use the same one."""
 MAX_BYTES: Final = 100_000
@@ -60,7 +63,7 @@ class Recorder:
         if env.steps:
             raise DemonstrationError(f"the episode began {env.steps} steps ago: reset the environment before")
         self._env = env
-        self._actions: list[int] = []
+        self._actions: list[Any] = []
         self._positions = [env.data.qpos.copy()]
         self._velocities = [env.data.qvel.copy()]
 
@@ -74,15 +77,22 @@ class Recorder:
         if self._env.over:
             raise DemonstrationError("the episode is over: reset the environment, and record with another Recorder")
         self._check_complete()
+        if self._env.setup.speeds:
+            size = 3 if self._env.simulation.world.has_fingers else 2
+            is_number = np.ndim(action) == 0 or isinstance(action, Action)
+            action = np.asarray(to_vector(action_number(action))[:size] if is_number else action, np.float32)
         over = self._env.step(action)
-        self._actions.append(action_number(action))
+        self._actions.append(action if self._env.setup.speeds else action_number(action))
         self._positions.append(self._env.data.qpos.copy())
         self._velocities.append(self._env.data.qvel.copy())
         return over
 
     def idle(self, steps: int) -> bool:
         """Whether the last `steps` actions were all no-ops."""
-        return len(self._actions) >= steps and not any(action != NOOP for action in self._actions[-steps:])
+        last = self._actions[-steps:]
+        return len(last) == steps and not any(
+            np.any(action[:2]) if np.ndim(action) else action != NOOP for action in last
+        )
 
     def states(self) -> tuple[Floats, Floats]:
         """The positions and the velocities so far. Shapes (steps + 1, nq) and (steps + 1, nv)."""
@@ -112,7 +122,7 @@ class Recorder:
             demonstrator=demonstrator,
             seed=env.seed if seed is None else check_seed(seed),
             scene=env.initial_scene,
-            actions=np.array(self._actions, np.uint8),
+            actions=np.array(self._actions, np.float32 if env.setup.speeds else np.uint8),
             qpos=positions,
             qvel=velocities,
             score=score(task, env.initial_scene, env.scene),
@@ -123,8 +133,8 @@ class Recorder:
             raise DemonstrationError("the environment was reset or stepped without the recorder: make another one")
 
 
-def demonstrate(task: str, variant: str, number: int, least_score: float = 1.0) -> Demonstration:
-    """A demonstration by the expert: `number` is the seed of the scene and of the expert.
+def demonstrate(task: str, variant: str, number: int, least_score: float = 1.0, body: str = GRIPPER) -> Demonstration:
+    """A demonstration by the expert with this body: `number` is the seed of the scene and of the expert.
 
     If it does not reach `least_score`, experts with other seeds try.
 
@@ -134,13 +144,13 @@ def demonstrate(task: str, variant: str, number: int, least_score: float = 1.0) 
     """
     number = check_seed(number)
     best = 0.0
-    with closing(Engine(task, variant, seed=number)) as env:
+    with closing(Engine(task, variant, seed=number, body=body)) as env:
         for attempt in range(ATTEMPTS):
             env.reset(seed=number)
             seed = number + attempt * STRIDE
-            expert, recorder = Expert(env, task, seed), Recorder(env)
+            expert, recorder = expert_of(env, task, seed), Recorder(env)
             for _ in play(recorder, forever(expert)):
-                if recorder.idle(REST):
+                if recorder.idle(SHORT_REST if env.setup.speeds else REST):
                     break
             if env.score() >= least_score:
                 return recorder.demonstration("expert", seed)

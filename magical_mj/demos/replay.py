@@ -59,14 +59,14 @@ class Verdict(NamedTuple):
 def verify(demo: Demonstration) -> Verdict:
     """Checks a demonstration with this version of the package and of MuJoCo."""
     drawn = [pictures["allo"] for pictures in itertools.islice(render_demo(demo), 0, None, GLANCE)]
-    with closing(Engine(demo.task, demo.variant, scene=demo.scene)) as env:
+    with closing(Engine(demo.task, demo.variant, scene=demo.scene, body=demo.scene.robot.body)) as env:
         recorder, replayed = Recorder(env), [env.render("allo", SIZE)]
         for step, _ in enumerate(play(recorder, demo.actions.tolist()), start=1):
             if step % GLANCE == 0:
                 replayed.append(env.render("allo", SIZE))
         positions, velocities = recorder.states()
         score = env.score()
-    same_scene = sample_scene(demo.task, demo.variant, demo.scene_seed) == demo.scene and all(
+    same_scene = sample_scene(demo.task, demo.variant, demo.scene_seed, demo.scene.robot.body) == demo.scene and all(
         np.allclose(states[0], recorded[0], rtol=0, atol=ROUNDING)
         for states, recorded in ((positions, demo.qpos), (velocities, demo.qvel))
     )
@@ -90,7 +90,9 @@ def render_demo(
     Yields:
         View -> picture, shape (size, size, 3).
     """
-    with closing(Engine(demo.task, demo.variant, scene=demo.scene, renderer=renderer)) as env:
+    with closing(
+        Engine(demo.task, demo.variant, scene=demo.scene, renderer=renderer, body=demo.scene.robot.body)
+    ) as env:
         for positions in demo.qpos:
             env.data.qpos[:] = positions
             mujoco.mj_kinematics(env.model, env.data)

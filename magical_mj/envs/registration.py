@@ -66,6 +66,12 @@ def register_all() -> None:
     _register_xmagical()
 
 
+def suite_id(body: str, variant: str = "Demo", observation: str = "State", view: str = "Allo") -> str:
+    """The id of SweepToTop in the suite xmagical, with these arguments of `magical_mj.envs.xmagical.XMagicalEnv`."""
+    test = variant if variant == "Demo" else f"Test{variant.replace('Colour', 'Color')}"
+    return f"magical_mj/xmagical/SweepToTop-{body.capitalize()}-{observation}-{view}-{test}-v0"
+
+
 def _register_xmagical() -> None:
     """Registers the 96 ids of the suite xmagical: those of x-magical behind ``magical_mj/xmagical/``.
 
@@ -78,8 +84,7 @@ def _register_xmagical() -> None:
     spec = SUITES["xmagical"]["SweepToTop"]
     for body, observation, view in itertools.product(spec.bodies, ("State", "Pixels"), ("Allo", "Ego")):
         for variant in variants_of(spec):
-            test = variant if variant == "Demo" else f"Test{variant.replace('Colour', 'Color')}"
-            id_ = f"magical_mj/xmagical/{spec.name}-{body.capitalize()}-{observation}-{view}-{test}-v0"
+            id_ = suite_id(body, variant, observation, view)
             gymnasium.registry[id_] = EnvSpec(
                 id_,
                 entry_point="magical_mj.envs.xmagical:XMagicalEnv",

@@ -47,13 +47,13 @@ class ExpertAgent:
 
     def reset(self, episode: Episode) -> None:
         """Makes an expert for this episode."""
-        from magical_mj.policies.expert import Expert
+        from magical_mj.policies.expert import expert_of
 
         if episode.env is None:
             raise SettingsError("the expert needs the simulation itself; it cannot play in vector environments")
         own = episode.env.task
         task = own if own is not None and task_spec(own).plan is not None else episode.task
-        self._next = Expert(episode.env, task, episode.run)
+        self._next = expert_of(episode.env, task, episode.run)
 
     def __call__(self, _: Any) -> int:
         """An action; the observation does not matter."""

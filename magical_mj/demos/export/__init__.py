@@ -10,6 +10,7 @@ from magical_mj.demos.export.archives import to_npz, to_robomimic
 from magical_mj.demos.export.lerobot import PRESETS, to_lerobot
 from magical_mj.demos.export.minari import minari_name, to_minari
 from magical_mj.demos.export.webdataset import to_webdataset
+from magical_mj.demos.export.xirl import to_xirl
 from magical_mj.utils.errors import SettingsError
 
 SUFFIXES: Final = {"npz": SUFFIX, "robomimic": ".hdf5"}
@@ -37,6 +38,8 @@ def default_target(
             return f"{environment}-{preset or 'views'}{SUFFIX}"
         case "minari":
             return minari_name(demos, preset)
+        case "xirl":
+            return f"{environment}-xirl"
         case "lerobot":
             return f"{environment}-{views_of(preset)}{'-fingers' if fingers else ''}-lerobot"
         case "webdataset":
@@ -64,6 +67,8 @@ def make_data_set(
             to_minari(demos, target, preset, overwrite=overwrite)
         case "webdataset":
             to_webdataset(demos, target, preset, overwrite=overwrite)
+        case "xirl":
+            to_xirl(demos, target, overwrite=overwrite)
         case "lerobot":  # whose folders are never replaced
             to_lerobot(demos, target, views=views_of(preset), fingers=fingers, video=video)
         case _:

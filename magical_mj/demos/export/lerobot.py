@@ -96,6 +96,8 @@ def to_lerobot(
     who, observed = "-".join(demonstrators(demos)), f"{views}{'-fingers' if fingers else ''}"
     name = f"magical-mj/{environment}-{who}-{observed}-p{PROTOCOL}"
     features = _features(keys, fingers=fingers, video=video)
+    if demos[0].actions.ndim == 2:
+        features["action"] = _vector(("speed", "turn", "grip")[: demos[0].actions.shape[1]])
     with files.new_folder(folder) as unfinished:  # half a data set reads like a whole one
         data_set = LeRobotDataset.create(
             name, c.CONTROL_RATE, features, root=unfinished, robot_type="magical_mj", use_videos=video
@@ -151,6 +153,6 @@ def _frames(demo: Demonstration, keys: Mapping[str, str], *, fingers: bool) -> I
         yield {
             **parts,
             "observation.state": state(world.fingers(qpos) if fingers else None),
-            "action": to_vector(action),
+            "action": action if np.ndim(action) else to_vector(action),
             "task": sentence,
         }

@@ -14,9 +14,9 @@ import numpy as np
 
 from magical_mj.demos.demonstration import Demonstration, check_seeds, demonstrators, only_environment
 from magical_mj.demos.learning import observations
-from magical_mj.envs.registration import env_id
+from magical_mj.envs.registration import env_id, suite_id
 from magical_mj.tasks.protocol import PROTOCOL
-from magical_mj.tasks.registry import task_spec
+from magical_mj.tasks.registry import score, task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError
 from magical_mj.utils.extras import check_extra
@@ -30,7 +30,7 @@ def minari_name(demos: Sequence[Demonstration], preset: str) -> str:
 
     It names all demonstrators, the preset of the observations and the number of the protocol, here 1.
     """
-    task, variant = task_spec(demos[0].task).name, demos[0].variant
+    task, variant = task_spec(demos[0].task).name, demos[0].name.partition("-")[2]
     return f"magical-mj/{task}/{variant}-{'-'.join(demonstrators(demos))}-{preset or 'views'}-p{PROTOCOL}-v0"
 
 
@@ -76,11 +76,24 @@ def to_minari(
         "requirements": sorted(versions) if len(versions) == 2 else [],
     }
     with (
-        closing(gymnasium.make(env_id(first.task, first.variant, preset), reward="score")) as env,
+        closing(_environment(first, preset)) as env,
         files.new_folder(path, overwrite=overwrite) as unfinished,
     ):
         _fill(unfinished, name, env, about, episodes)
     return name
+
+
+def _environment(demo: Demonstration, preset: str) -> gymnasium.Env[Any, Any]:
+    """The environment of a demonstration, with the rewards of the data set.
+
+    Raises:
+        DemonstrationError: if the suite xmagical has no such observations.
+    """
+    if not task_spec(demo.task).speeds:
+        return gymnasium.make(env_id(demo.task, demo.variant, preset), reward="score")
+    if preset != "State":
+        raise DemonstrationError(f"data sets of {demo.task} have the preset State, not {preset or 'views'}")
+    return gymnasium.make(suite_id(demo.scene.robot.body, demo.variant))
 
 
 def dataset_path(name: str) -> Path:
@@ -143,13 +156,16 @@ def _fill(
 def _episode(demo: Demonstration, number: int, preset: str) -> dict[str, Any]:
     """The fields of Minari's buffer."""
     steps = len(demo.actions)
+    speeds = task_spec(demo.task).speeds
     rewards = np.zeros(steps)
     rewards[-1] = demo.score
+    if speeds:  # the sparse reward
+        rewards = np.array([score(demo.task, demo.scene, scene) for scene in demo.scenes()[1:]])
     return {
         "id": number,
         "seed": demo.scene_seed,
         "observations": observations(demo, preset),
-        "actions": demo.actions.astype(np.int64),
+        "actions": demo.actions if speeds else demo.actions.astype(np.int64),
         "rewards": rewards,
         "terminations": np.zeros(steps, bool),
         "truncations": np.arange(steps) == steps - 1,

@@ -8,7 +8,6 @@ every try. Actions are x-magical's speeds, so they can be as fine as steering ne
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import body_named
 from magical_mj.tasks.sweep_to_top import HALF_WIDTH, arrived
 
-TRIES: Final = 60
+TRIES: Final = 100
 """Sweeps that are tried before the best one is played."""
 HALF_DEBRIS: Final = 0.11  # world units
 CLEARANCE: Final = 0.04
@@ -59,9 +58,8 @@ class Sweeper:
 
     def __init__(self, env: Engine, seed: int = 0) -> None:
         self._env, self._seed = env, seed
-        self._plan = iter(())
-        self._states: list[bytes] = []
         self._actions: list[Action] = []
+        self._first = 0
 
     def __call__(self) -> Action:
         """The action for the present state."""
@@ -99,7 +97,8 @@ class _Try:
         self._half = GRIPPER_HALF if body.fingers or not body.outline else float(body.corners[:, 0].max())
         self._reach = body.reach
         self._actions: list[Action] = []
-        self._wiggle = 0.0 if steady else float(rng.choice([0.0, 0.0, 0.2, 0.35]))
+        often = not steady and rng.random() < (0.8 if self._half > 0.5 else 0.4)
+        self._wiggle, self._period = float(rng.uniform(0.15, 0.9)) if often else 0.0, int(rng.integers(3, 10))
 
     def sweep(self) -> Sweep:
         """All lanes, one after the other, as long as there are steps and debris left."""
@@ -175,7 +174,7 @@ class _Try:
             aside = 1.6 * (robot.x - lane.x)
             heading = min(max(aside, -0.35), 0.35)
             if self._wiggle and waited > 2:
-                heading = self._wiggle * (1 if (step // 4) % 2 else -1)
+                heading = self._wiggle * (1 if (step // self._period) % 2 else -1)
             self._act(FAST, self._turn(heading))
 
     def _face(self, heading: float) -> None:
@@ -216,10 +215,3 @@ class _Try:
         self._simulation.act(action)
         self._actions.append(action)
         self._left -= 1
-
-
-def sweeps(engine: Engine, seed: int) -> Iterator[Action]:
-    """The actions of the expert for an episode."""
-    expert = Sweeper(engine, seed)
-    while not engine.over:
-        yield expert()

@@ -1,0 +1,169 @@
+"""The suite xmagical: ids, spaces, rewards, original seeds, and its distance from measurements of the original."""
+
+from __future__ import annotations
+
+import json
+import math
+import warnings
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import xmagical as beside  # type: ignore[import-not-found] - research/xmagical.py
+from gymnasium.utils.env_checker import check_env
+
+import magical_mj
+from magical_mj.envs.xmagical import XMagicalEnv
+from magical_mj.scene.bodies import BODIES, Body, body_named
+from magical_mj.tasks.sweep_to_top import DEMO, original_scene, state_vector
+from magical_mj.utils.errors import InvalidActionError, InvalidSceneError, SettingsError, UntrustedNameError
+
+IDS = sorted(name for name in gymnasium.registry if name.startswith("magical_mj/xmagical/"))
+LONG = "magical_mj/xmagical/SweepToTop-Longstick-State-Allo-TestLayout-v0"
+PROBES: dict[str, Any] = json.loads(beside.PROBES.read_text())
+BODY_NAMES = tuple(BODIES)
+
+
+def test_there_are_96_ids_and_all_pass_gymnasiums_checker() -> None:
+    assert len(IDS) == 96
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*(render|alternative namespace).*")
+        for number, id_ in enumerate(IDS):
+            small = {} if "State" in id_ else {"image_size": 24}
+            env = gymnasium.make(id_, renderer="software", **small)
+            if number % 5 == 0:
+                check_env(env.unwrapped, skip_render_check=True)
+            observation, _ = env.reset(seed=3)
+            assert observation in env.observation_space
+            assert env.spec is not None
+            assert env.spec.max_episode_steps == (50 if "Longstick" in id_ else 100)
+            env.close()
+
+
+def test_an_episode_is_truncated_and_every_step_is_rewarded_by_the_score() -> None:
+    env = gymnasium.make(LONG.replace("TestLayout", "Demo"))
+    env.reset(seed=0)
+    forward, rewards = np.array([1.0, 0.0], np.float32), []
+    for step in range(50):
+        _, reward, terminated, truncated, info = env.step(forward)
+        rewards.append(float(reward))
+        assert not terminated
+        assert truncated == (step == 49)
+        assert info["eval_score"] == (1.0 if truncated else 0.0)
+        assert reward == info["in_zone"].mean()
+    assert sum(rewards) == 37  # the original's
+    assert rewards.index(1.0) == 13
+
+
+@pytest.mark.parametrize("body", BODY_NAMES)
+def test_motion_rest_and_pushes_are_those_of_the_original(body: str) -> None:
+    robot: list[Any] = [beside.turn_rates(PROBES, body), beside.resting(body), *beside.free_motion(PROBES, body)]
+    debris, _ = beside.pushes(PROBES, body)
+    for deviation in (*robot, debris, *beside.sequences(PROBES, body)):
+        assert deviation.position <= deviation.bounds[0], deviation
+        assert deviation.angle <= deviation.bounds[1], deviation
+
+
+def test_scores_rewards_draws_and_states_are_those_of_the_original() -> None:
+    assert max(beside.scores(PROBES)) < 1e-6
+    assert beside.drawn(PROBES) == 0
+    for name, static in PROBES["static"].items():
+        np.testing.assert_allclose(state_vector(beside.start(name.lower()).scene), static["state"], atol=1e-6)
+
+
+def test_original_seeds_draw_on_from_reset_to_reset() -> None:
+    env = XMagicalEnv("longstick", "Layout", seeds="original")
+    rng = np.random.RandomState(5)
+    for seed in (5, None, None):
+        env.reset(seed=seed)
+        assert env.initial_scene == original_scene("Layout", rng, "longstick")
+    state = env.get_state()
+    env.step([0.5, 0.01])
+    env.set_state(state)
+    assert env.get_state() == state
+
+
+def test_dense_reward_and_the_released_bounds() -> None:
+    env = XMagicalEnv("shortstick", reward="dense", rules="released")
+    env.reset(seed=0)
+    assert env.step([0.0, 0.0])[1] == -1.0
+    assert env.observation_space.high.max() == 1.0  # type: ignore[attr-defined]
+
+
+def test_worlds_on_all_cores_step_as_single_ones() -> None:
+    envs = gymnasium.make_vec(LONG, num_envs=3, vectorization_mode="vector_entry_point")
+    single = gymnasium.make(LONG)
+    observations, _ = envs.reset(seed=7)
+    alone, _ = single.reset(seed=8)
+    np.testing.assert_array_equal(observations[1], alone)
+    actions = np.array([[0.3, 0.01], [0.8, -0.05], [-0.5, 1.0]], np.float32)
+    for _ in range(3):
+        observations, rewards, *_ = envs.step(actions)
+        alone, reward, *_ = single.step(actions[1])
+        np.testing.assert_array_equal(observations[1], alone)
+        assert rewards[1] == reward
+
+
+@pytest.mark.parametrize("action", [[0.1, 0.2, 0.3], [np.nan, 0.0], 1.5, None, "forward", [[0.1, 0.2]]])
+def test_actions_of_a_wrong_kind_are_refused(action: Any) -> None:
+    env = XMagicalEnv("mediumstick")
+    env.reset(seed=0)
+    with pytest.raises(InvalidActionError, match="2 finite numbers"):
+        env.step(action)
+
+
+def test_bodies_that_a_task_does_not_offer_are_refused() -> None:
+    with pytest.raises(SettingsError, match="not offered with the body 'longstick'"):
+        magical_mj.Engine("FindDupe", body="longstick")
+    with pytest.raises(InvalidSceneError, match="gripper, shortstick"):
+        magical_mj.Engine("SweepToTop", body="snake")
+    engine = magical_mj.Engine("SweepToTop", body="shortstick", seed=0)
+    with pytest.raises(InvalidSceneError, match="make another one with body='gripper'"):
+        engine.reset(scene=DEMO)
+
+
+TRIANGLE = Body(((0.0, 0.2), (-0.2, -0.1), (0.2, -0.1)), inertia=0.01)
+
+
+def test_a_body_of_ones_own_pushes_and_scenes_from_files_import_nothing() -> None:
+    name = f"{__name__}:TRIANGLE"
+    text = DEMO.to_json().replace('"fingers"', '"body":"thieves.tools:BODY","fingers"')
+    with pytest.raises(UntrustedNameError):
+        magical_mj.Scene.from_json(text)
+    engine = magical_mj.Engine("SweepToTop", body=name, seed=0)
+    assert body_named(name) is TRIANGLE
+    for _ in range(15):
+        engine.step([1.0, 0.0])
+    assert engine.scene.blocks[1].y > 0.3
+    assert engine.render("allo", 48).shape == (48, 48, 3)
+    for outline in (
+        ((0.0, 0.2), (0.2, -0.1), (-0.2, -0.1)),
+        ((0.0, 0.2), (0.0, 0.1)),
+        ((0, 0), (1, 0), (0.2, 0.1), (0, 1)),
+    ):
+        with pytest.raises(InvalidSceneError, match="convex polygon"):
+            Body(outline)
+
+
+@pytest.mark.parametrize("body", BODY_NAMES)
+def test_scenes_with_bodies_survive_json_export_and_both_doors(body: str, tmp_path: Path) -> None:
+    scene = magical_mj.sample_scene("SweepToTop", "All", 3, body)
+    assert magical_mj.Scene.from_json(scene.to_json()) == scene
+    engine = magical_mj.Engine("SweepToTop", "All", scene=scene, body=body)
+    from magical_mj.engine.export import export_mjcf
+
+    export_mjcf(engine, tmp_path / "model.xml")
+    for action in ([0.8, 0.0], [0.5, 0.03], [-0.8, -1.0]):
+        engine.step([*action, 1.0][: 3 if body == "gripper" else 2])
+    assert math.isfinite(engine.scene.robot.x)
+
+
+def test_demonstrations_of_a_body_play_again_to_the_same_states() -> None:
+    demo = magical_mj.demos.demonstrate("SweepToTop", "Layout", 4, body="longstick")
+    assert demo.score == 1.0
+    assert magical_mj.demos.verify(demo).exact
+    observations, actions = magical_mj.demos.transitions([demo], "State")
+    assert observations.shape == (len(actions), 16)  # type: ignore[union-attr]
+    assert actions.shape[1] == 2
