@@ -89,6 +89,8 @@ def free_motion(probes: Mapping[str, Any], body: str) -> Iterator[Deviation]:
             elif kind == "close8_open" and step >= 8:
                 command = [0, 0, -1]
             engine.step(command[: 3 if body == "gripper" else 2])
+            if touches(engine):  # the long stick wedges itself between two walls
+                break
             robot = engine.scene.robot
             error = np.abs(np.array([*robot.pose, *robot.fingers][: 3 + len(row[6:])]) - [*row[:3], *row[6:]])
             worst = np.maximum(worst, (error[:2].max(), error[2:].max()))

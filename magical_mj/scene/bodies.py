@@ -29,7 +29,7 @@ class Body:
     """One body of the robot, in its own frame: x to the right, y ahead, world units.
 
     Attributes:
-        outline: the corners of a convex polygon around the origin, counter-clockwise; empty for a disc.
+        outline: four or more corners of a convex polygon around the origin, counter-clockwise; empty for a disc.
         radius: of a disc.
         mass: without the fingers.
         inertia: the moment about the origin, without the fingers.
@@ -53,12 +53,12 @@ class Body:
             raise InvalidSceneError(f"radius, mass and inertia of a body must be positive: {short_repr(self)}")
         if self.outline:
             corners = np.array(self.outline, float)
-            ahead = np.roll(corners, -1, axis=0) - corners if corners.ndim == 2 and len(corners) > 2 else np.zeros(2)
+            ahead = np.roll(corners, -1, axis=0) - corners if corners.ndim == 2 and len(corners) > 3 else np.zeros(2)
             onward = np.roll(ahead, -1, axis=0)
             if ahead.ndim < 2 or not (ahead[:, 0] * onward[:, 1] > ahead[:, 1] * onward[:, 0]).all():
                 raise InvalidSceneError(
-                    "the outline of a body must be the corners (x, y) of a convex polygon, counter-clockwise, not "
-                    f"{short_repr(self.outline)}"
+                    "the outline of a body must be the corners (x, y) of a convex polygon, four or more, "
+                    f"counter-clockwise, not {short_repr(self.outline)}"
                 )
 
     @property

@@ -24,7 +24,7 @@ TRIES: Final = 100
 HALF_DEBRIS: Final = 0.11  # world units
 CLEARANCE: Final = 0.04
 EDGE: Final = 0.04  # of debris' centre from the end of the body that pushes it, at least
-GRIPPER_HALF: Final = 0.13  # what open fingers push between them
+GRIPPER_HALF: Final = 0.13  # of what closed fingers push
 NEAR, ALIGNED = 0.05, 0.06  # world units, rad
 PATIENCE: Final = 8  # steps without progress, after which a lane is left
 FAST: Final = 0.8
@@ -154,7 +154,7 @@ class _Try:
 
     def _ahead(self) -> float:
         """How far the front is ahead of the robot's centre."""
-        return 0.33 if self._fingers else 0.05
+        return 0.38 if self._fingers else 0.05
 
     def _push(self, lane: Lane) -> None:
         """Drives to the top along the lane."""
@@ -211,7 +211,7 @@ class _Try:
     def _act(self, speed: float, turn: float) -> None:
         if self._left <= 0:
             return
-        action = np.array([speed, turn, -1.0][: 3 if self._fingers else 2], np.float32)
+        action = np.array([speed, turn, 1.0][: 3 if self._fingers else 2], np.float32)
         self._simulation.act(action)
         self._actions.append(action)
         self._left -= 1

@@ -1,0 +1,57 @@
+"""Which tasks the scripted expert solves with which body: the table in docs/bodies.md.
+
+    python tools/bodies.py [--tasks MoveToRegion,...] [--bodies shortstick,...] [--seeds 20] [--variants Demo,Layout]
+
+Prints, for each task and body, the mean score over seeds of the dev split and variants; what a task does not offer
+yet is tried as well. A cell below 0.9 is not to be offered.
+"""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import closing
+
+from magical_mj import tasks
+from magical_mj.engine import Engine
+from magical_mj.policies.expert import expert_of
+from magical_mj.scene.bodies import BODIES
+from magical_mj.tasks.registry import SPLITS, task_spec
+from magical_mj.utils.errors import MagicalError
+from magical_mj.variants import variants_of
+
+
+def mean_score(task: str, body: str, variants: list[str], seeds: int) -> str:
+    """The mean score, and of how many episodes no scene with this body exists."""
+    scores, impossible = [], 0
+    for variant in variants:
+        for seed in range(SPLITS["dev"], SPLITS["dev"] + seeds):
+            try:
+                with closing(Engine(task, variant, seed=seed, body=body)) as engine:
+                    expert = expert_of(engine, task, 0)
+                    while not engine.step(expert()):
+                        pass
+                    scores.append(engine.score())
+            except MagicalError:
+                impossible += 1
+    mean = f"{sum(scores) / len(scores):.2f}" if scores else "-"
+    return f"{mean} ({impossible} of {impossible + len(scores)} without a scene)" if impossible else mean
+
+
+def main() -> None:
+    """Prints the table, a line for each cell."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--tasks", default=",".join(tasks.KNOWN))
+    parser.add_argument("--bodies", default=",".join(BODIES))
+    parser.add_argument("--variants", default="Demo,Layout,All")
+    parser.add_argument("--seeds", type=int, default=20)
+    options = parser.parse_args()
+    for task in options.tasks.split(","):
+        spec = task_spec(task)
+        object.__setattr__(spec, "bodies", tuple(BODIES))  # what is not offered is tried, too
+        chosen = [variant for variant in options.variants.split(",") if variant in variants_of(spec)]
+        for body in options.bodies.split(","):
+            print(f"{task:14} {body:12} {mean_score(task, body, chosen, options.seeds)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
