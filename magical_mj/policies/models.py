@@ -17,6 +17,7 @@ import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -41,6 +42,10 @@ MOST_PARAMETERS: Final = 100_000_000
 """The largest number of parameters of a network that is rebuilt; those of the paper have 2 million."""
 MOST_OBSERVED: Final = 10_000_000
 """The largest number of values in an observation of such a network."""
+MOST_MEMORY: Final = 2_000_000_000
+"""The largest number of bytes that all ONNX networks of a process may take, weights and values in between."""
+FOLDED: Final = "10000000"
+"""The largest number of bytes of a value that ONNX Runtime computes when it loads a network, outside that bound."""
 LONGEST_ARGUMENTS: Final = 10_000
 """The greatest length of what says how such a network is built."""
 Shape = tuple[int | None, ...]
@@ -243,6 +248,10 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
         raise SettingsError(f"{path} has more than {MOST_BYTES:,} bytes, and is not read")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4  # errors are raised, too
+    _bound_memory()
+    options.add_session_config_entry("session.use_env_allocators", "1")
+    options.add_session_config_entry("optimization.constant_folding_max_output_size_in_bytes", FOLDED)
     with _refused(f"{path} is not an ONNX file that can be run"):
         session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     (entry, *others), output = session.get_inputs(), session.get_outputs()[0]
@@ -254,11 +263,32 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
     kind = kinds.get(entry.type, np.float32)
 
     def act(observations: Any) -> Any:
-        values = np.asarray(session.run([output.name], {entry.name: np.asarray(observations, kind)})[0])
+        try:
+            values = np.asarray(session.run([output.name], {entry.name: np.asarray(observations, kind)})[0])
+        except Exception as error:  # ONNX Runtime's own have no common base
+            if "Available memory" not in str(error):
+                raise
+            raise MemoryError(f"{path} needs more than the {MOST_MEMORY:,} bytes that networks may take") from error
         _check_numbers(values)
         return values.reshape(len(values)) if values.size == len(values) else values.argmax(axis=1)
 
     return Model(act, [tuple(size if isinstance(size, int) else None for size in entry.shape[1:])])
+
+
+@cache
+def _bound_memory() -> None:
+    """Has all networks of this process take their memory from one arena, whose size is bounded."""
+    import onnxruntime
+
+    kind, use = onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR, onnxruntime.OrtMemType.DEFAULT
+    bound = {
+        "max_mem": MOST_MEMORY,
+        "arena_extend_strategy": 1,  # as much as is needed, and not twice as much each time
+        "initial_chunk_size_bytes": -1,
+        "max_dead_bytes_per_chunk": -1,
+    }
+    place = onnxruntime.OrtMemoryInfo("Cpu", kind, 0, use)
+    onnxruntime.create_and_register_allocator(place, onnxruntime.OrtArenaCfg(bound))
 
 
 LOADERS: Final[dict[str, Callable[[Path, bool], Model]]] = {".zip": load_sb3, ".onnx": load_onnx}

@@ -7,6 +7,7 @@ import io
 import json
 import os
 import pickle
+import resource
 import sys
 import warnings
 import zipfile
@@ -284,3 +285,32 @@ def test_onnx_files_that_do_not_fit(tmp_path: Path) -> None:
     (tmp_path / "broken.onnx").write_bytes(b"nothing")
     with pytest.raises(SettingsError, match="not an ONNX file"):
         magical_mj.evaluate(str(tmp_path / "broken.onnx"), preset="State", **SMALL)
+
+
+@pytest.mark.parametrize("grows", [False, True])
+def test_onnx_files_take_only_so_much_memory(tmp_path: Path, grows: bool) -> None:
+    """A file of a few hundred bytes with a value of 4 GB in it, whether it depends on the batch's size or not."""
+    onnx = pytest.importorskip("onnx")
+    helper, kind, array = onnx.helper, onnx.TensorProto.FLOAT, onnx.numpy_helper.from_array
+    graph = helper.make_graph(
+        [
+            helper.make_node("Shape", ["seen"], ["shape"]),
+            helper.make_node("Gather", ["shape", "first"], ["batch"]),
+            helper.make_node("Mul", ["batch", "most"], ["size"])
+            if grows
+            else helper.make_node("Identity", ["most"], ["size"]),
+            helper.make_node("ConstantOfShape", ["size"], ["large"]),
+            helper.make_node("ReduceSum", ["large"], ["sum"], keepdims=0),
+            helper.make_node("Add", ["seen", "sum"], ["values"]),
+        ],
+        "large",
+        [helper.make_tensor_value_info("seen", kind, [None, 18])],
+        [helper.make_tensor_value_info("values", kind, [None, 18])],
+        [array(np.array([10**9]), "most"), array(np.array([0]), "first")],
+    )
+    onnx.save(helper.make_model(graph, ir_version=10, opset_imports=[helper.make_opsetid("", 18)]), tmp_path / "a.onnx")
+    assert (tmp_path / "a.onnx").stat().st_size < 1000
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(MemoryError, match=r"a\.onnx needs more than the 2,000,000,000 bytes"):
+        load_onnx(tmp_path / "a.onnx")(np.zeros(18, np.float32))
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1_000_000  # kB
