@@ -93,7 +93,7 @@ LEROBOT_PYTHON ?= $(shell for p in python3.12 python3.13; do $$p -c '' 2>/dev/nu
 lerobot: $(LEROBOT)/.installed  ## an environment of its own (Python 3.12, 5 GB) in which LeRobot's commands know this package
 
 lerobot-test: $(LEROBOT)/.installed  ## the tests of that plug-in
-	HF_HUB_OFFLINE=1 OMP_NUM_THREADS=1 $(LEROBOT)/bin/python -m pytest -n auto -rP tests/test_lerobot*.py $(ARGS)
+	HF_HUB_OFFLINE=1 OMP_NUM_THREADS=1 $(LEROBOT)/bin/python -m pytest -n auto -rP tests/integrations/test_lerobot*.py $(ARGS)
 
 $(LEROBOT)/.installed: pyproject.toml
 	@$(or $(LEROBOT_PYTHON),false) -c 'import sys; sys.exit(not (3, 12) <= sys.version_info < (3, 14))' || { \

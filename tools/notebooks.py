@@ -1,0 +1,51 @@
+"""Runs the notebooks of examples/notebooks and keeps what they show. `make notebooks`.
+
+python tools/notebooks.py [NAME ...]
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Final
+
+import nbformat  # pyright: ignore[reportMissingImports]
+from nbclient import NotebookClient  # pyright: ignore[reportMissingImports]
+
+ROOT: Final = Path(__file__).parent.parent
+FOLDER: Final = ROOT / "examples" / "notebooks"
+LONGEST: Final = 240  # seconds for all
+MOST_BYTES: Final = 200_000
+
+
+def run(path: Path) -> float:
+    """Runs one notebook in an empty folder and writes it with its outputs; returns the seconds."""
+    start = time.monotonic()
+    notebook = nbformat.read(path, as_version=4)
+    with tempfile.TemporaryDirectory() as place:
+        NotebookClient(
+            notebook, timeout=LONGEST, record_timing=False, resources={"metadata": {"path": place}}
+        ).execute()
+    for cell in notebook.cells:
+        cell.metadata = {}
+    notebook.metadata.pop("language_info", None)  # the version of Python
+    text = f"{nbformat.writes(notebook, indent=1)}\n"
+    if len(text) > MOST_BYTES:
+        sys.exit(f"{path.name} has {len(text):,} bytes with its outputs, and may have {MOST_BYTES:,}")
+    path.write_text(text)
+    return time.monotonic() - start
+
+
+def main() -> None:
+    """Run those that are named, by default all, in the order of their numbers."""
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    names = sys.argv[1:] or sorted(path.name for path in FOLDER.glob("*.ipynb"))
+    for name in names:
+        print(f"{name}: {run(FOLDER / name):.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
