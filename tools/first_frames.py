@@ -3,7 +3,8 @@
     python tools/first_frames.py [ROUNDS]
 
 One round is one process, whose two to eight threads make their first OpenGL contexts and pictures at the same moment:
-drivers have crashed at that. Prints how many rounds ended well, with an error, and by a signal.
+drivers have crashed at that. Rounds with this package take turns with rounds with MuJoCo's own renderer, which has no
+lock. Prints how many rounds of each ended well, with an error, and by a signal.
 """
 
 from __future__ import annotations
@@ -13,40 +14,75 @@ import subprocess
 import sys
 import threading
 from collections import Counter
+from collections.abc import Callable
 
 
-def round_of(threads: int) -> None:
-    """Draws in so many threads at once; raises unless all see the same picture."""
+def ours(count: int) -> list[Callable[[], int]]:
+    """For each thread a function that draws by this package, and returns the sum of its picture."""
     from magical_mj import Engine
 
-    engines = [Engine("MatchRegions", seed=0) for _ in range(threads)]
-    start, sums = threading.Barrier(threads), []
+    engines = [Engine("MatchRegions", seed=0, renderer="opengl") for _ in range(count)]
+    return [lambda engine=engine: int(engine.render("ego", 96).sum()) for engine in engines]
 
-    def draw(engine: Engine) -> None:
+
+def bare(count: int) -> list[Callable[[], int]]:
+    """The same model, drawn by MuJoCo's own renderer."""
+    import mujoco
+
+    from magical_mj import Engine
+
+    model = Engine("MatchRegions", seed=0).model
+
+    def draw() -> int:
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        with mujoco.Renderer(model, 96, 96) as renderer:
+            renderer.update_scene(data)
+            return int(renderer.render().sum())
+
+    return [draw] * count
+
+
+def round_of(draws: list[Callable[[], int]]) -> None:
+    """Draws in a thread each, at once; raises unless all threads get the same picture."""
+    start, sums = threading.Barrier(len(draws)), []
+
+    def work(draw: Callable[[], int]) -> None:
         start.wait()
-        sums.append(int(engine.render("ego", 96).sum()))
+        sums.append(draw())
 
-    workers = [threading.Thread(target=draw, args=(engine,)) for engine in engines]
+    workers = [threading.Thread(target=work, args=(draw,)) for draw in draws]
     for worker in workers:
         worker.start()
     for worker in workers:
         worker.join()
-    if len(sums) != threads or len(set(sums)) != 1:
-        raise SystemExit(f"{threads} threads drew {sums}")
+    if len(sums) != len(draws) or len(set(sums)) != 1 or not sums[0]:
+        raise SystemExit(f"{len(draws)} threads drew {sums}")
 
 
 def main() -> None:
     """Runs the rounds."""
-    rounds, ends = int(sys.argv[1]) if len(sys.argv) > 1 else 100, Counter[str]()
+    rounds = int(sys.argv[1]) if len(sys.argv) > 1 else 100
+    ends = {"ours": Counter[str](), "bare": Counter[str]()}
     for number in range(rounds):
-        variables = os.environ | {"ROUND": str(2 + number % 7)}
-        result = subprocess.run([sys.executable, __file__], env=variables, capture_output=True, text=True, check=False)
-        end = "well" if result.returncode == 0 else f"signal {-result.returncode}" if result.returncode < 0 else "error"
-        ends[end] += 1
-        if result.returncode:
-            print(f"round {number}: {end}\n{result.stderr[-2000:]}")
-    print(f"{rounds} rounds of 2 to 8 threads: {dict(ends)}")
+        for kind, counts in ends.items():
+            variables = os.environ | {"MUJOCO_GL": "egl", "ROUND": f"{kind} {2 + number % 7}"}
+            result = subprocess.run(
+                [sys.executable, __file__], env=variables, capture_output=True, text=True, check=False
+            )
+            code = result.returncode
+            end = "well" if code == 0 else f"signal {-code}" if code < 0 else "error"
+            counts[end] += 1
+            if code:
+                print(f"{kind}, round {number}: {end}\n{result.stderr[-2000:]}", flush=True)
+        if number % 50 == 49 or number == rounds - 1:
+            for kind, counts in ends.items():
+                print(f"{kind}: {number + 1} rounds of 2 to 8 threads: {dict(counts)}", flush=True)
 
 
 if __name__ == "__main__":
-    round_of(int(os.environ["ROUND"])) if "ROUND" in os.environ else main()
+    if "ROUND" in os.environ:
+        renderer, threads = os.environ["ROUND"].split()
+        round_of({"ours": ours, "bare": bare}[renderer](int(threads)))
+    else:
+        main()

@@ -223,7 +223,7 @@ def test_dm_controls_viewer_shows_an_environment_that_draws(tmp_path: Path) -> N
 
 @ON_LINUX
 def test_first_frames_of_threads_come_one_after_another() -> None:
-    assert python(FIRST_FRAMES.read_text(), ROUND="8").returncode == 0
+    assert python(FIRST_FRAMES.read_text(), ROUND="ours 8").returncode == 0
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="asks the loader of Linux in which order it loads")
