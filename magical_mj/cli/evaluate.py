@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
+from collections.abc import Sequence
 from contextlib import closing, nullcontext
 from pathlib import Path
 from statistics import fmean
@@ -12,6 +13,7 @@ from typing import Annotated, Any, Final
 import typer
 from rich.console import Console
 from rich.progress import TextColumn, TimeElapsedColumn
+from rich.table import Table
 
 from magical_mj.cli.console import (
     COMPLETIONS,
@@ -40,7 +42,7 @@ from magical_mj.evaluation.scores import SCORES, EpisodeResult, open_scores, rea
 from magical_mj.evaluation.settings import EvaluationSettings, Split
 from magical_mj.evaluation.worker import Player, Unit
 from magical_mj.policies.loading import playable, sources
-from magical_mj.tasks.registry import SPLITS, Pair, task_name, task_spec, variant_name
+from magical_mj.tasks.registry import SPLITS, VARIANTS, task_name, task_spec, variant_name
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, counted
 from magical_mj.utils.extras import check_extra
@@ -156,7 +158,7 @@ def _line(score: EpisodeResult) -> str:
 
 
 def play_all(screen: Console, evaluation: Evaluation) -> None:
-    """Plays the remaining episodes, with a bar that counts steps, since episodes differ in length; prints the means."""
+    """Plays the remaining episodes, with a bar that counts steps, since episodes differ in length; prints means."""
     done = len(evaluation.scores)
     total = done + sum(len(unit.seeds) for unit in evaluation.units)
     shown = TextColumn("{task.fields[shown]}", markup=False)
@@ -168,16 +170,35 @@ def play_all(screen: Console, evaluation: Evaluation) -> None:
             rate = count / (time.monotonic() - start)
             length = task_spec(score.task).horizon(evaluation.settings.rules)
             progress.update(bar, advance=length, shown=f"{done + count}/{total} episodes, {rate:.1f}/s")
-    for policy in sorted({score.policy for score in evaluation.scores}):
-        by_environment: dict[Pair, list[float]] = defaultdict(list)
-        failures: list[str] = []
-        for score in evaluation.scores:
-            if score.policy == policy:
-                by_environment[score.task, score.variant].append(score.score)
-                failures += filter(None, [score.failure])
-        mean, number = fmean(map(fmean, by_environment.values())), counted(len(by_environment), "environment")
-        failed = f"; {counted(len(failures), 'episode')} failed: {failures[0]}" if failures else ""
-        screen.print(f"{policy}: mean score {mean:.3f} over {number}{failed}", soft_wrap=True)
+    _summarise(screen, evaluation.scores)
+
+
+def _summarise(screen: Console, scores: Sequence[EpisodeResult]) -> None:
+    """Prints the mean scores over tasks by variant, then those with shifts by strength, and failures."""
+    cells: dict[tuple[str, str, str], dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    failures: dict[str, list[str]] = defaultdict(list)
+    for score in scores:
+        axis, _, strength = score.shift.rpartition(":")
+        place = ("mean score", score.variant) if not score.shift else (axis, strength)
+        if "+" in axis:
+            place = "several shifts", score.shift
+        cells[place[0], score.method, place[1]][f"{score.task}-{score.variant}"].append(score.score)
+        failures[score.method] += filter(None, [score.failure])
+    for heading in dict.fromkeys(heading for heading, _, _ in cells):
+        columns = {column for other, _, column in cells if other == heading}
+        columns = sorted(columns, key=lambda column: (VARIANTS.index(column) if column in VARIANTS else 0, column))
+        table = Table(heading, *columns, box=None, header_style="bold")
+        for column in table.columns[1:]:
+            column.justify = "right"
+        for method in sorted({method for other, method, _ in cells if other == heading}):
+            means = (cells.get((heading, method, column)) for column in columns)
+            table.add_row(
+                method, *("-" if tasks is None else f"{fmean(map(fmean, tasks.values())):.3f}" for tasks in means)
+            )
+        screen.print(table)
+    for method, reasons in failures.items():
+        if reasons:
+            screen.print(f"{method}: {counted(len(reasons), 'episode')} failed: {reasons[0]}", soft_wrap=True)
 
 
 def demo(out: Tour = Path("out/demo"), tasks: Tasks = "all", episodes: Each = 3, jobs: Jobs = None) -> None:

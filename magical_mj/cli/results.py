@@ -79,7 +79,7 @@ def make_report(
     rules: Rescored = None,
     trust: Trust = False,
 ) -> None:
-    """Write a report of one or several evaluations: tables (Markdown, CSV, LaTeX), figures and videos."""
+    """Write a report of one or several evaluations: tables (Markdown, CSV), figures and videos."""
     del trust  # see magical_mj.utils.imports.command_line
     if out is None and (len(folders) > 1 or is_entry(folders[0])):
         raise typer.BadParameter("only the report of one evaluation has its place in it: give --out, a folder.")

@@ -24,17 +24,6 @@ _MARKDOWN: Final = re.compile(
     """,
     re.VERBOSE,
 )
-_LATEX: Final = {
-    **{mark: f"\\{mark}" for mark in "&%$#_{}"},
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    "±": r"$\pm$",
-    "–": "--",  # noqa: RUF001 a dash is meant
-    "†": r"\textsuperscript{\textdagger}",
-}
 
 
 def terminal(text: str) -> str:
@@ -77,11 +66,6 @@ def csv(text: str) -> str:
     except ValueError:
         return f"'{text}"
     return text
-
-
-def latex(text: str) -> str:
-    """The text in LaTeX."""
-    return "".join(_LATEX.get(letter, letter) for letter in terminal(text))
 
 
 def mathtext(text: str) -> str:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import shutil
-import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -32,9 +31,6 @@ TABLES: Final = (
     "report.md",
     "variants.csv",
     "environments.csv",
-    "variants.tex",
-    "interquartile.tex",
-    "environments.tex",
 )
 
 
@@ -117,8 +113,6 @@ def test_published_results_are_marked(published: Path) -> None:
     page = (published / "report.md").read_text()
     assert "| BC (ST)† | 0.64 ± 0.29 | 0.56 ± 0.27 |" in page
     assert "scored by the rules 'released', and all others by the rules 'paper'" in page
-    tables = (published / "environments.tex").read_text()
-    assert tables.count(r"\begin{table}") == tables.count(r"\end{table}") > 1
     with (published / "environments.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["published"] == "True"]
     assert len(rows) == 660
@@ -154,23 +148,9 @@ def test_names_are_shown_as_they_are(tmp_path: Path) -> None:
     assert (page.parent / "bars.png").stat().st_size
 
 
-@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="pdflatex is not installed")
-@pytest.mark.parametrize("which", ["out", "published"])
-def test_latex_compiles(which: str, request: pytest.FixtureRequest) -> None:
-    folder: Path = request.getfixturevalue(which)
-    inputs = "".join(rf"\input{{{name}}}" for name in TABLES if name.endswith(".tex"))
-    (folder / "paper.tex").write_text(
-        rf"\documentclass{{article}}\usepackage{{booktabs}}\begin{{document}}{inputs}\end{{document}}"
-    )
-    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "paper.tex"]
-    result = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace", check=False)
-    assert result.returncode == 0, result.stdout
-    assert "Overfull" not in result.stdout
-
-
 def test_other_peoples_files_are_not_replaced(tmp_path: Path) -> None:
     scores = write(tmp_path / "scores", example())
-    for name in ("report.md", "bars.png", "variants.tex"):
+    for name in ("report.md", "bars.png", "variants.csv"):
         folder = tmp_path / name.partition(".")[0]
         folder.mkdir()
         (folder / name).write_text("mine")

@@ -9,10 +9,12 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from magical_mj.evaluation.reports.results import compare
+from magical_mj.evaluation.reports.report import report
+from magical_mj.evaluation.reports.results import compare, gather
+from magical_mj.evaluation.reports.shifts import area, by_shift, curve, half_lost
 from magical_mj.evaluation.scores import EpisodeResult, read_settings
 from magical_mj.leaderboard import verify
-from magical_mj.utils.errors import SettingsError, UnknownNameError
+from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError
 from tests.helpers import agents
 from tests.helpers.commands import Shell
 from tests.helpers.evaluations import TEMPLATE, evaluate, rows, write
@@ -57,6 +59,41 @@ def test_comparisons_pair_shifts(tmp_path: Path) -> None:
     assert list(table.index) == ["Demo", "Demo camera:2+latency:1", "Demo latency:4", "Demo latency:5", "all of them"]
     assert set(table["scenes"]) == {3}
     assert set(table["difference"]) == {0.75}
+
+
+def test_reports_show_what_shifts_do(tmp_path: Path) -> None:
+    """By hand: without a shift two scenes score 1, 0.5 and in another task 0; run 1 plays the first alone."""
+    scenes = {("FindDupe", 0): 1.0, ("FindDupe", 1): 0.5, ("MakeLine", 0): 0.0}
+    kept = {0: 1.0, 1: 1.0, 2: 0.8, 3: 0.5, 4: 0.16, 5: 0.0}
+    scores = [
+        replace(TEMPLATE, task=task, seed=seed, score=score * share, shift=f"camera:{strength}" if strength else "")
+        for (task, seed), score in scenes.items()
+        for strength, share in kept.items()
+    ]
+    once = replace(TEMPLATE, run=1, seed=0, shift="", score=0.5)
+    scores += [once, replace(once, shift="camera:3", score=0.0), replace(once, seed=7, shift="camera:3", score=1.0)]
+    scores += [replace(TEMPLATE, task="FindDupe", seed=0, shift="camera:1+latency:2", score=0.25)]
+    folder = write(tmp_path / "scores", scores)
+    table = by_shift(gather([folder])).set_index("shift")
+    assert table.loc["camera:2", ["without", "mean", "scenes", "environments"]].tolist() == pytest.approx(
+        [0.375, 0.3, 3, 2]
+    )
+    assert table.loc["camera:3", ["without", "mean"]].tolist() == pytest.approx([0.3125, 0.125])
+    assert table.loc["camera:3", "scenes"] == 3  # the scene that was not played without the shift has no pair
+    points = curve(table[table["axis"] == "camera"].reset_index())
+    assert list(points) == [0, 1, 2, 3, 4, 5]
+    assert area({0: 1.0, 1: 1.0, 2: 0.5, 3: 0.5, 4: 0.0, 5: 0.0}) == pytest.approx(0.5)
+    assert half_lost({0: 0.8, 1: 0.5, 2: 0.4, 3: 0.1}) == 2
+    assert half_lost({0: 0.0, 1: 0.0}) is None
+    page = report([folder], tmp_path / "out")
+    text = page.read_text()
+    assert "![Scores over the strength of each shift](shifts.png)" in text
+    assert "| BC_4 & more | 0.38 | 0.38 | 0.30 | 0.12 | 0.06 | 0.00 | 0.21 | 3 |" in text
+    assert "| BC_4 & more | camera:1+latency:2 | 0.75 | 0.25 | -0.50 |" in text
+    assert (tmp_path / "out" / "shifts.png").stat().st_size > 5000
+    write(tmp_path / "only", [score for score in scores if score.shift])
+    with pytest.raises(EvaluationError, match="all episodes are shifted"):
+        report([tmp_path / "only"], tmp_path / "none")
 
 
 @pytest.mark.parametrize(

@@ -14,11 +14,11 @@ from urllib.parse import quote
 import numpy as np
 
 from magical_mj.evaluation.reports.results import Results, results
+from magical_mj.evaluation.reports.shifts import by_shift, shift_curves, shift_tables
 from magical_mj.evaluation.reports.tables import (
     APPROXIMATE,
     DAGGER,
     csv,
-    latex,
     markdown,
     marked,
     result_tables,
@@ -38,18 +38,17 @@ if TYPE_CHECKING:
 PAGE: Final = "report.md"
 TITLE: Final = "# Evaluation"
 DPI: Final = 150
-FIGURES: Final = ("bars.png", "heat_map.png")
+FIGURES: Final = ("bars.png", "heat_map.png", "shifts.png")
 FILES: Final = {
     "Means over tasks as CSV": "variants.csv",
     "All environments as CSV": "environments.csv",
-    "Means over tasks as LaTeX": "variants.tex",
-    "Interquartile means as LaTeX": "interquartile.tex",
-    "All environments as LaTeX": "environments.tex",
     "Bars as PDF": "bars.pdf",
     "Heat map as PDF": "heat_map.pdf",
 }
+SHIFT_FILES: Final = {"Shifts as CSV": "shifts.csv", "Curves of shifts as PDF": "shifts.pdf"}
 PANELS_PER_ROW: Final = 3
 PANEL: Final = (4.6, 3.5)  # inches
+ONE_TASK: Final = 1.5  # inches
 BARS_PER_ROW: Final = 7
 DARK: Final = 0.55  # scores above this are written in white
 DEMO_COLOUR: Final = "#1b2a41"
@@ -69,7 +68,7 @@ def check_free(out: Path, others: Sequence[str] = ()) -> bool:
     page = out / PAGE
     if page.is_file() and page.read_bytes().startswith(f"{TITLE}\n\n".encode()):
         return True
-    for name in (PAGE, *FIGURES, *FILES.values(), *others):
+    for name in (PAGE, *FIGURES, *FILES.values(), *SHIFT_FILES.values(), *others):
         if (out / name).exists():
             raise EvaluationError(f"{out / name} is not of an earlier report: move it, or choose another folder")
     return False
@@ -95,7 +94,7 @@ def report(
     rules: Rules | None = None,
     links: Mapping[str, str] = MappingProxyType({}),
 ) -> Path:
-    """Writes the tables (Markdown, CSV, LaTeX) and figures of some evaluations.
+    """Writes the tables (Markdown, CSV) and figures of some evaluations.
 
     Args:
         folders: the folders of the evaluations, or entries of the leaderboard.
@@ -121,9 +120,12 @@ def report(
 def write_report(data: Results, out: Path | str, links: Mapping[str, str] = MappingProxyType({})) -> Path:
     """The part of `report` that writes the files; see there."""
     out = Path(out)
-    tables = result_tables(data)
+    tables, shifts = result_tables(data), by_shift(data.scores)
+    wanted = {"shifts.csv": len(shifts) > 0, "shifts.pdf": False}
+    curves = wanted["shifts.pdf"] = len(shifts) > 0 and bool(shifts["strength"].notna().any())
     out.mkdir(parents=True, exist_ok=True)
     begin(out)
+    listed = {**links, **FILES, **{text: name for text, name in SHIFT_FILES.items() if wanted[name]}}
     parts = [
         TITLE,
         *(f"**{note}**" for note in tables[0].notes if note.startswith(APPROXIMATE)),
@@ -134,17 +136,27 @@ def write_report(data: Results, out: Path | str, links: Mapping[str, str] = Mapp
         "## Environments",
         "![Mean scores](heat_map.png)",
         *map(markdown, tables[2:]),
+        *(["## Shifts"] if len(shifts) else []),
+        *(["![Scores over the strength of each shift](shifts.png)"] if curves else []),
+        *(map(markdown, shift_tables(shifts)) if len(shifts) else []),
         "## Files",
-        "\n".join(f"- {escape.markdown_link(text, quote(name))}" for text, name in {**links, **FILES}.items()),
+        "\n".join(f"- {escape.markdown_link(text, quote(name))}" for text, name in listed.items()),
     ]
     page = out / PAGE
     files.write(page, "\n\n".join(part.strip() for part in parts) + "\n", overwrite=True)
     texts = {"variants.csv": csv(data.variants), "environments.csv": csv(data.environments)}
-    for name, text in {**texts, **{f"{table.name}.tex": latex(table) for table in tables}}.items():
+    if len(shifts):
+        texts["shifts.csv"] = csv(shifts)
+    for name, text in texts.items():
         files.write(out / name, text, overwrite=True)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from font")  # of methods in other scripts
-        for name, figure in {"bars": bars(data), "heat_map": heat_map(data)}.items():
+        figures = {
+            "bars": bars(data),
+            "heat_map": heat_map(data),
+            **({"shifts": shift_curves(shifts)} if curves else {}),
+        }
+        for name, figure in figures.items():
             for suffix in ("png", "pdf"):
                 with files.new_file(out / f"{name}.{suffix}", overwrite=True) as path:
                     figure.savefig(path, dpi=DPI, metadata=None if suffix == "png" else {"CreationDate": None})
@@ -190,7 +202,8 @@ def heat_map(results: Results) -> Figure:
     policies = results.policies
     columns = min(PANELS_PER_ROW, len(policies))
     rows = math.ceil(len(policies) / columns)
-    figure = Figure((PANEL[0] * columns, PANEL[1] * rows), layout="constrained")
+    height = PANEL[1] if len(results.tasks) > 1 else ONE_TASK
+    figure = Figure((PANEL[0] * columns, height * rows), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
     image: Any = None
     for axes, policy in zip(panels.flat, policies, strict=False):
@@ -270,6 +283,7 @@ def _bar_row(axes: Axes, results: Results, policies: list[str], columns: int) ->
     axes.set_xticks(range(len(policies)), names)
     axes.tick_params(axis="x", length=0)
     axes.set_xlim(-0.55, columns - 0.45)
-    axes.set_ylim(0, 1)
+    axes.set_ylim(0, 1.2 if results.variants["missing"].ne("").any() else 1.02)  # labels stand above bars of 1.0
+    axes.set_yticks(np.linspace(0, 1, 6))
     axes.set_ylabel("mean score over tasks")
     axes.spines[["top", "right"]].set_visible(False)

@@ -1,10 +1,10 @@
-"""The tables of a report, the notes below them, and tables as text: Markdown, CSV, and LaTeX with booktabs."""
+"""The tables of a report, the notes below them, and tables as text: Markdown and CSV."""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 NONE: Final = "–"  # noqa: RUF001 a dash is meant
 PLUS_MINUS: Final = "±"
 DAGGER: Final = "†"
-PAGE_ROWS: Final = 40
 APPROXIMATE: Final = "Approximate, no official results"
 VERSIONS: Final = {"version": "versions of magical_mj", "mujoco": "versions of MuJoCo", "gl": "OpenGL backends"}
 
@@ -39,7 +38,7 @@ class Table:
     """A table of strings.
 
     Attributes:
-        name: the name of its files, without suffix.
+        name: by which it is known.
         caption: what it shows.
         header: the columns' names.
         groups: pairs of heading and rows; a heading of "" for a table without headings.
@@ -65,57 +64,16 @@ def markdown(table: Table) -> str:
     return "\n\n".join(filter(None, (f"{escape.markdown(table.caption)}.", body, notes))) + "\n"
 
 
-def latex(table: Table) -> str:
-    r"""The table in LaTeX: floats of at most a page each, which need only ``\usepackage{booktabs}``."""
-    pages: list[list[Group]] = [[]]
-    for group in table.groups:
-        if pages[-1] and sum(len(rows) for _, rows in [*pages[-1], group]) > PAGE_ROWS:
-            pages.append([])
-        pages[-1].append(group)
-    floats = [_float(table, page, number, number == len(pages)) for number, page in enumerate(pages, start=1)]
-    return "\n".join(floats)
-
-
-def _float(table: Table, groups: Sequence[Group], number: int, last: bool) -> str:
-    columns = len(table.header)
-    lines = [
-        r"\begin{table}",
-        r"  \centering",
-        r"  \scriptsize",
-        r"  \setlength{\tabcolsep}{3pt}",
-        rf"  \caption{{{escape.latex(table.caption)}{'' if number == 1 else ' (continued)'}.}}",
-        rf"  \label{{tab:{table.name}{'' if number == 1 else f'-{number}'}}}",
-        r"  \smallskip",
-        r"  \makebox[\linewidth][c]{%",  # a wide table stands out on both sides
-        rf"  \begin{{tabular}}{{l{'c' * (columns - 1)}}}",
-        r"    \toprule",
-        f"    {_latex_row(table.header)}",
-    ]
-    for heading, rows in groups:
-        lines.append(r"    \midrule")
-        if heading:
-            lines.append(rf"    \multicolumn{{{columns}}}{{l}}{{\textbf{{{escape.latex(heading)}}}}} \\")
-        lines += [f"    {_latex_row(row)}" for row in rows]
-    lines += [r"    \bottomrule", r"  \end{tabular}}"]
-    if last:
-        lines += [rf"  \par\smallskip\parbox{{\linewidth}}{{{escape.latex(note)}}}" for note in table.notes]
-    return "\n".join([*lines, r"\end{table}"]) + "\n"
-
-
 def csv(frame: pd.DataFrame) -> str:
     """The frame as CSV with a header; numbers have four decimals."""
     texts = {name: column.map(escape.csv) for name, column in frame.select_dtypes(["object", "string"]).items()}
     return frame.assign(**texts).to_csv(index=False, float_format="%.4f", lineterminator="\n")
 
 
-def _latex_row(cells: Sequence[str]) -> str:
-    return " & ".join(escape.latex(cell.replace(f" {PLUS_MINUS} ", PLUS_MINUS)) for cell in cells) + r" \\"
-
-
 def result_tables(results: Results) -> list[Table]:
     """The paper's Table 1, the interquartile means, and the table of all environments."""
     tasks = counted_tasks(results.scores["task"].cat.categories)
-    over = "all tasks" if set(tasks) & set(TASKS) else " and ".join(tasks)
+    over = "all tasks" if len(tasks) > 1 and set(tasks) & set(TASKS) else " and ".join(tasks)
     header = ("Method", *VARIANTS)
     spread = Table(
         "variants",
