@@ -7,7 +7,7 @@ usage="usage: experiments/accelerator.sh SECONDS JOBS FOLDER"
 seconds=${1:?$usage} jobs=${2:?$usage} out=${3:?$usage} status=0
 mkdir -p "$out"
 for table in pixels-bc pixels-bc-multi pixels-bc-no-augmentation pixels-bc-no-trans-rot pixels-bc-allo \
-    pixels-gail-multi pixels-gail; do
+    pixels-gail-multi pixels-gail pixels-gail-no-augmentation pixels-gail-allo; do
   left=$((seconds - SECONDS))
   [ "$left" -gt 0 ] || break
   timeout --signal=INT --kill-after=20 "$left" \
