@@ -174,8 +174,8 @@ class RelationalSettings(Settings):
     networks: Annotated[int, Meta(ge=1, le=100, description="whose probabilities are averaged")] = 1
     trial: Annotated[
         Count, Meta(description="updates, of 16 batches each, of each assumption's trial; twice that before the first")
-    ] = 30
-    updates: Annotated[Count, Meta(description="with the assumptions that were kept, after the trials")] = 160
+    ] = 40
+    updates: Annotated[Count, Meta(description="with the assumptions that were kept, after the trials")] = 400
     batch_size: Count = 64
     learning_rate: Annotated[Positive, Meta(description="of Adam in the trials; then it falls to 0")] = 1e-3
     rollouts: Annotated[Count, Meta(description="episodes of the demo scene that judge an assumption")] = 40
