@@ -14,9 +14,9 @@ LAYERS = (
     "scene",
     "variants",
     "tasks",
-    "shifts",
     "assets",
     "rendering",
+    "shifts",
     "engine",
     "envs",
     "batched",
@@ -33,7 +33,7 @@ LAYERS = (
 OUTSIDE = {"__init__": "integrations", "__main__": "cli", "_version": "utils"}
 """The modules beside the folders: the highest folder whose content each may use."""
 PURE = {"numpy", "shapely", *sys.stdlib_module_names}
-PURE_LAYERS = ("utils", "scene", "variants", "tasks", "shifts")
+PURE_LAYERS = ("utils", "scene", "variants", "tasks")
 OPTIONAL = {"cloudpickle", "distributed", "filelock", "joblib", "msgspec"}
 """Libraries that `utils` wraps for all layers."""
 TOP = {"learners", "web", "integrations", "cli"}

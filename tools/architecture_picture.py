@@ -38,8 +38,8 @@ ROWS: Final = (
     ("utils",),
     ("scene",),
     ("variants", "tasks"),
-    ("shifts",),
     ("assets", "rendering"),
+    ("shifts",),
     ("engine",),
     ("envs", "batched"),
     ("policies", "demos"),
@@ -47,8 +47,8 @@ ROWS: Final = (
     ("learners", "web", "integrations", "cli"),
 )
 KINDS: Final = {  # colour and name of groups of rows
-    range(4): ("#e9f5ec", "plain data and pure functions"),
-    range(4, 7): ("#eef4fa", "simulation"),
+    range(3): ("#e9f5ec", "plain data and pure functions"),
+    range(3, 7): ("#eef4fa", "simulation"),
     range(7, 9): ("#fdf3e3", "agents and results"),
     range(9, 10): ("#f4eef8", "what people start"),
 }

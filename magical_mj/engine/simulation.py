@@ -242,18 +242,21 @@ class Simulation:
         if self.shifts is None or not self.shifts.changes_pictures or view not in VIEWS:
             return self._views.draw(self.data, view, size, out)
         check_out(out, size)
-        picture = self.shifts.picture(self._views.draw(self.data, view, size), self._frame(view, self.shifts.steps))
+        bare = np.empty((size, size), np.uint8) if self.shifts.changes_ground else None
+        picture = self._views.draw(self.data, view, size, bare=bare)
+        frame = self._frame(view, self.shifts.steps)
+        picture = self.shifts.picture(picture, frame, bare, self.world.scene.half_width)
         if out is None:
             return picture
-        out[:] = picture
+        for channel in range(3):  # three strided copies are faster than one of triples
+            out[..., channel] = picture[..., channel]
         return out
 
     def _frame(self, view: str, step: int) -> Frame:
         """What shifts are told about a picture of this view."""
-        name = self._cameras.get(view, view)
-        (x, y, _), axes = self.data.camera(name).xpos, self.data.camera(name).xmat
-        side = float(self.model.camera(name).fovy[0])
-        return Frame(view, step, (float(x), float(y), math.atan2(axes[3], axes[0]), side))
+        camera = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_CAMERA, self._cameras.get(view, view))
+        (x, y, _), axes = self.data.cam_xpos[camera].tolist(), self.data.cam_xmat[camera].tolist()
+        return Frame(view, step, (x, y, math.atan2(axes[3], axes[0]), float(self.model.cam_fovy[camera])))
 
     def free(self) -> None:
         """Frees what the simulation drew with."""

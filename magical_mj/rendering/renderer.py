@@ -86,7 +86,9 @@ class Views:
         self._segments: SoftwareRenderer | None = None
         self._solid: SolidRenderer | None = None
 
-    def draw(self, data: mujoco.MjData, view: str, size: int, out: Picture | None = None) -> Picture:
+    def draw(
+        self, data: mujoco.MjData, view: str, size: int, out: Picture | None = None, bare: Picture | None = None
+    ) -> Picture:
         """The view of the present state, top row first, fresh or in `out`: RGB, shape (size, size, 3), uint8.
 
         Args:
@@ -94,6 +96,8 @@ class Views:
             view: "ego", "allo", "scene", or a segmentation such as "ego-segmentation", which has shape (size, size).
             size: pixels per side.
             out: where to write it.
+            bare: where to write how many of the four samples of each pixel of a flat view nothing covers, shape
+                (size, size); None: nowhere.
 
         Raises:
             RenderingError: if OpenGL is needed and does not work here; it says what to do.
@@ -108,7 +112,7 @@ class Views:
             self._solid = self._solid or SolidRenderer(self.model)
             return self._solid.draw(data, view, size, out)
         self._flat = self._flat or self._choose()
-        return self._flat.draw(data, self._cameras.get(view, view), size, out)
+        return self._flat.draw(data, self._cameras.get(view, view), size, out, bare)
 
     def close(self) -> None:
         """Releases what it drew with. May be called twice."""
@@ -167,7 +171,9 @@ class Renderer:
         self._option.geomgroup[:] = self._option.skingroup[:] = [group in DRAWN_GROUPS for group in range(6)]
         self._option.sitegroup[:] = self._option.tendongroup[:] = 0
 
-    def draw(self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None) -> Picture:
+    def draw(
+        self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None, bare: Picture | None = None
+    ) -> Picture:
         """A picture of the present state: RGB, top row first. Shape (size, size, 3).
 
         Args:
@@ -175,6 +181,7 @@ class Renderer:
             camera: the name of a camera of the model.
             size: pixels per side.
             out: where to write it; None: into a fresh array.
+            bare: as `Views.draw`.
 
         Raises:
             RenderingError: if OpenGL does not work here; it says what to do.
@@ -185,6 +192,9 @@ class Renderer:
             except gl.functions().error:
                 CANVAS.restart()
                 pixels = self.paint(data, camera, size)
+        if bare is not None:
+            empty = (pixels[::-1, :, 3] == 0).reshape(size, OVERSAMPLING, size, OVERSAMPLING)
+            empty.sum(axis=(1, 3), dtype=np.uint8, out=bare)
         return on_white(pixels, out)
 
     def paint(self, data: mujoco.MjData, camera: str, size: int) -> Picture:
@@ -221,8 +231,11 @@ class SolidRenderer(Renderer):
         self._camera = mujoco.MjvCamera()
         mujoco.mjv_defaultFreeCamera(model, self._camera)
 
-    def draw(self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None) -> Picture:
-        """As `Renderer.draw`, but averaged from twice as many pixels per side, for smooth slanted edges."""
+    def draw(
+        self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None, bare: Picture | None = None
+    ) -> Picture:
+        """As `Renderer.draw`, but averaged from twice as many pixels per side, for smooth slanted edges; no `bare`."""
+        del bare
         drawn = super().draw(data, camera, 2 * size).reshape(size, 2, size, 2, 3)
         picture = np.empty((size, size, 3), np.uint8) if out is None else out
         picture[:] = (drawn.sum(axis=(1, 3), dtype=np.uint16) + 2) >> 2

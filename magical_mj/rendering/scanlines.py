@@ -46,7 +46,9 @@ def compiled(signature: str) -> Callable[[Callable[..., None]], Any]:
 
 @njit
 def packed(rgba: Any) -> Any:
-    """Red, green, blue in [0, 1] as an opaque pixel 0xAABBGGRR, rounded to 8 bits each."""
+    """Red, green, blue in [0, 1] as an opaque pixel 0xAABBGGRR, rounded to 8 bits each; 0, nothing, if alpha is 0."""
+    if rgba[3] == 0:
+        return np.uint32(0)
     pixel = _BYTE
     for k in range(2, -1, -1):
         pixel = (pixel << _8) | np.uint64(math.floor(255.0 * np.float64(rgba[k]) + 0.5))
@@ -241,6 +243,19 @@ def draw_picture(
         colours[p] = packed(skins[source]) if polygons[p, IS_SKIN] else packed(geoms[source])
     paint(scene, colours, poses, view, side, scratch)
     average(pairs, out)
+
+
+@compiled("void(u8[::1], u1[:, :])")
+def count_bare(pairs: Any, out: Any) -> None:
+    """How many of the four samples of each pixel nothing covers; `pairs` as for `average`. Shape (height, width)."""
+    height, width = out.shape
+    for row in range(height):
+        for column in range(width):
+            count = 0
+            for line in range(2 * row, 2 * row + 2):
+                pair = pairs[line * width + column]
+                count += int((pair >> _32) == 0) + int((pair << _32) == 0)
+            out[height - 1 - row, column] = count
 
 
 @compiled(f"void({_WORLD}, u4[::1], u1[:, :])")

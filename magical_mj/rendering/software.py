@@ -59,7 +59,9 @@ class SoftwareRenderer:
         self._poses: tuple[NDArray[np.float64], ...] = ()
         self._views: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
 
-    def draw(self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None) -> Picture:
+    def draw(
+        self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None, bare: Picture | None = None
+    ) -> Picture:
         """A picture of the present state, shape (size, size, 3), or a segmentation, shape (size, size); top row first.
 
         Args:
@@ -68,6 +70,7 @@ class SoftwareRenderer:
                 values FLOOR, WALL, ROBOT, FINGER, REGION + i and BLOCK + i of what is at each pixel's centre.
             size: pixels per side.
             out: where to write it, uint8, of any strides; None: into a fresh array.
+            bare: where to write how many of the four samples of each pixel nothing covers, shape (size, size).
         """
         if data is not self._data:
             self._data, self._poses = data, (data.xpos, data.xmat)
@@ -81,7 +84,10 @@ class SoftwareRenderer:
             return picture
         picture = np.empty((size, size, 3), np.uint8) if out is None else out
         samples = scratch(2 * size)
-        self._scanlines.draw_picture(*world, samples, *self._colours, samples[0].view(np.uint64), picture)
+        pairs = samples[0].view(np.uint64)
+        self._scanlines.draw_picture(*world, samples, *self._colours, pairs, picture)
+        if bare is not None:
+            self._scanlines.count_bare(pairs, bare)
         return picture
 
     def close(self) -> None:

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.geometry import check_scene
 from magical_mj.shifts.registry import shift_class
-from magical_mj.shifts.shift import HISTORY, Frame, Picture, Shift, Values, draw
+from magical_mj.shifts.shift import GROUND_CELLS, GROUND_REACH, HISTORY, Frame, Picture, Shift, Values, draw
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import MagicalError, ShiftError, as_integer, short_repr
 from magical_mj.utils.imports import with_place
+
+SURROUNDINGS: Final = (231, 231, 234)
+"""The colour around the arena, as in `assets.style`."""
 
 Draws = Mapping[str, Values]
 """Shift -> the values that were drawn for it."""
@@ -37,13 +41,18 @@ class EpisodeShifts:
         steps: the number of actions so far.
         commands: the last commands that each shift which changes actions was given.
         changes_model: whether one of them changes the model.
+        changes_ground: whether one of them changes the look of the ground.
+        changes_pictures: whether pictures change after they were drawn.
     """
 
     def __init__(self, draws: Draws) -> None:
         self.draws = {name: dict(values) for name, values in draws.items()}
         self._shifts = {name: shift_class(name)(values) for name, values in self.draws.items()}
-        self._acting, self._drawing = self._with("action"), self._with("picture")
-        self.changes_model = bool(self._with("model"))
+        self._acting, self._drawing, self._laying = map(self._with, ("action", "picture", "ground"))
+        self._ground: tuple[float, Picture] | None = None
+        self.changes_ground = bool(self._laying)
+        self.changes_pictures = self.changes_ground or bool(self._drawing)
+        self.changes_model = self.changes_ground or bool(self._with("model"))
         self.steps = 0
         self.commands: dict[str, list[int]] = {name: [] for name in self._acting}
 
@@ -51,11 +60,6 @@ class EpisodeShifts:
         """Those that have a method of their own."""
         own = getattr(Shift, method)
         return {name: shift for name, shift in self._shifts.items() if getattr(type(shift), method) is not own}
-
-    @property
-    def changes_pictures(self) -> bool:
-        """Whether one of them changes pictures after they were drawn."""
-        return bool(self._drawing)
 
     def scene(self, scene: Scene, task: str) -> Scene:
         """The scene in which the episode starts.
@@ -73,7 +77,9 @@ class EpisodeShifts:
         return scene
 
     def model(self, model: Any) -> None:
-        """Changes a fresh model."""
+        """Changes a fresh model. Where the ground has another look, it is drawn as white, whatever is around it."""
+        if self.changes_ground:
+            model.geom_rgba[model.geom("surround").id, 3] = 0
         for name, shift in self._with("model").items():
             with _errors_of(name, "model"):
                 shift.model(model)
@@ -92,16 +98,38 @@ class EpisodeShifts:
         self.steps += 1
         return action
 
-    def picture(self, picture: Picture, frame: Frame) -> Picture:
-        """The picture that is seen. Shape (size, size, 3)."""
-        shape = picture.shape
+    def picture(self, picture: Picture, frame: Frame, bare: NDArray[np.uint8] | None, half_width: float) -> Picture:
+        """The picture that is seen.
+
+        Args:
+            picture: as it was drawn. Shape (size, size, 3).
+            frame: what picture it is.
+            bare: how many of the four samples of a pixel show the ground, if it has another look. Shape (size, size).
+            half_width: of the arena.
+        """
+        if bare is not None:
+            from magical_mj.shifts.kernels import lay
+
+            lay(picture, bare, self._ground_in(half_width), GROUND_REACH, frame.camera)
         for name, shift in self._drawing.items():
             with _errors_of(name, "picture"):
-                picture = shift.picture(picture, frame)
-            if not isinstance(picture, np.ndarray) or picture.shape != shape or picture.dtype != np.uint8:
-                got = getattr(picture, "shape", short_repr(picture)), getattr(picture, "dtype", "")
-                raise ShiftError(f"{name}.picture must return an array of shape {shape}, uint8, not {got}")
+                seen = shift.picture(picture, frame)
+            picture = _checked(f"{name}.picture", seen, picture.shape)
         return picture
+
+    def _ground_in(self, half_width: float) -> Picture:
+        """The look of the ground in an arena of this half width, and around it."""
+        if self._ground is None or self._ground[0] != half_width:
+            ground = np.full((GROUND_CELLS, GROUND_CELLS, 3), SURROUNDINGS, np.uint8)
+            wall = round(GROUND_CELLS * half_width / (2 * GROUND_REACH))
+            inside = slice(GROUND_CELLS // 2 - wall, GROUND_CELLS // 2 + wall)
+            ground[inside, inside] = 255
+            for name, shift in self._laying.items():
+                with _errors_of(name, "ground"):
+                    looks = shift.ground(ground)
+                ground = _checked(f"{name}.ground", looks, ground.shape)
+            self._ground = half_width, ground
+        return self._ground[1]
 
     def instruction(self, instruction: str, task: str) -> str:
         """The sentence that is read."""
@@ -116,6 +144,18 @@ class EpisodeShifts:
         """Goes back to a step, with the commands before it."""
         self.steps = steps
         self.commands = {name: list(commands.get(name, ())) for name in self._acting}
+
+
+def _checked(what: str, picture: Any, shape: tuple[int, ...]) -> Picture:
+    """A picture that a shift has returned, without gaps in memory.
+
+    Raises:
+        ShiftError: if it is none of this shape.
+    """
+    if not isinstance(picture, np.ndarray) or picture.shape != shape or picture.dtype != np.uint8:
+        got = f"of shape {picture.shape}, {picture.dtype}" if isinstance(picture, np.ndarray) else short_repr(picture)
+        raise ShiftError(f"{what} must return an array of shape {shape}, uint8, not {got}")
+    return np.ascontiguousarray(picture)
 
 
 @contextmanager

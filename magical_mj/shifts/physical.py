@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
+import numpy as np
+
 from magical_mj.scene import Pebble, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS, NOOP
 from magical_mj.scene.geometry import inside_walls, pebble_solid, solids, touch
-from magical_mj.shifts.shift import Factor, Shift
+from magical_mj.shifts.shift import GROUND_REACH, Factor, Picture, Shift
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import PlacementError
 from magical_mj.variants.placement import along, layout
@@ -73,6 +75,22 @@ class Clutter(Shift):
             taken.append(solid)
         return replace(scene, pebbles=tuple(pebbles))
 
+    def ground(self, ground: Picture) -> Picture:
+        """With stains: round spots, of which lower strengths have the first ones."""
+        rng, stained = self.rng(1), ground.copy()
+        per_unit = len(ground) / (2 * GROUND_REACH)
+        for _ in range(int(self.values["stains"])):
+            x, y, size, shade = rng.random(4).tolist()
+            radius, darkness = (0.06 + 0.12 * size) * per_unit, 0.25 + 0.35 * shade
+            column, row = (GROUND_REACH + 2 * x - 1) * per_unit, (GROUND_REACH - 2 * y + 1) * per_unit
+            left, top = int(column - radius), int(row - radius)
+            part = stained[top : int(row + radius) + 2, left : int(column + radius) + 2]
+            down, across = np.ogrid[: part.shape[0], : part.shape[1]]
+            gaps = np.hypot(down + 0.5 + top - row, across + 0.5 + left - column) / radius
+            cover = darkness * np.clip(4 * (1 - gaps), 0, 1)[..., None]
+            part[:] = part * (1 - cover * np.array([0.5, 0.7, 1.0]))  # brownish
+        return stained
+
 
 class Friction(Shift):
     """Blocks resist more or less than in any demonstration, beyond the range of Dynamics."""
@@ -118,12 +136,12 @@ class Slip(Shift):
 
     def action(self, commands: Sequence[int], step: int) -> int:
         """The commanded action, the one before, or any."""
-        which, other = self.rng(1, step).random(2).tolist()
+        which = self.uniform(step)
         if which >= self.values["replaced"]:
             return commands[-1]
         if which < self.values["replaced"] / 2:
             return commands[-2] if len(commands) > 1 else NOOP
-        return int(other * len(ACTIONS))
+        return int(self.uniform(step, 1) * len(ACTIONS))
 
 
 class Latency(Shift):
@@ -140,5 +158,5 @@ class Latency(Shift):
         """The action of some steps before."""
         delay, spread = int(self.values["steps"]), int(self.values["spread"])
         if spread:
-            delay += int(self.rng(1, step).integers(2 * spread + 1)) - spread
+            delay += int(self.uniform(step) * (2 * spread + 1)) - spread
         return commands[-1 - delay] if delay < len(commands) else NOOP

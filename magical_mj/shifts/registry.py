@@ -9,7 +9,7 @@ from importlib.metadata import EntryPoint, entry_points
 from types import MappingProxyType
 from typing import Any, Final
 
-from magical_mj.shifts.camera import Camera
+from magical_mj.shifts.drawn import Camera, Light, Palette, Sensor, Texture
 from magical_mj.shifts.physical import Clutter, Friction, Latency, Pose, Slip
 from magical_mj.shifts.shift import STRENGTHS, Factor, Shift
 from magical_mj.tasks.registry import task_spec
@@ -19,9 +19,8 @@ from magical_mj.utils.imports import is_reference, resolve, resolve_installed, w
 PROTOCOL: Final = 1
 """The number of the names, ranges and draws of our shifts: a change to any of them requires the next number."""
 
-SHIFTS: Final[Mapping[str, type[Shift]]] = MappingProxyType(
-    {kind.name: kind for kind in (Pose, Camera, Clutter, Latency, Slip, Friction)}
-)
+AXES: Final = (Pose, Camera, Light, Texture, Palette, Clutter, Sensor, Latency, Slip, Friction)
+SHIFTS: Final[Mapping[str, type[Shift]]] = MappingProxyType({kind.name: kind for kind in AXES})
 """Our shifts by name, in the order of tables and in which they are applied. "all" means these."""
 
 GROUP: Final = "magical_mj.shifts"

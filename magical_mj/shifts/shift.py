@@ -92,6 +92,7 @@ class Shift:
 
     def __init__(self, values: Values) -> None:
         self.values = values
+        self._uniform: dict[tuple[int, ...], list[float]] = {}
 
     @classmethod
     def supports(cls, task: str) -> str | None:
@@ -102,6 +103,14 @@ class Shift:
     def rng(self, *key: int) -> np.random.Generator:
         """A random generator that depends on the seed of the episode and on the numbers in `key`, such as a step."""
         return _generator(type(self), int(self.values["seed"]), 1, *key)
+
+    def uniform(self, step: int, *key: int) -> float:
+        """A random number in [0, 1) for a step, as often as it is asked for; another one for each `key`."""
+        part = *key, step // BATCH
+        if part not in self._uniform:
+            self._uniform = {key: numbers for key, numbers in self._uniform.items() if key[-1] == part[-1]}
+            self._uniform[part] = _generator(type(self), int(self.values["seed"]), 2, *part).random(BATCH).tolist()
+        return self._uniform[part][step % BATCH]
 
     def scene(self, scene: Scene, rules: VariationRules) -> Scene:
         """The scene in which the episode starts, instead of `scene`; `rules` are those of the task."""
@@ -129,14 +138,30 @@ class Shift:
         del frame
         return picture
 
+    def ground(self, ground: Picture) -> Picture:
+        """A picture of the ground instead of `ground`, which must stay as it is: the square around the origin.
+
+        Its half side is `GROUND_REACH` (world units), and its top row is the one of greatest y. Shape (n, n, 3), uint8.
+        """
+        return ground
+
     def instruction(self, instruction: str, task: str) -> str:
         """The sentence that says what is to be done, instead of `instruction`."""
         del task
         return instruction
 
 
+GROUND_REACH: Final = 3.2
+"""World units from the middle to the sides of what `Shift.ground` changes."""
+GROUND_CELLS: Final = 256
+"""Pixels per side of it; walls are at the edges of some."""
+
 HISTORY: Final = 16
 """The number of commands that `Shift.action` is given."""
+
+
+BATCH: Final = 256
+"""The number of steps for which numbers are drawn together, which takes as long as for one."""
 
 
 def draw(kind: type[Shift], seed: int, strength: int) -> dict[str, float]:

@@ -1,0 +1,180 @@
+"""What shifts do to pixels, compiled by numba, with integers where pixels are combined: the same bytes everywhere."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+
+from magical_mj.rendering.scanlines import compiled
+
+BLOCK: Final = 4
+"""Pixels per side of a block whose coefficients `quantise` rounds."""
+BITS: Final = 24
+ONE: Final = float(1 << BITS)
+"""A cell of the ground, in the steps in which places on it are counted."""
+_FRAME: Final = "UniTuple(f8, 4)"
+
+
+@compiled(f"void(u1[:, :, ::1], u1[:, ::1], u1[:, :, ::1], f8, {_FRAME})")
+def lay(picture: Any, bare: Any, ground: Any, reach: float, camera: Any) -> None:
+    """Puts a picture of the ground under what was drawn on white.
+
+    Args:
+        picture: what was drawn, and is changed. Shape (size, size, 3).
+        bare: how many of the four samples of a pixel show the ground. Shape (size, size).
+        ground: top row first, for the square around the origin. Shape (n, n, 3).
+        reach: half a side of that square (world units); beyond it, its edge goes on.
+        camera: as in `Frame`.
+    """
+    size, last = len(picture), len(ground) - 1
+    x, y, angle, side = camera
+    scale = (last + 1) / (2 * reach)  # cells per world unit
+    right, up = math.cos(angle) * scale * side / size, math.sin(angle) * scale * side / size  # cells per pixel
+    half = (size - 1) / 2
+    stride_j, stride_i = int(right * ONE), int(-up * ONE)
+    for row in range(size):
+        lift = half - row
+        j = int(((x + reach) * scale - half * right - lift * up) * ONE)
+        i = int(((reach - y) * scale + half * up - lift * right) * ONE)
+        for column in range(size):
+            count = np.int32(bare[row, column])
+            if count:
+                line, place = min(max(i >> BITS, 0), last), min(max(j >> BITS, 0), last)
+                for k in range(3):
+                    if count == 4:
+                        picture[row, column, k] = ground[line, place, k]
+                    else:
+                        darker = (count * (255 - np.int32(ground[line, place, k])) + 2) >> 2
+                        picture[row, column, k] = np.uint8(max(np.int32(picture[row, column, k]) - darker, 0))
+            i += stride_i
+            j += stride_j
+
+
+@compiled(f"void(u1[:, :, ::1], i4[:, ::1], f8[::1], f8[::1], {_FRAME})")
+def shine(picture: Any, tones: Any, slope: Any, bar: Any, camera: Any) -> None:
+    """Other light: tones of each channel, a gradient over the ground, and the shadow of a bar.
+
+    Args:
+        picture: is changed. Shape (size, size, 3).
+        tones: the level that each level of red, green and blue becomes, times 256. Shape (3, 256).
+        slope: x, y of the direction in which it gets darker, and the part of the light that is lost at 1 that way, none
+            of which is lost at -1. Shape (3,).
+        bar: x, y of the shadow's normal, its distance from the origin, half its width, the width of its soft edges
+            (world units), and how much of the light it takes. Shape (6,).
+        camera: as in `Frame`.
+    """
+    size = len(picture)
+    x, y, angle, side = camera
+    right, up, half = math.cos(angle) * side / size, math.sin(angle) * side / size, (size - 1) / 2
+    for row in range(size):
+        east = x - half * right - (half - row) * up
+        north = y - half * up + (half - row) * right
+        loss, more = (
+            slope[2] * (1.0 + slope[0] * east + slope[1] * north) / 2,
+            slope[2] * (slope[0] * right + slope[1] * up) / 2,
+        )
+        away, further = bar[0] * east + bar[1] * north - bar[2], bar[0] * right + bar[1] * up
+        for column in range(size):
+            inside = (bar[3] - abs(away + further * column)) / bar[4] + 0.5
+            shade = 1.0 - min(max(loss + more * column, 0.0), 1.0)
+            level = np.int32(256.0 * shade * (1.0 - bar[5] * min(max(inside, 0.0), 1.0)))
+            for k in range(3):
+                picture[row, column, k] = np.uint8((tones[k, picture[row, column, k]] * level + 32768) >> 16)
+
+
+@compiled("void(u1[::1], i1[::1], i8)")
+def add(pixels: Any, noise: Any, first: int) -> None:
+    """Adds noise to all levels, from its entry `first` on."""
+    for k in range(len(pixels)):
+        pixels[k] = np.uint8(min(max(np.int32(pixels[k]) + np.int32(noise[first + k]), 0), 255))
+
+
+@compiled("void(u1[:, :, ::1], i8)")
+def blur(picture: Any, width: int) -> None:
+    """The mean of `width` pixels to either side and of the pixel itself, along rows and then along columns."""
+    size, count = len(picture), 2 * width + 1
+    share = np.int32(65536 // count)
+    before = np.empty((size, 3 * size), np.int32)
+    for row in range(size):  # along the row, with a sum that moves on
+        for k in range(3):
+            total = np.int32(width + 1) * np.int32(picture[row, 0, k])
+            for i in range(1, width + 1):
+                total += np.int32(picture[row, min(i, size - 1), k])
+            for i in range(size):
+                before[row, 3 * i + k] = total
+                total += np.int32(picture[row, min(i + width + 1, size - 1), k])
+                total -= np.int32(picture[row, max(i - width, 0), k])
+    for row in range(size):
+        for i in range(3 * size):
+            before[row, i] = (before[row, i] * share + 32768) >> 16
+    sums = np.zeros(3 * size, np.int32)
+    for row in range(-width, width + 1):
+        for i in range(3 * size):
+            sums[i] += before[min(max(row, 0), size - 1), i]
+    pixels = picture.reshape(size, 3 * size)
+    for row in range(size):
+        after, gone = min(row + width + 1, size - 1), max(row - width, 0)
+        for i in range(3 * size):
+            pixels[row, i] = np.uint8(min((sums[i] * share + 32768) >> 16, 255))
+            sums[i] += before[after, i] - before[gone, i]
+
+
+@njit
+def _mixed(a: float, b: float, c: float, d: float) -> Any:
+    """The Hadamard transform of four numbers, by frequency; twice gives four times the numbers."""
+    return a + b + c + d, a + b - c - d, a - b - c + d, a - b + c - d
+
+
+@njit
+def _round(block: Any, step: int) -> None:
+    """Rounds the coefficients of a block of whole numbers. Shape (4, 4)."""
+    for i in range(BLOCK):
+        block[i, 0], block[i, 1], block[i, 2], block[i, 3] = _mixed(block[i, 0], block[i, 1], block[i, 2], block[i, 3])
+    for j in range(BLOCK):
+        block[0, j], block[1, j], block[2, j], block[3, j] = _mixed(block[0, j], block[1, j], block[2, j], block[3, j])
+        for i in range(BLOCK):
+            coarse = np.float64(step * (1 + i + j))
+            block[i, j] = math.floor(block[i, j] / coarse + 0.5) * coarse
+        block[0, j], block[1, j], block[2, j], block[3, j] = _mixed(block[0, j], block[1, j], block[2, j], block[3, j])
+    for i in range(BLOCK):
+        block[i, 0], block[i, 1], block[i, 2], block[i, 3] = _mixed(block[i, 0], block[i, 1], block[i, 2], block[i, 3])
+
+
+@compiled("void(u1[:, :, ::1], i8)")
+def quantise(picture: Any, step: int) -> None:
+    """Rounds the coefficients of blocks of 4 x 4 pixels to multiples of a step, the mean finer, as JPEG does.
+
+    They are those of the Hadamard transform, which are whole numbers. What does not fill a block stays.
+    """
+    size = len(picture) // BLOCK * BLOCK
+    block = np.empty((BLOCK, BLOCK), np.float64)
+    for corner in range((size // BLOCK) ** 2):
+        top, left = corner // (size // BLOCK) * BLOCK, corner % (size // BLOCK) * BLOCK
+        for k in range(3):
+            part = picture[top : top + BLOCK, left : left + BLOCK, k]
+            plain = True
+            for i in range(BLOCK):
+                for j in range(BLOCK):
+                    block[i, j] = part[i, j]
+                    plain &= part[i, j] == part[0, 0]
+            if plain:  # as most are: only the mean is not 0
+                block[:] = math.floor(16.0 * block[0, 0] / step + 0.5) * step
+            else:
+                _round(block, step)
+            for i in range(BLOCK):
+                for j in range(BLOCK):
+                    part[i, j] = np.uint8(min(max(block[i, j] / 16.0 + 0.5, 0.0), 255.0))
+
+
+@compiled("void(u1[:, :, ::1], u1[:, ::1], i8)")
+def soil(picture: Any, mask: Any, level: int) -> None:
+    """Covers a picture with dirt of a grey level, as thick as the mask says: 255 hides all. Shape (size, size)."""
+    for row in range(len(picture)):
+        for column in range(len(picture)):
+            cover = np.int32(mask[row, column])
+            for k in range(3):
+                mixed = (255 - cover) * np.int32(picture[row, column, k]) + cover * level
+                picture[row, column, k] = np.uint8((mixed + 127) // 255)
