@@ -154,12 +154,21 @@ def run(arguments: Sequence[str] | None = None, commands: typer.Typer = app, nam
         return CLOSED_PIPE
     except Exception as error:
         message, code = _explained(error, name)
+        if message is None and _interrupted(error):
+            return INTERRUPTED
         if message is None:
             raise
         from magical_mj.cli.console import complain  # imported late: help does not need it
 
         complain(message)
         return code
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether an error came of Ctrl-C, as that of a compiled module which was just being loaded."""
+    return isinstance(error, KeyboardInterrupt) or (
+        error is not None and _interrupted(error.__cause__ or error.__context__)
+    )
 
 
 def _explained(error: Exception, name: str) -> tuple[str | None, int]:

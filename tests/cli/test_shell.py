@@ -90,11 +90,23 @@ def test_too_much_for_the_memory_is_one_line(limit: int, command: str, hint: str
     assert result.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize(("module", "code"), [("typer", -2), ("rich", 130)])
-def test_ctrl_c_while_modules_are_loaded_is_no_traceback(module: str, code: int, tmp_path: Path) -> None:
-    """In a module that all commands import, and in one that this command does."""
-    interrupted = "import os, signal, time; os.kill(os.getpid(), signal.SIGINT); time.sleep(60)"
-    (tmp_path / f"{module}.py").write_text(interrupted)
+INTERRUPTED = "import os, signal, time; os.kill(os.getpid(), signal.SIGINT); time.sleep(60)"
+AS_COMPILED = f"""
+try:
+    {INTERRUPTED}
+except KeyboardInterrupt as error:
+    raise ImportError("initialization failed") from error
+"""
+
+
+@pytest.mark.parametrize(
+    ("module", "code", "text"),
+    [("typer", -2, INTERRUPTED), ("rich", 130, INTERRUPTED), ("rich", 130, AS_COMPILED)],
+    ids=["of all commands", "of this command", "compiled"],
+)
+def test_ctrl_c_while_modules_are_loaded_is_no_traceback(module: str, code: int, text: str, tmp_path: Path) -> None:
+    """In a module that all commands import, in one that this command does, and in a compiled one."""
+    (tmp_path / f"{module}.py").write_text(text)
     result = process("list", PYTHONPATH=f"{tmp_path}:{Path(__file__).parents[2]}")
     assert (result.returncode, result.stdout, result.stderr) == (code, "", "")
 
