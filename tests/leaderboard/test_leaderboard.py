@@ -199,8 +199,8 @@ def test_pages_need_nothing_from_elsewhere_and_trust_no_text(tmp_path: Path) -> 
     assert ET.fromstring(re.sub("<!doctype html>|<meta[^>]*>", "", html)).tag == "html"  # all is closed
 
 
-def test_our_own_entries_take_less_than_twenty_megabytes() -> None:
-    """They are in the repository, which everybody clones."""
+def test_our_own_entries_take_less_than_thirty_megabytes() -> None:
+    """They are in the repository, which everybody clones: today's 20 MB, and five more methods with five runs."""
     paths = list((Path(__file__).parents[2] / "results").rglob("*.*"))
     assert len(paths) > 40
-    assert sum(path.stat().st_size for path in paths) < 20_000_000
+    assert sum(path.stat().st_size for path in paths) < 30_000_000
