@@ -12,6 +12,7 @@ import re
 import shlex
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from functools import cache
 from operator import attrgetter, index
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -21,6 +22,7 @@ from msgspec import Meta, Struct
 
 from magical_mj.evaluation.scores import EpisodeResult, folders_of, read, read_settings
 from magical_mj.evaluation.settings import UNOFFICIAL
+from magical_mj.shifts import expand_shifts, shift_label
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.tasks.spec import Rules
@@ -35,6 +37,8 @@ MOST_OF_CARD: Final = 20_000
 """The largest size of such a card in bytes."""
 SEEDS: Final = 100
 """The number of episodes in each environment that the protocol requires."""
+SHIFT_SEEDS: Final = 50
+"""The number of episodes under each shift of the track."""
 MOST_BYTES: Final = 20_000_000
 """The largest size of an entry's file in bytes. Ours have 2 MB at most."""
 MOST_UNPACKED: Final = 60_000_000
@@ -103,7 +107,9 @@ class Versions(Struct, forbid_unknown_fields=True):
 
 
 class Columns(Struct, forbid_unknown_fields=True):
-    """The episodes: field -> environment, such as "FindDupe-All" -> a value for each, in the same order in all fields.
+    """The episodes: field -> environment -> a value for each, in the same order in all fields.
+
+    Environments are called such as "FindDupe-All", or "FindDupe-Demo camera:3" in the track of shifts.
 
     Values of one kind compress best side by side.
     """
@@ -161,8 +167,19 @@ class Entry(Struct, frozen=True):
 
     @property
     def counted(self) -> list[EpisodeResult]:
-        """The episodes that count: those in the scenes that the protocol requires."""
-        return [episode for episode in self.episodes if episode.seed < SEEDS]
+        """The episodes of the 60 environments that count: those in the scenes that the protocol requires."""
+        return [episode for episode in self.episodes if not episode.shift and episode.seed < SEEDS]
+
+    @property
+    def shifted(self) -> list[EpisodeResult]:
+        """The episodes of the track of shifts that count."""
+        return [episode for episode in self.episodes if episode.shift and episode.seed < SHIFT_SEEDS]
+
+
+@cache
+def track(task: str) -> tuple[str, ...]:
+    """The track of shifts of a task: its demo variant under each of our shifts that it can have, in each strength."""
+    return tuple(map(shift_label, expand_shifts("all", task)))
 
 
 def submit(
@@ -176,7 +193,7 @@ def submit(
     """Makes an entry from the evaluations in some folders, and writes it.
 
     Args:
-        folders: evaluations of one method, such as one for each run.
+        folders: evaluations of one method, such as one for each run. Of shifted episodes, those of the `track` count.
         out: the file, whose name must end in .json.xz; an existing file is not replaced.
         card: a TOML file with fields of `Card`, all optional; the method has its name in the evaluations otherwise.
         policy: the name of the method in the folders, if they hold several, or if the earlier entry calls it otherwise.
@@ -195,7 +212,7 @@ def submit(
     if not folders:
         raise SettingsError("give at least one folder of an evaluation")
     described = {} if card is None else files.read_toml(Path(card))
-    sources = [(episode, folder) for folder in folders for episode in read(folder) if not episode.shift]
+    sources = [(episode, folder) for folder in folders for episode in read(folder) if _has_place(episode)]
     names = list(dict.fromkeys(episode.policy for episode, _ in sources))
     if policy is not None:
         check_name("policy", policy, names)
@@ -224,6 +241,15 @@ def submit(
     out.parent.mkdir(parents=True, exist_ok=True)
     files.write(out, content)
     return entry
+
+
+def _has_place(episode: EpisodeResult) -> bool:
+    """Whether an episode is unshifted, or of the track of shifts; others may stand beside them in an evaluation."""
+    return not episode.shift or (
+        (episode.task, episode.variant) in ENVIRONMENTS
+        and episode.variant == "Demo"
+        and episode.shift in track(episode.task)
+    )
 
 
 def _check_trainings(folders: Sequence[Path], method: str) -> None:
@@ -317,7 +343,8 @@ def packed(entry: Entry) -> bytes:
     columns: dict[str, dict[str, list[Any]]] = {field: defaultdict(list) for field in Columns.__struct_fields__}
     for episode in sorted(entry.episodes, key=attrgetter("run", "task", "variant", "seed")):
         for field, column in columns.items():
-            column[f"{episode.task}-{episode.variant}"].append(getattr(episode, field))
+            environment = f"{episode.task}-{episode.variant} {episode.shift}".rstrip()
+            column[environment].append(getattr(episode, field))
     fields = {name: msgspec.to_builtins(getattr(entry, name)) for name in Entry.__struct_fields__}
     content = {**fields, "format": FORMAT, "runs": entry.runs, "episodes": columns}
     text = _text({**content, "sha256": hashlib.sha256(_text(content)).hexdigest()})
@@ -425,8 +452,10 @@ def _episodes(content: Content, name: object) -> list[EpisodeResult]:
     shared |= {"seconds": 0.0, "version": "", "mujoco": "", "gl": ""}
     episodes: list[EpisodeResult] = []
     for environment in sorted({environment for column in columns.values() for environment in column}):
-        task, _, variant = environment.partition("-")
-        if (task, variant) not in ENVIRONMENTS:
+        pair, _, shift = environment.partition(" ")
+        task, _, variant = pair.partition("-")
+        shared["shift"] = shift
+        if (task, variant) not in ENVIRONMENTS or (shift and (variant != "Demo" or shift not in track(task))):
             raise EvaluationError(f"{name} has results in {short_repr(environment)}, which is no environment")
         lengths = {field: len(column.get(environment, ())) for field, column in columns.items()}
         if len(set(lengths.values())) > 1 or not lengths["run"]:

@@ -201,7 +201,7 @@ def _playable(entry: Entry) -> tuple[list[EpisodeResult], list[str]]:
     """The episodes that count and whose replay would tell something; and a sentence for each that is wrong as it is."""
     horizons = {task: task_spec(task).horizon(entry.rules) for task in TASKS}
     playable, problems = [], []
-    for episode in entry.counted:
+    for episode in (*entry.counted, *entry.shifted):
         if problem := inconsistency(episode, horizons[episode.task]):
             problems.append(f"{episode.title}: {problem}")
         elif episode.failure is None:

@@ -12,19 +12,21 @@ from typing import Final
 
 import numpy as np
 
-from magical_mj.evaluation.entry import Card
+from magical_mj.evaluation.entry import SHIFT_SEEDS, Card, track
+from magical_mj.evaluation.reports.shifts import area, half_lost
 from magical_mj.evaluation.reports.tables import DAGGER, NONE, Group, Table, markdown
 from magical_mj.leaderboard.standings import (
     BLOCKS,
     LEAST_RUNS,
     OVERALL,
-    THRESHOLDS,
     Estimate,
     Standing,
     improvement,
     rules_of,
 )
-from magical_mj.tasks.registry import ENVIRONMENTS, VARIANTS
+from magical_mj.shifts import SHIFTS
+from magical_mj.shifts.shift import STRENGTHS
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError
 from magical_mj.utils.escape import html
@@ -42,11 +44,11 @@ HEADINGS: Final = {
     "scores": "Scores",
     "drops": "What breaks first",
     "improvement": "Who beats whom",
-    "profiles": "How the scores are spread",
+    "shifts": "Under shifts",
     "costs": "What it cost",
     "entries": "Entries",
 }
-SHADED: Final = ("scores", "drops", "improvement", "profiles")
+SHADED: Final = ("scores", "drops", "improvement", "shifts")
 HTML: Final = "leaderboard.html"
 MARKDOWN: Final = "leaderboard.md"
 BEGINNINGS: Final = {
@@ -58,10 +60,6 @@ WIDTH: Final = 910  # pixels, as all that follow
 NAMES: Final = 310  # the width of the column with the methods' names
 LETTER: Final = 6.3  # the mean width of a letter
 ROW: Final = 26  # the height of a method's line
-LEGEND: Final = 20  # the height of a line of the profiles' legend
-HEIGHT: Final = 320  # of the profiles
-COLOURS: Final = 10  # in style.css
-SHOWN_THRESHOLDS = (0.1, 0.25, 0.5, 0.75, 0.9)
 
 
 def check_free(out: Path) -> None:
@@ -93,12 +91,11 @@ def write_pages(methods: Sequence[Standing], out: Path) -> list[Path]:
 def _html(methods: Sequence[Standing], contents: Sequence[Table]) -> str:
     contents_of = {table.name: _table(table) for table in contents}
     contents_of["scores"] = intervals(methods) + contents_of["scores"]
-    contents_of["profiles"] = profiles(methods) + contents_of["profiles"]
     contents_of["entries"] = "".join(map(_card, methods))
     sections = "\n".join(
-        f'<section id="{name}"><h2>{heading}</h2>{contents_of[name]}</section>' for name, heading in HEADINGS.items()
+        f'<section id="{name}"><h2>{HEADINGS[name]}</h2>{content}</section>' for name, content in contents_of.items()
     )
-    links = " ".join(f'<a href="#{name}">{heading}</a>' for name, heading in HEADINGS.items())
+    links = " ".join(f'<a href="#{name}">{HEADINGS[name]}</a>' for name in contents_of)
     style = (resources("magical_mj.leaderboard") / "style.css").read_text(encoding="utf-8")
     return (
         f"{BEGINNINGS[HTML]}"
@@ -169,29 +166,6 @@ def intervals(methods: Sequence[Standing]) -> str:
     return _svg(height, rows, "Interquartile means over all environments, with 95 % intervals")
 
 
-def profiles(methods: Sequence[Standing]) -> str:
-    """The performance profile of each method with results in all environments; the published ones are dotted."""
-    rows = _grid(HEIGHT - ROW)
-    for tick in (0.0, 0.5, 1.0):
-        y = (1 - tick) * (HEIGHT - ROW)
-        rows += f'<text x="{WIDTH - 15}" y="{y + 4:.0f}">{tick:g}</text>'
-    legend: list[tuple[str, str]] = []
-    for index, method in enumerate(method for method in methods if method.everywhere):
-        places = zip(THRESHOLDS, method.profile, strict=True)
-        points = " ".join(f"{_x(x)},{(1 - y) * (HEIGHT - ROW):.1f}" for x, y in places)
-        line = f"c{index % COLOURS} d{index // COLOURS}" if method.kind != "published" else "published"  # see style.css
-        if method.kind != "published":
-            legend.append((label(method), line))
-        rows += f'<polyline class="{line}" points="{points}"><title>{html(label(method))}</title></polyline>'
-    legend.append((f"methods of the paper{DAGGER}", "published"))
-    for index, (name, line) in enumerate(legend):
-        y = LEGEND * (index + 0.7)
-        rows += _name(name, NAMES - 65, y)
-        rows += f'<polyline class="{line}" points="{NAMES - 58},{y - 4:.0f} {NAMES - 28},{y - 4:.0f}"/>'
-    height = max(HEIGHT, LEGEND * (len(legend) + 1))
-    return _svg(height, rows, "Share of environments and runs with a mean score of at least so much")
-
-
 def _name(name: str, right: float, y: float) -> str:
     """A method's name, shortened if it is long, left of a place."""
     most = int(right / LETTER)
@@ -219,8 +193,9 @@ def _svg(height: float, content: str, title: str) -> str:
 
 
 def tables(methods: Sequence[Standing]) -> list[Table]:
-    """The tables: scores, drops by variant, probabilities of improvement, performance profiles, and costs."""
-    return [_scores(methods), _drops(methods), _improvements(methods), _profiles(methods), _costs(methods)]
+    """The tables: scores, drops by variant, probabilities of improvement, shifts if there are any, and costs."""
+    shifts = [_shifts(methods)] if any(method.curves for method in methods) else []
+    return [_scores(methods), _drops(methods), _improvements(methods), *shifts, _costs(methods)]
 
 
 def label(method: Standing) -> str:
@@ -296,17 +271,27 @@ def _improvements(methods: Sequence[Standing]) -> Table:
     )
 
 
-def _profiles(methods: Sequence[Standing]) -> Table:
-    places = [int(np.abs(THRESHOLDS - threshold).argmin()) for threshold in SHOWN_THRESHOLDS]
+def _shifts(methods: Sequence[Standing]) -> Table:
+    def cell(method: Standing, axis: str) -> str:
+        if axis not in method.curves:
+            return NONE
+        tasks, points = method.curves[axis]
+        able = sum(f"{axis}:1" in track(task) for task in TASKS)
+        return f"{area(points):.2f}" + (f" ({tasks}/{able})" if tasks < able else "")
+
+    def first(method: Standing) -> str:
+        halves = {axis: half_lost(points) for axis, (_, points) in method.curves.items()}
+        known = {axis: strength for axis, strength in halves.items() if strength is not None}
+        return min((f"{axis}:{strength}" for axis, strength in known.items()), key=lambda text: text[-1], default=NONE)
+
+    entered = [method for method in methods if method.curves]
     return Table(
-        "profiles",
-        "Performance profiles: the share of environments and runs with a mean score of at least so much, of methods "
-        "with results in all environments",
-        ("Method", *(f"{threshold:g}" for threshold in SHOWN_THRESHOLDS)),
-        _grouped(
-            [method for method in methods if method.everywhere],
-            lambda method: tuple(f"{method.profile[place]:.2f}" for place in places),
-        ),
+        "shifts",
+        f"Mean score in Demo over strengths 0 to {STRENGTHS} of each shift (the area under the curve), in the scenes "
+        f"of seeds 0 to {SHIFT_SEEDS - 1}, with the number of tasks if some are missing; and the shift that costs half "
+        "of the score at the lowest strength",
+        ("Method", *SHIFTS, "half lost first"),
+        _grouped(entered, lambda method: (*(cell(method, axis) for axis in SHIFTS), first(method))),
     )
 
 

@@ -11,7 +11,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from magical_mj.evaluation.entry import SEEDS, SUFFIX, Entry, entry_files, read_entry
+from magical_mj.evaluation.entry import SEEDS, SHIFT_SEEDS, SUFFIX, Entry, entry_files, read_entry
 from magical_mj.evaluation.reports.results import PUBLISHED_RULES, published_results
 from magical_mj.evaluation.reports.statistics import (
     Floats,
@@ -21,6 +21,8 @@ from magical_mj.evaluation.reports.statistics import (
     robust_mean,
 )
 from magical_mj.evaluation.scores import SCORE_TOLERANCE
+from magical_mj.shifts import SHIFTS
+from magical_mj.shifts.shift import STRENGTHS
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, Pair
 from magical_mj.utils.errors import counted
 
@@ -37,8 +39,6 @@ BLOCKS: Final[Mapping[Block, str]] = {
 
 LEAST_RUNS: Final = 5
 """The least number of runs of an official entry: the paper's number."""
-THRESHOLDS: Final = np.linspace(0, 1, 101)
-"""Of performance profiles."""
 OVERALL: Final = "all environments"
 
 
@@ -137,11 +137,26 @@ class Standing:
         lowest = min(axes, key=lambda axis: totals[axis])
         return lowest if totals[lowest] < totals["Demo"] - SCORE_TOLERANCE else None
 
-    @property
-    def profile(self) -> Floats:
-        """The share of environments and runs with a mean score of at least each of the `THRESHOLDS`."""
-        shares = [(values[:, None] >= THRESHOLDS - SCORE_TOLERANCE).mean(axis=0) for values in self.means.values()]
-        return np.mean(shares, axis=0)
+    @cached_property
+    def curves(self) -> Mapping[str, tuple[int, dict[int, float]]]:
+        """Shift -> the number of tasks that were played in all strengths, and the mean score by strength over them.
+
+        Strength 0 is Demo, in the same scenes.
+        """
+        if self.entry is None or not self.entry.shifted:
+            return {}
+        scores: dict[tuple[str, str], list[float]] = defaultdict(list)
+        demo = [row for row in self.entry.counted if row.variant == "Demo" and row.seed < SHIFT_SEEDS]
+        for row in (*demo, *self.entry.shifted):
+            scores[row.task, row.shift].append(row.score)
+        curves = {}
+        for axis in SHIFTS:
+            labels = ["", *(f"{axis}:{strength}" for strength in range(1, STRENGTHS + 1))]
+            tasks = [task for task in TASKS if all((task, label) in scores for label in labels)]
+            if tasks:
+                means = {label: float(np.mean([np.mean(scores[task, label]) for task in tasks])) for label in labels}
+                curves[axis] = len(tasks), dict(enumerate(means.values()))
+        return curves
 
 
 def standing(entry: Entry) -> Standing:

@@ -89,7 +89,7 @@ def test_reports_show_what_shifts_do(tmp_path: Path) -> None:
     text = page.read_text()
     assert "![Scores over the strength of each shift](shifts.png)" in text
     assert "| BC_4 & more | 0.38 | 0.38 | 0.30 | 0.12 | 0.06 | 0.00 | 0.21 | 3 |" in text
-    assert "| BC_4 & more | camera:1+latency:2 | 0.75 | 0.25 | -0.50 |" in text
+    assert "| BC_4 & more | camera:1+latency:2 | 1.00 | 0.25 | -0.75 |" in text
     assert (tmp_path / "out" / "shifts.png").stat().st_size > 5000
     write(tmp_path / "only", [score for score in scores if score.shift])
     with pytest.raises(EvaluationError, match="all episodes are shifted"):

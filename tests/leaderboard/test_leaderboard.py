@@ -13,13 +13,14 @@ import pytest
 from msgspec.structs import replace
 
 import magical_mj
-from magical_mj.evaluation.entry import Card
+from magical_mj.evaluation.entry import Card, packed, unpacked
 from magical_mj.evaluation.reports.tables import NONE
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.leaderboard import Entry
 from magical_mj.leaderboard.page import tables, write_pages
 from magical_mj.leaderboard.standings import improvement, rules_of, standing, standings
 from magical_mj.tasks.registry import ENVIRONMENTS
+from magical_mj.utils.errors import EvaluationError
 from tests.helpers.entries import whole
 
 
@@ -52,7 +53,6 @@ def test_further_runs_of_some_tasks_do_not_raise_the_score() -> None:
     for name, figure in alone.scores.items():
         assert uneven.scores[name].value == pytest.approx(figure.value)
         assert not np.isnan(uneven.scores[name].low)
-    np.testing.assert_allclose(uneven.profile, alone.profile)
 
 
 def test_scores_are_interquartile_means_over_environments_and_runs() -> None:
@@ -61,23 +61,36 @@ def test_scores_are_interquartile_means_over_environments_and_runs() -> None:
     assert method.scores["all environments"].value == pytest.approx(0.5)
     assert method.scores["all environments"].low < 0.5 < method.scores["all environments"].high
     assert set(method.scores) == {"all environments", *magical_mj.VARIANTS}
-    np.testing.assert_allclose(method.profile[[0, 50, 100]], [1, 0.6, 0.2])
 
 
-def test_profiles_count_what_reaches_the_threshold() -> None:
-    """By hand: in a hundred episodes, k successes are a mean of k %, wherever floating point puts it."""
-    method = standing(whole(runs=1))
-    for count in range(101):
-        mean = np.mean([1.0] * count + [0.0] * (100 - count), keepdims=True)
-        reached = dataclasses.replace(method, means={("FindDupe", "Demo"): mean}).profile
-        assert reached.tolist() == [1.0] * (count + 1) + [0.0] * (100 - count)
+def test_shifts_are_a_track_of_their_own() -> None:
+    """By hand: FindDupe scores 1 without a shift and 0.8, 0.6 ... 0 under the camera; MakeLine lacks a strength."""
+    some = [row for row in whole(runs=1).episodes if row.variant == "Demo" and row.task in ("FindDupe", "MakeLine")]
+    plain = [dataclasses.replace(row, score=float(row.seed < 50)) for row in some]
+    played = [
+        dataclasses.replace(row, shift=f"camera:{strength}", score=1 - strength / 5)
+        for row in some
+        for strength in range(1, 6)
+        if row.task == "FindDupe" or strength < 5
+    ]
+    entry = replace(whole(), episodes=[*plain, *played])
+    (tasks, points), method = standing(entry).curves["camera"], standing(entry)
+    assert (tasks, list(points.values())) == (1, pytest.approx([1, 0.8, 0.6, 0.4, 0.2, 0]))
+    assert method.means["FindDupe", "Demo"].tolist() == [0.5]
+    assert len(entry.shifted) == 9 * 50
+    (shown,) = [table for table in tables([method]) if table.name == "shifts"]
+    row = dict(zip(shown.header, shown.groups[0][1][0], strict=True))
+    assert (row["camera"], row["latency"], row["half lost first"]) == ("0.50 (1/8)", NONE, "camera:3")
+    again = unpacked(packed(entry))
+    assert sorted(row.title for row in again.episodes) == sorted(row.title for row in entry.episodes)
+    assert "shifts" not in [table.name for table in tables([standing(whole())])]
 
 
-def test_profiles_are_shown_at_their_thresholds() -> None:
-    method = standing(scored(whole(runs=1), lambda episode: 0.245))
-    (shown,) = [table for table in tables([method]) if table.name == "profiles"]
-    assert shown.header[1:4] == ("0.1", "0.25", "0.5")
-    assert shown.groups[0][1][0][1:4] == ("1.00", "0.00", "0.00")
+@pytest.mark.parametrize(("variant", "shift"), [("Demo", "camera:6"), ("Demo", "mine:Fog:3"), ("All", "camera:3")])
+def test_other_shifts_are_not_in_entries(variant: str, shift: str) -> None:
+    rows = [dataclasses.replace(row, shift=shift) for row in whole(runs=1).episodes if row.variant == variant]
+    with pytest.raises(EvaluationError, match="which is no environment"):
+        unpacked(packed(replace(whole(), episodes=rows)))
 
 
 def test_only_the_seeds_of_the_protocol_count() -> None:
@@ -192,10 +205,8 @@ def test_pages_need_nothing_from_elsewhere_and_trust_no_text(tmp_path: Path) -> 
     html = texts[".html"]
     assert not re.findall(r"<(?:script|link|img|iframe)|url\(|@import", html)
     assert re.findall(r'href="(http[^"]*)"', html) == ["https://example.org/?a&amp;b"]
-    assert html.count("<svg") == 2
-    legend = html[html.index('id="profiles"') :]
-    assert "Näme ★</text>" in legend
-    assert "methods of the paper†</text>" in legend
+    assert html.count("<svg") == 1
+    assert "Näme ★</text>" in html
     assert ET.fromstring(re.sub("<!doctype html>|<meta[^>]*>", "", html)).tag == "html"  # all is closed
 
 
