@@ -17,6 +17,7 @@ from magical_mj.learners.networks import SHAPE
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.learners.state_features import histories
 from magical_mj.scene.actions import ACTIONS, NOOP
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import DemonstrationError, short_repr
 
@@ -92,6 +93,11 @@ def _episode(
     if isinstance(demonstration, Demonstration):
         if demonstration.task != task:
             raise DemonstrationError(f"one of the demonstrations given for {task} is of {demonstration.task}")
+        if demonstration.scene.robot.body != GRIPPER:
+            raise DemonstrationError(
+                f"one of the demonstrations given for {task} is by the body {demonstration.scene.robot.body!r}, and "
+                f"learners play with the {GRIPPER}"
+            )
         demonstration = demos.transitions([demonstration], settings.preset, drop_noop=False, renderer=settings.renderer)
     observations, actions = np.asarray(demonstration.observations), np.asarray(demonstration.actions)
     needed = (len(actions), len(STATE_NAMES)) if settings.states else (len(actions), *SHAPE)

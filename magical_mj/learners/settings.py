@@ -240,7 +240,10 @@ class TrainingSettings(Settings):
         """Checks each setting, and what must fit together."""
         super().__post_init__()
         for task in self.tasks:
-            task_spec(task)  # or its error
+            if task_spec(task).speeds:
+                raise SettingsError(
+                    f"learners choose among 18 actions, and those of {task} are speeds (docs/bodies.md)"
+                )
         if not self.tasks or len(set(self.tasks)) < len(self.tasks):
             raise SettingsError(f"give one or several different tasks, not {list(self.tasks)}")
         preset_named(self.preset)

@@ -15,10 +15,17 @@ import xmagical as beside  # type: ignore[import-not-found] - research/xmagical.
 from gymnasium.utils.env_checker import check_env
 
 import magical_mj
+from magical_mj.demos.export.xirl import to_xirl
 from magical_mj.envs.xmagical import XMagicalEnv
 from magical_mj.scene.bodies import BODIES, Body, body_named
 from magical_mj.tasks.sweep_to_top import DEMO, original_scene, state_vector
-from magical_mj.utils.errors import InvalidActionError, InvalidSceneError, SettingsError, UntrustedNameError
+from magical_mj.utils.errors import (
+    DemonstrationError,
+    InvalidActionError,
+    InvalidSceneError,
+    SettingsError,
+    UntrustedNameError,
+)
 
 IDS = sorted(name for name in gymnasium.registry if name.startswith("magical_mj/xmagical/"))
 LONG = "magical_mj/xmagical/SweepToTop-Longstick-State-Allo-TestLayout-v0"
@@ -158,6 +165,29 @@ def test_scenes_with_bodies_survive_json_export_and_both_doors(body: str, tmp_pa
     for action in ([0.8, 0.0], [0.5, 0.03], [-0.8, -1.0]):
         engine.step([*action, 1.0][: 3 if body == "gripper" else 2])
     assert math.isfinite(engine.scene.robot.x)
+
+
+def test_learners_refuse_other_bodies_and_speeds() -> None:
+    torch = pytest.importorskip("torch")
+    del torch
+    from magical_mj.learners.data import _episode
+    from magical_mj.learners.settings import load_settings
+
+    demo = magical_mj.demos.load("SweepToTop", body="longstick")[0]
+    with pytest.raises(SettingsError, match="are speeds"):
+        load_settings("bc", "SweepToTop")
+    with pytest.raises(DemonstrationError, match="by the body 'longstick'"):
+        _episode("SweepToTop", demo, load_settings("bc", "FindDupe"), False)
+
+
+def test_xirl_reads_folders_by_split_body_and_video(tmp_path: Path) -> None:
+    demos = [demo for body in BODY_NAMES[:2] for demo in magical_mj.demos.load("SweepToTop", body=body)[:2]]
+    to_xirl(demos, tmp_path / "out")
+    frames = sorted(path.relative_to(tmp_path / "out").parts for path in tmp_path.rglob("*.png"))
+    assert {parts[:3] for parts in frames} == {(s, b, "0") for s in ("train", "valid") for b in BODY_NAMES[:2]}
+    assert len(frames) == sum(len(demo.qpos) for demo in demos)
+    with pytest.raises(DemonstrationError, match="one demonstration by the gripper"):
+        to_xirl(demos[:1], tmp_path / "other")
 
 
 def test_demonstrations_of_a_body_play_again_to_the_same_states() -> None:

@@ -71,6 +71,8 @@ class Lookahead:
         self._simulation = engine.simulation.copy()
         self._simulation.restore(engine.simulation.save())
         self._world = engine.simulation.world
+        self.grips = self._world.has_fingers
+        """Whether the robot can grip blocks; without fingers it pushes them."""
         self.trace: list[int] = []
         """The actions since the last `restore`."""
         self.states: list[SavedState] = []

@@ -1,4 +1,4 @@
-"""Manoeuvres, executed in the lookahead: drive to a block, grip it, carry it, release it and drive back."""
+"""Manoeuvres, executed in the lookahead: drive to a block, grip it, carry it, release it and drive back; or push it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.policies.expert.driving import VIA, Lookahead, Patience, Point, drive, steer
+from magical_mj.policies.expert.driving import AIM, FACE, VIA, Lookahead, Patience, Point, drive, steer
 from magical_mj.policies.expert.navigation import GRIP, Goal, Ints, SearchTree, cell_costs, cells, explore, places
 from magical_mj.scene import Pose, Scene
 from magical_mj.scene.actions import Drive, Gripper, Turn
@@ -23,6 +23,9 @@ BLOCK_RADIUS: Final = {"square": 0.125, "pentagon": 0.13, "star": 0.14, "circle"
 # Choosing a manoeuvre
 BEFORE: Final = (0.46, 0.68)  # world units ahead of the robot where a block may be before it is gripped
 ASIDE: Final = 0.1  # and at most how far to the side
+BEHIND: Final = (0.2, 0.6)  # the same before it is pushed
+OFF_CENTRE: Final = 0.08
+ASKEW: Final = 0.35  # rad: and how far the way to the target may be from straight ahead
 SIDES: Final = 16  # the number of directions from which a block can be gripped
 STOPS: Final = (GRIP, GRIP + 0.07, GRIP + 0.14)  # distances from the block at which there must be room for the fingers
 TIGHT: Final = 1.5  # actions for each unit of the cells' costs along them
@@ -41,6 +44,9 @@ MISSED_BY_FAR: Final = 1000.0  # and beyond it
 FREE: Final = 0.5  # ahead: with the block this far away, the robot can turn
 FAR: Final = 0.75  # ahead: the distance from which it tries again
 BACKING: Final = 8  # actions
+SLIPPED: Final = 0.02  # world units by which a block that is pushed away from the target has slipped
+CENTRING: Final = 0.5
+BACKED: Final = 3  # actions
 
 
 @dataclass(frozen=True)
@@ -62,7 +68,9 @@ def obstacles(scene: Scene, without: int | None = None) -> NDArray[np.float64]:
     return np.array(discs).reshape(-1, 3)
 
 
-def manoeuvres(tree: SearchTree, costs: Ints, scene: Scene, subgoal: Subgoal, noise: Noise) -> list[Manoeuvre]:
+def manoeuvres(
+    tree: SearchTree, costs: Ints, scene: Scene, subgoal: Subgoal, noise: Noise, *, grips: bool
+) -> list[Manoeuvre]:
     """Candidate manoeuvres for a subgoal: for each side of the block one of the fastest.
 
     Args:
@@ -71,6 +79,7 @@ def manoeuvres(tree: SearchTree, costs: Ints, scene: Scene, subgoal: Subgoal, no
         scene: the present scene.
         subgoal: the subgoal.
         noise: varies the choice.
+        grips: whether the robot grips blocks; else it pushes them towards the target, from behind.
     """
     if subgoal.block is None:
         gaps = np.hypot(*(tree.poses[:, :2] - subgoal.target).T)
@@ -84,7 +93,12 @@ def manoeuvres(tree: SearchTree, costs: Ints, scene: Scene, subgoal: Subgoal, no
     x, y, angle = tree.poses.T
     right = np.cos(angle) * (block.x - x) + np.sin(angle) * (block.y - y)
     ahead = np.cos(angle) * (block.y - y) - np.sin(angle) * (block.x - x)
-    near = np.flatnonzero((np.abs(right) < ASIDE) & (BEFORE[0] < ahead) & (ahead < BEFORE[1]))
+    if grips:
+        near = np.flatnonzero((np.abs(right) < ASIDE) & (BEFORE[0] < ahead) & (ahead < BEFORE[1]))
+    else:
+        onward = math.atan2(block.x - subgoal.target[0], subgoal.target[1] - block.y)
+        behind = np.abs((angle - onward + math.pi) % (2 * math.pi) - math.pi) < ASKEW
+        near = np.flatnonzero(behind & (np.abs(right) < OFF_CENTRE) & (BEHIND[0] < ahead) & (ahead < BEHIND[1]))
     sides = np.round(angle[near] * SIDES / (2 * math.pi)).astype(int) % SIDES
     candidates = []
     for side in np.unique(sides).tolist():
@@ -97,7 +111,7 @@ def manoeuvres(tree: SearchTree, costs: Ints, scene: Scene, subgoal: Subgoal, no
         route = simplified(tree.path_to(node), costs)
         estimate = tree.steps[node] + TIGHT * tight.sum() + _carrying(block.x, block.y, heading, subgoal)
         estimate += CORNER_COST * len(route)
-        candidates += [Manoeuvre(subgoal, route, reverse, float(estimate)) for reverse in (True, False)]
+        candidates += [Manoeuvre(subgoal, route, reverse, float(estimate)) for reverse in (True, False)[: 1 + grips]]
     return candidates
 
 
@@ -140,10 +154,36 @@ def perform(lookahead: Lookahead, manoeuvre: Manoeuvre, limit: int) -> bool:
     if block is None:
         return drive(lookahead, manoeuvre.route, Gripper.OPEN, limit, within=subgoal.tolerance)
     drive(lookahead, manoeuvre.route, Gripper.OPEN, limit, within=VIA)
+    if not lookahead.grips:
+        return _push(lookahead, block, subgoal, limit)
     taken = _take(lookahead, block, limit)
     carried = taken and _carry(lookahead, block, manoeuvre, limit)
     _let_go(lookahead, block, limit, FREE if taken else FAR)
     return carried
+
+
+def _push(lookahead: Lookahead, block: int, subgoal: Subgoal, limit: int) -> bool:
+    """Faces the target and drives on until the block is there, or does not come closer; returns whether it is.
+
+    Then the robot drives back, so that it can turn.
+    """
+    start = least = math.dist(lookahead.block(block), subgoal.target)
+    patience = Patience()
+    while len(lookahead.trace) < limit:
+        left = math.dist(lookahead.block(block), subgoal.target)
+        touched = left < start - SLIPPED
+        least = min(least, left)
+        if left <= 0.6 * subgoal.tolerance or left > least + SLIPPED or patience.ends(left if touched else 9 + left):
+            break
+        # with the block ahead, aim a little beside the target, so that the block does not slide off
+        right, ahead = lookahead.relative(subgoal.target)
+        aside = lookahead.relative_block(block)[0]
+        bearing = math.atan2(-(right - CENTRING * aside), ahead)
+        turn = Turn.NONE if abs(bearing) <= AIM else Turn.LEFT if bearing > 0 else Turn.RIGHT
+        lookahead.act(Gripper.OPEN, turn, Drive.NONE if abs(bearing) > FACE else Drive.FORWARD)
+    for _ in range(min(BACKED, limit - len(lookahead.trace))):
+        lookahead.act(Gripper.OPEN, Turn.NONE, Drive.BACK)
+    return math.dist(lookahead.block(block), subgoal.target) <= subgoal.tolerance
 
 
 def _take(lookahead: Lookahead, block: int, limit: int) -> bool:

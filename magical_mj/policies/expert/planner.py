@@ -146,7 +146,11 @@ class Planner:
         lookahead = self._lookahead
         costs = cell_costs(obstacles(scene), loaded=False)
         tree = explore(scene.robot.pose, costs, min(left, REACH))
-        options = [option for subgoal in todo for option in manoeuvres(tree, costs, scene, subgoal, noise)]
+        options = [
+            option
+            for subgoal in todo
+            for option in manoeuvres(tree, costs, scene, subgoal, noise, grips=lookahead.grips)
+        ]
         options.sort(key=lambda option: option.estimate - option.subgoal.cost(scene) + noise(SPREAD))
         best, best_cost = None, math.inf
         for option in options[: self._tries]:
