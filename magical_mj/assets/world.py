@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import threading
+from collections.abc import Callable
 from copy import copy
 from functools import cache, lru_cache
 from typing import Any, Final, NamedTuple
@@ -252,7 +253,14 @@ class World:
         self.has_fingers = body_named(scene.robot.body).fingers
         self._fingers = 3 * len(scene.blocks) + JOINTS.index("left_finger")
 
-    def rewrite(self, model: mujoco.MjModel, data: mujoco.MjData, *, nested: bool = False) -> None:
+    def rewrite(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        *,
+        nested: bool = False,
+        change: Callable[[mujoco.MjModel], None] | None = None,
+    ) -> None:
         """Turns the compiled model of a world with the same structure into the model of this world.
 
         Compiling takes more than ten times as long. Constants that the compiler derives are computed again.
@@ -262,6 +270,7 @@ class World:
             data: a state of it, which is used to compute constants, and is to be reset afterwards.
             nested: whether robot and blocks are models of their own that were attached to the arena's, whose names
                 begin with theirs, as in "block0/block0_x".
+            change: changes further numbers of the model.
         """
         scene = self.scene
         rewrite_robot(model, scene.robot, scene.dynamics, "robot/" if nested else "")
@@ -271,6 +280,8 @@ class World:
             rewrite_pebble(model, index, pebble, f"pebble{index}/" if nested else "")
         for index, region in enumerate(scene.regions):
             rewrite_region(model, index, region)
+        if change is not None:
+            change(model)
         mujoco.mj_setConst(model, data)
 
     def poses(self, values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -261,6 +261,14 @@ class Engine:
         return {} if self.simulation.shifts is None else self.simulation.shifts.draws
 
     @property
+    def instruction(self) -> str:
+        """The sentence that says what is to be done; "" for plain scenes."""
+        if self.task is None:
+            return ""
+        sentence, shifts = task_spec(self.task).summary, self.simulation.shifts
+        return sentence if shifts is None else shifts.instruction(sentence, self.task)
+
+    @property
     def over(self) -> bool:
         """Whether the episode has ended: at its horizon, or because the simulation became unstable."""
         return self._broken or (self.horizon is not None and self.steps >= self.horizon)

@@ -159,9 +159,7 @@ class Simulation:
     def _begin(self) -> None:
         """Solves twice, since the solver starts from its last solution, and protocol 1 has always started after two."""
         model, data = self.model, self.data
-        self.world.rewrite(model, data)
-        if self.shifts is not None:
-            shift_model(self.shifts, model, data)
+        self.world.rewrite(model, data, change=None if self.shifts is None else self.shifts.model)
         mujoco.mj_resetData(model, data)
         enabled = model.opt.disableflags
         model.opt.disableflags = enabled | _NO_ACTUATION  # there are no controls yet
@@ -318,13 +316,6 @@ def with_shifts(state: State, shifts: EpisodeShifts | None) -> State:
         return state
     commands = {name: tuple(commands) for name, commands in shifts.commands.items()}
     return replace(state, draws=shifts.draws, commands=commands)
-
-
-def shift_model(shifts: EpisodeShifts, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Lets shifts change a model that `World.rewrite` has written; constants that MuJoCo derives follow."""
-    if shifts.changes_model:
-        shifts.model(model)
-        mujoco.mj_setConst(model, data)
 
 
 def write_numbers(model: mujoco.MjModel, other: mujoco.MjModel) -> None:

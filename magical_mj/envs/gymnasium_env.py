@@ -64,6 +64,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         renderer: "opengl" or "software" for flat views; None: MAGICAL_MJ_RENDERER, or what works (docs/pictures.md).
         shifts: shifts and their strengths, such as "camera:3,latency:1" or a dict; see docs/shifts.md.
         body: the robot's body, one that the task offers; see docs/bodies.md.
+        instruction: adds the sentence that says what is to be done: `info["instruction"]`, and "instruction" in
+            observations that are dicts. The shift "words" adds it to infos.
         render_mode: "rgb_array"; Gymnasium makes "human" (a window) from it.
         render_view: the view of `render`: "ego", "allo", "both" side by side, or "scene", in 3-D from above a corner.
         render_size: side of each view in pixels.
@@ -86,6 +88,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         action: ActionForm = "discrete",
         renderer: str | None = None,
         shifts: Shifts = None,
+        instruction: bool = False,
         body: str = GRIPPER,
         render_mode: str | None = None,
         render_view: str = "allo",
@@ -109,7 +112,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._limit = None if limit is None else check_limit(limit, self._engine.setup)
         self._continuous = action == "continuous"
         self.action_space = continuous_space() if self._continuous else spaces.Discrete(len(ACTIONS))
-        self.observation_space = observation_space(self._preset, self._stacks.shapes)
+        self._instructs, self._told = instruction and self._preset.layout == "dict", instruction
+        self.observation_space = observation_space(self._preset, self._stacks.shapes, instruction=instruction)
         self._score_every_step = score_every_step
         self._begun = False
         self._seeded: int | None = None
@@ -251,6 +255,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         score = self.score() if last or self._score_every_step else 0.0
         reached = score if last else 0.0
         info = {"eval_score": np.float64(reached), "is_success": np.array(reached == 1.0)}
+        if self._told or "words" in self._engine.draws:
+            info["instruction"] = np.array(self._engine.instruction)
         return info | {"score": np.float64(score)} if self._score_every_step else info
 
     def _draw(self, view: str, place: Images) -> None:
@@ -271,7 +277,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         if self._preset.fingers:
             with np.errstate(all="ignore"):  # angles may be too small for float32
                 parts["fingers"] = self._engine.fingers().astype(np.float32)
-        return {name: _put(part, None if out is None else out[name]) for name, part in parts.items()}
+        seen: dict[str, Any] = {name: _put(part, None if out is None else out[name]) for name, part in parts.items()}
+        return {**seen, "instruction": self._engine.instruction} if self._instructs else seen
 
 
 def _put(values: NDArray[Any], out: Any) -> NDArray[Any]:

@@ -20,6 +20,7 @@ from magical_mj.utils.errors import check_name
 
 Layout = Literal["dict", "hwc", "chw", "state"]
 
+LONGEST_SENTENCE: Final = 400
 STATE_BOUND: Final = 1000.0  # of any entry of the state vector; angles add up to 100 rad in the longest episode
 
 
@@ -76,18 +77,23 @@ def preset_named(name: str) -> Preset:
     return PRESETS[name]
 
 
-def observation_space(preset: Preset, shapes: Mapping[str, tuple[int, ...]]) -> spaces.Space[Any]:
+def observation_space(
+    preset: Preset, shapes: Mapping[str, tuple[int, ...]], *, instruction: bool = False
+) -> spaces.Space[Any]:
     """The space of a preset's observations.
 
     Args:
         preset: the preset.
         shapes: of the stacks of frames by name; ignored if the preset observes the state.
+        instruction: whether dicts hold the sentence that says what is to be done.
     """
     if preset.layout == "state":
         return spaces.Box(-STATE_BOUND, STATE_BOUND, (len(STATE_NAMES),), np.float32)
     boxes: dict[str, spaces.Space[Any]] = {name: spaces.Box(0, 255, shape, np.uint8) for name, shape in shapes.items()}
     if preset.fingers:
         boxes["fingers"] = spaces.Box(-np.pi, np.pi, (2,), np.float32)  # rad, the left one first
+    if instruction:
+        boxes["instruction"] = spaces.Text(LONGEST_SENTENCE, charset=frozenset(map(chr, range(32, 127))))
     return spaces.Dict(boxes) if preset.layout == "dict" else next(iter(boxes.values()))
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.geometry import check_scene
-from magical_mj.shifts.registry import shift_class
+from magical_mj.shifts.registry import SHIFTS, shift_class
 from magical_mj.shifts.shift import GROUND_CELLS, GROUND_REACH, HISTORY, Frame, Picture, Shift, Values, draw
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import MagicalError, ShiftError, as_integer, short_repr
@@ -70,6 +70,8 @@ class EpisodeShifts:
         for name, shift in self._with("scene").items():
             with _errors_of(name, "scene"):
                 scene = shift.scene(scene, task_spec(task))
+                if name in SHIFTS:
+                    continue
                 if not isinstance(scene, Scene):
                     raise ShiftError(f"{name}.scene must return a magical_mj.Scene, not {short_repr(scene)}")
                 check_scene(scene)

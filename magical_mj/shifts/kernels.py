@@ -92,24 +92,35 @@ def add(pixels: Any, noise: Any, first: int) -> None:
         pixels[k] = np.uint8(min(max(np.int32(pixels[k]) + np.int32(noise[first + k]), 0), 255))
 
 
+@njit
+def _blur_rows(picture: Any, width: int, before: Any) -> None:
+    """The means along rows, into `before`, shape (size, 3 * size)."""
+    size, count = len(picture), 2 * width + 1
+    share = np.int32(65536 // count)
+    line = np.empty(3 * (size + count), np.int32)
+    for row in range(size):  # along the row, with a sum that moves on
+        for i in range(size + count):
+            for k in range(3):
+                line[3 * i + k] = picture[row, min(max(i - width, 0), size - 1), k]
+        for k in range(3):
+            total = np.int32(0)
+            for i in range(count):
+                total += line[3 * i + k]
+            for i in range(k, 3 * size, 3):
+                before[row, i] = total
+                total += line[i + 3 * count] - line[i]
+    for row in range(size):
+        for i in range(3 * size):
+            before[row, i] = (before[row, i] * share + 32768) >> 16
+
+
 @compiled("void(u1[:, :, ::1], i8)")
 def blur(picture: Any, width: int) -> None:
     """The mean of `width` pixels to either side and of the pixel itself, along rows and then along columns."""
     size, count = len(picture), 2 * width + 1
     share = np.int32(65536 // count)
     before = np.empty((size, 3 * size), np.int32)
-    for row in range(size):  # along the row, with a sum that moves on
-        for k in range(3):
-            total = np.int32(width + 1) * np.int32(picture[row, 0, k])
-            for i in range(1, width + 1):
-                total += np.int32(picture[row, min(i, size - 1), k])
-            for i in range(size):
-                before[row, 3 * i + k] = total
-                total += np.int32(picture[row, min(i + width + 1, size - 1), k])
-                total -= np.int32(picture[row, max(i - width, 0), k])
-    for row in range(size):
-        for i in range(3 * size):
-            before[row, i] = (before[row, i] * share + 32768) >> 16
+    _blur_rows(picture, width, before)
     sums = np.zeros(3 * size, np.int32)
     for row in range(-width, width + 1):
         for i in range(3 * size):
@@ -155,12 +166,12 @@ def quantise(picture: Any, step: int) -> None:
         top, left = corner // (size // BLOCK) * BLOCK, corner % (size // BLOCK) * BLOCK
         for k in range(3):
             part = picture[top : top + BLOCK, left : left + BLOCK, k]
-            plain = True
+            different = np.uint8(0)
             for i in range(BLOCK):
                 for j in range(BLOCK):
                     block[i, j] = part[i, j]
-                    plain &= part[i, j] == part[0, 0]
-            if plain:  # as most are: only the mean is not 0
+                    different |= part[i, j] ^ part[0, 0]
+            if different == 0:  # as most are: only the mean is not 0
                 block[:] = math.floor(16.0 * block[0, 0] / step + 0.5) * step
             else:
                 _round(block, step)
@@ -175,6 +186,8 @@ def soil(picture: Any, mask: Any, level: int) -> None:
     for row in range(len(picture)):
         for column in range(len(picture)):
             cover = np.int32(mask[row, column])
+            if cover == 0:
+                continue
             for k in range(3):
                 mixed = (255 - cover) * np.int32(picture[row, column, k]) + cover * level
                 picture[row, column, k] = np.uint8((mixed + 127) // 255)

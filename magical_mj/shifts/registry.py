@@ -12,6 +12,7 @@ from typing import Any, Final
 from magical_mj.shifts.drawn import Camera, Light, Palette, Sensor, Texture
 from magical_mj.shifts.physical import Clutter, Friction, Latency, Pose, Slip
 from magical_mj.shifts.shift import STRENGTHS, Factor, Shift
+from magical_mj.shifts.words import Words
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import SettingsError, ShiftError, UntrustedNameError, as_integer, short_repr, unknown_name
 from magical_mj.utils.imports import is_reference, resolve, resolve_installed, with_place
@@ -19,7 +20,7 @@ from magical_mj.utils.imports import is_reference, resolve, resolve_installed, w
 PROTOCOL: Final = 1
 """The number of the names, ranges and draws of our shifts: a change to any of them requires the next number."""
 
-AXES: Final = (Pose, Camera, Light, Texture, Palette, Clutter, Sensor, Latency, Slip, Friction)
+AXES: Final = (Pose, Camera, Light, Texture, Palette, Clutter, Sensor, Latency, Slip, Friction, Words)
 SHIFTS: Final[Mapping[str, type[Shift]]] = MappingProxyType({kind.name: kind for kind in AXES})
 """Our shifts by name, in the order of tables and in which they are applied. "all" means these."""
 

@@ -23,7 +23,7 @@ from magical_mj.assets.contacts import SUBSTEPS, TIMESTEP
 from magical_mj.assets.world import World
 from magical_mj.engine import State
 from magical_mj.engine.engine import Setup
-from magical_mj.engine.simulation import Simulation, check_state, shift_model, with_shifts, write_numbers
+from magical_mj.engine.simulation import Simulation, check_state, with_shifts, write_numbers
 from magical_mj.envs.composer.entities import Arena
 from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.renderer import check_size
@@ -171,9 +171,7 @@ class SceneTask(composer.Task):
             write_numbers(model, self._compiled[1])
         elif self.shifts is not None and self.shifts.changes_model:
             self._compiled = model, copy(model)
-        self.world.rewrite(model, data, nested=True)
-        if self.shifts is not None:
-            shift_model(self.shifts, model, data)
+        self.world.rewrite(model, data, nested=True, change=None if self.shifts is None else self.shifts.model)
         mujoco.mj_resetData(model, data)
         physics.after_reset()
         self.steps = 0
