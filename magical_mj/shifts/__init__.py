@@ -3,6 +3,16 @@
 from __future__ import annotations
 
 from magical_mj.shifts.registry import SHIFTS, expand_shifts, parse_shifts, shift_class, shift_label
-from magical_mj.shifts.shift import Factor, Frame, Shift
+from magical_mj.shifts.shift import Factor, Frame, Picture, Shift
 
-__all__ = ["SHIFTS", "Factor", "Frame", "Shift", "expand_shifts", "parse_shifts", "shift_class", "shift_label"]
+__all__ = [
+    "SHIFTS",
+    "Factor",
+    "Frame",
+    "Picture",
+    "Shift",
+    "expand_shifts",
+    "parse_shifts",
+    "shift_class",
+    "shift_label",
+]

@@ -1,0 +1,83 @@
+"""Shifts in a package of its own, as docs/adding-a-shift.md builds them: installed, and used as a user would."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "adding-a-shift.md").read_text()
+EXAMPLE = ROOT / "examples" / "fog"
+USE = """
+import gymnasium, pickle
+import numpy as np
+import magical_mj
+from magical_mj.shifts import SHIFTS, expand_shifts, parse_shifts, shift_label
+
+assert "fog" not in SHIFTS and not any("fog" in each for each in expand_shifts("all"))
+assert parse_shifts("fog:Fog:3,camera:1") == parse_shifts("fog:3,camera:1") == {"camera": 1, "fog": 3}
+assert shift_label({"fog:Magnet": 2}) == "magnet:2"
+assert len(expand_shifts("fog")) == 5
+
+plain, foggy = (magical_mj.Engine("FindDupe", seed=7, shifts=each, renderer="software") for each in (None, "fog:5"))
+assert foggy.get_state().simulation.tobytes() == plain.get_state().simulation.tobytes()
+assert (foggy.render("ego", 96) != plain.render("ego", 96)).mean() > 0.5
+
+env = gymnasium.make("magical_mj/FindDupe-Demo-State-v0", shifts="magnet:5")
+env.reset(seed=7)
+pulled = magical_mj.Engine("FindDupe", seed=7, shifts="magnet:5")
+for action in [1, 1, 1, 10, 10, 10] * 5:
+    plain.step(action)
+    pulled.step(action)
+    env.step(action)
+assert np.hypot(*pulled.model.opt.gravity[:2]) == 2 and not plain.model.opt.gravity.any()
+assert pulled.scene != plain.scene
+assert env.unwrapped.scene == pickle.loads(pickle.dumps(pulled)).scene == pulled.scene
+pulled.set_state(plain.get_state())
+assert not pulled.model.opt.gravity.any()
+"""
+
+
+def block(language: str, start: str) -> str:
+    """The page's block of code that starts like this."""
+    return next(text for text in re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL) if text.startswith(start))
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    project, site = tmp_path_factory.mktemp("projects") / "fog", tmp_path_factory.mktemp("site")
+    shutil.copytree(EXAMPLE, project)
+    options = ["--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--target", str(site)]
+    subprocess.run([sys.executable, "-m", "pip", "install", *options, str(project)], check=True, capture_output=True)
+    return site
+
+
+def test_the_example_is_what_the_page_says() -> None:
+    assert (EXAMPLE / "fog.py").read_text() == block("python", '"""Two shifts')
+    assert (EXAMPLE / "pyproject.toml").read_text() == block("toml", "[build-system]")
+
+
+def test_each_has_at_most_40_lines() -> None:
+    classes = re.split(r"^(?=class )", (EXAMPLE / "fog.py").read_text(), flags=re.MULTILINE)[1:]
+    assert len(classes) == 2
+    assert all(len(text.splitlines()) <= 40 for text in classes)
+
+
+def test_they_are_installed_and_used(site: Path, tmp_path: Path) -> None:
+    path = os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH"))))
+    code = block("python", "import magical_mj") + USE
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        check=False,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
