@@ -28,6 +28,7 @@ from magical_mj.scene.bodies import body_named
 from magical_mj.scene.geometry import check_scene
 from magical_mj.shifts.registry import shift_label
 from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import InvalidSceneError, short_repr
 
@@ -38,11 +39,13 @@ HEADER: Final = """<!--
   Play it:     start in keyframe "now"; for each action, write its row of the numeric "controls" into ctrl, and call
                mj_step as often as the numeric "substeps" says.
 
-  Units: the workspace is 2 x 2, seconds, radians; angles are counter-clockwise, and at 0 the robot heads up (+y).
+  Units: the workspace is {sides}, seconds, radians; angles are counter-clockwise, and at 0 the robot heads up (+y).
 -->
 """
 ABOUT: Final = """For programs. "scene": at the start of the episode. "controls": a row for each action, which is
     9 * gripper (0 open, 1 close) + 3 * turn (0 none, 1 left, 2 right) + drive (0 none, 1 forwards, 2 backwards)"""
+ABOUT_SPEEDS: Final = """For programs. "scene": at the start of the episode. Actions are speeds: write into ctrl those
+    of both wheels (units/s), of both rotors (rad/s) and, with fingers, of both finger motors (rad/s)"""
 NUMERIC: Final = ("protocol", "substeps", "horizon")
 THINGS: Final = re.compile(r'(?<=[\[,])(?=\{|"(?:robot|blocks|regions|dynamics|pebbles)")')
 """The places where the JSON of a scene is broken into lines, one for each thing."""
@@ -107,14 +110,14 @@ def mjcf_text(source: Scene | Engine) -> str:
         about |= {"shifts": shift_label(source.shifts) or None}
         about |= {"rules": source.rules if source.task else None, "horizon": source.horizon}
     about = {name: value for name, value in about.items() if value is not None}
-    return _header(about) + _indented(_model(scene, about, data))
+    return _header(about, 2 * scene.half_width) + _indented(_model(scene, about, data))
 
 
-def _header(about: Mapping[str, Any]) -> str:
+def _header(about: Mapping[str, Any], side: float) -> str:
     """The comment at the top."""
     words = {"task": "{}", "variant": ", variant {}", "seed": ", seed {}"}
     what = "".join(text.format(about[name]) for name, text in words.items() if name in about)
-    return HEADER.format(what=what or "A scene", version=__version__)
+    return HEADER.format(what=what or "A scene", version=__version__, sides=f"{side:g} x {side:g}")
 
 
 def _model(scene: Scene, about: Mapping[str, Any], data: mujoco.MjData) -> Element:
@@ -122,7 +125,8 @@ def _model(scene: Scene, about: Mapping[str, Any], data: mujoco.MjData) -> Eleme
     root = fromstring(world_mjcf(scene), XMLParser(target=TreeBuilder(insert_comments=True)))  # noqa: S314
     _name_blocks(root, scene)
     _unfold_regions(root, scene)
-    root[:0] = [Comment(ABOUT), _custom(scene, about)]
+    speeds = "task" in about and task_spec(about["task"]).speeds
+    root[:0] = [Comment(ABOUT_SPEEDS if speeds else ABOUT), _custom(scene, about, speeds)]
     state = {"time": [data.time], "qpos": data.qpos, "qvel": data.qvel, "act": data.act, "ctrl": data.ctrl}
     root.extend((Comment(SENSORS), _sensors(scene), Comment("The present state")))
     values = {name: numbers(*value) for name, value in state.items() if len(value)}
@@ -157,7 +161,7 @@ def _find(root: Element, path: str) -> Element:
     return element
 
 
-def _custom(scene: Scene, about: Mapping[str, Any]) -> Element:
+def _custom(scene: Scene, about: Mapping[str, Any], speeds: bool) -> Element:
     """The `<custom>` element: the data that programs need besides the model."""
     custom = Element("custom")
     for name, value in about.items():
@@ -166,8 +170,9 @@ def _custom(scene: Scene, about: Mapping[str, Any]) -> Element:
         else:
             SubElement(custom, "text", {"name": name, "data": str(value)})
     SubElement(custom, "text", {"name": "scene", "data": "\n" + THINGS.sub("\n", scene.to_json())})
-    rows = (numbers(*row) for row in controls(scene.robot.body, scene.dynamics.veer))
-    SubElement(custom, "numeric", {"name": "controls", "data": "\n" + "\n".join(rows)})
+    if not speeds:
+        rows = (numbers(*row) for row in controls(scene.robot.body, scene.dynamics.veer))
+        SubElement(custom, "numeric", {"name": "controls", "data": "\n" + "\n".join(rows)})
     return custom
 
 

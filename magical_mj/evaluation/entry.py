@@ -22,6 +22,7 @@ from msgspec import Meta, Struct
 
 from magical_mj.evaluation.scores import EpisodeResult, folders_of, read, read_settings
 from magical_mj.evaluation.settings import UNOFFICIAL
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts import expand_shifts, shift_label
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS
@@ -281,6 +282,8 @@ def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders
     for episode, folder in sources:
         if episode.split != "test":
             raise EvaluationError(f"{folder} was played on the split {episode.split}, and entries are of test")
+        if episode.body != GRIPPER:
+            raise EvaluationError(f"{folder} was played with the body {episode.body}, and entries are of the gripper")
         if episode.wrap:
             raise EvaluationError(f"{folder} was played in {episode.wrap}, and entries are of plain worlds")
         if episode.worlds != "single":

@@ -43,9 +43,9 @@ def replay(recorded: Iterable[Recorded], *, rules: Rules | None = None, jobs: in
     """
     alike: dict[tuple[str, ...], list[Recorded]] = defaultdict(list)
     for source, episode in recorded:
-        alike[episode.task, episode.variant, episode.rules, episode.shift].append((source, episode))
-    for task, _, _, shift in alike:
-        for name in (task, *(part.rpartition(":")[0] for part in shift.split("+"))):
+        alike[episode.task, episode.variant, episode.rules, episode.shift, episode.body].append((source, episode))
+    for task, _, _, shift, body in alike:
+        for name in (task, body, *(part.rpartition(":")[0] for part in shift.split("+"))):
             check_named(name, "an episode")
     chunks: list[list[Recorded]] = []
     for episodes in alike.values():  # a scene that several entries have played is sampled and compiled once
@@ -63,7 +63,8 @@ def _replay(chunk: Sequence[Recorded], rules: Rules | None) -> list[Replayed]:
 
     first, results = chunk[0][1], []
     own = check_rules(first.rules)
-    with closing(Engine(first.task, first.variant, seed=first.seed, rules=own, shifts=first.shift)) as engine:
+    how = {"rules": own, "shifts": first.shift, "body": first.body}
+    with closing(Engine(first.task, first.variant, seed=first.seed, **how)) as engine:
         for source, episode in chunk:
             engine.reset(seed=None if episode.seed == engine.seed else episode.seed)  # None: the same scene again
             rescored, difference = _played(episode, engine, rules)
@@ -78,7 +79,7 @@ def _played(episode: EpisodeResult, engine: Engine, rules: Rules | None) -> tupl
         return episode, f"it was played in the scene {episode.scene}, and the seed's scene is {digest}"
     problem = inconsistency(episode, engine.horizon)
     spec = task_spec(episode.task)
-    steps = spec.horizon(rules or engine.rules)
+    steps = spec.horizon(rules or engine.rules, episode.body)
     if problem is None and engine.horizon is not None and steps > engine.horizon:
         problem = f"it has {engine.horizon} actions, and {steps} by the rules {rules!r}: play it again by these"
     if problem is not None:

@@ -22,6 +22,7 @@ from magical_mj.evaluation.settings import MUJOCO_VERSION
 from magical_mj.policies.interface import Episode, letters_of
 from magical_mj.policies.loading import loader_in
 from magical_mj.rendering.backend import drawn_by
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, SettingsError, short_repr
 from magical_mj.utils.settings import check_unchanged
@@ -43,6 +44,7 @@ OLDER: Final = {
     "shift_protocol": 1,
     "wrap": "",
     "like": "",
+    "body": GRIPPER,
 }
 """Settings of which older versions write nothing."""
 
@@ -85,6 +87,7 @@ class EpisodeResult:
         split: the split of the seed; see `magical_mj.tasks.registry.SPLITS`.
         shift: what was shifted, such as "camera:3"; empty if nothing was.
         wrap: the wrapper around the environment, such as "mine:Wrapper"; empty without one.
+        body: the robot's body.
     """
 
     policy: str
@@ -107,6 +110,7 @@ class EpisodeResult:
     split: str = "test"
     shift: str = ""
     wrap: str = ""
+    body: str = GRIPPER
 
     @classmethod
     def of(cls, episode: Episode, outcome: Outcome, **facts: Any) -> EpisodeResult:
@@ -145,8 +149,9 @@ class EpisodeResult:
 
     @property
     def method(self) -> str:
-        """What played, as reports call it: the policy, and the wrapper if it was played in one."""
-        return f"{self.policy} in {self.wrap}" if self.wrap else self.policy
+        """What played, as reports call it: the policy, and the body and the wrapper if they were others than usual."""
+        who = self.policy if self.body == GRIPPER else f"{self.policy} with {self.body}"
+        return f"{who} in {self.wrap}" if self.wrap else who
 
     def line(self) -> str:
         """As a line of the file, which leaves out what is as usual and older versions did not write."""
@@ -157,7 +162,7 @@ class EpisodeResult:
 
 _FIELDS: Final = tuple(field.name for field in dataclasses.fields(EpisodeResult))
 _KNOWN: Final = frozenset(_FIELDS)
-_USUAL: Final = {"split": "test", "shift": "", "wrap": ""}
+_USUAL: Final = {"split": "test", "shift": "", "wrap": "", "body": GRIPPER}
 _BEGINNING: Final = b'{"policy": '
 """Of each line."""
 

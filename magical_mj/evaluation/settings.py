@@ -12,11 +12,13 @@ from msgspec import Meta
 from magical_mj._version import __version__
 from magical_mj.envs.presets import preset_named
 from magical_mj.rendering.backend import RendererName, drawn_by
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts import expand_shifts, shift_label
 from magical_mj.shifts.registry import PROTOCOL as SHIFT_PROTOCOL
+from magical_mj.tasks import KNOWN
 from magical_mj.tasks.plugins import code_digest
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
-from magical_mj.tasks.registry import SPLITS, TASKS, Pair, environments
+from magical_mj.tasks.registry import SPLITS, TASKS, Pair, environments, task_spec
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import SettingsError, check_name, short_repr
 from magical_mj.utils.imports import is_reference, source_digest
@@ -91,12 +93,14 @@ class EvaluationSettings(Settings):
         Meta(description="Shifts to play beside what is not shifted: camera:1-5,light; or all. See docs/shifts.md."),
     ] = ""
     wrap: Annotated[str, Meta(description="A Gymnasium wrapper to play in, package.module:NAME.")] = ""
+    body: Annotated[str, Meta(description="The robot's body, one that the tasks offer. See docs/bodies.md.")] = GRIPPER
     like: Annotated[str, Meta(description="The task that policies are told instead of their own.")] = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for task, _ in self.environments:
             self.shift_labels(task)
+            task_spec(task).check_body(self.body)
         preset_named(self.preset)
         check_backend(self.backend, self.address)
         if self.device != DEVICE and not self.batched:
@@ -105,8 +109,10 @@ class EvaluationSettings(Settings):
             check_name("task", self.like, TASKS)
         if self.wrap and not is_reference(self.wrap):
             raise SettingsError(f"wrap is package.module:NAME of a Gymnasium wrapper, not {short_repr(self.wrap)}")
-        if self.batched and (self.wrap or self.shifts):
-            raise SettingsError("batched worlds have neither shifts nor wrappers: leave them out, or --simulator warp")
+        if self.batched and (self.wrap or self.shifts or self.body != GRIPPER):
+            raise SettingsError(
+                "batched worlds have neither shifts nor wrappers nor other bodies: leave them out, or --simulator warp"
+            )
 
     @property
     def batched(self) -> bool:
@@ -130,7 +136,7 @@ class EvaluationSettings(Settings):
 
     def recorded(self) -> dict[str, Any]:
         """The settings that determine scores; an evaluation can be resumed only if they are the same."""
-        others = dict.fromkeys(task for task, _ in self.environments if task not in TASKS)
+        others = dict.fromkeys(task for task, _ in self.environments if task not in KNOWN)
         return {
             "environments": [f"{task}-{variant}" for task, variant in self.environments],
             **{name: getattr(self, name) for name in ("split", "first_seed", "episodes")},
@@ -145,6 +151,7 @@ class EvaluationSettings(Settings):
             "shifts": list(dict.fromkeys(label for task, _ in self.environments for label in self.shift_labels(task))),
             "wrap": self.wrap,
             "like": self.like,
+            "body": self.body,
             **{f"code of {task}": code_digest(task) for task in others},
             **({f"code of {self.wrap}": source_digest(self.wrap)} if self.wrap else {}),
         }

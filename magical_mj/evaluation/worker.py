@@ -137,10 +137,11 @@ class Player:
                 "split": settings.split,
                 "shift": unit.shift,
                 "wrap": settings.wrap,
+                "body": settings.body,
             }
             for episode, outcome in zip(episodes, self._outcomes(unit, episodes), strict=True):
                 self.cause = outcome.cause
-                scene = start_digest(unit.task, unit.variant, episode.seed, unit.shift)
+                scene = start_digest(unit.task, unit.variant, episode.seed, unit.shift, settings.body)
                 yield EpisodeResult.of(replace(episode, task=unit.task), outcome, scene=scene, **facts)
 
     def close(self) -> None:
@@ -204,7 +205,8 @@ class Player:
 
 def arguments(unit: Unit) -> dict[str, Any]:
     """How a unit's environments are made."""
-    return {"rules": unit.settings.rules, "renderer": unit.settings.renderer, "shifts": unit.shift}
+    settings = unit.settings
+    return {"rules": settings.rules, "renderer": settings.renderer, "shifts": unit.shift, "body": settings.body}
 
 
 def single_env(unit: Unit, observed: bool) -> Env:
@@ -224,13 +226,13 @@ def single_env(unit: Unit, observed: bool) -> Env:
     return Engine(unit.task, unit.variant, seed=0, **how)
 
 
-def start_digest(task: str, variant: str, seed: int, shift: str) -> str:
+def start_digest(task: str, variant: str, seed: int, shift: str, body: str) -> str:
     """The digest of the scene in which an episode starts."""
     if not shift:
-        return sample_scene(task, variant, seed).digest()
+        return sample_scene(task, variant, seed, body).digest()
     from magical_mj.engine.engine import Setup  # imported late: it loads the simulator
 
-    return Setup(task, variant).begin(parse_shifts(shift), seed)[0].digest()
+    return Setup(task, variant, body=body).begin(parse_shifts(shift), seed)[0].digest()
 
 
 def _wrapped(env: gymnasium.Env[Any, Any], wrap: str) -> gymnasium.Env[Any, Any]:

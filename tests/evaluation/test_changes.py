@@ -11,6 +11,7 @@ import pytest
 
 import magical_mj
 from magical_mj.evaluation import Episode
+from magical_mj.evaluation.replay import replay
 from magical_mj.evaluation.reports.report import report
 from magical_mj.evaluation.reports.results import compare
 from magical_mj.evaluation.scores import read
@@ -63,6 +64,18 @@ def test_a_wrapper_is_played_in_and_named(envs: int, tmp_path: Path) -> None:
     assert compare(tmp_path / "plain", tmp_path / "dark").attrs["policies"][1] == "sum_is_even in mine:Dark"
     with pytest.raises(EvaluationError, match="was played in mine:Dark"):
         submit([tmp_path / "dark"], tmp_path / "entry.json.xz")
+
+
+def test_another_body_is_played_with_and_named(tmp_path: Path) -> None:
+    settings: dict[str, Any] = {"variants": "Demo", "episodes": 1, "jobs": 1, "body": "shortstick"}
+    frame = magical_mj.evaluate("expert", tasks="MoveToRegion", out="stick", **settings)
+    assert (frame["score"].item(), frame["body"].item()) == (1.0, "shortstick")
+    assert [problem for *_, problem in replay([("", score) for score in read(tmp_path / "stick")])] == [None]
+    assert "| expert with shortstick |" in report([tmp_path / "stick"], tmp_path / "out").read_text()
+    with pytest.raises(EvaluationError, match="with the body shortstick"):
+        submit([tmp_path / "stick"], tmp_path / "entry.json.xz")
+    with pytest.raises(SettingsError, match="FindDupe is not offered with the body"):
+        magical_mj.evaluate("noop", tasks="FindDupe", **settings)
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,8 @@ def test_file_holds_everything(tmp_path: Path) -> None:
     frame = magical_mj.evaluate("random", out=tmp_path, **SMALL)
     assert len(read(tmp_path)) == len(frame) == 6
     entry = json.loads((tmp_path / SCORES).read_text().splitlines()[0])
-    assert set(entry) == set(frame.columns) - {"split", "shift", "wrap"}  # which are written where they are unusual
+    unwritten = {"split", "shift", "wrap", "body"}  # where they are as usual
+    assert set(entry) == set(frame.columns) - unwritten
     assert entry["version"] == magical_mj.__version__
     assert entry["rules"] == "paper"
     assert entry["preset"] is None  # random looks at nothing
