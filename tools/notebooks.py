@@ -31,6 +31,8 @@ def run(path: Path) -> float:
         ).execute()
     for cell in notebook.cells:
         cell.metadata = {}
+        for output in cell.get("outputs", []):
+            output.get("data", {}).pop("image/jpeg", None)  # there is a PNG
     notebook.metadata.pop("language_info", None)  # the version of Python
     text = f"{nbformat.writes(notebook, indent=1)}\n"
     if len(text) > MOST_BYTES:
@@ -42,6 +44,7 @@ def run(path: Path) -> float:
 def main() -> None:
     """Run those that are named, by default all, in the order of their numbers."""
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     names = sys.argv[1:] or sorted(path.name for path in FOLDER.glob("*.ipynb"))
     for name in names:
         print(f"{name}: {run(FOLDER / name):.0f} s", flush=True)
