@@ -47,15 +47,16 @@ class Relational(Learner):
         super().__init__(settings)
         chosen = settings.relational
         (task,) = settings.tasks
+        self._assumptions = tuple(chosen.assumptions)
         shown = shipped(task)
         demonstrations = [shown[i] for i in drawn(task, settings.seed, settings.demonstrations, len(shown))]
-        excursions = chosen.detours if "detours" in chosen.assumptions else 0
+        excursions = chosen.detours if "detours" in self._assumptions else 0
         self._samples, self._detours = demonstrated(demonstrations, excursions, settings.seed)
         self._draw = torch.Generator().manual_seed(settings.seed)
         with seeded(settings.seed):
             self._learning, self._actor = Ensemble(chosen).to(self.device), Ensemble(chosen).to(self.device)
         self._actor.load_state_dict(self._learning.state_dict())
-        self._count, self._trials = 0, (2 + len(chosen.assumptions)) * chosen.trial
+        self._count, self._trials = 0, (2 + len(self._assumptions)) * chosen.trial
         self.updates = self._trials + chosen.updates
         self._kept: list[str] = []
         self._report: list[dict[str, Any]] = []
@@ -79,7 +80,7 @@ class Relational(Learner):
         chosen = self.settings.relational
         assumed = [*self._kept, *self._tried]
         losses, right = [], []
-        for network, optimizer in zip(self._learning.networks, self._optimizers, strict=True):
+        for network, optimizer in zip(self._learning.members, self._optimizers, strict=True):
             states, actions = self._draw_samples(assumed, BATCHES * chosen.batch_size)
             network.arena.fill_(float("egocentric" not in assumed))
             seen = graph(states, network.arena)
@@ -139,11 +140,11 @@ class Relational(Learner):
         """The assumption on trial now, if one is: first comes twice the time of a trial without any."""
         number = self._count // self.settings.relational.trial - 1
         on_trial = number > 0 and self._count < self._trials
-        return self.settings.relational.assumptions[number - 1 : number] if on_trial else ()
+        return self._assumptions[number - 1 : number] if on_trial else ()
 
     def _draw_samples(self, assumed: list[str], size: int) -> tuple[torch.Tensor, torch.Tensor]:
         """States (size, names) and actions (size,), in random order, as changed by what is assumed."""
-        detours = size // 2 if "detours" in assumed else 0
+        detours = size // 3 if "detours" in assumed else 0
         parts = [
             source.of(torch.randint(len(source.actions), (count,), generator=self._draw))
             for source, count in ((self._samples, size - detours), (self._detours, detours))
@@ -167,7 +168,7 @@ class Relational(Learner):
         frame = evaluate(self.policy(), variants="Demo", envs=chosen.rollouts, jobs=1, **asked)
         score = float(frame["score"].mean())
         number = self._count // chosen.trial - 2
-        name = chosen.assumptions[number - 1] if number else None
+        name = self._assumptions[number - 1] if number else None
         best = max((trial["score"] for trial in self._report if trial["kept"]), default=0.0)
         keep = score >= best - chosen.loss
         self._report.append({"assumption": name, "score": score, "kept": keep})

@@ -107,6 +107,11 @@ class Ensemble(nn.Module):
         self.settings = settings
         self.networks = nn.ModuleList(RelationalNetwork(settings.hidden) for _ in range(settings.networks))
 
+    @property
+    def members(self) -> list[RelationalNetwork]:
+        """Its networks."""
+        return [network for network in self.networks if isinstance(network, RelationalNetwork)]
+
     def forward(self, histories: Tensor, tasks: Tensor) -> Tensor:
         """Logits, shape (n, 18), for histories (n, HISTORY, names), of which the last states count; of one task."""
         del tasks
