@@ -122,21 +122,23 @@ def block_solid(shape: Shape, pose: Pose) -> Solid:
 
 
 @lru_cache(maxsize=64)  # placement calls this many times with the same few arguments
-def _robot_segments(fingers: tuple[float, float], body: str) -> tuple[Outline, float]:
-    """The robot's polygons in its frame, shape (m, n, 2), and how far it reaches.
+def _robot_segments(fingers: tuple[float, float], body: str) -> tuple[Outline, float, float]:
+    """The robot's polygons in its frame, shape (m, n, 2), how far it reaches, and its disc's radius or 0.
 
     They are the four segments of both fingers, the outline of a body without fingers, or nothing, of a disc.
     """
     shape = body_named(body)
     if not shape.fingers:
-        return shape.corners.reshape(min(1, len(shape.outline)), len(shape.outline) or 1, 2), shape.reach
+        outlines = shape.corners[None] if shape.outline else np.zeros((0, 4, 2))
+        return outlines, shape.reach, 0.0 if shape.outline else shape.radius
     root_x, root_y = c.FINGER_ROOT
     left, right = fingers
     segments = np.stack(
         [placed(mirrored(outline), (-root_x, root_y, left)) for outline in finger_outlines()]
         + [placed(outline, (root_x, root_y, right)) for outline in finger_outlines()]
     )
-    return segments, max(c.ROBOT_RADIUS, float(np.hypot(segments[..., 0], segments[..., 1]).max()))
+    reach = max(shape.radius, float(np.hypot(segments[..., 0], segments[..., 1]).max()))
+    return segments, reach, shape.radius
 
 
 def robot_solid(
@@ -146,10 +148,9 @@ def robot_solid(
     import shapely
 
     x, y, _ = pose
-    segments, reach = _robot_segments(fingers, body)
+    segments, reach, radius = _robot_segments(fingers, body)
     polygons = np.asarray(shapely.polygons(placed(segments, pose)))  # one call for all four is much faster
-    shape = body_named(body)
-    disc = () if shape.outline else (Part(shapely.Point(x, y), shape.radius),)
+    disc = (Part(shapely.Point(x, y), radius),) if radius else ()
     return Solid(x, y, reach, (*disc, *map(Part, polygons)))
 
 

@@ -118,6 +118,7 @@ SPEC: Final = TaskSpec(
     score=score,
     check=check,
     plan=plan,
+    bodies=("gripper", "shortstick", "mediumstick"),
     colour=colour,
     shape=any_shapes,
     count=count,
