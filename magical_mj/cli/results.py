@@ -58,9 +58,8 @@ EntryFile = Annotated[Path, typer.Option("--out", help="The entry's file, which 
 Card = Annotated[Path | None, typer.Option(help="A TOML file that describes the method; see docs/leaderboard.md.")]
 Name = Annotated[
     str | None,
-    typer.Option("--policy", help="The method to submit, if the folders hold several or EXTEND calls it otherwise."),
+    typer.Option("--policy", help="The method to submit, if the folders hold several."),
 ]
-Extend = Annotated[Path | None, typer.Option(help="An earlier entry, to whose episodes these are added.")]
 Entries = Annotated[Path, typer.Argument(help="The folder with the entries (*.json.xz), or one.", show_default=False)]
 Pages = Annotated[Path | None, typer.Option("--out", help="The folder for the pages.", show_default="FOLDER")]
 Replay = Annotated[int, typer.Option(min=1, help="The largest number of episodes of an entry that are replayed.")]
@@ -131,12 +130,10 @@ def verify_folder(folder: Folder, jobs: Jobs = None) -> None:
     screen.print("everything is there, and is what it says")
 
 
-def make_entry(
-    folders: MethodFolders, out: EntryFile, card: Card = None, policy: Name = None, extend: Extend = None
-) -> None:
+def make_entry(folders: MethodFolders, out: EntryFile, card: Card = None, policy: Name = None) -> None:
     """Pack the evaluations of one method, with its card, into an entry for the leaderboard."""
     make_writable_folder(out.parent)
-    entry = submit(folders, out, card=card, policy=policy, extend=extend)
+    entry = submit(folders, out, card=card, policy=policy)
     facts = msgspec.to_builtins(entry.card)
     parts = {name: value if isinstance(value, dict) else {"": value} for name, value in facts.items()}
     unsaid = [f"{name}.{inner}".rstrip(".") for name, part in parts.items() for inner in part if part[inner] is None]

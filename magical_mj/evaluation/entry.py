@@ -9,7 +9,6 @@ import hashlib
 import json
 import lzma
 import re
-import shlex
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from functools import cache
@@ -189,7 +188,6 @@ def submit(
     *,
     card: Path | str | None = None,
     policy: str | None = None,
-    extend: Path | str | None = None,
 ) -> Entry:
     """Makes an entry from the evaluations in some folders, and writes it.
 
@@ -197,14 +195,13 @@ def submit(
         folders: evaluations of one method, such as one for each run. Of shifted episodes, those of the `track` count.
         out: the file, whose name must end in .json.xz; an existing file is not replaced.
         card: a TOML file with fields of `Card`, all optional; the method has its name in the evaluations otherwise.
-        policy: the name of the method in the folders, if they hold several, or if the earlier entry calls it otherwise.
-        extend: an earlier entry of the same method, whose episodes are taken over, and its card if none is given.
+        policy: the name of the method in the folders, if they hold several.
 
     Raises:
         SettingsError: if the card has unknown fields or values of the wrong kind, or the choice of a method is
             ambiguous.
         UnknownNameError: if `policy` is not in the folders.
-        EvaluationError: if a folder is not an evaluation, the earlier entry not one, or they cannot be combined.
+        EvaluationError: if a folder is not an evaluation, or they cannot be combined.
         OSError: if the file exists or cannot be written.
     """
     out, folders = Path(out), folders_of(folders)
@@ -229,16 +226,8 @@ def submit(
         raise SettingsError(f"the card is not valid{f' in {card}' if card else ''}: {error}") from None
     _check_trainings(folders, name)
     entry = _combined(new_card, [source for source in sources if source[0].policy == name], folders)
-    if extend is not None:
-        earlier = read_entry(extend)
-        if earlier.method != entry.method and "method" not in described and policy is None:
-            raise SettingsError(
-                f"{extend} is of {earlier.method!r}, and the folders hold {entry.method!r}: if these are the same "
-                f"method, say so (--policy {shlex.quote(entry.method)}, or a card with its name)"
-            )
-        entry = _extended(earlier, entry, extend, earlier.card if card is None else entry.card)
     content = packed(entry)
-    unpacked(content, "the choice of folders" if extend is None else f"{extend} with these folders")
+    unpacked(content, "the choice of folders")
     out.parent.mkdir(parents=True, exist_ok=True)
     files.write(out, content)
     return entry
@@ -304,7 +293,9 @@ def _extended(earlier: Entry, added: Entry, name: object, card: Card) -> Entry:
     for field in ("observations", "rules", "protocol"):
         before, now = getattr(earlier, field), getattr(added, field)
         if before != now:
-            raise EvaluationError(f"{name} cannot be extended by these folders: {field} is {before} there, {now} here")
+            raise EvaluationError(
+                f"{name} holds files of different kinds: {field} is {before} in one, {now} in another"
+            )
     pairs = zip(*(msgspec.structs.astuple(entry.versions) for entry in (earlier, added)), strict=True)
     versions = Versions(*(sorted({*before, *now}) for before, now in pairs))
     return msgspec.structs.replace(added, card=card, versions=versions, episodes=[*earlier.episodes, *added.episodes])

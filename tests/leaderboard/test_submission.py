@@ -1,4 +1,4 @@
-"""Making entries: which folders and cards are taken, and how entries are extended."""
+"""Making entries: which folders and cards are taken, and how entries grow."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from magical_mj.evaluation.entry import entry_files, packed
+from magical_mj.evaluation.entry import entry_files
 from magical_mj.evaluation.scores import SETTINGS
 from magical_mj.leaderboard import read_entry, submit
 from magical_mj.leaderboard.standings import standing
 from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError
-from tests.helpers.entries import EPISODES, check, rewrite
+from tests.helpers.entries import EPISODES, rewrite
 
 BAD: list[tuple[str, dict[str, Any], str]] = [
     ('colour = "red"', {}, "the card is not valid in .*card.toml: .*colour"),
@@ -77,35 +77,16 @@ def test_one_training_is_one_run(folder: Path, tmp_path: Path) -> None:
         submit([folder], tmp_path / "entry.json.xz")
 
 
-def test_an_entry_is_extended_by_further_runs(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "card.toml").write_text('method = "Oracle"')
-    submit([folder], tmp_path / "one.json.xz", card=tmp_path / "card.toml")
-    rewrite(folder, lambda rows: [row.update(run=1, mujoco="3.18.0") for row in rows])
-    with pytest.raises(SettingsError, match=r"is of 'Oracle', and the folders hold 'expert': .*\(--policy expert, or"):
-        submit([folder], tmp_path / "two.json.xz", extend=tmp_path / "one.json.xz")
-    two = submit([folder], tmp_path / "two.json.xz", policy="expert", extend=tmp_path / "one.json.xz")
-    entry, findings = check(tmp_path / "two.json.xz", most=None)
-    assert (tmp_path / "two.json.xz").read_bytes() == packed(entry) == packed(two)
-    assert (entry.runs, findings.episodes, findings.differing) == ([0, 1], 2 * EPISODES, [])
-    assert entry.card == read_entry(tmp_path / "one.json.xz").card
-    assert len(entry.versions.mujoco) == 2
-    with pytest.raises(EvaluationError, match=r"two.json.xz with these folders holds an episode twice"):
-        submit([folder], tmp_path / "three.json.xz", policy="expert", extend=tmp_path / "two.json.xz")
-    (tmp_path / "card.toml").write_text('method = "Another"')
-    with pytest.raises(EvaluationError, match="none"):
-        submit([folder], tmp_path / "three.json.xz", extend=tmp_path / "none.json.xz")
-    again = submit([folder], tmp_path / "three.json.xz", card=tmp_path / "card.toml", extend=tmp_path / "one.json.xz")
-    assert (again.method, again.runs) == ("Another", [0, 1])
-
-
-def test_an_entry_is_extended_by_its_own_kind_only(folder: Path, tmp_path: Path) -> None:
-    submit((path for path in [folder]), tmp_path / "made" / "entry.json.xz")
+def test_files_of_an_entry_are_of_one_kind(folder: Path, tmp_path: Path) -> None:
+    submit((path for path in [folder]), tmp_path / "mine" / "0.json.xz")
+    (tmp_path / "mine" / "card.toml").write_text('method = "Mine"\n')
     for name, value in (("rules", "released"), ("preset", "LoRes4A")):
         rewrite(folder, lambda rows: [row.update({"run": 1, name: value}) for row in rows])  # noqa: B023
-        with pytest.raises(EvaluationError, match=f"cannot be extended by these folders: .*, {value} here"):
-            submit([folder], tmp_path / "two.json.xz", extend=tmp_path / "made" / "entry.json.xz")
+        submit([folder], tmp_path / "mine" / "1.json.xz")
+        with pytest.raises(EvaluationError, match=f"holds files of different kinds: .*, {value} in another"):
+            read_entry(tmp_path / "mine")
+        (tmp_path / "mine" / "1.json.xz").unlink()
         rewrite(folder, lambda rows: [row.update({"run": 1, "rules": "paper"}) for row in rows])
-    assert not (tmp_path / "two.json.xz").exists()
 
 
 def test_a_run_is_added_as_a_file(folder: Path, tmp_path: Path) -> None:
