@@ -278,7 +278,9 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             with np.errstate(all="ignore"):  # angles may be too small for float32
                 parts["fingers"] = self._engine.fingers().astype(np.float32)
         seen: dict[str, Any] = {name: _put(part, None if out is None else out[name]) for name, part in parts.items()}
-        return {**seen, "instruction": self._engine.instruction} if self._instructs else seen
+        if self._instructs:
+            seen["instruction"] = self._engine.instruction
+        return seen
 
 
 def _put(values: NDArray[Any], out: Any) -> NDArray[Any]:

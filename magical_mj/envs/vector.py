@@ -164,7 +164,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             env.observe(rows[world])
 
         self.each_world(begin)
-        return self._observations, self._batched(infos)
+        return self._seen(), self._batched(infos)
 
     def step(
         self, actions: Any
@@ -211,7 +211,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         batched: dict[str, Any] = {}
         for world in sorted(final):
             batched = self._add_info(batched, final[world], world)
-        return self._observations, rewards, np.zeros_like(ended), ended, {**self._batched(infos), **batched}
+        return self._seen(), rewards, np.zeros_like(ended), ended, {**self._batched(infos), **batched}
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """What a method of each world returns, or the attributes of this name."""
@@ -259,8 +259,14 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._observations: Any = create_empty_array(self.single_observation_space, self.num_envs, np.empty)
         if not isinstance(self._observations, dict):
             return list(self._observations)
-        columns = zip(*self._observations.values(), strict=True)
-        return [dict(zip(self._observations, column, strict=True)) for column in columns]
+        arrays = {name: part for name, part in self._observations.items() if isinstance(part, np.ndarray)}
+        return [dict(zip(arrays, column, strict=True)) for column in zip(*arrays.values(), strict=True)]
+
+    def _seen(self) -> Any:
+        """The observations of all worlds, with the sentences in them, which are no arrays."""
+        if isinstance(self._observations, dict) and "instruction" in self._observations:
+            self._observations["instruction"] = tuple(env.engine.instruction for env in self.envs)
+        return self._observations
 
     def each_world(self, do: Callable[[int], None]) -> None:
         """Does something in every world, by its number, with all threads. Raises the first error when all are done."""

@@ -260,7 +260,7 @@ def _vector_env(unit: Unit) -> Envs:
     if not settings.batched:
         name, how = env_id(unit.task, unit.variant, settings.preset), arguments(unit)
         if settings.wrap:
-            outer = [partial(_wrapped, wrap=settings.wrap)]
+            outer: list[Any] = [partial(_wrapped, wrap=settings.wrap)]
             kwargs: dict[str, Any] = {"autoreset_mode": mode}
             return gymnasium.make_vec(name, settings.envs, "sync", vector_kwargs=kwargs, wrappers=outer, **how)
         from magical_mj.envs.vector import make_vec  # imported late: it loads the simulator

@@ -87,6 +87,7 @@ def info_of(infos: dict[str, Any], world: int) -> dict[str, Any]:
 @pytest.mark.parametrize("name", [STATES, STACKS])
 def test_it_is_gymnasiums_vector_of_the_same_environments(name: str, mode: AutoresetMode) -> None:
     settings: dict[str, Any] = {"renderer": "software", "reward": "score", "max_episode_steps": 3}
+    settings["instruction"] = name == STACKS
     ours = gymnasium.make_vec(name, 3, "vector_entry_point", autoreset_mode=mode, threads=2, **settings)
     theirs = gymnasium.make_vec(name, 3, "sync", vector_kwargs={"autoreset_mode": mode}, **settings)
     assert ours.observation_space == theirs.observation_space
