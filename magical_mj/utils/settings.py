@@ -105,17 +105,18 @@ def fitting(name: str, value: Any, kind: Any, *, text: bool = False) -> Any:
         raise SettingsError(f"{name} must be {_wanted(plain, kind, value)}, not {short_repr(value)}") from None
 
 
-def described(settings: type, prefix: str = "") -> dict[str, Setting]:
+@lru_cache
+def described(settings: type, prefix: str = "") -> Mapping[str, Setting]:
     """All settings by name, in order; those of parts are called ``part.name``."""
     known: dict[str, Setting] = {}
+    types = get_type_hints(settings)
     for item in fields(settings):
         kind, path = annotated(settings)[item.name], f"{prefix}{item.name}"
         if is_dataclass(part := _plain(kind)):
-            known |= described(part, f"{path}.")  # pyright: ignore[reportArgumentType]
+            known |= described(part, f"{path}.")
         else:
             notes = [note.description for note in get_args(kind) if isinstance(note, Meta) and note.description]
-            plain = get_type_hints(settings)[item.name]
-            known[path] = Setting(plain, item.default, "".join(notes), _least(kind))
+            known[path] = Setting(types[item.name], item.default, "".join(notes), _least(kind))
     return known
 
 
