@@ -1,5 +1,6 @@
 """How Sphinx makes the documentation; `site/docs.py` gathers its sources."""
 
+import os
 from typing import Any
 
 from magical_mj import __version__
@@ -8,7 +9,9 @@ project = "magical_mj"
 author = "The magical_mj developers"
 project_copyright = "The magical_mj developers"
 version = release = __version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
+copybutton_prompt_text = "$ "
+copybutton_exclude = ".linenos, .gp, .go"
 exclude_patterns = ["extra"]
 myst_heading_anchors = 3
 suppress_warnings = ["myst.header"]  # README's sections start where their page says
@@ -21,16 +24,24 @@ html_logo = "logo.svg"
 html_favicon = "logo.svg"
 html_static_path = ["style"]
 html_css_files = ["site.css"]
+html_js_files = [("site.js", {"defer": "defer"})]
+html_baseurl = os.environ.get("SITE_URL", "")
 html_extra_path = ["extra"]
 html_copy_source = False
 html_show_sourcelink = False
 
 
 def setup(app: Any) -> None:
-    """Docstrings mean no emphasis by their asterisks."""
+    """Docstrings mean no emphasis by their asterisks; links to pages show a picture."""
 
     def escape(*arguments: Any) -> None:
         lines: list[str] = arguments[-1]
         lines[:] = [line.replace("*", r"\*") for line in lines]
 
+    def picture(_app: Any, _page: str, _template: str, context: dict[str, Any], _tree: Any) -> None:
+        if html_baseurl:
+            address = f"{html_baseurl.rstrip('/')}/media/scene.png"
+            context["metatags"] = context.get("metatags", "") + f'<meta property="og:image" content="{address}">'
+
     app.connect("autodoc-process-docstring", escape)
+    app.connect("html-page-context", picture)

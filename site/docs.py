@@ -1,7 +1,11 @@
-"""Writes the documentation site, out/site. What README and docs/ say is taken from there."""
+"""Writes the documentation site, out/site. What README and docs/ say is taken from there.
+
+If SITE_URL says where the site will stand, there is also a sitemap, and pages name a picture for links to them.
+"""
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -9,6 +13,8 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
+from home import home
+from standings_page import read_methods, standings_page
 from task_pages import write_task_pages
 
 from magical_mj.scene.actions import ACTIONS
@@ -18,8 +24,20 @@ ROOT: Final = Path(__file__).parent.parent
 PAGES: Final = ROOT / "site" / "pages"
 SOURCES: Final = ROOT / "out" / "site-sources"
 FOLDER: Final = ROOT / "out" / "site"
-PLACEHOLDER: Final = re.compile(r"^<!-- (README|file|actions|others): ?(.*?) -->$", re.MULTILINE)
+PLACEHOLDER: Final = re.compile(r"^<!-- (README|file|actions|others|home): ?(.*?) -->$", re.MULTILINE)
 LINK: Final = re.compile(r"\[([^]]*)\]\((?!https?:|#)([\w./-]+)(#[\w-]*)?\)")
+BELOW: Final = {
+    "results": ("results-pictures", "results-states"),
+    "demonstrations": ("experts",),
+    "environments": ("pictures",),
+    "adding-a-task": ("trust",),
+}
+"""Pages of docs/ that stand below another one in the list of pages."""
+MISSING: Final = """<!doctype html><html lang="en"><meta charset="utf-8"><title>No such page · magical_mj</title>
+<meta name="viewport" content="width=device-width, initial-scale=1"><meta name="color-scheme" content="light dark">
+<body style="font: 1.1rem/1.5 system-ui, sans-serif; max-width: 30rem; margin: 15vh auto; padding: 0 1rem">
+<h1>There is no such page</h1><p>It may have another name now: see the <a href="{home}">home page</a>.</p></body></html>
+"""
 REPOSITORY_FILES: Final = {
     "README.md": "index.md",
     "CHANGELOG.md": "changelog.md",
@@ -39,32 +57,48 @@ def write_docs(folder: Path) -> None:
             (SOURCES / path.name).write_text(_links(path.read_text(encoding="utf-8")), encoding="utf-8")
         elif path.is_file():
             shutil.copy(path, SOURCES)
+    for parent, pages in BELOW.items():
+        with (SOURCES / f"{parent}.md").open("a", encoding="utf-8") as page:
+            page.write("\n```{toctree}\n:hidden:\n\n" + "\n".join(pages) + "\n```\n")
+    methods = read_methods()
+    (SOURCES / "standings.md").write_text(standings_page(methods), encoding="utf-8")
+    cards = write_task_pages(SOURCES, media, methods.values())
+    start = home(methods, cards, media)
     for path in PAGES.iterdir():
         if (ROOT / "docs" / path.name).exists():
             raise SystemExit(f"{path.name} is in docs/ and in {PAGES}: give one of them another name")
         if path.suffix == ".md":
             (SOURCES / path.name).write_text(
-                PLACEHOLDER.sub(_filled, path.read_text(encoding="utf-8")), encoding="utf-8"
+                PLACEHOLDER.sub(lambda found: _filled(found, start), path.read_text(encoding="utf-8")), encoding="utf-8"
             )
         else:
             shutil.copy(path, SOURCES)
     (SOURCES / "logo.svg").write_text(_logo(), encoding="utf-8")
-    write_task_pages(SOURCES, media)
     shutil.copytree(ROOT / "site" / "style", SOURCES / "style")
     shutil.copy(ROOT / "site" / "conf.py", SOURCES)
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", str(SOURCES), str(folder)]
+    shutil.copy(ROOT / "docs" / "scene.png", media)
     subprocess.run([*command, "-d", str(SOURCES / ".doctrees")], check=True)
+    address = os.environ.get("SITE_URL", "").rstrip("/")
+    (folder / "404.html").write_text(MISSING.format(home=f"{address}/" if address else "./"), encoding="utf-8")
+    if address:
+        pages = sorted(path.name for path in folder.glob("*.html") if path.name != "404.html")
+        places = "\n".join(f"{address}/{name}" for name in [*pages, "play/", "play/inspect.html"])
+        (folder / "sitemap.txt").write_text(f"{places}\n", encoding="utf-8")
 
 
-def _filled(found: re.Match[str]) -> str:
+def _filled(found: re.Match[str], start: str) -> str:
     """What stands for a placeholder such as `<!-- README: Quickstart -->`."""
     kind, name = found.groups()
     if kind == "README":
         return _links(section((ROOT / "README.md").read_text(encoding="utf-8"), name))
+    if kind == "home":
+        return start
     if kind == "file":
         return _links((ROOT / name).read_text(encoding="utf-8"))
     if kind == "others":  # pages of docs/ that the index does not name
         index = (PAGES / "index.md").read_text(encoding="utf-8").split()
+        index += [name for pages in BELOW.values() for name in pages]
         return "\n".join(path.stem for path in sorted((ROOT / "docs").glob("*.md")) if path.stem not in index)
     rows = (
         f"| {number} | {' | '.join(part.name.lower() for part in action)} |" for number, action in enumerate(ACTIONS)

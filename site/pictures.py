@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -30,6 +30,20 @@ def animation(task: str, path: Path) -> None:
     frames += [frames[-1]] * CONTROL_RATE
     period = 1000 // CONTROL_RATE  # milliseconds
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=period, loop=0, quality=55, method=4)
+
+
+def replay(task: str, variant: str, seed: int, actions: Sequence[int], path: Path) -> None:
+    """An episode from above, played again from its actions, as an animated WebP that goes round."""
+    env = magical_mj.Engine(task, variant, seed=seed)
+    frames = []
+    for action in actions:
+        frames.append(Image.fromarray(env.render("allo", ANIMATION)))
+        env.step(action)
+    frames += [Image.fromarray(env.render("allo", ANIMATION))] * CONTROL_RATE
+    env.close()
+    period = 1000 // CONTROL_RATE // 2  # milliseconds: at twice its speed
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=period, loop=0, quality=55, method=4)
+    frames[-1].save(path.with_suffix(".png"))
 
 
 def picture(scene: Scene, path: Path, size: int) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from fetch import CACHE
+from standings_page import read_methods, write_replays
 
 import magical_mj
 from magical_mj.engine.export import mjcf_text
@@ -34,10 +35,16 @@ def write_play(folder: Path) -> int:
             models.append(mjcf_text(env))
         env.close()
         _write(folder / "scenes" / f"{task}-{variant}.json", with_models(data, models))
+    write_replays(read_methods(), folder / "replays")
     _write(folder / "catalogue.json", catalogue(magical_mj.ENVIRONMENTS, "browser"))
-    for name, content in library_files(CACHE).items():
+    libraries = library_files(CACHE)
+    for name, content in libraries.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(content)
+    size = len(libraries["mujoco/mujoco.wasm"])  # which compressed downloads do not say
+    for path in folder.glob("*.html"):
+        text = path.read_text(encoding="utf-8").replace('<html lang="en">', f'<html lang="en" data-wasm="{size}">')
+        path.write_text(text, encoding="utf-8")
     return sum(path.stat().st_size for path in folder.rglob("*"))
 
 

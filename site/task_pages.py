@@ -2,33 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from pictures import animation, examples, scenes
 
 from magical_mj.leaderboard.page import label
-from magical_mj.leaderboard.standings import BLOCKS, Standing, own_standings, published
+from magical_mj.leaderboard.standings import BLOCKS, Standing, published
 from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, task_spec
 from magical_mj.web.page_data import sections
 
 METHODS = ("BC (ST)", "BC (MT)", "GAIL (ST)", "WGAIL-GP (ST)", "AL (ST)")
-RESULTS = Path(__file__).parent.parent / "results"
 
 
-def write_task_pages(folder: Path, media: Path) -> None:
-    """Write `<Task>.md` for every task, and `tasks.md`, which shows them all; their pictures go into `media`."""
-    methods = [one for one in published() if one.name in METHODS]
-    methods += own_standings(RESULTS).values()
+def write_task_pages(folder: Path, media: Path, own: Iterable[Standing]) -> str:
+    """Write `<Task>.md` for every task, and `tasks.md`, which shows them all; their pictures go into `media`.
+
+    Args:
+        folder: for the pages.
+        media: for the pictures.
+        own: the methods whose results stand below the paper's.
+
+    Returns:
+        The cards of all tasks, as HTML.
+    """
+    methods = [*(one for one in published() if one.name in METHODS), *own]
     cards = []
     for task in TASKS:
         animation(task, media / f"{task}.webp")
         (folder / f"{task}.md").write_text(_page(task, methods, media), encoding="utf-8")
         goal = _sentence(task_spec(task).summary)
         cards.append(f'<a class="card" href="{task}.html">{_animation(task, media)}<strong>{task}</strong> {goal}</a>')
+    cards_html = f'<div class="cards">{"".join(cards)}</div>'
     listed = "```{toctree}\n:hidden:\n\n" + "\n".join(TASKS) + "\n```"
-    text = f'# Tasks\n\n{listed}\n\n<div class="cards">{"".join(cards)}</div>\n'
-    (folder / "tasks.md").write_text(text, encoding="utf-8")
+    (folder / "tasks.md").write_text(f"# Tasks\n\n{listed}\n\n{cards_html}\n", encoding="utf-8")
+    return cards_html
 
 
 def _page(task: str, methods: list[Standing], media: Path) -> str:

@@ -121,9 +121,17 @@ test("nothing starts by itself, whatever was pressed or stands in the address", 
   for (const wrong of ["FindDupe-All-abc", "FindDupe-All--3", "FindDupe-All-1e30", "FindDupe-Nothing", "Nothing-All-0"]) {
     await page.evaluate((hash) => { location.hash = hash; }, wrong);
     await page.waitForFunction((wrong) => location.hash !== `#${wrong}`, wrong);
-    await untilStatus("Press");
+    await untilStatus("There is no");
     assert.match(await page.evaluate("location.hash"), /^#[A-Z]\w+-[A-Z]\w+-0$/);
   }
+  await page.evaluate(() => { location.hash = "#FindDuple-Layot-7@state-bc"; });
+  await untilStatus("There is no task “FindDuple”, and no variant “Layot” of FindDupe: this is FindDupe-Layout-7");
+  assert.equal(await page.evaluate("location.hash"), "#FindDupe-Layout-7@state-bc");
+  await page.selectOption("#variant", "Demo");
+  await page.waitForFunction(() => location.hash === "#FindDupe-Demo-0@state-bc");
+  await untilStatus("Watching BC");
+  await page.goBack();
+  await page.waitForFunction(() => location.hash === "#FindDupe-Layout-7@state-bc");
   assert.deepEqual(complaints, []);
 });
 

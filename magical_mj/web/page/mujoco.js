@@ -26,7 +26,7 @@ export function loadMujoco() {
     .catch((error) => {
       loading = null;
       failures += 1;
-      throw new Error(`MuJoCo could not be loaded (${error.message})`);
+      throw new Error(`MuJoCo could not be loaded (${error.message}): try again`);
     });
   return loading;
 }

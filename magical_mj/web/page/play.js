@@ -1,9 +1,11 @@
 // @ts-check
 /** The page: choosing a scene, playing in it, watching, saving or sending. */
 import { fromLetters } from "./actions.js";
+import { parseAddress } from "./address.js";
 import { Controls } from "./controls.js";
 import { draw, fitToScreen } from "./draw.js";
 import { Game } from "./game.js";
+import { onProgress } from "./mujoco.js";
 import { recording, save } from "./recording.js";
 import { fetchJson, inBrowser, loadEnvironment } from "./scenes.js";
 import { score } from "./score.js";
@@ -14,19 +16,30 @@ import { remembered, Seat } from "./server.js";
 
 /** @param {string} id */
 const element = (id) => /** @type {any} */ (document.getElementById(id));
-const speed = Math.min(40, Math.max(0.1, Number(new URLSearchParams(location.search).get("speed")) || 1));  // times real time
 const arena = element("arena");
 const controls = new Controls(arena, document.querySelectorAll("[data-command]"));
 const catalogue = await fetchJson("catalogue.json").catch((error) => {
   element("status").textContent = error.message;
   throw error;
 });
+/** What participants of a study may use besides playing; without a study, everything. @param {string} what */
+const may = (what) => !catalogue.collects || catalogue.shows.includes(what);
+const wish = Number(new URLSearchParams(location.search).get("speed")) || 1;
+const speed = may("speed") ? Math.min(40, Math.max(0.1, wish)) : 1;  // times real time
 const seat = catalogue.simulation === "server" ? new Seat() : null;
+/** @type {Record<string, string>} the methods whose actions are stored, by the names of their entries */
+const methods = seat ? {} : await fetchJson("replays/index.json").catch(() => ({}));
+onProgress((share) => {
+  if (shown.game) return;
+  element("time").value = share;
+  if (!shown.note) element("status").textContent = `${PENDING} ${Math.floor(100 * share)} %`;
+});
 const open = seat?.open ?? inBrowser();
 
 /** What is on the page now. */
 const shown = {
-  task: "", variant: "", seed: -1, watching: false, sending: false, note: "",
+  task: "", variant: "", seed: -1, watching: false, sending: false, note: "", helped: false, practice: false,
+  /** whose stored actions are watched; "" for nobody's */ method: "",
   /** @type {import("./scenes.js").Environment} */ environment: { scenes: [], demonstrations: [] },
   /** @type {Game | null} */ game: null,
   /** @type {(() => void) | null} draws it again */ again: null,
@@ -40,9 +53,10 @@ const PENDING = seat ? "Waiting for the server …" : "Loading MuJoCo …";
  * @param {string} task
  * @param {string} variant
  * @param {number} seed
- * @param {string | null} script  actions to watch; null: the player's
+ * @param {{script?: string | null, method?: string, isAddress?: boolean}} [how]
+ *   script: actions to watch; null: the player's. method: whose stored actions to watch instead
  */
-async function choose(task, variant, seed, script = null) {
+async function choose(task, variant, seed, { script = null, method = "", isAddress = false } = {}) {
   if (unsent() && !confirm("This episode was not sent. Leave it?")) return showNames();
   const choice = ++choices;
   const failed = (/** @type {Error} */ error) => choice === choices ? say(error) : undefined;
@@ -53,14 +67,20 @@ async function choose(task, variant, seed, script = null) {
   if (!environment) return stay();
   const known = environment.scenes.find((entry) => entry.seed === seed);
   const entry = known ?? (seat ? { seed, expert: "", scene: null } : environment.scenes[0]);
-  Object.assign(shown, { task, variant, seed: entry.seed, environment, watching: script !== null });
-  showChoice(isOther);
+  const replay = method ? await replayOf(method, task, variant, entry.seed) : script;
+  if (choice !== choices) return;
+  const watched = method && replay ? method : "";
+  element("inspect").href = `inspect.html#${task}-${variant}-${entry.seed}`;
+  Object.assign(shown, { task, variant, seed: entry.seed, environment, watching: replay !== null, method: watched });
+  showChoice(isOther, !isAddress);
+  if (method && !replay) say(`There are no actions of “${method}” in this scene`);
+  else if (entry.seed !== seed && variant !== "Demo") say(`There is no scene ${seed} here, but ${environment.scenes.length}: this is the first`);
   shown.game?.episode.close();
   shown.game = shown.again = null;
   element("save").disabled = true;
   if (entry.scene) show(entry.scene, entry.scene);
   else element("status").textContent = PENDING;
-  const actions = script === null ? null : fromLetters(script);
+  const actions = replay === null ? null : fromLetters(replay);
   const next = () => {
     if (actions) return actions[game.actions.length] ?? 0;
     if (game.actions.length) return controls.next();
@@ -91,10 +111,25 @@ function unsent() {
   return catalogue.collects && shown.game?.over && !shown.watching && !shown.game.sent;
 }
 
-/** Selects and the address say which environment is shown. */
-function showNames() {
-  const { task, variant, seed } = shown;
-  history.replaceState(null, "", `#${task}-${variant}-${seed}`);
+/** @type {Record<string, Promise<Record<string, Record<string, string>>>>} method -> environment -> seed -> actions */
+const replays = {};
+
+/**
+ * What a method of the leaderboard did in a scene, as letters; null if that is not known.
+ * @param {string} method @param {string} task @param {string} variant @param {number} seed
+ */
+async function replayOf(method, task, variant, seed) {
+  if (!methods[method]) return null;
+  replays[method] ??= fetchJson(`replays/${method}.json`);
+  const all = await replays[method].catch(() => delete replays[method] && {});
+  return /** @type {any} */ (all)[`${task}-${variant}`]?.[seed] ?? null;
+}
+
+/** Selects and the address say which environment is shown. @param {boolean} [isNew]  whether one can go back from it */
+function showNames(isNew = false) {
+  const { task, variant, seed, method } = shown, hash = `#${task}-${variant}-${seed}${method && "@"}${method}`;
+  if (hash !== location.hash) history[isNew && location.hash ? "pushState" : "replaceState"](null, "", hash);
+  element("method").value = method;
   element("seed").value = seed;
   element("task").value = task;
   const variants = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);
@@ -102,11 +137,11 @@ function showNames() {
   element("variant").value = variant;
 }
 
-/** @param {boolean} isOther  whether another environment is shown than before */
-function showChoice(isOther) {
+/** @param {boolean} isOther  whether another environment is shown than before @param {boolean} isNew */
+function showChoice(isOther, isNew) {
   const { task, variant, seed, environment } = shown;
   const { summary, goal, solved } = catalogue.tasks[task];
-  showNames();
+  showNames(isNew);
   element("summary").textContent = `${summary[0].toUpperCase()}${summary.slice(1)}.`;
   element("words").textContent = goal;
   element("expert").disabled = !expertActions();
@@ -150,7 +185,7 @@ function show(initial, scene) {
   element("save").disabled = !game?.over || watching || sending;
   if (game?.failure) say(game.failure);
   const status = shown.note ? shown.note : !game ? PENDING : game.over ? `Over: score ${now.toFixed(2)}`
-    : watching ? "Watching" : done ? "Playing" : "Press a key or button to start";
+    : watching ? (shown.method ? `Watching ${methods[shown.method]}` : "Watching") : done ? "Playing" : "Press a key or button to start";
   if (element("status").textContent !== status) element("status").textContent = status;
 }
 
@@ -170,16 +205,16 @@ function frame(time) {
   requestAnimationFrame(frame);
 }
 
-/** Plays this scene of the present environment, from its start. @param {number} seed @param {string | null} script */
-function play(seed, script = null) {
+/** Plays this scene of the present environment, from its start. @param {number} seed @param {{script?: string | null, method?: string}} [how] */
+function play(seed, how = {}) {
   arena.focus({ preventScroll: true });
   if (!shown.task) return start();  // the first scene could not be loaded, or not yet
-  return choose(shown.task, shown.variant, seed, script);
+  return choose(shown.task, shown.variant, seed, how);
 }
 
 function next() {
   const seeds = shown.environment.scenes.map(({ seed }) => seed);
-  return play(seat && shown.variant !== "Demo" ? shown.seed + 1 : seeds[(seeds.indexOf(shown.seed) + 1) % seeds.length]);
+  return play(seat && shown.variant !== "Demo" ? shown.seed + 1 : seeds[(seeds.indexOf(shown.seed) + 1) % seeds.length], { method: shown.method });
 }
 
 /** What the expert does in this scene, as letters, if that is known. All seeds of Demo have the same scene. */
@@ -188,12 +223,13 @@ function expertActions() {
 }
 
 const again = () => play(shown.seed);
-const expert = () => play(shown.seed, expertActions());
+const expert = () => (shown.helped = true) && play(shown.seed, { script: expertActions() });
 
 let demonstration = 0;  // they are shown one after the other
 function demo() {
   const list = shown.environment.demonstrations;
-  return play(shown.seed, list[demonstration++ % list.length]);
+  shown.helped = true;
+  return play(shown.seed, { script: list[demonstration++ % list.length] });
 }
 
 /** Gives the server what was played; it says what to play next. */
@@ -203,13 +239,14 @@ async function send() {
   say("Sending …");
   const choice = choices;
   try {
-    const { score, next } = await /** @type {Seat} */ (seat).ask({ keep: recording(shown, catalogue.protocol) });
+    const about = { speed, watched: shown.helped };
+    const { score, next, ...rest } = await /** @type {Seat} */ (seat).ask({ keep: recording(shown, catalogue.protocol), about });
     game.sent = true;
-    const kept = `Kept, with score ${score.toFixed(2)}. Thank you!`;
+    const kept = shown.practice ? `That was for practice, with score ${score.toFixed(2)}.` : `Kept, with score ${score.toFixed(2)}. Thank you!`;
     if (choices !== choice) return say(kept);  // another scene was chosen meanwhile
     const opened = await chooseWanted(next);
     if (next && choices !== choice + 1) return say(kept);  // or while it was loaded
-    const after = !next ? "That was everything" : opened ? "Press a key to go on" : `The next scene cannot be opened: ${shown.note}`;
+    const after = !next ? ending(rest) : opened ? "Press a key to go on" : `The next scene cannot be opened: ${shown.note}`;
     say(`${kept} ${after}`);
   } catch (error) {
     say(/** @type {Error} */ (error));
@@ -220,13 +257,39 @@ async function send() {
 
 /** Tells the server who is here, and shows what it wants. @param {Seat} seat */
 async function arrive(seat) {
-  const { participant, next } = await seat.ask({ arrive: remembered() });
-  remembered(participant);
-  await (next ? chooseWanted(next) : chooseByAddress());
+  let reply = await seat.ask({ arrive: remembered() });
+  remembered(reply.participant);
+  if (reply.consent) {
+    await agreement(reply.consent);
+    reply = await seat.ask({ arrive: reply.participant, agree: true });
+  }
+  if (reply.next) await chooseWanted(reply.next);
+  else {
+    if (may("scenes")) await chooseByAddress();
+    say(ending(reply));
+  }
 }
 
-/** @param {{task: string, variant: string, seed: number} | null} wanted */
+/** Waits until the participant has agreed to a text. @param {string} text */
+function agreement(text) {
+  const dialog = element("consent");
+  element("consent-text").textContent = text;
+  dialog.addEventListener("cancel", (/** @type {Event} */ event) => event.preventDefault());
+  dialog.showModal();
+  return new Promise((resolve) => {
+    element("agree").onclick = () => {
+      dialog.close();
+      resolve(null);
+    };
+  });
+}
+
+/** Why there is nothing to play, and the code that participants hand in at the end. @param {{why?: string, code?: string}} reply */
+const ending = ({ why, code }) => `${why ?? "That was everything"}${code ? ` Your code: ${code}` : ""}`;
+
+/** @param {{task: string, variant: string, seed: number, practice: boolean} | null} wanted */
 async function chooseWanted(wanted) {
+  Object.assign(shown, { helped: false, practice: wanted?.practice ?? false });
   return wanted && choose(wanted.task, wanted.variant, wanted.seed);
 }
 
@@ -235,13 +298,11 @@ function seedIn(text) {
   return /^\d+$/.test(text ?? "") && Number.isSafeInteger(Number(text)) ? Number(text) : 0;
 }
 
-/** `#FindDupe-All-3`; what is missing or unknown is replaced by the first there is. */
-function chooseByAddress() {
-  const [task, variant, seed] = location.hash.slice(1).split("-");
-  const tasks = Object.keys(catalogue.tasks), known = tasks.includes(task) ? task : tasks[0];
-  const variants = catalogue.environments.filter((/** @type {Name} */ one) => one.task === known)
-    .map((/** @type {Name} */ one) => one.variant);
-  return choose(known, variants.includes(variant) ? variant : variants[0], seedIn(seed));
+/** What the address asks for; where there is no such thing, the nearest there is, and a word on it. */
+async function chooseByAddress() {
+  const { task, variant, seed, method, unknown } = parseAddress(location.hash, catalogue);
+  await choose(task, variant, seed, { method, isAddress: true });
+  if (unknown) say(unknown);
 }
 
 /** @type {Promise<void> | null} */
@@ -272,29 +333,42 @@ function changeNames() {
   const task = element("task").value, variant = element("variant").value;
   const there = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);
   const exists = there.some((/** @type {Name} */ one) => one.variant === variant);
-  choose(task, exists ? variant : there[0].variant, 0);
+  choose(task, exists ? variant : there[0].variant, 0, { method: shown.method });
 }
 
 function changeSeed() {
   if (shown.task) choose(shown.task, shown.variant, seedIn(element("seed").value));
 }
 
+element("method").onchange = () => play(shown.seed, { method: element("method").value });
 for (const [id, press] of Object.entries({ again, next, expert, demo })) element(id).onclick = () => press();
 element("save").onclick = catalogue.collects ? send : () => save(recording(shown, catalogue.protocol));
 element("seed").addEventListener("keydown", ({ key }) => { if (key === "Enter") arena.focus({ preventScroll: true }); });
 addEventListener("keydown", (event) => {
   const elsewhere = /** @type {any} */ (event.target).matches("select, input");
   if (elsewhere || event.repeat || controls.held.size || event.ctrlKey || event.metaKey || event.altKey) return;  // R and W are neighbours
-  if (SHORTCUTS[event.code]) element(SHORTCUTS[event.code]).click();
+  const button = element(SHORTCUTS[event.code] ?? "arena");
+  if (button.id !== "arena" && !button.hidden) button.click();
 });
 addEventListener("hashchange", chooseByAddress);
 addEventListener("beforeunload", (event) => { if (unsent()) event.preventDefault(); });
 
 fitToScreen(["allo", "ego"].map(element), () => shown.again?.());
+element("methods").hidden = !Object.keys(methods).length;
+element("method").append(...Object.entries(methods).map(([name, text]) => new Option(text, name)));
 element("task").replaceChildren(...Object.keys(catalogue.tasks).map((name) => new Option(name)));
 element("seed-label").hidden = !seat;
+element("inspect").hidden = seat !== null;
 if (seat) element("home").removeAttribute("href");
 requestAnimationFrame(frame);
-if (catalogue.collects) element("save").textContent = "Send";
+if (catalogue.collects) {
+  element("save").textContent = "Send";
+  element("instructions").hidden = !catalogue.instructions;
+  element("instructions").textContent = catalogue.instructions;
+  if (catalogue.title) document.title = catalogue.title;
+}
+for (const choice of ["task", "variant", "seed"]) element(choice).parentElement.hidden ||= !may("scenes");
+for (const choice of ["next", "more"]) element(choice).hidden = !may("scenes");
+for (const help of ["expert", "demo"]) element(help).hidden = !may("expert");
 await start();
 

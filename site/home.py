@@ -1,0 +1,83 @@
+"""The home page: what the benchmark asks, shown by one policy in two scenes, and where to go from there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from pictures import replay
+from standings_page import chart
+
+from magical_mj.leaderboard.standings import Standing
+from magical_mj.policies.interface import actions_of
+
+SHOWN: Final = "state-bc"
+"""The entry whose policy is shown."""
+TASK: Final = "FindDupe"
+VARIANTS: Final = {"Demo": max, "Layout": min}
+"""The variants in which it is shown, and which of its episodes: one that it solves, and one that it does not."""
+INSTALL: Final = 'pip install ".[video]"'
+QUESTION: Final = (
+    "A robot has seen ten demonstrations in one scene. Does it know what they were for, once the scene is another one?"
+)
+TEMPLATE: Final = """<p class="question">{question}</p>
+
+<div class="sides">{sides}</div>
+
+<p>The same policy twice, learnt by behavioural cloning. It is to bring the duplicate of the block in the goal region
+there, too.</p>
+
+<div class="install highlight-console notranslate"><div class="highlight"><pre>{install}</pre></div></div>
+
+<div class="doors">
+<a href="evaluation.html"><strong>Evaluate an agent</strong> 60 environments, 100 episodes each, one command</a>
+<a href="play/"><strong>Play</strong> Drive the robot yourself, or watch the expert and learnt policies</a>
+<a href="play/inspect.html"><strong>Inspect</strong> The scenes, or any MuJoCo model, in 3-D and running</a>
+</div>
+
+## The eight tasks
+
+{cards}
+
+## What methods score
+
+<p>Mean over the tasks. All have demonstrations of Demo only. The method that infers the goal and plans towards it keeps
+its score. All methods: <a href="standings.html">leaderboard</a>.</p>
+
+{chart}
+"""
+SIDE: Final = """<figure><picture><source media="(prefers-reduced-motion: reduce)" srcset="{still}">
+<img src="{moving}" width="448" height="448" alt="The policy drives in {place}; the score is {score:.2f}"></picture>
+<figcaption><strong>{words}</strong> ({variant}): mean score {mean:.2f}. <a href="{link}">Watch more</a></figcaption>
+</figure>"""
+
+
+def home(methods: Mapping[str, Standing], cards: str, media: Path) -> str:
+    """The page's HTML; its pictures go into `media`."""
+    return TEMPLATE.format(
+        question=QUESTION,
+        sides="".join(_side(methods[SHOWN], variant, media) for variant in VARIANTS),
+        install=INSTALL,
+        cards=cards,
+        chart=chart(methods),
+    )
+
+
+def _side(method: Standing, variant: str, media: Path) -> str:
+    """The policy in one variant, moving, and what it scores there."""
+    episodes = [] if method.entry is None else method.entry.counted
+    played = [episode for episode in episodes if (episode.task, episode.variant) == (TASK, variant)]
+    episode = VARIANTS[variant](played, key=lambda episode: episode.score)
+    path = media / f"home-{variant}.webp"
+    replay(TASK, variant, episode.seed, actions_of(episode.actions or ""), path)
+    return SIDE.format(
+        still=f"media/{path.stem}.png",
+        moving=f"media/{path.name}",
+        place=f"{TASK}-{variant}",
+        score=episode.score,
+        words="Where it learnt" if variant == "Demo" else "All moved",
+        variant=variant,
+        mean=method.means[TASK, variant].mean(),
+        link=f"play/#{TASK}-{variant}-0@{SHOWN}",
+    )

@@ -1,0 +1,188 @@
+"""The leaderboard as a page of the site, made from results/: tables to be sorted, and episodes to be watched."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from magical_mj.leaderboard.page import label
+from magical_mj.leaderboard.standings import BLOCKS, OVERALL, Estimate, Standing, own_standings, published
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS
+from magical_mj.web.page_data import SCENES
+
+ROOT: Final = Path(__file__).parent.parent
+BUILT_IN: Final = {"random": "random", "noop": "noop"}
+HEADLINE: Final = {
+    "state-goals": "Goals and planning",
+    "state-bc": "BC from states",
+    "pixels-bc-quick": "BC from pictures",
+    "state-gail": "GAIL from states",
+    "random": "Random actions",
+}
+"""The entries that the home page's chart shows, and what it calls them."""
+WIDTH, HEIGHT, LEFT, BOTTOM = 720, 300, 34, 30  # pixels of the chart, and of its margins
+COLOURS: Final = ("#3d8a4e", "#2f6f92", "#8a4fa0", "#c0632b", "#7d808b")
+INTRODUCTION: Final = (
+    "Interquartile means of the scores over tasks and runs, in [0, 1], with 95 % intervals where runs are ours. An "
+    "agent learns from demonstrations in Demo, and is scored in all variants. Click a heading to sort. A method's row "
+    "opens what it scored in each environment, how to repeat it, and episodes to watch: its stored actions, played "
+    "again in "
+    "your browser. Those who played a part of the environments only stand last."
+)
+
+
+def standings_page(methods: Mapping[str, Standing]) -> str:
+    """The page in Markdown with HTML in it; `methods`: file name of an entry -> its standing."""
+    blocks: dict[str, list[tuple[str, Standing]]] = defaultdict(list)
+    for name, method in [*methods.items(), *(("", one) for one in published())]:
+        blocks["published" if method.kind == "published" else method.block].append((name, method))
+    parts = ["# Leaderboard", INTRODUCTION, "How to hand in an entry: [Entries of the leaderboard](leaderboard.md)."]
+    for block, heading in {**BLOCKS, "published": "The paper's, in the original simulator †"}.items():
+        rows = sorted(blocks.get(block, ()), key=lambda row: (not row[1].everywhere, -_value(row[1], OVERALL)))
+        if rows:
+            parts += [f"## {heading}", _table(heading, rows)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _value(method: Standing, variant: str) -> float:
+    return method.scores[variant].value if variant in method.scores else -1.0
+
+
+def _table(heading: str, rows: Sequence[tuple[str, Standing]]) -> str:
+    columns = {OVERALL: "Overall"} | {variant: variant for variant in VARIANTS}
+    head = "".join(
+        f'<th scope="col" aria-sort="{"descending" if name == OVERALL else "none"}"><button>{text}</button></th>'
+        for name, text in {"": "Method", "runs": "Runs", "played": "Played", **columns}.items()
+    )
+    body = "".join(_row(name, method, tuple(columns)) for name, method in rows)
+    return (
+        f'<div class="wide" tabindex="0" role="region" aria-label="{escape(heading)}"><table class="standings"><thead>'
+        f"<tr>{head}</tr></thead>{body}</table></div>"
+    )
+
+
+def _row(name: str, method: Standing, columns: Sequence[str]) -> str:
+    """A body of a table: the method's figures, and below them what opens."""
+    cells = "".join(_cell(method.scores.get(column)) for column in columns)
+    runs = len(method.entry.runs) if method.entry else ""
+    title = f'<button class="opens" aria-expanded="false">{escape(label(method))}</button>'
+    details = f'<tr class="details" hidden><td colspan="{len(columns) + 3}">{_details(name, method)}</td></tr>'
+    figures = f"<td>{runs}</td><td>{len(method.means)}/{len(ENVIRONMENTS)}</td>{cells}"
+    return f'<tbody><tr><th scope="row">{title}</th>{figures}</tr>{details}</tbody>'
+
+
+def _cell(estimate: Estimate | None) -> str:
+    if estimate is None:
+        return "<td></td>"
+    interval = "" if np.isnan(estimate.low) else f"<small>{estimate.low:.2f} to {estimate.high:.2f}</small>"
+    return f'<td class="figure" style="--share: {round(100 * estimate.value)}%">{estimate.value:.2f}{interval}</td>'
+
+
+def _details(name: str, method: Standing) -> str:
+    rows = []
+    for task in TASKS:
+        cells = []
+        for variant in VARIANTS:
+            means = method.means.get((task, variant))
+            if means is None:
+                cells.append("<td></td>")
+                continue
+            text = f"{means.mean():.2f}"
+            if method.entry and _replayed(method, task, variant):
+                text = f'<a href="play/#{task}-{variant}-0@{name}" title="Watch it in {task}-{variant}">{text}</a>'
+            cells.append(f'<td class="figure" style="--share: {round(100 * means.mean())}%">{text}</td>')
+        rows.append(f'<tr><th scope="row">{task}</th>{"".join(cells)}</tr>')
+    head = "".join(f'<th scope="col">{variant}</th>' for variant in ("Task", *VARIANTS))
+    about = "" if method.entry is None else f"<p>{escape(method.entry.card.description or '')}</p>"
+    command = _command(name)
+    repeat = f"<p>Repeat it:</p><div class='highlight'><pre>{escape(command)}</pre></div>" if command else ""
+    watch = f"<p>Mean scores{'; each opens the first episode there' if method.entry else ''}.</p>"
+    table = f'<table class="heat"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
+    return f"{about}{watch}{table}{repeat}"
+
+
+def _command(name: str) -> str:
+    """How an entry is made again; "" if that takes more than a command."""
+    if name in BUILT_IN:
+        return f"magical-mj evaluate --policy {BUILT_IN[name]} --out runs/{name}"
+    if (ROOT / "experiments" / f"{name}.toml").exists():
+        return f"magical-mj experiment experiments/{name}.toml --out runs/{name}"
+    return ""
+
+
+def _replayed(method: Standing, task: str, variant: str) -> list[str]:
+    """The actions of the first run in the scenes that the page to play on has, as letters; [] if some are missing."""
+    if method.entry is None:
+        return []
+    first = method.entry.runs[0]
+    actions = {
+        episode.seed: episode.actions
+        for episode in method.entry.counted
+        if (episode.task, episode.variant, episode.run) == (task, variant, first) and episode.failure is None
+    }
+    seeds = range(1 if variant == "Demo" else SCENES)
+    return [actions[seed] for seed in seeds] if set(seeds) <= actions.keys() else []
+
+
+def write_replays(methods: Mapping[str, Standing], folder: Path) -> None:
+    """Write a file for each method with its stored actions, `<name>.json`, and `index.json` with the methods' names."""
+    folder.mkdir(parents=True)
+    index = {}
+    for name, method in methods.items():
+        episodes: dict[tuple[str, str], dict[int, str]] = defaultdict(dict)
+        for episode in method.entry.counted if method.entry else ():
+            if episode.run == method.entry.runs[0] and episode.seed < SCENES and episode.failure is None:
+                episodes[episode.task, episode.variant][episode.seed] = episode.actions
+        content = {
+            f"{task}-{variant}": {str(seed): actions for seed, actions in sorted(episodes[task, variant].items())}
+            for task, variant in ENVIRONMENTS
+            if (task, variant) in episodes
+        }
+        index[name] = method.name
+        (folder / f"{name}.json").write_text(json.dumps(content, separators=(",", ":")), encoding="utf-8")
+    (folder / "index.json").write_text(json.dumps(index), encoding="utf-8")
+
+
+def chart(methods: Mapping[str, Standing]) -> str:
+    """Mean scores over all tasks by variant, as SVG with a legend whose entries can be switched off."""
+    width, height = WIDTH - LEFT - 10, HEIGHT - BOTTOM - 10
+    step = width / (len(VARIANTS) - 1)
+    lines, legend = "", ""
+    grid = "".join(
+        f'<line x1="{LEFT}" x2="{WIDTH - 10}" y1="{(y := 10 + height * (1 - level)):.1f}" y2="{y:.1f}"/>'
+        f'<text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{level:g}</text>'
+        for level in (0, 0.25, 0.5, 0.75, 1)
+    )
+    names = "".join(
+        f'<text x="{LEFT + place * step:.1f}" y="{HEIGHT - 10}" text-anchor="middle">{variant}</text>'
+        for place, variant in enumerate(VARIANTS)
+    )
+    for colour, (name, text) in zip(COLOURS, HEADLINE.items(), strict=True):
+        points = []
+        for place, variant in enumerate(VARIANTS):
+            value = np.mean([means.mean() for pair, means in methods[name].means.items() if pair[1] == variant])
+            points.append((LEFT + place * step, 10 + height * (1 - float(value)), variant, float(value)))
+        path = " ".join(f"{x:.1f},{y:.1f}" for x, y, *_ in points)
+        dots = "".join(
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4"><title>{text}, {variant}: {value:.2f}</title></circle>'
+            for x, y, variant, value in points
+        )
+        lines += f'<g data-line="{name}" style="--line: {colour}"><polyline points="{path}"/>{dots}</g>'
+        switch = f'<input type="checkbox" checked value="{name}"><span></span>'
+        legend += f'<label style="--line: {colour}">{switch} {text}</label>'
+    return (
+        f'<figure class="chart"><svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="Mean scores over all tasks, '
+        f'by variant: all but planning fall from Demo to Layout"><g class="grid">{grid}{names}</g>{lines}</svg>'
+        f"<figcaption>{legend}</figcaption></figure>"
+    )
+
+
+def read_methods() -> dict[str, Standing]:
+    """The entries of results/."""
+    return own_standings(ROOT / "results")
