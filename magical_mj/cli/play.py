@@ -53,6 +53,10 @@ Wanted = Annotated[
     int | None,
     typer.Option(min=1, help="How many to collect of each environment.", show_default="as many as come"),
 ]
+StudyFile = Annotated[
+    Path | None,
+    typer.Option("--study", help="A file (.toml) that says what is collected, and how.", show_default=False),
+]
 Host = Annotated[str, typer.Option(help="Address to listen at.")]
 Port = Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")]
 Origin = Annotated[
@@ -89,6 +93,7 @@ def play(
     variants: Variants = "all",
     collect: Collect = None,
     wanted: Wanted = None,
+    study: StudyFile = None,
     host: Host = "127.0.0.1",
     port: Port = 8008,
     origin: Origin = None,
@@ -100,11 +105,12 @@ def play(
     With --web, and any of the options below it, in a browser: on this machine, or on another one through ssh -L.
     """
     check_fits(context, not web, "in a window, that is, without --web", "record", "size", "speed", "renderer")
-    check_fits(context, web, "with --web", "tasks", "variants", "collect", "wanted", "host", "port", "origin")
+    check_fits(context, web, "with --web", "tasks", "variants", "collect", "wanted", "study", "host", "port", "origin")
+    check_fits(context, study is None, "without --study, which says it", "tasks", "variants", "wanted")
     check_fits(context, task is not None, "with TASK", "seed")
     if web:
         first = None if task is None else (task_spec(task).name, variant_name(variant), seed)
-        serve_page(first, environments(tasks, variants), collect, wanted, host, port, origin)
+        serve_page(first, environments(tasks, variants), collect, wanted, study, host, port, origin)
         return
     if task is None:
         raise typer.BadParameter("give TASK, or --web to choose in the browser.")
@@ -287,6 +293,7 @@ def serve_page(
     environments: Sequence[Pair],
     collect: Path | None,
     wanted: int | None,
+    study: Path | None,
     host: str,
     port: int,
     origin: str | None,
@@ -300,18 +307,23 @@ def serve_page(
         check_seed_in_browser(first[2])
     if first is not None and collect is not None:
         raise SettingsError("with --collect the server chooses what is played: give --tasks and --variants, not TASK")
-    if wanted is not None and collect is None:
-        raise SettingsError("--wanted needs --collect")
+    if (wanted is not None or study is not None) and collect is None:
+        raise SettingsError(f"{'--wanted' if study is None else '--study'} needs --collect")
     if origin is not None and not ORIGIN.fullmatch(origin):
         raise SettingsError(
             f"--origin takes an address such as https://study.example.org, without a path; not {origin!r}"
         )
     origin = origin and origin.rstrip("/").lower()  # as browsers send it, and they compare letter by letter
     check_extra("games in a browser", "web")
-    from magical_mj.web.collection import Collection
+    from magical_mj.web.collection import Collection, Study, read_study
     from magical_mj.web.server import PlayServer
 
-    collection = None if collect is None else Collection(make_writable_folder(collect), environments, wanted)
+    collection = None
+    if collect is not None:
+        quotas = {f"{task}-{variant}": wanted for task, variant in environments}
+        asked = Study(quotas) if study is None else read_study(study)
+        environments = list(asked.pairs)
+        collection = Collection(make_writable_folder(collect), asked)
     server = PlayServer(environments, host, port, origin=origin, collection=collection)
     if collection is not None:
         server.token = collection.token()
@@ -339,5 +351,8 @@ async def _serve(server: PlayServer, place: str) -> None:
             f"cannot listen there ({error}); give another --host or --port; --port 0 is a free one"
         ) from error
     async with started as listening:
-        console().print(f"{server.address}{place}\nCtrl-C ends it.", soft_wrap=True)
+        console().print(f"{server.address}{place}", soft_wrap=True)
+        if server.collection is not None:
+            console().print(f"For whoever runs the study: {server.operators_address}", soft_wrap=True)
+        console().print("Ctrl-C ends it.")
         await listening.serve_forever()

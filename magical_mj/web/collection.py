@@ -1,63 +1,150 @@
-"""Collecting demonstrations from many people: each recording is replayed and saved in the participant's folder."""
+"""Studies: who plays what, what counts, and what was sent; everything is in one folder, and survives a kill.
+
+The folder holds a subfolder for each participant, named by a random id, with their demonstrations; `study.jsonl`, a
+line for each offer, consent, and recording that was accepted or refused; and the secret parts of two addresses, `token`
+for participants and `operator` for whoever runs the study.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import io
 import itertools
+import json
+import os
 import re
 import secrets
 import threading
-from collections import Counter
-from collections.abc import Sequence
+import time
+import zipfile
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal, NamedTuple
+
+import msgspec
+from msgspec import Meta, Struct
 
 from magical_mj import demos
-from magical_mj.demos.demonstration import SUFFIX
-from magical_mj.tasks.registry import Pair
+from magical_mj.demos.demonstration import SUFFIX, Demonstration
+from magical_mj.tasks.registry import ENVIRONMENTS, Pair
 from magical_mj.utils import files
-from magical_mj.utils.errors import DemonstrationError, SettingsError
+from magical_mj.utils.errors import DemonstrationError, SettingsError, short_repr
 
 _PARTICIPANT: Final = re.compile("[0-9a-f]{16}")
 _TOKEN: Final = re.compile("[A-Za-z0-9_-]{16,}")
+LOG: Final = "study.jsonl"
+PRACTICE: Final = 1_000_000
+"""The seed of the first scene for practice: far from all that count."""
+BINS: Final = 10
+"""Of the histogram of scores."""
+
+
+class Study(Struct, forbid_unknown_fields=True):
+    """What is collected, and what participants see; the content of a study file (TOML).
+
+    Attributes:
+        environments: "FindDupe-Demo" -> how many episodes are wanted of it; None: as many as come.
+        title: of the page.
+        instructions: shown above the arena.
+        consent: what participants must agree to before they play; "" for nothing.
+        completion_code: what they are told at the end.
+        episodes: how many of each participant; None: until there are enough of all.
+        practice: how many come before, which are not kept.
+        least_score: recordings with a lower score are refused, and played again. By default every whole episode counts.
+        shows: what participants may use: the expert, another speed, other scenes than the one offered.
+        lease_minutes: how long an offer is kept for them.
+        opens: when the first offer is made; None: at once. With a time zone.
+        closes: when the last offer is made; None: never. With a time zone.
+    """
+
+    environments: dict[str, Annotated[int, Meta(ge=1)] | None]
+    title: str = ""
+    instructions: str = ""
+    consent: str = ""
+    completion_code: str = ""
+    episodes: Annotated[int, Meta(ge=1)] | None = None
+    practice: Annotated[int, Meta(ge=0, le=20)] = 0
+    least_score: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    shows: list[Literal["expert", "speed", "scenes"]] = []
+    lease_minutes: Annotated[float, Meta(gt=0)] = 30.0
+    opens: Annotated[datetime, Meta(tz=True)] | None = None
+    closes: Annotated[datetime, Meta(tz=True)] | None = None
+
+    @property
+    def pairs(self) -> dict[Pair, int | None]:
+        """The environments and their quotas."""
+        return {pair: self.environments[name] for pair in ENVIRONMENTS if (name := "-".join(pair)) in self.environments}
+
+
+def read_study(path: Path) -> Study:
+    """The content of a study file.
+
+    Raises:
+        OSError, SettingsError: if it cannot be read, or holds something else.
+    """
+    try:
+        study = msgspec.convert(files.read_toml(path), Study)
+    except msgspec.ValidationError as error:
+        raise SettingsError(f"{path} is no study: {error}") from None
+    unknown = study.environments.keys() - {"-".join(pair) for pair in ENVIRONMENTS}
+    if unknown or not study.environments:
+        raise SettingsError(f"{path}: environments must be some of the benchmark's, not {sorted(unknown)}")
+    return study
+
+
+class Offer(NamedTuple):
+    """What one participant is to play."""
+
+    task: str
+    variant: str
+    seed: int
+    until: float
+    """When somebody else may get it, in seconds since 1970."""
 
 
 class Collection:
-    """A folder with a subfolder for each participant, named by a random id, with their demonstrations.
+    """A study that runs.
 
     Args:
-        folder: the folder; it is made if missing, and existing demonstrations count.
-        environments: the pairs (task, variant) of which demonstrations are wanted.
-        wanted: the number wanted of each; None: unlimited.
+        folder: the folder; it is made if missing, and what it holds counts.
+        study: what is collected.
+        clock: the time in seconds since 1970.
 
     Raises:
-        OSError: if the folder cannot be made.
+        OSError: if the folder cannot be made, or read.
         DemonstrationError: if a demonstration in it is damaged.
+        SettingsError: if a line of its `study.jsonl` is.
     """
 
-    def __init__(self, folder: Path, environments: Sequence[Pair], wanted: int | None = None) -> None:
-        self._folder = folder
-        self._environments = environments
-        self._wanted = wanted
-        self._lock = threading.Lock()
+    def __init__(self, folder: Path, study: Study, clock: Callable[[], float] = time.time) -> None:
+        self.study = study
+        self._folder, self._clock, self._lock = folder, clock, threading.Lock()
+        self._quotas = study.pairs
+        self._offers: dict[str, Offer] = {}
+        self._consents: set[str] = set()
+        self._practised: Counter[str] = Counter()
+        self._accepted: dict[Pair, dict[int, float]] = {pair: {} for pair in self._quotas}
+        self._by: Counter[str] = Counter()
+        self._refusals: dict[Pair, Counter[str]] = defaultdict(Counter)
+        self._episodes: dict[str, tuple[str, float]] = {}
+        self.paused = False
         folder.mkdir(parents=True, exist_ok=True)
-        self._kept = {
-            (task, variant): [
-                demos.read(path, task).scene_seed for path in folder.glob(f"*/{task}-{variant}-*{SUFFIX}")
-            ]
-            for task, variant in environments
-        }
-        self._offered = Counter({pair: len(seeds) for pair, seeds in self._kept.items()})
-        self._seeds = {pair: itertools.count() for pair in environments}
+        self._read()
+        for task, variant in self._quotas:
+            for path in sorted(folder.glob(f"*/{task}-{variant}-*{SUFFIX}")):
+                self._count(path.parent.name, demos.read(path, task))
 
-    def token(self) -> str:
+    def token(self, name: Literal["token", "operator"] = "token") -> str:
         """The secret part of the page's address, which stays the same when the server is restarted.
 
         Raises:
             OSError: if it cannot be saved.
             SettingsError: if the file in which it is saved holds something else.
         """
-        path = self._folder / "token"
+        path = self._folder / name
         with suppress(FileExistsError):  # from an earlier time, or another process
             files.write(path, secrets.token_urlsafe(16), mode=0o600)
         token = path.read_text(encoding="ascii", errors="replace").strip()
@@ -69,39 +156,223 @@ class Collection:
         """The id `name` if it has the form of one, as of a participant who returns, else a new id."""
         return name if isinstance(name, str) and _PARTICIPANT.fullmatch(name) else secrets.token_hex(8)
 
-    def next(self) -> dict[str, Any] | None:
-        """The next episode to play: the wanted environment that was offered least often, and a seed that was not kept.
+    def agree(self, participant: str) -> None:
+        """Record that a participant has agreed to the consent text, of which the hash is noted."""
+        with self._lock:
+            if self.study.consent and participant not in self._consents:
+                digest = hashlib.sha256(self.study.consent.encode()).hexdigest()
+                self._note({"event": "consent", "participant": participant, "sha256": digest})
 
-        None if there are enough demonstrations of all.
+    def next(self, participant: str) -> dict[str, Any]:
+        """What this participant plays next, as the page is told.
+
+        `{"next": {"task": ..., "variant": ..., "seed": ..., "practice": bool}}`; `next` is None if there is nothing
+        now, and then `why` says so; `{"consent": text}` if that must be agreed to first.
         """
         with self._lock:
-            unfinished = [
-                pair for pair in self._environments if self._wanted is None or len(self._kept[pair]) < self._wanted
-            ]
-            if not unfinished:
-                return None
-            task, variant = chosen = min(unfinished, key=lambda pair: self._offered[pair])
-            self._offered[chosen] += 1
-            seed = next(seed for seed in self._seeds[chosen] if seed not in self._kept[chosen])
-            return {"task": task, "variant": variant, "seed": seed}
+            now = self._clock()
+            if self.study.consent and participant not in self._consents:
+                return {"next": None, "consent": self.study.consent}
+            if why := self._closed(participant, now):
+                return {"next": None, **why}
+            offer = self._offers.get(participant)
+            if offer is None or not self._holds(participant, offer, now):
+                offer = self._choose(participant, now)
+            if offer is None:
+                return {"next": None, "why": "Others play what is left: please come back later"}
+            renewed = offer._replace(until=now + 60 * self.study.lease_minutes)
+            if offer != self._offers.get(participant) or offer.until - now < 30 * self.study.lease_minutes:
+                self._note({"event": "offer", "participant": participant, **renewed._asdict()})
+            task, variant, seed, _ = renewed
+            return {"next": {"task": task, "variant": variant, "seed": seed, "practice": seed >= PRACTICE}}
 
-    def keep(self, recording: str, participant: str) -> float:
+    def offered(self, participant: str | None, task: str, variant: str, seed: int) -> bool:
+        """Whether this participant may open a scene."""
+        offer = self._offers.get(participant or "")
+        return "scenes" in self.study.shows or (offer is not None and offer[:3] == (task, variant, seed))
+
+    def keep(self, recording: str, participant: str, about: Mapping[str, Any]) -> float:
         """Replays a recording and saves it as a demonstration before it returns; the same one counts once.
+
+        Args:
+            recording: its text.
+            participant: who sends it.
+            about: how it was played: `speed`, times real time, and `watched`, whether the expert was shown before.
 
         Returns:
             Its score.
 
         Raises:
-            MagicalError: if it is not a recording of these environments, or does not end as the player saw it.
+            MagicalError: if it does not count, with the reason.
+            OSError: if it cannot be saved.
         """
         demo, deviation, suspect = demos.from_recording(recording)
-        pair = demo.task, demo.variant
-        if pair not in self._environments:
-            raise DemonstrationError(f"demonstrations of {demo.name} are not collected here")
-        if suspect:
-            raise DemonstrationError(f"the replay ends {deviation:.3g} away from what was played: reload the page")
+        pair, key = (demo.task, demo.variant), _key(demo)
         with self._lock:
-            _, is_new = demos.keep(demo, self._folder / participant)
-            if is_new:
-                self._kept[pair].append(demo.scene_seed)
-        return demo.score
+            if self._episodes.get(key, ("", 0.0))[0] == participant:  # its first answer was lost
+                return self._episodes[key][1]
+            offer, now = self._offers.get(participant), self._clock()
+            facts = {"participant": participant, "task": demo.task, "variant": demo.variant, "seed": demo.scene_seed}
+            facts |= {
+                "score": demo.score,
+                "speed": _number(about.get("speed")),
+                "watched": about.get("watched") is True,
+            }
+            reason = None
+            if deviation is None:
+                reason = "it does not say how it ended"
+            elif suspect:
+                reason = f"its replay ends {deviation:.3g} away from what was played: reload the page"
+            elif offer is None or offer[:3] != (*pair, demo.scene_seed):
+                reason = "this scene was not offered to you"
+            elif key in self._episodes:
+                reason = "the same episode was sent before"
+            elif demo.scene_seed < PRACTICE and not self._holds(participant, offer, now):
+                reason = "it came too late, and there are enough by now"
+            elif demo.scene_seed < PRACTICE and demo.score < self.study.least_score:
+                reason = f"its score {demo.score:.2f} is lower than {self.study.least_score:.2f}: please try again"
+            if reason is not None:
+                self._note({"event": "refused", "reason": reason.partition(":")[0], **facts})
+                raise DemonstrationError(f"this episode does not count: {reason}")
+            if demo.scene_seed >= PRACTICE:
+                self._note({"event": "practised", **facts})
+            else:
+                demos.keep(demo, self._folder / participant)
+                self._note({"event": "accepted", **facts})
+                self._count(participant, demo)
+            return demo.score
+
+    def status(self) -> dict[str, Any]:
+        """How the study stands, for whoever runs it, as JSON data."""
+        with self._lock:
+            now = self._clock()
+            rows = []
+            for (task, variant), wanted in self._quotas.items():
+                pair, scores = (task, variant), list(self._accepted[task, variant].values())
+                bins = Counter(min(int(score * BINS), BINS - 1) for score in scores)
+                rows.append(
+                    {"environment": f"{task}-{variant}", "wanted": wanted, "accepted": len(scores)}
+                    | {"leased": len(self._leases(pair, now)), "refused": dict(self._refusals[pair])}
+                    | {"histogram": [bins[place] for place in range(BINS)]}
+                )
+            people = len({*self._offers, *self._by})
+            return {"title": self.study.title, "paused": self.paused, "participants": people, "environments": rows}
+
+    def pause(self, paused: bool) -> None:
+        """Make no more offers, or go on."""
+        with self._lock:
+            self._note({"event": "paused" if paused else "resumed"})
+
+    def archive(self) -> bytes:
+        """A zip file with all demonstrations and the log."""
+        buffer = io.BytesIO()
+        with self._lock, zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+            for path in sorted([*self._folder.glob(f"*/*{SUFFIX}"), *self._folder.glob(LOG)]):
+                archive.write(path, path.relative_to(self._folder))
+        return buffer.getvalue()
+
+    def _closed(self, participant: str, now: float) -> dict[str, Any] | None:
+        """Why there is nothing for this participant whatever the quotas say; None if there may be something."""
+        if self.study.episodes is not None and self._by[participant] >= self.study.episodes:
+            return {"why": "That was everything. Thank you!", "code": self.study.completion_code}
+        if all(wanted is not None and len(self._accepted[pair]) >= wanted for pair, wanted in self._quotas.items()):
+            code = self.study.completion_code if self._by[participant] else ""
+            return {"why": "That was everything: there are enough episodes. Thank you!", "code": code}
+        if self.paused:
+            return {"why": "The study is paused: please come back later"}
+        moment = datetime.fromtimestamp(now, UTC)
+        if self.study.opens is not None and moment < self.study.opens:
+            return {"why": f"The study opens at {self.study.opens:%Y-%m-%d %H:%M %Z}"}
+        if self.study.closes is not None and moment >= self.study.closes:
+            return {"why": "The study is closed. Thank you for coming!"}
+        return None
+
+    def _leases(self, pair: Pair, now: float, but: str = "") -> list[int]:
+        """The seeds of an environment that others are playing."""
+        return [
+            offer.seed
+            for participant, offer in self._offers.items()
+            if offer[:2] == pair and offer.until > now and participant != but and offer.seed < PRACTICE
+        ]
+
+    def _holds(self, participant: str, offer: Offer, now: float) -> bool:
+        """Whether an offer is still this participant's: in time, or late but wanted by nobody else."""
+        if offer.seed >= PRACTICE:
+            return True
+        pair: Pair = (offer.task, offer.variant)
+        if pair not in self._quotas or offer.seed in self._accepted[pair]:
+            return False
+        wanted, others = self._quotas[pair], self._leases(pair, now, participant)
+        in_use = len(self._accepted[pair]) + len(others)
+        return offer.seed not in others and (offer.until > now or wanted is None or in_use < wanted)
+
+    def _choose(self, participant: str, now: float) -> Offer | None:
+        """A scene that nobody plays, of the environment of which there is least; None if all are taken."""
+        if self._practised[participant] < self.study.practice:
+            task, variant = next(iter(self._quotas))
+            return Offer(task, variant, PRACTICE + self._practised[participant], 0.0)
+        used = {pair: len(self._accepted[pair]) + len(self._leases(pair, now, participant)) for pair in self._quotas}
+        free = [pair for pair, wanted in self._quotas.items() if wanted is None or used[pair] < wanted]
+        if not free:
+            return None
+        pair = min(free, key=lambda pair: used[pair])
+        taken = {*self._accepted[pair], *self._leases(pair, now, participant)}
+        return Offer(*pair, next(seed for seed in itertools.count() if seed not in taken), 0.0)
+
+    def _count(self, participant: str, demo: Demonstration) -> None:
+        """Counts a demonstration that is saved; one that is counted already stays counted once."""
+        pair: Pair = (demo.task, demo.variant)
+        if demo.scene_seed not in self._accepted[pair]:
+            self._by[participant] += 1
+        self._accepted[pair][demo.scene_seed] = demo.score
+        self._episodes[_key(demo)] = participant, demo.score
+        offer = self._offers.get(participant)
+        if offer is not None and offer[:3] == (*pair, demo.scene_seed):
+            del self._offers[participant]
+
+    def _note(self, event: dict[str, Any]) -> None:
+        """Writes an event to the log, on the disk, and takes note of it."""
+        line = json.dumps({"time": round(self._clock(), 3), **event}, separators=(",", ":"))
+        with (self._folder / LOG).open("a", encoding="utf-8") as log:
+            log.write(f"{line}\n")
+            log.flush()
+            os.fsync(log.fileno())
+        self._take(event)
+
+    def _take(self, event: Mapping[str, Any]) -> None:
+        match event:
+            case {"event": "consent", "participant": str(participant)}:
+                self._consents.add(participant)
+            case {"event": "offer", "participant": str(participant), "task": task, "variant": variant}:
+                self._offers[participant] = Offer(task, variant, event["seed"], event["until"])
+            case {"event": "refused", "task": task, "variant": variant, "reason": reason}:
+                self._refusals[task, variant][reason] += 1
+            case {"event": "practised", "participant": str(participant)}:
+                self._practised[participant] += 1
+                self._offers.pop(participant, None)
+            case {"event": "paused" | "resumed"}:
+                self.paused = event["event"] == "paused"
+
+    def _read(self) -> None:
+        """Takes note of all events in the log; a last line that a kill cut off is removed."""
+        path = self._folder / LOG
+        if not path.exists():
+            return
+        content = path.read_bytes()
+        whole = content[: content.rfind(b"\n") + 1]
+        for number, line in enumerate(whole.splitlines(), start=1):
+            try:
+                self._take(json.loads(line))
+            except (ValueError, KeyError, AttributeError):
+                raise SettingsError(f"line {number} of {path} is damaged: {short_repr(line)}") from None
+        if whole != content:
+            files.write(path, whole, overwrite=True)
+
+
+def _key(demo: Demonstration) -> str:
+    """The same for episodes that are equal in all but the seed, of which Demo's scenes do not depend."""
+    return hashlib.sha256(demo.scene.to_json().encode() + demo.variant.encode() + demo.actions.tobytes()).hexdigest()
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None

@@ -8,12 +8,15 @@ are JSON objects, each answered by one:
 |---|---|
 | `{"open": {"task": ..., "variant": ..., "seed": ...}}` | `{"scene": ...}`, the scene of a new episode |
 | `{"act": 0..17}` | `{"poses": {"robot": [x, y, angle], "fingers": [left, right], "blocks": [[x, y, angle], ...]}}` |
-| `{"arrive": id or null}` | `{"participant": id, "next": {"task": ..., "variant": ..., "seed": ...} or null}` |
+| `{"arrive": id or null}`, with `"agree": true` after consent | `{"participant": id, "next": ...}` |
 | `{"return": id}`, after a connection broke | `{"participant": id}` |
-| `{"keep": recording}` | `{"score": ..., "next": ...}`, once the recording is a file |
+| `{"keep": recording, "about": {"speed": ..., "watched": ...}}` | `{"score": ..., "next": ...}`, once it is a file |
 | anything else, or a mistake | `{"error": "what is wrong"}` |
 
-Arriving, returning and keeping need a collection; `magical_mj.demos.recording` describes recordings.
+Arriving, returning and keeping need a study; `Collection.next` says what `next` may be, and
+`magical_mj.demos.recording` describes recordings. Under another secret token, whoever runs a study sees how it stands
+(`operator.html`), by the messages `{"status": true}` and `{"pause": true or false}`, and downloads it
+(`demonstrations.zip`).
 """
 
 from __future__ import annotations
@@ -77,6 +80,11 @@ class PlayServer:
 
     def __post_init__(self) -> None:
         known = {**catalogue(self.environments, "server"), "collects": self.collection is not None}
+        self._operator = ""
+        if self.collection is not None:
+            study = self.collection.study
+            known |= {"shows": study.shows, "title": study.title, "instructions": study.instructions}
+            self._operator = self.collection.token("operator")
         self._files = {path.name: path.read_bytes() for path in PAGE.iterdir() if path.is_file()}
         self._files["catalogue.json"] = json.dumps(known).encode()
         self._files[""] = self._files["index.html"]
@@ -103,6 +111,11 @@ class PlayServer:
         """The page's address, once the server has started."""
         return f"{self._origins()[0]}/{self.token}/"
 
+    @property
+    def operators_address(self) -> str:
+        """The address of the page for whoever runs the study, once the server has started."""
+        return f"{self._origins()[0]}/{self._operator}/operator.html"
+
     def _origins(self) -> list[str]:
         """Those of the page, as browsers send them: IPv6 addresses in brackets, and no port that is the default."""
         host = "localhost" if self.host in ("0.0.0.0", "::") else self.host.lower()  # noqa: S104 (compared, not bound)
@@ -118,14 +131,18 @@ class PlayServer:
         if not self._is_addressed(request):
             advice = f"open {self._origins()[0]}, or start the server with --origin and the address that you use"
             return _response(HTTPStatus.MISDIRECTED_REQUEST, advice.encode())
-        if not slash or not secrets.compare_digest(start.encode(), self.token.encode()):
+        runs = bool(self._operator) and secrets.compare_digest(start.encode(), self._operator.encode())
+        if not slash or not (runs or secrets.compare_digest(start.encode(), self.token.encode())):
             return _response(HTTPStatus.FORBIDDEN)
         if request.method not in ("GET", "HEAD"):
             return _response(HTTPStatus.METHOD_NOT_ALLOWED)
         if name == "socket":
             is_ours = request.method == "GET" and request.headers.get("Origin") in self._origins()
             return None if is_ours else _response(HTTPStatus.FORBIDDEN)
-        content = self._content(name)
+        if runs and self.collection is not None and name == "demonstrations.zip":
+            content = self.collection.archive()
+        else:
+            content = None if not runs and name == "operator.html" else self._content(name)
         if content is None:
             return _response(HTTPStatus.NOT_FOUND)
         response = _response(HTTPStatus.OK, content, mimetypes.guess_type(name or "index.html")[0])
@@ -149,12 +166,17 @@ class PlayServer:
             task, _, variant = name.removeprefix("scenes/").removesuffix(".json").partition("-")
             if (task, variant) not in self.environments:
                 return None
-            return json.dumps(environment_scenes(task, variant), separators=(",", ":")).encode()
+            data = environment_scenes(task, variant)
+            if self.collection is not None and "expert" not in self.collection.study.shows:
+                data = {"demonstrations": [], "scenes": [{**scene, "expert": ""} for scene in data["scenes"]]}
+            return json.dumps(data, separators=(",", ":")).encode()
         return self._files.get(name)
 
     async def _play(self, connection: ServerConnection) -> None:
         """Serves one connection until it closes. Other connections are served while this one simulates."""
-        session = PlayerSession(self.environments, self.collection)
+        path = (connection.request or Request("", Headers())).path
+        runs = bool(self._operator) and path.startswith(f"/{self._operator}/")
+        session = PlayerSession(self.environments, self.collection, runs=runs)
         try:
             async for message in connection:
                 await connection.send(await asyncio.to_thread(session.answer, message))
@@ -176,10 +198,14 @@ class PlayerSession:
     Args:
         environments: the pairs (task, variant) that may be played.
         collection: where recordings are saved; None: nowhere.
+        runs: whether this is whoever runs the collection.
     """
 
-    def __init__(self, environments: Sequence[Pair], collection: Collection | None = None) -> None:
+    def __init__(
+        self, environments: Sequence[Pair], collection: Collection | None = None, *, runs: bool = False
+    ) -> None:
         self._environments = environments
+        self._runs = runs
         self._collection = collection
         self._participant: str | None = None
         self._engine: Engine | None = None
@@ -210,13 +236,21 @@ class PlayerSession:
                 return {"poses": poses(self._engine.scene)}
             case {"arrive": name} if self._collection is not None:
                 self._participant = self._collection.participant(name)
-                return {"participant": self._participant, "next": self._collection.next()}
+                if message.get("agree") is True:
+                    self._collection.agree(self._participant)
+                return {"participant": self._participant, **self._collection.next(self._participant)}
             case {"return": name} if self._collection is not None:
                 self._participant = self._collection.participant(name)
                 return {"participant": self._participant}
             case {"keep": recording} if self._collection is not None and self._participant is not None:
-                score = self._collection.keep(json.dumps(recording), self._participant)
-                return {"score": score, "next": self._collection.next()}
+                about = message.get("about") if isinstance(message.get("about"), dict) else {}
+                score = self._collection.keep(json.dumps(recording), self._participant, about)
+                return {"score": score, **self._collection.next(self._participant)}
+            case {"status": True} if self._runs and self._collection is not None:
+                return self._collection.status()
+            case {"pause": bool(paused)} if self._runs and self._collection is not None:
+                self._collection.pause(paused)
+                return self._collection.status()
             case _:
                 raise MagicalError(
                     "a message must be one of open, with a task, a variant and a seed; act, after that; and if "
@@ -226,6 +260,8 @@ class PlayerSession:
     def _open(self, task: str, variant: str, seed: int) -> Engine:
         if (task, variant) not in self._environments:
             raise MagicalError(f"{task}-{variant} is not played here")
+        if self._collection is not None and not self._collection.offered(self._participant, task, variant, seed):
+            raise MagicalError("this scene was not offered to you")
         self.close()
         self._engine = Engine(task, variant, seed=seed)
         return self._engine

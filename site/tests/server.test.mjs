@@ -2,7 +2,7 @@
 /** The same page with Python behind it: `magical-mj play --web --collect`, in headless Chromium. */
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
-import { mkdtemp, readdir } from "node:fs/promises";
+import { mkdtemp, readdir, writeFile } from "node:fs/promises";
 import { once } from "node:events";
 import { createInterface } from "node:readline";
 import { tmpdir } from "node:os";
@@ -20,6 +20,12 @@ const addressOf = async (server) => (await createInterface(server.stdout)[Symbol
 /** @param {import("playwright-core").Page} page @param {string} text */
 const untilStatus = (page, text) => page.waitForFunction(
   (text) => document.getElementById("status")?.textContent?.includes(text), text, { timeout: 40000 });
+/** The options for a study of MoveToRegion in which participants may do everything. @param {string} folder @param {Record<string, number>} quotas */
+async function study(folder, quotas) {
+  const lines = Object.entries(quotas).map(([variant, wanted]) => `MoveToRegion-${variant} = ${wanted}`);
+  await writeFile(`${folder}.toml`, ['shows = ["expert", "speed", "scenes"]', 'consent = "What you do is stored."', "[environments]", ...lines].join("\n"));
+  return ["--collect", folder, "--study", `${folder}.toml`];
+}
 /** The questions that a page asks, all of which are answered by no. @param {import("playwright-core").Page} page */
 function questionsOf(page) {
   /** @type {string[]} */
@@ -30,7 +36,7 @@ function questionsOf(page) {
 
 test("people play at the server and send what they did", async () => {
   const folder = await mkdtemp(join(tmpdir(), "magical-study-"));
-  const options = ["--collect", folder, "--tasks", "MoveToRegion", "--variants", "Demo,Layout", "--wanted", "1"];
+  const options = await study(folder, { Demo: 1, Layout: 1 });
   let server = serve(...options);
   const browser = await launch();
   try {
@@ -42,6 +48,7 @@ test("people play at the server and send what they did", async () => {
     page.on("pageerror", (error) => complaints.push(error.message));
     const questions = questionsOf(page);
     await page.goto(`${address}?speed=10`);
+    await page.click("#agree");
     for (const variant of ["Demo", "Layout"]) {
       await untilStatus(page, "ress a key");
       assert.equal(await page.inputValue("#variant"), variant);
@@ -68,7 +75,7 @@ test("people play at the server and send what they did", async () => {
     await page.waitForFunction(() => location.hash.endsWith("-12345"));
     const [participant, ...others] = await readdir(folder);
     assert.match(participant, /^[0-9a-f]{16}$/);
-    assert.deepEqual(others, ["token"]);
+    assert.deepEqual(others, ["operator", "study.jsonl", "token"]);
     assert.equal((await readdir(join(folder, participant))).length, 2);
     assert.deepEqual(complaints.filter((text) => !text.includes("ERR_CONNECTION_REFUSED")), []);
   } finally {
@@ -79,13 +86,14 @@ test("people play at the server and send what they did", async () => {
 
 test("a server that says nothing any more costs no episode, and no patience", async () => {
   const folder = await mkdtemp(join(tmpdir(), "magical-study-"));
-  const server = serve("--collect", folder, "--tasks", "MoveToRegion");
+  const server = serve(...await study(folder, { Demo: 9, Layout: 9, All: 9 }));
   const browser = await launch();
   try {
     const address = await addressOf(server);
     const page = await browser.context.newPage();
     const questions = questionsOf(page);
     await page.goto(`${address}?speed=40`);
+    await page.click("#agree");
     await untilStatus(page, "ress a key");
     await page.keyboard.press("ArrowUp");
     await untilStatus(page, "Over");

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import json
 import re
 import signal
 import socket
 import subprocess
 import sys
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,7 +25,7 @@ from magical_mj.cli import main
 from magical_mj.demos.recording import Recorder
 from magical_mj.policies.interface import actions_of
 from magical_mj.tasks.protocol import PROTOCOL
-from magical_mj.web.collection import Collection
+from magical_mj.web.collection import Collection, Study, read_study
 from magical_mj.web.page_data import PAGE, catalogue, environment_scenes, scene_data, sections
 
 websockets = pytest.importorskip("websockets")
@@ -32,7 +34,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 from websockets.sync.client import ClientConnection, connect  # noqa: E402
 
 from magical_mj.web.inspection import model_files  # noqa: E402
-from magical_mj.web.server import PlayServer  # noqa: E402
+from magical_mj.web.server import PlayServer, poses  # noqa: E402
 
 
 @pytest.fixture(autouse=True)
@@ -81,52 +83,132 @@ def recording(task: str, variant: str, seed: int, actions: list[int]) -> dict[st
     return {"format": 1, "protocol": PROTOCOL, "task": task, "variant": variant, "seed": seed, "actions": actions}
 
 
-def test_a_collection_asks_for_what_it_has_least_of(tmp_path: Path) -> None:
-    pairs = [("MoveToRegion", "Demo"), ("MoveToRegion", "Layout")]
-    collection = Collection(tmp_path, pairs, wanted=1)
-    episodes = [collection.next(), collection.next(), collection.next()]
-    assert [(episode["variant"], episode["seed"]) for episode in episodes if episode] == [
-        ("Demo", 0),
-        ("Layout", 0),
-        ("Demo", 1),
-    ]
-    me = collection.participant("../../somewhere")
-    assert re.fullmatch("[0-9a-f]{16}", me)
-    assert collection.participant(me) == me
-    collection = Collection(tmp_path, pairs, wanted=2)
-    for _ in range(2):  # as if the first answer was lost
-        collection.keep(json.dumps(recording(*pairs[0], 0, [0] * 40)), me)
-    assert (collection.next() or {})["variant"] == "Demo"
-    collection = Collection(tmp_path, pairs, wanted=1)
-    assert (collection.next() or {})["variant"] == "Layout"
-    collection.keep(json.dumps(recording(*pairs[1], 0, [1] * 40)), me)
-    assert collection.next() is None
-    again = Collection(tmp_path, pairs, wanted=1)
-    assert again.next() is None  # what was kept counts after a restart
-    assert len(again.token()) > 20
-    assert again.token() == collection.token()
+class Clock:
+    """A time that tests move."""
+
+    def __init__(self) -> None:
+        self.now = 1_000_000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def played(offer: dict[str, Any], actions: list[int] | None = None) -> str:
+    """The recording of an episode in the scene that was offered; without actions, one that nobody else plays."""
+    env = magical_mj.Engine(offer["task"], offer["variant"], seed=offer["seed"])
+    actions = [1 + offer["seed"] % 2] * (env.horizon or 0) if actions is None else actions
+    for action in actions:
+        env.step(action)
+    text = json.dumps({**recording(env.task, env.variant, offer["seed"], actions), "final": poses(env.scene)})
+    env.close()
+    return text
+
+
+def test_a_study_keeps_its_quotas_and_counts_an_episode_once(tmp_path: Path) -> None:
+    clock = Clock()
+    study = Study(
+        {"MoveToRegion-Demo": 1, "MoveToRegion-Layout": 1}, consent="Your actions are stored.", lease_minutes=10
+    )
+    collection = Collection(tmp_path, study, clock)
+    ann, ben, eve = (collection.participant(None) for _ in range(3))
+    assert collection.participant("../../somewhere") not in ("../../somewhere", ann)
+    assert collection.participant(ann) == ann
+    assert collection.next(ann) == {"next": None, "consent": study.consent}
+    for person in (ann, ben, eve):
+        collection.agree(person)
+    first, second = collection.next(ann)["next"], collection.next(ben)["next"]
+    assert (first["variant"], second["variant"]) == ("Demo", "Layout")
+    assert collection.next(ann)["next"] == first, "a reload, or another tab"
+    assert "come back later" in collection.next(eve)["why"]
+    with pytest.raises(magical_mj.utils.errors.DemonstrationError, match="not offered"):
+        collection.keep(played(first), eve, {})
+    with pytest.raises(magical_mj.utils.errors.DemonstrationError, match="how it ended"):
+        collection.keep(json.dumps({**json.loads(played(first)), "final": None}), ann, {})
+    score = collection.keep(played(first), ann, {"speed": 1, "watched": False})
+    assert collection.keep(played(first), ann, {}) == score, "the first answer was lost"
+    clock.now += 11 * 60
+    assert collection.next(eve)["next"] == second, "whoever left loses the scene"
+    with pytest.raises(magical_mj.utils.errors.DemonstrationError, match="too late"):
+        collection.keep(played(second), ben, {})
+    again = Collection(tmp_path, study, clock)  # as after a kill
+    assert again.next(eve)["next"] == second
+    again.keep(played(second), eve, {"speed": 1, "watched": True})
+    assert "enough" in again.next(ben)["why"]
+    status = again.status()
+    assert [(row["accepted"], row["leased"]) for row in status["environments"]] == [(1, 0), (1, 0)]
+    assert status["environments"][0]["refused"] == {
+        "this scene was not offered to you": 1,
+        "it does not say how it ended": 1,
+    }
+    assert len(list(tmp_path.rglob("*.npz"))) == 2
+    log = [json.loads(line) for line in (tmp_path / "study.jsonl").read_text().splitlines()]
+    assert [event["watched"] for event in log if event["event"] == "accepted"] == [False, True]
+
+
+def test_a_study_has_practice_a_least_score_and_a_code(tmp_path: Path) -> None:
+    study = Study({"MoveToRegion-Demo": None}, practice=1, least_score=1.0, episodes=1, completion_code="CODE-7")
+    collection = Collection(tmp_path, study)
+    me = collection.participant(None)
+    practice = collection.next(me)["next"]
+    assert practice["practice"]
+    collection.keep(played(practice), me, {})
+    offer = collection.next(me)["next"]
+    assert not offer["practice"]
+    with pytest.raises(magical_mj.utils.errors.DemonstrationError, match=r"0\.00 is lower than 1\.00"):
+        collection.keep(played(offer, [0] * 40), me, {})
+    assert collection.next(me)["next"] == offer
+    solved = demos.load("MoveToRegion")[0].actions.tolist()
+    assert collection.keep(played(offer, solved), me, {}) == 1.0
+    assert collection.next(me)["code"] == "CODE-7"
+    other = collection.participant(None)
+    collection.keep(played(collection.next(other)["next"]), other, {})
+    with pytest.raises(magical_mj.utils.errors.DemonstrationError, match="sent before"):
+        collection.keep(played(collection.next(other)["next"], solved), other, {})
+    collection.pause(True)
+    assert "paused" in Collection(tmp_path, study).next(collection.participant(None))["why"]
+    assert len(list(tmp_path.rglob("*.npz"))) == 1
+
+
+def test_a_studys_folder_that_is_damaged_is_said(tmp_path: Path) -> None:
+    study = Study({"MoveToRegion-Demo": 3})
+    collection = Collection(tmp_path, study)
+    collection.next(collection.participant(None))
+    log = tmp_path / "study.jsonl"
+    with log.open("ab") as file:
+        file.write(b'{"event": "off')  # a kill in between
+    Collection(tmp_path, study)
+    assert log.read_bytes().endswith(b"}\n")
+    log.write_bytes(b"nonsense\n")
+    with pytest.raises(magical_mj.utils.errors.SettingsError, match="line 1 of"):
+        Collection(tmp_path, study)
+    log.unlink()
+    assert (collection.token(), collection.token()) == (collection.token(),) * 2
+    assert collection.token("operator") != collection.token()
     assert (tmp_path / "token").stat().st_mode & 0o777 == 0o600
     for damaged in (b"", b"\xff\xfe", b"a/b"):
         (tmp_path / "token").write_bytes(damaged)
         with pytest.raises(magical_mj.utils.errors.SettingsError, match="delete it"):
-            again.token()
-    with pytest.raises(magical_mj.utils.errors.DemonstrationError, match="not collected"):
-        collection.keep(json.dumps(recording("MoveToRegion", "Jitter", 0, [0] * 40)), me)
-    assert len(list(tmp_path.rglob("*.npz"))) == 2
-
-
-def test_a_collection_asks_for_scenes_that_it_has_not(tmp_path: Path) -> None:
-    """Those that were given up are asked for again after a restart, and no others."""
-    pair = "MoveToRegion", "Demo"
-    collection = Collection(tmp_path, [pair])
-    assert [(collection.next() or {})["seed"] for _ in range(3)] == [0, 1, 2]
-    collection.keep(json.dumps(recording(*pair, 2, [0] * 40)), collection.participant(None))
-    again = Collection(tmp_path, [pair])
-    assert [(again.next() or {})["seed"] for _ in range(3)] == [0, 1, 3]
+            collection.token()
     (tmp_path / "0123456789abcdef").mkdir()
     (tmp_path / "0123456789abcdef" / "MoveToRegion-Demo-human-000.npz").touch()
     with pytest.raises(magical_mj.utils.errors.DemonstrationError, match="damaged"):
-        Collection(tmp_path, [pair])
+        Collection(tmp_path, study)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("title = 'x'", "missing required field `environments`"),
+        ("[environments]", "must be some of the benchmark's"),
+        ("[environments]\nTetris-Demo = 1", "Tetris-Demo"),
+        ("least_score = 2.0\n[environments]\nFindDupe-Demo = 1", "least_score"),
+        ("color = 1\n[environments]\nFindDupe-Demo = 1", "color"),
+    ],
+)
+def test_a_wrong_study_file_is_said(text: str, complaint: str, tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(text)
+    with pytest.raises(magical_mj.utils.errors.SettingsError, match=re.escape(complaint)):
+        read_study(tmp_path / "study.toml")
 
 
 @pytest.mark.parametrize(
@@ -198,9 +280,12 @@ def test_a_taken_port_is_said_with_what_to_do(capsys: pytest.CaptureFixture[str]
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subprocess.Popen[str], str, Path]]:
     """The process, the page's address and the folder in which it collects."""
-    command = [sys.executable, "-m", "magical_mj", "play", "--web", "--port", "0", "--tasks", "MoveToRegion,FindDupe"]
+    command = [sys.executable, "-m", "magical_mj", "play", "--web", "--port", "0"]
     folder = tmp_path_factory.mktemp("collected")
-    with subprocess.Popen([*command, "--collect", str(folder)], stdout=subprocess.PIPE, text=True) as process:
+    study = folder.parent / "study.toml"
+    study.write_text('shows = ["scenes"]\n[environments]\nMoveToRegion-All = 3\nFindDupe-Demo = 3\n')
+    command += ["--collect", str(folder), "--study", str(study)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         yield process, process.stdout.readline().strip(), folder
         process.kill()
@@ -235,7 +320,7 @@ def test_strangers_are_refused(server: tuple[Any, str, Path]) -> None:
         seat.send("x" * 200_000)
         with pytest.raises(ConnectionClosed):
             seat.recv()
-    assert [path.name for path in folder.iterdir()] == ["token"]
+    assert sorted(path.name for path in folder.iterdir()) == ["operator", "token"]
 
 
 def test_every_request_gets_a_status(server: tuple[Any, str, Path]) -> None:
@@ -268,21 +353,32 @@ def test_an_episode_at_the_server_is_pythons_and_outlives_a_kill(server: tuple[A
     process, address, folder = server
     with urlopen(address, timeout=60) as reply:
         assert reply.read() == (PAGE / "index.html").read_bytes()
-    env = magical_mj.Engine("MoveToRegion", "All", seed=7)
+    env = magical_mj.Engine("MoveToRegion", "All", seed=0)
     env.reset()
     recorder, actions = Recorder(env), [1, 4, 7, 10] * 10
     with sit(address) as seat:
         arrived = ask(seat, {"arrive": None})
-        opened = ask(seat, {"open": {"task": "MoveToRegion", "variant": "All", "seed": 7}})
+        opened = ask(seat, {"open": {"task": "MoveToRegion", "variant": "All", "seed": 0}})
         assert opened["scene"] == scene_data(env.scene)
         for action in actions:
             recorder.step(action)
             poses = ask(seat, {"act": action})["poses"]
         assert poses["robot"] == list(env.scene.robot.pose)
-        mine = {**recording("MoveToRegion", "All", 7, actions), "final": poses}
+        mine = {**recording("MoveToRegion", "All", 0, actions), "final": poses}
         wrong = {**mine, "final": {**poses, "robot": [0.0, 0.0, 0.0]}}
         assert "away from what was played" in ask(seat, {"keep": wrong})["error"]
         assert ask(seat, {"keep": mine})["score"] == env.score()
+        runs = f"{address.rsplit('/', 2)[0]}/{(folder / 'operator').read_text()}/"
+        with sit(runs) as operator:
+            assert ask(operator, {"status": True})["environments"][0]["accepted"] == 1
+        with urlopen(f"{runs}operator.html", timeout=60) as reply:
+            assert b"Run a study" in reply.read()
+        with urlopen(f"{runs}demonstrations.zip", timeout=60) as reply:
+            assert len(zipfile.ZipFile(io.BytesIO(reply.read())).namelist()) == 2
+        for page in ("operator.html", "demonstrations.zip"):
+            with pytest.raises(HTTPError, match="404"):
+                urlopen(f"{address}{page}", timeout=60)
+        assert "error" in ask(seat, {"status": True})
         with sit(address) as other:
             assert ask(other, {"return": arrived["participant"]}) == {"participant": arrived["participant"]}
             assert ask(other, {"keep": mine})["score"] == env.score(), "the same episode, which counts once"
@@ -291,7 +387,7 @@ def test_an_episode_at_the_server_is_pythons_and_outlives_a_kill(server: tuple[A
     (path,) = folder.rglob("*.npz")
     assert path.parent.name == arrived["participant"]
     demo = demos.read(path)
-    assert (demo.scene_seed, demo.demonstrator, demo.score) == (7, "human", env.score())
+    assert (demo.scene_seed, demo.demonstrator, demo.score) == (0, "human", env.score())
     assert demos.verify(demo).exact
     env.close()
 
