@@ -135,8 +135,10 @@ def write_replays(methods: Mapping[str, Standing], folder: Path) -> None:
     folder.mkdir(parents=True)
     index = {}
     for name, method in methods.items():
+        if method.entry is None:
+            continue
         episodes: dict[tuple[str, str], dict[int, str]] = defaultdict(dict)
-        for episode in method.entry.counted if method.entry else ():
+        for episode in method.entry.counted:
             if episode.run == method.entry.runs[0] and episode.seed < SCENES and episode.failure is None:
                 episodes[episode.task, episode.variant][episode.seed] = episode.actions
         content = {
