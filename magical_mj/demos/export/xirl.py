@@ -54,5 +54,5 @@ def to_xirl(demos: Sequence[Demonstration], folder: Path | str, *, overwrite: bo
 
 def _draw(demo: Demonstration, folder: Path) -> None:
     folder.mkdir(parents=True)
-    for frame, pictures in enumerate(render_demo(demo, size=SIZE)):
+    for frame, pictures in enumerate(render_demo(demo, size=SIZE, renderer="software")):
         Image.fromarray(pictures["allo"]).save(folder / f"{frame}.png")
