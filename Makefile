@@ -59,6 +59,7 @@ docs: $(VENV)/.installed-dev  ## rewrite the pictures and the tables of the READ
 	$(BIN)/python tools/exported_models.py out/models docs/exported-models.png
 	$(BIN)/python tools/experts_picture.py
 	$(BIN)/python -m tools.architecture_picture
+	$(BIN)/python tools/shifts.py picture
 	$(BIN)/python research/physics_picture.py
 	$(BIN)/python tools/tables.py
 

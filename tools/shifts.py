@@ -1,10 +1,13 @@
-"""Plays the expert, the random and the no-op agent in shifted environments: the table of docs/shifts.md.
+"""Shifts measured and shown: the built-in agents in them, their speed, how far pictures change, and docs/shifts.png.
 
 Only axes that change the physics are played: the others change neither what these agents see nor what they do, so that
 their scores are those without a shift. Episodes are kept as they end, so that an interrupted run goes on.
 
-    python tools/shifts.py play --episodes 50 --strengths 0,5 --processes 2
-    python tools/shifts.py table
+    python tools/shifts.py play --episodes 50 --strengths 0,5 --processes 2    (nice -n 19: hours)
+    python tools/shifts.py table        of what was played
+    python tools/shifts.py speed        processor time of steps with and without each axis at strength 5
+    python tools/shifts.py distance     mean CIELAB distance of pictures from those without a shift
+    python tools/shifts.py picture      docs/shifts.png
 """
 
 from __future__ import annotations
@@ -17,6 +20,13 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from pathlib import Path
+from time import process_time
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
 
 import magical_mj
 from magical_mj.policies.agents import AGENTS
@@ -24,7 +34,10 @@ from magical_mj.policies.interface import Episode, begin, play
 from magical_mj.shifts import SHIFTS, shift_label
 
 PHYSICAL = ("pose", "clutter", "latency", "slip", "friction")
-EPISODES = Path(__file__).parents[1] / "out" / "shifts.jsonl"
+SEEN = {"pose": 1, "camera": 3, "light": 4, "texture": 3, "palette": 3, "clutter": 7, "sensor": 0}
+"""The axes that show in a picture, and the seed that the picture shows."""
+ROOT = Path(__file__).parents[1]
+EPISODES = ROOT / "out" / "shifts.jsonl"
 Key = tuple[str, str, str, int]
 """Agent, task, label of the shift, seed."""
 
@@ -73,16 +86,84 @@ def table() -> str:
     return "\n".join(lines)
 
 
+def speed(renderer: str = "software", repeats: int = 5, episodes: int = 10) -> str:
+    """Steps with the paper's four ego frames: milliseconds of processor time, resets included, best of several."""
+    actions = np.random.default_rng(0).integers(0, 18, 100)
+
+    def run(env: Any) -> float:
+        start = process_time()
+        for seed in range(episodes):
+            env.reset(seed=seed)
+            for action in actions:
+                env.step(action)
+        return 1000 * (process_time() - start) / episodes / len(actions)
+
+    names = [None, *(f"{axis}:5" for axis in SHIFTS)]
+    envs = {
+        name: gymnasium.make("magical_mj/FindDupe-Demo-LoRes4E-v0", renderer=renderer, shifts=name) for name in names
+    }
+    times = {name: min(run(env) for _ in range(repeats)) for name, env in envs.items()}
+    rows = [f"| {name or 'none'} | {taken:.3f} | {times[None] / taken:.0%} |" for name, taken in times.items()]
+    return "\n".join(["| Shift | ms/step | speed |", "|---|---|---|", *rows])
+
+
+def lab(picture: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """A picture in CIELAB (D65). Shape (size, size, 3)."""
+    level = picture / 255
+    linear = np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
+    xyz = linear @ np.array([[0.4124, 0.2126, 0.0193], [0.3576, 0.7152, 0.1192], [0.1805, 0.0722, 0.9505]])
+    xyz /= [0.9505, 1.0, 1.089]
+    f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116)
+    return np.stack([116 * f[..., 1] - 16, 500 * (f[..., 0] - f[..., 1]), 200 * (f[..., 1] - f[..., 2])], axis=-1)
+
+
+def drawn(axis: str, strength: int, seed: int, size: int, view: str = "ego") -> NDArray[np.uint8]:
+    """The first picture of an episode of FindDupe."""
+    with closing(magical_mj.Engine("FindDupe", seed=seed, shifts={axis: strength}, renderer="software")) as env:
+        return env.render(view, size)
+
+
+def distance(seeds: int = 30) -> str:
+    """The mean CIELAB distance of all pixels, over seeds."""
+    lines = ["| Axis | 1 | 2 | 3 | 4 | 5 |", "|---|---|---|---|---|---|"]
+    for axis in SEEN:
+        means = []
+        for strength in range(1, 6):
+            pairs = [[lab(drawn(axis, each, seed, 96)) for each in (0, strength)] for seed in range(seeds)]
+            means.append(np.mean([np.linalg.norm(a - b, axis=-1).mean() for a, b in pairs]))
+        lines.append(f"| {axis} | " + " | ".join(f"{mean:.1f}" for mean in means) + " |")
+    return "\n".join(lines)
+
+
+def picture(path: Path = ROOT / "docs" / "shifts.png", size: int = 144) -> None:
+    """Axes across, strengths down, of one seed each, in which the axis shows well."""
+    gap, left, top = 6, 22, 22
+    sheet = Image.new("RGB", (left + len(SEEN) * (size + gap), top + 6 * (size + gap)), "white")
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(15)
+    for column, (axis, seed) in enumerate(SEEN.items()):
+        x = left + column * (size + gap)
+        draw.text((x + size / 2, top / 2), axis, "black", font, anchor="mm")
+        for strength in range(6):
+            y = top + strength * (size + gap)
+            sheet.paste(Image.fromarray(drawn(axis, strength, seed, size)), (x, y))
+            if column == 0:
+                draw.text((left / 2, y + size / 2), str(strength), "black", font, anchor="mm")
+    sheet.save(path, optimize=True)
+
+
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=("play", "table"))
+    parser.add_argument("command", choices=("play", "table", "speed", "distance", "picture"))
     parser.add_argument("--agents", default="expert,random,noop")
     parser.add_argument("--axes", default=",".join(PHYSICAL))
     parser.add_argument("--strengths", default="0,1,2,3,4,5")
     parser.add_argument("--episodes", type=int, default=50)
     parser.add_argument("--processes", type=int, default=1)
     given = parser.parse_args()
+    if given.command in ("speed", "distance", "picture"):
+        print({"speed": speed, "distance": distance, "picture": picture}[given.command]() or "")
+        return
     if given.command == "play":
         played = scores()
         strengths = [int(strength) for strength in given.strengths.split(",")]

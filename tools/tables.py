@@ -21,6 +21,8 @@ from magical_mj.evaluation.reports.statistics import mean_interval, rank_correla
 from magical_mj.leaderboard.page import label
 from magical_mj.leaderboard.standings import BLOCKS, Standing, own_standings, published
 from magical_mj.scene import constants as c
+from magical_mj.shifts import SHIFTS
+from magical_mj.shifts.shift import STRENGTHS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.variants import VARIANTS, Axis
 
@@ -213,6 +215,27 @@ def _sees_states(standing: Standing) -> bool:
     return standing.entry is not None and standing.entry.observations == "State"
 
 
+def shifts() -> dict[str, str]:
+    """The tables of docs/shifts.md by name: what each axis draws, and how large it is at each strength."""
+    kinds = {"signed": "±", "positive": "0 to ", "exact": "", "choice": "below "}
+    rows = [
+        (
+            f"`{name}`" if index == 0 else "",
+            factor.name,
+            _sentence(factor.about),
+            *(f"{kinds[factor.draw]}{size:g}" for size in factor.sizes),
+        )
+        for name, kind in SHIFTS.items()
+        for index, factor in enumerate(kind.factors)
+    ]
+    return {
+        "axes": table(
+            ("Axis", "What it changes"), [(f"`{name}`", _sentence(kind.summary)) for name, kind in SHIFTS.items()]
+        ),
+        "factors": table(("Axis", "Factor", "What it is", *map(str, range(1, STRENGTHS + 1))), rows),
+    }
+
+
 def _place(standing: Standing) -> tuple[bool, bool, float]:
     """By which methods are sorted."""
     return standing.kind != "official", not standing.everywhere, -_mean(standing, VARIANTS)
@@ -237,6 +260,7 @@ PAGES: Final[Mapping[str, Callable[[], dict[str, str]]]] = {
     "docs/results.md": results,
     "docs/results-pictures.md": results_from_pictures,
     "docs/results-states.md": results_from_states,
+    "docs/shifts.md": shifts,
 }
 """The pages that have such tables."""
 

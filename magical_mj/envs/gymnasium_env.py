@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from magical_mj.engine import Engine, State
 from magical_mj.envs.presets import Images, Preset, Stacks, observation_space, preset_named
+from magical_mj.envs.variation import MAX_SEED, Variation, VariationSpace
 from magical_mj.envs.wrappers import check_limit, continuous_space
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene
@@ -23,6 +24,7 @@ from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS, to_discrete
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.state_vector import CAMERAS, VIEWS, StateEncoder
+from magical_mj.shifts.episode import Draws
 from magical_mj.shifts.registry import Shifts
 from magical_mj.tasks.registry import TASKS
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
@@ -133,6 +135,18 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """The scene in which this episode started."""
         return self._engine.initial_scene
 
+    @property
+    def variation_space(self) -> VariationSpace:
+        """Every factor of scenes and shifts, with the default; see `magical_mj.envs.variation` and docs/shifts.md."""
+        return VariationSpace(self._engine)
+
+    @property
+    def variation(self) -> Variation:
+        """The present episode's values in `variation_space`: `reset(options={"variation": ...})` starts it again."""
+        engine = self._engine
+        seeds = {int(values["seed"]) for values in engine.draws.values()} or {engine.seed or 0}
+        return self.variation_space.values_of(engine.initial_scene, engine.draws, min(seeds))
+
     def score(self) -> float:
         """The score in [0, 1] if the episode ended now."""
         return self._engine.score()
@@ -145,18 +159,25 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         Args:
             seed: of this episode's scene, and of `np_random`, which draws the seeds of later ones. If no step follows,
                 the next reset without a seed starts in the same scene: the `set_seed` of some libraries resets once.
-            options: "scene" or "state"; others are ignored, with a warning.
+            options: "scene" or "state"; or "variation": a dict of values in `variation_space`, whole or in part (what
+                it lacks is as in the episode of the seed), or a list of names of factors to draw. Others are ignored,
+                with a warning.
 
         Raises:
             InvalidSeedError: if the seed is not an integer, or negative.
             InvalidSceneError: if the scene is not one of the task.
             StateError: if the state is none of an episode of the task that goes on.
-            SettingsError: if the options are no dict.
+            SettingsError: if the options are no dict, or the variation is not in its space.
         """
         seed = None if seed is None else check_seed(seed)
-        start = check_options(options, "scene", "state")
+        start = check_options(options, "scene", "state", "variation")
         scene, state = _scene_option(start), start.get("state")
-        if scene is not None or state is not None:
+        if (variation := start.get("variation")) is not None:
+            again = self._seeded if seed is None else seed
+            scene, draws = self._varied(variation, int(self.np_random.integers(2**63)) if again is None else again)
+            self._check_observable(scene)
+            self._engine.reset(scene=scene, draws=draws)
+        elif scene is not None or state is not None:
             self._check_observable(scene if state is None else getattr(state, "scene", None))
             self._engine.reset(scene=scene, state=state)
         else:
@@ -258,6 +279,19 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         if self._told or "words" in self._engine.draws:
             info["instruction"] = np.array(self._engine.instruction)
         return info | {"score": np.float64(score)} if self._score_every_step else info
+
+    def _varied(self, variation: Any, seed: int) -> tuple[Scene, Draws]:
+        """The scene and the draws of an episode with this variation; see `reset`."""
+        engine, space = self._engine, self.variation_space
+        if not isinstance(variation, Mapping):
+            return space.episode(space.draw(variation, engine, seed % MAX_SEED), engine.setup.sample(seed))
+        seed = int(variation.get("seed", seed))
+        scene, shifts = engine.setup.begin(engine.shifts, check_seed(seed))
+        values = space.values_of(scene, {} if shifts is None else shifts.draws, seed % MAX_SEED)
+        for name, part in variation.items():
+            check_name("part of a variation", name, space.spaces)
+            values[name] = {**values[name], **part} if isinstance(part, Mapping) else part
+        return space.episode(values, scene)
 
     def _draw(self, view: str, place: Images) -> None:
         self._engine.render(view, len(place), out=place if place.shape[2] == 3 else place[..., 0])

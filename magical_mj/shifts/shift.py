@@ -44,7 +44,8 @@ class Factor:
         size = self.sizes[strength - 1]
         if self.draw == "choice":
             return int(direction * size)
-        return size * {"signed": 2 * direction - 1, "positive": direction, "exact": 1}[self.draw]
+        value = size * {"signed": 2 * direction - 1, "positive": direction, "exact": 1}[self.draw]
+        return int(value) if self.whole else float(value)
 
     @property
     def whole(self) -> bool:
