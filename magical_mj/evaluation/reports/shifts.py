@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from magical_mj.evaluation.reports.statistics import mean_interval
 from magical_mj.evaluation.reports.tables import NONE, Table
 from magical_mj.evaluation.scores import SCORE_TOLERANCE
+from magical_mj.shifts import SHIFTS
 from magical_mj.shifts.shift import STRENGTHS
 from magical_mj.utils import escape
 
@@ -64,6 +65,8 @@ def by_shift(scores: pd.DataFrame) -> pd.DataFrame:
                 "environments": len(environments),
             }
         )
+    order = list(SHIFTS)
+    rows.sort(key=lambda row: order.index(row["axis"]) if row["axis"] in order else len(order))
     return pd.DataFrame(rows)
 
 
