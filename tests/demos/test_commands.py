@@ -55,7 +55,7 @@ def test_generate_verify_info_video_and_export(shell: Shell) -> None:
 def test_generate_takes_what_another_process_was_faster_to_make(demo: Demonstration, tmp_path: Path) -> None:
     demos.write(demo, tmp_path / "demo.npz")
     before = (tmp_path / "demo.npz").read_bytes()
-    assert make(("MoveToRegion", "Demo", 0, 1.0, tmp_path / "demo.npz")) == ""
+    assert make(("MoveToRegion", "Demo", 0, 1.0, "gripper", tmp_path / "demo.npz")) == ""
     assert (tmp_path / "demo.npz").read_bytes() == before
 
 

@@ -71,8 +71,8 @@ def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
     assert (out / "runs" / "bc-FixColour-1" / POLICY).read_bytes() == before  # in another process
     moved = out.rename(tmp_path / "moved")
     assert all("was trained before" in run.play() for run in plan_experiment(file, moved))
-    file.write_text(text.replace("[0, 1]", "[2, 0, 1]").replace("episodes = 2", "episodes = 3"))
-    with pytest.raises(SettingsError, match="episodes was 2 and is 3"):
+    file.write_text(text.replace("[0, 1]", "[2, 0, 1]").replace("episodes = 2", 'rules = "released"\nepisodes = 2'))
+    with pytest.raises(SettingsError, match=r"rules was .paper. and is .released."):
         next(run_experiment(plan_experiment(file, moved), moved))
     assert not (moved / "runs" / "bc-FixColour-2").exists()
 
