@@ -210,3 +210,29 @@ def test_unknown_environments_are_named(plugin: Any) -> None:
         plugin.MagicalConfig(task="MoveToRegoin").create_envs(1)
     with pytest.raises(UnknownNameError, match="unknown choice of views 'top'"):
         plugin.LeRobotEnv("MoveToRegion", "Demo", "top")
+
+
+@needs_lerobot
+def test_the_folder_for_the_hub_is_what_lerobot_loads_from_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lerobot.envs.factory import make_env
+
+    repository, revision = tmp_path / "models--magical--mj", "0" * 40
+    shutil.copytree(ROOT / "hub" / "lerobot", repository / "snapshots" / revision)  # as the hub's client caches it
+    (repository / "refs").mkdir()
+    (repository / "refs" / "main").write_text(revision)
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
+    suites = make_env("magical/mj", n_envs=2, hub_cache_dir=str(tmp_path), trust_remote_code=True)
+    assert list(suites) == list(magical_mj.TASKS)
+    vector = suites["MoveToRegion"][0]
+    observation, infos = vector.reset(seed=[0, 1])
+    assert observation["pixels"].shape == (2, 96, 96, 3)
+    assert not infos.get("is_success", np.zeros(2)).any()
+    drive = np.tile(np.array([1, 0, 0], np.float32), (2, 1))
+    for _ in range(40):
+        _, rewards, _, truncated, infos = vector.step(drive)
+    assert truncated.all()
+    assert infos["final_info"]["is_success"].tolist() == (rewards == 1).tolist()
+    for suite in suites.values():
+        suite[0].close()
