@@ -130,9 +130,7 @@ def _tint(rng: np.random.Generator) -> NDArray[np.float64]:
     return 255 * value * (1 - saturation * np.clip(np.abs((hue * 6 + np.array([0, 4, 2])) % 6 - 3) - 1, 0, 1))
 
 
-def _pattern(
-    pattern: int, u: NDArray[np.float32], v: NDArray[np.float32], rng: np.random.Generator
-) -> NDArray[np.float32]:
+def _pattern(pattern: int, u: NDArray[np.float32], v: NDArray[np.float32], rng: np.random.Generator) -> NDArray[Any]:
     """How much of its second colour a pattern has at u, v (world units), from 0 to 1. Shape (cells, cells)."""
     if pattern == TINTS:
         return np.zeros_like(u)
@@ -166,7 +164,7 @@ class Palette(Shift):
             colours[:, :3] = turned(colours[:, :3], self.values["hue"], self.values["saturation"])
 
 
-def turned(colours: NDArray[np.float32], degrees: float, change: float) -> NDArray[np.float32]:
+def turned(colours: NDArray[Any], degrees: float, change: float) -> NDArray[Any]:
     """Colours with hues turned, and saturations changed relatively, of the same brightest channel. Shape (n, 3)."""
     most, least = colours.max(axis=1, keepdims=True), colours.min(axis=1, keepdims=True)
     spread = np.where(most > least, most - least, 1)

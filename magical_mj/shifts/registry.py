@@ -168,9 +168,8 @@ def expand_shifts(shifts: str | Iterable[Mapping[str, int]], task: str | None = 
         UnknownNameError, ShiftError, SettingsError: as `parse_shifts`.
     """
     if not isinstance(shifts, str):
-        if isinstance(shifts, Mapping):
-            shifts = [shifts]
-        return _unique(parse_shifts(each, task) for each in shifts)
+        each: Any = [shifts] if isinstance(shifts, Mapping) else shifts
+        return _unique(parse_shifts(setting, task) for setting in each)
     settings: list[dict[str, int]] = []
     for part in filter(None, (part.strip() for part in shifts.split(","))):
         if part == "all":

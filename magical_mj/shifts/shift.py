@@ -36,7 +36,7 @@ class Factor:
 
     name: str
     about: str
-    sizes: tuple[float, float, float, float, float]
+    sizes: tuple[float, ...]
     draw: Literal["signed", "positive", "exact", "choice"] = "signed"
 
     def value(self, direction: float, strength: int) -> float:
