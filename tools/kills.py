@@ -250,7 +250,7 @@ def kinds(inputs: Path) -> dict[str, Kind]:
         "leaderboard": whole(*leaderboard),
         "list": reads("list"),
         "doctor": reads("doctor"),
-        "demo": Kind((*MAIN, *demo), lines, rows),
+        "demo": Kind((*MAIN, *demo), nothing, rows),  # it replaces an earlier tour
         "generate": Kind((*MAIN, *generate, "--out", "{}"), demonstrations, demonstrations),
         "import": Kind((*MAIN, "demos", "import", *recordings, "--out", "{}"), demonstrations, demonstrations),
         "demos-info": reads("demos", "info", *chosen),
