@@ -65,7 +65,7 @@ def action(network: nn.Module, state: NDArray[np.float32], body: str) -> NDArray
 
 def main() -> None:
     """Prints the table: whose demonstrations, then the mean score of each body."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--updates", type=int, default=3_000)
     parser.add_argument("--episodes", type=int, default=50)
     options = parser.parse_args()

@@ -39,7 +39,7 @@ def evaluate(model: SAC, body: str, reward: str) -> tuple[float, float]:
     env = make(body, reward)
     for episode in range(EPISODES):
         observation, _ = env.reset(seed=FIRST_TEST_SEED + episode)
-        total, over = 0.0, False
+        total, over, info = 0.0, False, {}
         while not over:
             observation, gain, _, over, info = env.step(model.predict(observation, deterministic=True)[0])
             total += float(gain)
@@ -51,7 +51,7 @@ def evaluate(model: SAC, body: str, reward: str) -> tuple[float, float]:
 
 def main() -> None:
     """Trains, and writes a line of the curve after every evaluation."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--body", default="longstick")
     parser.add_argument("--reward", default="sparse")
     parser.add_argument("--out", type=Path, required=True)

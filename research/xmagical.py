@@ -148,6 +148,7 @@ def sequences(probes: Mapping[str, Any], body: str) -> Iterator[Deviation]:
         begin = sequence["start"]
         engine = start(body, begin["robot"], begin["debris"], begin.get("fingers", (FINGER_OPEN, -FINGER_OPEN)))
         rows, worst = {row["t"]: row for row in sequence["every5"]}, np.zeros(2)
+        step = 0
         for step, action in enumerate(sequence["actions"], 1):
             engine.step(action)
             if touches(engine):

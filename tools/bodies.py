@@ -39,7 +39,7 @@ def mean_score(task: str, body: str, variants: list[str], seeds: int) -> str:
 
 def main() -> None:
     """Prints the table, a line for each cell."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--tasks", default=",".join(tasks.KNOWN))
     parser.add_argument("--bodies", default=",".join(BODIES))
     parser.add_argument("--variants", default="Demo,Layout,All")

@@ -299,7 +299,7 @@ FINGER_GAIN: Final = 10.0
 
 
 def speed_signal(
-    action: NDArray[np.float64], fingers: NDArray[np.float64] | None, before: NDArray[np.float64]
+    action: NDArray[np.floating], fingers: NDArray[np.float64] | None, before: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """The values of `ctrl` for one of x-magical's actions: speed (units/s), turn (rad) and, with fingers, grip (rad).
 

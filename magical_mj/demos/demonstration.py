@@ -194,7 +194,7 @@ def read(path: Path | str, task: str | None = None, *, trusted: Collection[str] 
 
 
 def unpacked(
-    path: Path, text: bytes, arrays: Mapping[str, NDArray[Any]], task: str | None, trusted: Collection[str] = ()
+    path: Path, text: bytes, arrays: Mapping[str, Any], task: str | None, trusted: Collection[str] = ()
 ) -> Demonstration:
     """The demonstration of a header's text and of arrays that came from `path`; otherwise as `read`."""
     header = _header(path, text, arrays)

@@ -63,8 +63,8 @@ def _replay(chunk: Sequence[Recorded], rules: Rules | None) -> list[Replayed]:
 
     first, results = chunk[0][1], []
     own = check_rules(first.rules)
-    how = {"rules": own, "shifts": first.shift, "body": first.body}
-    with closing(Engine(first.task, first.variant, seed=first.seed, **how)) as engine:
+    settings: dict[str, Any] = {"rules": own, "shifts": first.shift, "body": first.body}
+    with closing(Engine(first.task, first.variant, seed=first.seed, **settings)) as engine:
         for source, episode in chunk:
             engine.reset(seed=None if episode.seed == engine.seed else episode.seed)  # None: the same scene again
             rescored, difference = _played(episode, engine, rules)

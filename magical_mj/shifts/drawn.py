@@ -130,7 +130,7 @@ def _tint(rng: np.random.Generator) -> NDArray[np.float64]:
     return 255 * value * (1 - saturation * np.clip(np.abs((hue * 6 + np.array([0, 4, 2])) % 6 - 3) - 1, 0, 1))
 
 
-def _pattern(pattern: int, u: NDArray[np.float32], v: NDArray[np.float32], rng: np.random.Generator) -> NDArray[Any]:
+def _pattern(pattern: int, u: NDArray[Any], v: NDArray[Any], rng: np.random.Generator) -> NDArray[Any]:
     """How much of its second colour a pattern has at u, v (world units), from 0 to 1. Shape (cells, cells)."""
     if pattern == TINTS:
         return np.zeros_like(u)

@@ -317,7 +317,7 @@ class Environment(composer.Environment):
             seed = self._first_seed
         if seed is None:
             seed = int(self.random_state.randint(2**63 - 1, dtype=np.int64))
-        return self._start(*setup.begin(strengths, check_seed(seed)), seed)
+        return self._start(*setup.begin(strengths, check_seed(seed)), seed=seed)
 
     def _start(
         self, scene: Scene, shifts: EpisodeShifts | None, seed: int | None = None, state: State | None = None
