@@ -7,8 +7,9 @@ that leaves something behind makes the tests fail, and the system's folder stays
 import os
 import shutil
 import signal
+import sys
 import tempfile
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -54,10 +55,12 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None, None, None]
 
 
 @pytest.fixture
-def shell(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Shell:
-    """Runs `magical-mj` in an empty folder."""
+def shell(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Shell]:
+    """Runs `magical-mj` in an empty folder, whose modules are forgotten afterwards."""
     monkeypatch.chdir(tmp_path)
-    return Shell(capsys)
+    yield Shell(capsys)
+    for name in ("mine", "theirs"):
+        sys.modules.pop(name, None)
 
 
 @pytest.fixture(scope="session")

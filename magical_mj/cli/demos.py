@@ -55,7 +55,8 @@ Speed = Annotated[int, typer.Option(min=1, max=30, help="Times real time.")]
 Target = Annotated[
     Literal["npz", "minari", "lerobot", "robomimic", "webdataset", "xirl"],
     typer.Option(
-        help="A numpy archive, Minari or LeRobot data sets, robomimic's HDF5, a WebDataset archive, or XIRL's folders."
+        metavar="FORMAT",  # the names together are wider than narrow terminals
+        help="npz (a numpy archive), minari, lerobot, robomimic (HDF5), webdataset (an archive) or xirl (folders).",
     ),
 ]
 Name = Annotated[

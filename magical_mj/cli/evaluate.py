@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections import defaultdict
 from collections.abc import Sequence
@@ -97,7 +98,7 @@ def evaluate(policy: Policies, out: Out, like: As = "", **options: Any) -> None:
     except KeyboardInterrupt:
         screen.print("stopped; the same command with --resume continues")
         raise
-    screen.print(f"{out / SCORES}; tables and figures: magical-mj report {out}", soft_wrap=True)
+    screen.print(f"{out / SCORES}; tables and figures: magical-mj report {shlex.quote(str(out))}", soft_wrap=True)
 
 
 add_options(evaluate, EvaluationSettings)

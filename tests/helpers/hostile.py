@@ -17,6 +17,7 @@ from magical_mj.assets.world import World, world_mjcf
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.geometry import block_outline
+from magical_mj.tasks.registry import task_spec
 from magical_mj.variants.vary import draw_dynamics
 
 WORST = {"broken": 0.0, "warnings": 0.0, "outside": 0.01, "overlap": 0.01}
@@ -37,7 +38,7 @@ def crowd(rng: np.random.Generator) -> Scene:
         if math.dist((x, y), (robot.x, robot.y)) > 0.56 and min(apart, default=1) > 0.3:
             shape = c.SHAPES[rng.integers(4)]
             blocks.append(Block(shape, "red", x, y, float(rng.uniform(-np.pi, np.pi))))
-    return Scene(robot, tuple(blocks), dynamics=draw_dynamics(rng))
+    return Scene(robot, tuple(blocks), dynamics=draw_dynamics(rng, task_spec("MatchRegions").drive_forces))
 
 
 def episode(number: int) -> tuple[Scene, str]:

@@ -39,7 +39,7 @@ def test_every_method_learns_from_the_same_demonstrations() -> None:
     settings = tiny(tasks="FixColour", seed=3)
     chosen = [demos.load("FixColour")[number] for number in drawn("FixColour", 3, 2, 25)]
     for drop_noop in (True, False):
-        images, actions = demos.transitions(chosen, drop_noop=drop_noop)
+        images, actions = demos.transitions(chosen, drop_noop=drop_noop, renderer=settings.renderer)
         data = Dataset(settings, drop_noop=drop_noop)
         assert data.sizes == [len(actions)]
         batch = data.rows([torch.arange(len(actions))])

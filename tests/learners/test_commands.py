@@ -33,7 +33,7 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
     assert run([*TRAIN, "--out", out, "--resume"]) == 0
     scores = ["--episodes", "2", "--jobs", "1", "--out", str(tmp_path / "scores")]
     assert run(["evaluate", "--policy", out, "--tasks", "MoveToRegion", "--variants", "Demo", *scores]) == 0
-    assert "\na run, or b=c  " in capfd.readouterr().out
+    assert "\n a run, or b=c " in capfd.readouterr().out
     (Path(out) / POLICY).unlink()
     assert run(["evaluate", "--policy", out, "--out", str(tmp_path / "none")]) == 2
     assert "holds no policy: no " in capfd.readouterr().err

@@ -255,7 +255,7 @@ def test_a_place_out_of_reach_is_approached() -> None:
     """As after random actions, when the paths that the robot can see end before the place."""
     tree = SearchTree(np.array([(0.0, 0.0, 0.0), (0.0, 0.1, 0.0)]), np.array([-1, 0]), np.array([0, 1]))
     scene = magical_mj.sample_scene("MoveToRegion", "Demo", 0)
-    free = cell_costs(obstacles(scene), loaded=False)
-    (manoeuvre,) = manoeuvres(tree, free, scene, Subgoal(None, (0.5, 0.5), 0.1), Noise(np.random.default_rng(0), 1.0))
+    free, noise = cell_costs(obstacles(scene), loaded=False), Noise(np.random.default_rng(0), 1.0)
+    (manoeuvre,) = manoeuvres(tree, free, scene, Subgoal(None, (0.5, 0.5), 0.1), noise, grips=True)
     assert manoeuvre.route[-1] == (0.5, 0.5)
     assert manoeuvre.estimate == 1.0
