@@ -142,7 +142,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
 
     @property
     def variation(self) -> Variation:
-        """The present episode's values in `variation_space`, with which `reset(options={"variation": ...})` repeats it."""
+        """The values in `variation_space` of the present episode, which `reset(options={"variation": ...})` repeats."""
         engine = self._engine
         seeds = {int(values["seed"]) for values in engine.draws.values()} or {engine.seed or 0}
         return self.variation_space.values_of(engine.initial_scene, engine.draws, min(seeds))
