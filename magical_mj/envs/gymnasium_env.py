@@ -142,7 +142,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
 
     @property
     def variation(self) -> Variation:
-        """The values in `variation_space` of the present episode, which `reset(options={"variation": ...})` repeats."""
+        """The values in `variation_space` of the present episode, which `reset` repeats with its option "variation"."""
         engine = self._engine
         seeds = {int(values["seed"]) for values in engine.draws.values()} or {engine.seed or 0}
         return self.variation_space.values_of(engine.initial_scene, engine.draws, min(seeds))
