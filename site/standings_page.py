@@ -85,7 +85,7 @@ def _cell(estimate: Estimate | None) -> str:
 
 
 def _details(name: str, method: Standing) -> str:
-    rows = []
+    rows, stored = [], _stored(method)
     for task in TASKS:
         cells = []
         for variant in VARIANTS:
@@ -94,7 +94,7 @@ def _details(name: str, method: Standing) -> str:
                 cells.append("<td></td>")
                 continue
             text = f"{means.mean():.2f}"
-            if method.entry and _replayed(method, task, variant):
+            if set(range(1 if variant == "Demo" else SCENES)) <= stored.get((task, variant), {}).keys():
                 text = f'<a href="play/#{task}-{variant}-0@{name}" title="Watch it in {task}-{variant}">{text}</a>'
             cells.append(f'<td class="figure" style="--share: {round(100 * means.mean())}%">{text}</td>')
         rows.append(f'<tr><th scope="row">{task}</th>{"".join(cells)}</tr>')
@@ -116,18 +116,15 @@ def _command(name: str) -> str:
     return ""
 
 
-def _replayed(method: Standing, task: str, variant: str) -> list[str]:
-    """The actions of the first run in the scenes that the page to play on has, as letters; [] if some are missing."""
-    if method.entry is None:
-        return []
-    first = method.entry.runs[0]
-    actions = {
-        episode.seed: episode.actions
-        for episode in method.entry.counted
-        if (episode.task, episode.variant, episode.run) == (task, variant, first) and episode.failure is None
-    }
-    seeds = range(1 if variant == "Demo" else SCENES)
-    return [actions[seed] for seed in seeds] if set(seeds) <= actions.keys() else []
+def _stored(method: Standing) -> dict[tuple[str, str], dict[int, str]]:
+    """The actions of the first run in the scenes that the page to play on has, as letters, by environment and seed."""
+    episodes: dict[tuple[str, str], dict[int, str]] = defaultdict(dict)
+    if method.entry is not None:
+        first = method.entry.runs[0]
+        for episode in method.entry.counted:
+            if episode.run == first and episode.seed < SCENES and episode.failure is None:
+                episodes[episode.task, episode.variant][episode.seed] = episode.actions
+    return episodes
 
 
 def write_replays(methods: Mapping[str, Standing], folder: Path) -> None:
@@ -137,10 +134,7 @@ def write_replays(methods: Mapping[str, Standing], folder: Path) -> None:
     for name, method in methods.items():
         if method.entry is None:
             continue
-        episodes: dict[tuple[str, str], dict[int, str]] = defaultdict(dict)
-        for episode in method.entry.counted:
-            if episode.run == method.entry.runs[0] and episode.seed < SCENES and episode.failure is None:
-                episodes[episode.task, episode.variant][episode.seed] = episode.actions
+        episodes = _stored(method)
         content = {
             f"{task}-{variant}": {str(seed): actions for seed, actions in sorted(episodes[task, variant].items())}
             for task, variant in ENVIRONMENTS
