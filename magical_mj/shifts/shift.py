@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.scene import Scene
+from magical_mj.tasks.registry import task_spec
 from magical_mj.variants.rules import VariationRules
 
 Picture = NDArray[np.uint8]
@@ -98,7 +99,8 @@ class Shift:
     @classmethod
     def supports(cls, task: str) -> str | None:
         """Why a task of the benchmark or of your own cannot have this shift; None if it can."""
-        del task
+        if task_spec(task).speeds and cls.action is not Shift.action:
+            return "it changes which of the 18 actions is taken, and the task's actions are speeds"
         return None
 
     def rng(self, *key: int) -> np.random.Generator:

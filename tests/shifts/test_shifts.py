@@ -124,6 +124,8 @@ def test_what_is_no_shift_is_refused(shifts: Any, error: type[MagicalError], mes
 def test_a_task_can_lack_a_shift() -> None:
     with pytest.raises(SettingsError, match="MoveToCorner cannot have the shift 'pose'"):
         magical_mj.Engine("MoveToCorner", seed=0, shifts="pose:1")
+    with pytest.raises(SettingsError, match="SweepToTop cannot have the shift 'slip'"):
+        magical_mj.Engine("SweepToTop", "Layout", seed=0, shifts="slip:1")
 
 
 def test_a_shift_of_ones_own_that_returns_something_else_is_named() -> None:
