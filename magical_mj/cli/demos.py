@@ -170,7 +170,7 @@ def describe(demos: Sequence[Demonstration]) -> None:
         orders, strategies, ways = magical_mj.demos.diversity(group)
         score = fmean(demo.score for demo in group)
         steps = fmean(len(demo.actions) for demo in group)
-        actions = fmean(np.count_nonzero(demo.actions) for demo in group)
+        actions = fmean(np.count_nonzero(demo.acts) for demo in group)
         numbers = (len(group), f"{score:.3f}", f"{steps:.0f}", f"{actions:.0f}", orders, strategies, f"{ways:.2f}")
         table.add_row(*names, *map(str, numbers))
     screen = console()
@@ -250,7 +250,7 @@ def video(
                 if step == 0:
                     movie.begin(title, views, reached)
                 else:
-                    movie.add(views, step, int(demo.actions[step - 1]), reached)
+                    movie.add(views, step, demo.actions[step - 1], reached)
             movie.end()
     console().print(out, soft_wrap=True)
 

@@ -75,7 +75,7 @@ class Film:
         frame.paste(band, (0, (self.size - band.height) // 2), band)
         self._repeat(frame, self._pause)
 
-    def add(self, views: Picture, step: int, action: int, score: float) -> None:
+    def add(self, views: Picture, step: int, action: int | NDArray[Any], score: float) -> None:
         """What an action has led to."""
         self._last = self._frame(views, f"step {step}   {in_words(action)}", score)
         self._repeat(self._last, 1)
@@ -154,7 +154,7 @@ def replay(movie: Film, score: EpisodeResult, renderer: str | None = None) -> No
         EvaluationError: if the replay ends with another score, because versions have changed.
     """
     rules = check_rules(score.rules)
-    how: dict[str, Any] = {"rules": rules, "renderer": renderer, "shifts": score.shift}
+    how: dict[str, Any] = {"rules": rules, "renderer": renderer, "shifts": score.shift, "body": score.body}
     with closing(magical_mj.Engine(score.task, score.variant, seed=score.seed, **how)) as env:
         where = " ".join(filter(None, (score.task, score.variant, score.shift)))
         title = f"{where}, seed {score.seed}: {score.policy}"
@@ -187,9 +187,12 @@ def side_by_side(env: Engine, size: int, views: Sequence[str] = SIDE_BY_SIDE) ->
     return np.concatenate([env.render(view, size) for view in views], axis=1)
 
 
-def in_words(action: int) -> str:
-    """An action in words, such as "forward, left, grip"; "nothing" for the no-op."""
-    gripper, turn, drive = ACTIONS[action]
+def in_words(action: int | NDArray[Any]) -> str:
+    """An action in words, such as "forward, left, grip"; "nothing" for the no-op. Of speeds, their numbers."""
+    if isinstance(action, np.ndarray) and action.ndim:
+        names = ("speed", "turn", "grip")
+        return ", ".join(f"{name} {value:.2f}" for name, value in zip(names, action, strict=False))
+    gripper, turn, drive = ACTIONS[int(action)]
     words = [direction.name.lower() for direction in (drive, turn) if direction]
     return ", ".join(words + ["grip"] * gripper) or "nothing"
 

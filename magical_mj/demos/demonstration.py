@@ -28,7 +28,7 @@ from magical_mj._version import __version__
 from magical_mj.assets.robot import joints
 from magical_mj.assets.world import World
 from magical_mj.scene import Scene
-from magical_mj.scene.actions import ACTIONS, as_speeds
+from magical_mj.scene.actions import ACTIONS, NOOP, as_speeds
 from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.tasks.plugins import announced_name
 from magical_mj.tasks.registry import environment_axes, score, task_spec, variant_name
@@ -85,6 +85,11 @@ class Demonstration:
     def digest(self) -> str:
         """The SHA-256 digest of everything in it, which its file holds, too."""
         return packed(self)[0]["digest"]
+
+    @property
+    def acts(self) -> NDArray[np.bool_]:
+        """Which actions are not the no-op; of speeds, which drive or turn. Shape (steps,)."""
+        return np.asarray(self.actions != NOOP if self.actions.ndim == 1 else self.actions[:, :2].any(axis=1))
 
     def scenes(self) -> list[Scene]:
         """The scene before the first action and after each."""

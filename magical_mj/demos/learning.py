@@ -12,7 +12,6 @@ from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration
 from magical_mj.demos.replay import render_demo
 from magical_mj.envs.presets import FrameStack, Preset, drawn, preset_named
-from magical_mj.scene.actions import NOOP
 from magical_mj.scene.state_vector import StateEncoder
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.sweep_to_top import state_vector
@@ -63,8 +62,7 @@ def stream(
     """
     for demo in demos:
         rows = observations(demo, preset, renderer)
-        acts = demo.actions != NOOP if demo.actions.ndim == 1 else demo.actions[:, :2].any(axis=1)
-        steps = np.flatnonzero(acts) if drop_noop else np.arange(len(demo.actions))
+        steps = np.flatnonzero(demo.acts) if drop_noop else np.arange(len(demo.actions))
         before = {view: stacks[steps] for view, stacks in rows.items()} if isinstance(rows, dict) else rows[steps]
         yield Transitions(before, demo.actions[steps])
 

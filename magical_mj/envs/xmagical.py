@@ -16,7 +16,8 @@ from magical_mj.scene.actions import as_speeds
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.spec import Rules
 from magical_mj.tasks.sweep_to_top import REWARDS, SPEC, RewardKind, arrived, dense_reward, original_scene, state_vector
-from magical_mj.utils.errors import check_name
+from magical_mj.utils.errors import InvalidSeedError, check_name
+from magical_mj.variants import check_seed
 
 ObservationKind = Literal["State", "Pixels"]
 View = Literal["Allo", "Ego"]
@@ -25,6 +26,8 @@ SEEDS: Final = ("protocol", "original")
 STATE_BOUND: Final = 1.25
 """No entry of the state vector is beyond: positions reach 1.1, and debris is pressed into walls a little."""
 IMAGE_SIZE: Final = 384
+MOST_SEEDS: Final = 2**32
+"""Of numpy's `RandomState`, from which the original draws."""
 
 
 class XMagicalEnv(MagicalEnv):
@@ -109,7 +112,9 @@ class XMagicalEnv(MagicalEnv):
         if self._original is None or (options or {}).keys() & {"scene", "state"}:
             return super().reset(seed=seed, options=options)
         if seed is not None or not self._begun:
-            number = int(self.np_random.integers(2**32)) if seed is None else seed
+            number = int(self.np_random.integers(MOST_SEEDS)) if seed is None else check_seed(seed)
+            if number >= MOST_SEEDS:
+                raise InvalidSeedError(f"x-magical's seeds are below 2**32, not {seed}; others need seeds='protocol'")
             self._original = np.random.RandomState(number)
         scene = original_scene(self.engine.variant, self._original, self.engine.setup.body)
         return super().reset(seed=seed, options={**(options or {}), "scene": scene})

@@ -22,7 +22,6 @@ from typing import Final
 import numpy as np
 
 from magical_mj.scene import GoalRegion, Robot, Scene
-from magical_mj.scene.bodies import BODIES
 from magical_mj.scene.constants import COLOURS, REGION_SIZE
 from magical_mj.tasks.planning import Noise, Subgoal, drive, places_inside
 from magical_mj.tasks.rules import pick, require, require_regions
@@ -65,5 +64,5 @@ SPEC: Final = TaskSpec(
     plan=plan,
     colour=colour,
     region_size=REGION_SIZE,
-    bodies=tuple(BODIES),
+    bodies=("gripper", "shortstick", "mediumstick"),
 )

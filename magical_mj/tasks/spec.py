@@ -129,6 +129,11 @@ class TaskSpec(VariationRules):
 
     def check_plan(self) -> Plan:
         """The plan; raises `TaskError` if there is none."""
+        if self.speeds:
+            raise TaskError(
+                f"the expert of {self.name} acts by speeds, which evaluations and videos do not store; "
+                f"magical-mj demos generate --tasks {self.name} plays its episodes"
+            )
         if self.plan is None:
             raise TaskError(f"{self.name} has no plan, so no expert can play it; give its TaskSpec one")
         return self.plan

@@ -15,14 +15,20 @@ import xmagical as beside  # type: ignore[import-not-found] - research/xmagical.
 from gymnasium.utils.env_checker import check_env
 
 import magical_mj
+from magical_mj.cli.film import in_words
+from magical_mj.demos.export.archives import to_npz, to_robomimic
 from magical_mj.demos.export.xirl import to_xirl
 from magical_mj.envs.xmagical import XMagicalEnv
 from magical_mj.scene.bodies import BODIES, Body, body_named
+from magical_mj.scene.geometry import check_scene
+from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.sweep_to_top import DEMO, original_scene, state_vector
 from magical_mj.utils.errors import (
     DemonstrationError,
     InvalidActionError,
     InvalidSceneError,
+    InvalidSeedError,
+    MagicalError,
     SettingsError,
     UntrustedNameError,
 )
@@ -119,6 +125,39 @@ def test_actions_of_a_wrong_kind_are_refused(action: Any) -> None:
     env.reset(seed=0)
     with pytest.raises(InvalidActionError, match="2 finite numbers"):
         env.step(action)
+
+
+@pytest.mark.parametrize("seed", [-1, 2**32, 1.5])
+def test_seeds_that_the_original_cannot_have_are_refused(seed: Any) -> None:
+    env = XMagicalEnv(seeds="original")
+    with pytest.raises(InvalidSeedError, match="seeds"):
+        env.reset(seed=seed)
+
+
+def test_what_stores_no_speeds_says_so_of_the_expert() -> None:
+    with pytest.raises(MagicalError, match="acts by speeds"):
+        magical_mj.evaluate("expert", tasks="SweepToTop", variants="Demo", episodes=1)
+
+
+def test_every_body_that_is_offered_starts_in_legal_scenes() -> None:
+    for task, variant in magical_mj.ENVIRONMENTS:
+        for body in task_spec(task).bodies:
+            for seed in range(3):
+                check_scene(magical_mj.sample_scene(task, variant, seed, body=body))
+
+
+def test_videos_words_and_archives_take_speeds(tmp_path: Path) -> None:
+    (demo, *_) = magical_mj.demos.load("SweepToTop", body="longstick")
+    assert demo.acts.shape == demo.actions.shape[:1]
+    assert in_words(np.array([0.5, -0.1])) == "speed 0.50, turn -0.10"
+    to_npz([demo], tmp_path / "one.npz", preset="State")
+    with np.load(tmp_path / "one.npz") as archive:
+        assert archive["actions"].shape == (np.count_nonzero(demo.acts), 2)
+    (other, *_) = magical_mj.demos.load("SweepToTop")
+    with pytest.raises(DemonstrationError, match="several bodies"):
+        to_npz([demo, other], tmp_path / "both.npz", preset="State")
+    with pytest.raises(DemonstrationError, match="speeds"):
+        to_robomimic([demo], tmp_path / "one.hdf5")
 
 
 def test_bodies_that_a_task_does_not_offer_are_refused() -> None:

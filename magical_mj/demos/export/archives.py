@@ -20,7 +20,8 @@ from magical_mj.demos.export.lerobot import IMAGE_SIZE, VIEWS
 from magical_mj.demos.learning import observations, stream
 from magical_mj.demos.replay import render_demo
 from magical_mj.envs.registration import env_id
-from magical_mj.scene.actions import NOOP, to_vector
+from magical_mj.scene.actions import to_vector
+from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, check_name
 from magical_mj.utils.extras import check_extra
@@ -52,7 +53,8 @@ def to_npz(
         overwrite: replace an existing file.
 
     Raises:
-        DemonstrationError: if there are no demonstrations, or a scene's seed is 2**63 or more.
+        DemonstrationError: if there are no demonstrations, or a scene's seed is 2**63 or more, or their observations
+            have different shapes, as those of different bodies do.
         FileExistsError: if the file exists.
     """
     demos, path = list(demos), files.to_path(path)
@@ -64,7 +66,7 @@ def to_npz(
     with files.new_file(path, overwrite=overwrite) as unfinished:
         for number, (demo, part) in enumerate(zip(demos, stream(demos, preset, drop_noop=drop_noop), strict=True)):
             views = part.observations if isinstance(part.observations, dict) else {"": part.observations}
-            steps = np.flatnonzero(demo.actions != NOOP) if drop_noop else np.arange(len(demo.actions))
+            steps = np.flatnonzero(demo.acts) if drop_noop else np.arange(len(demo.actions))
             rows = {
                 **{f"observations_{view}".rstrip("_"): pictures for view, pictures in views.items()},
                 "actions": part.actions,
@@ -80,6 +82,8 @@ def to_npz(
             for name, values in rows.items():
                 columns.setdefault(name, []).append(values)
         with unfinished.open("wb") as file:
+            if any(len({np.shape(part)[1:] for part in rows}) > 1 for rows in columns.values()):
+                raise DemonstrationError("these demonstrations are of several bodies; an archive holds those of one")
             joined = {name: np.concatenate(rows) for name, rows in columns.items()}
             np.savez_compressed(file, allow_pickle=False, **joined)
 
@@ -101,7 +105,7 @@ def to_robomimic(
 
     Raises:
         MissingExtraError: if h5py is not installed.
-        DemonstrationError: if the demonstrations are not of one environment.
+        DemonstrationError: if the demonstrations are not of one environment, or their actions are speeds.
         UnknownNameError: if `views` is none of `magical_mj.demos.export.lerobot.VIEWS`.
         FileExistsError: if the file exists.
     """
@@ -110,6 +114,8 @@ def to_robomimic(
 
     check_name("choice of views", views, VIEWS)
     only_environment(demos)
+    if task_spec(demos[0].task).speeds:
+        raise DemonstrationError("robomimic gets the 18 actions as vectors; speeds go to minari, lerobot or webdataset")
     path = files.to_path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     name, kwargs = env_id(demos[0].task, demos[0].variant), {"action": "continuous", "reward": "score"}
