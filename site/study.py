@@ -23,6 +23,7 @@ from magical_mj import demos
 from magical_mj.demos.demonstration import SUFFIX
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.tasks.protocol import PROTOCOL
+from magical_mj.web.collection import LOG
 
 KINDS: Final = ("honest", "random", "duplicating", "reloading", "two tabs")
 PEOPLE: Final = 30
@@ -157,7 +158,8 @@ def main(folder: Path) -> None:
     kept = [demos.read(path) for path in sorted(study.folder.glob(f"*/*{SUFFIX}"))]
     counts = Counter(demo.name for demo in kept)
     if counts != QUOTAS:
-        raise SystemExit(f"the quotas {QUOTAS} were not met exactly: {dict(counts)}")
+        log = (study.folder / LOG).read_text(encoding="utf-8")
+        raise SystemExit(f"{log}\nthe quotas {QUOTAS} were not met exactly: {dict(counts)}; above, the study's log")
     if len({(demo.name, demo.actions.tobytes()) for demo in kept}) != len(kept):
         raise SystemExit("an episode counts twice")
     on_disk = {tuple(demo.actions.tolist()) for demo in kept}

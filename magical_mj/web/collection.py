@@ -296,7 +296,10 @@ class Collection:
         ]
 
     def _holds(self, participant: str, offer: Offer, now: float) -> bool:
-        """Whether an offer is still this participant's: in time, or late but wanted by nobody else."""
+        """Whether an offer is still this participant's: in time, or late but wanted by nobody else.
+
+        The quota is checked in both cases, since a clock that is set back makes offers valid again that had ended.
+        """
         if offer.seed >= PRACTICE:
             return True
         pair: Pair = (offer.task, offer.variant)
@@ -304,7 +307,7 @@ class Collection:
             return False
         wanted, others = self._quotas[pair], self._leases(pair, now, participant)
         in_use = len(self._accepted[pair]) + len(others)
-        return offer.seed not in others and (offer.until > now or wanted is None or in_use < wanted)
+        return offer.seed not in others and (wanted is None or in_use < wanted)
 
     def _choose(self, participant: str, now: float) -> Offer | None:
         """A scene that nobody plays, of the environment of which there is least; None if all are taken."""

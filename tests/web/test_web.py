@@ -141,6 +141,9 @@ def test_a_study_keeps_its_quotas_and_counts_an_episode_once(tmp_path: Path) -> 
         "it does not say how it ended": 1,
     }
     assert len(list(tmp_path.rglob("*.npz"))) == 2
+    clock.now -= 11 * 60
+    with pytest.raises(magical_mj.utils.errors.DemonstrationError, match="enough"):
+        again.keep(played(second, [3] * 40), ben, {})  # who seems to be in time again
     log = [json.loads(line) for line in (tmp_path / "study.jsonl").read_text().splitlines()]
     assert [event["watched"] for event in log if event["event"] == "accepted"] == [False, True]
 
