@@ -6,6 +6,7 @@ import copy
 import dataclasses
 import warnings
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any, Final, Literal, get_args
 
 import gymnasium
@@ -135,7 +136,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """The scene in which this episode started."""
         return self._engine.initial_scene
 
-    @property
+    @cached_property
     def variation_space(self) -> VariationSpace:
         """Every factor of scenes and shifts, with the default; see `magical_mj.envs.variation` and docs/shifts.md."""
         return VariationSpace(self._engine)
@@ -284,7 +285,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """The scene and the draws of an episode with this variation; see `reset`."""
         engine, space = self._engine, self.variation_space
         if not isinstance(variation, Mapping):
-            return space.episode(space.draw(variation, engine, seed % MAX_SEED), engine.setup.sample(seed))
+            return space.episode(space.draw(variation, seed % MAX_SEED), engine.setup.sample(seed))
         seed = int(variation.get("seed", seed))
         scene, shifts = engine.setup.begin(engine.shifts, check_seed(seed))
         values = space.values_of(scene, {} if shifts is None else shifts.draws, seed % MAX_SEED)

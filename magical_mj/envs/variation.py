@@ -30,8 +30,7 @@ Variation = dict[str, Any]
 class VariationSpace(spaces.Dict):
     """What can vary in a task's episodes. All numbers of a scene have places: those of absent things are 0.
 
-    "seed" is what shifts draw from besides their factors. All factors of a shift are 0 without it. A scene drawn by
-    `sample` is seldom legal: let `reset` draw one, by name.
+    "seed" is what shifts draw from besides their factors. All factors of a shift are 0 without it.
 
     Args:
         engine: an engine of the task.
@@ -41,6 +40,7 @@ class VariationSpace(spaces.Dict):
     """
 
     def __init__(self, engine: Engine) -> None:
+        self._setup = engine.setup
         self._shifts = [name for name in SHIFTS if not SHIFTS[name].supports(str(engine.task))]
         self._shifts += [name for name in (*engine.shifts, *engine.draws) if name not in self._shifts]
         axes = {
@@ -80,12 +80,21 @@ class VariationSpace(spaces.Dict):
             values[name] = {factor.name: drawn.get(factor.name, 0) for factor in shift_class(name).factors}
         return {name: _cast(space, values[name]) for name, space in self.spaces.items()}
 
-    def draw(self, names: Sequence[Any], engine: Engine, seed: int) -> Variation:
+    def sample(self, mask: Any = None, probability: Any = None) -> Variation:
+        """A scene of the variant All with every shift at its greatest strength, which `reset` can start in.
+
+        Raises:
+            SettingsError: if a mask is given: to draw some factors, name them to `reset`.
+        """
+        if mask is not None or probability is not None:
+            raise SettingsError('variations have no masks: reset(options={"variation": ["camera"]}) draws some factors')
+        return self.draw(["all"], int(self.np_random.integers(MAX_SEED)))
+
+    def draw(self, names: Sequence[Any], seed: int) -> Variation:
         """The default, with these factors drawn over their whole ranges: shifts at their greatest strength.
 
         Args:
             names: of shifts, of factors of theirs as in "camera.zoom", "scene" (as in the variant All), or "all".
-            engine: of the task.
             seed: draws them.
 
         Raises:
@@ -103,9 +112,8 @@ class VariationSpace(spaces.Dict):
         for name, values in draws.items():
             if not everything and name not in names:
                 values.update({factor: 0 for factor in values if factor != "seed" and f"{name}.{factor}" not in names})
-        varied = replace(engine.setup, variant="All").sample(seed) if everything or "scene" in names else None
-        start = engine.setup.sample(seed) if varied is None else varied
-        return self.values_of(EpisodeShifts(draws).scene(start, str(engine.task)), draws, seed)
+        setup = replace(self._setup, variant="All") if everything or "scene" in names else self._setup
+        return self.values_of(EpisodeShifts(draws).scene(setup.sample(seed), str(setup.task)), draws, seed)
 
     def episode(self, values: Mapping[str, Any], scene: Scene) -> tuple[Scene, Draws]:
         """The scene and the draws of these values; what they do not tell is that of `scene`.

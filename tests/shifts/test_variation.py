@@ -74,6 +74,21 @@ def test_names_are_drawn_as_other_suites_do() -> None:
         assert str(drawn["scene"]) != str(plain["scene"])
 
 
+@pytest.mark.parametrize("task", ["FindDupe", "MatchRegions", "MoveToCorner"])
+def test_samples_of_the_space_can_be_played(task: str) -> None:
+    with closing(environment(task)) as env:
+        space = env.unwrapped.variation_space
+        space.seed(3)
+        samples = [space.sample() for _ in range(10)]
+        space.seed(3)
+        assert str(samples) == str([space.sample() for _ in range(10)])
+        assert len({str(sample) for sample in samples}) == 10
+        for sample in samples:
+            assert space.contains(sample)
+            env.reset(options={"variation": sample})
+            assert str(env.unwrapped.variation) == str(sample)
+
+
 @pytest.mark.parametrize(
     ("variation", "error"),
     [
