@@ -11,7 +11,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test fast bench mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints notebooks release-check system site site-test site-picture node chromium xvfb
+.PHONY: demo test fast bench peers mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints notebooks release-check system site site-test site-picture node chromium xvfb
 
 demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
@@ -24,6 +24,14 @@ fast: $(VENV)/.installed-dev  ## the tests that take under a minute: no processe
 
 bench: $(VENV)/.installed-dev  ## measure speed
 	$(BIN)/python -m benchmarks $(ARGS)
+
+peers: .venv-peers/.installed  ## the speed of other benchmarks beside ours, in an environment of its own
+	.venv-peers/bin/python benchmarks/peers.py --picture docs/speed.png $(ARGS)
+
+.venv-peers/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv-peers
+	.venv-peers/bin/python -m pip install --quiet --editable . ale-py envpool gym-pusht matplotlib metaworld minigrid pymunk
+	@touch $@
 
 mujoco4-test: .venv-mujoco4/.installed  ## the shipped demonstrations and the scores under MuJoCo 4, in an environment of its own
 	.venv-mujoco4/bin/python -m pytest -n auto tests/demos/test_shipped.py tests/tasks tests/envs $(ARGS)
