@@ -16,12 +16,13 @@ import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # PyTorch's: several tests run at once, and its threads wait busily
 
-import magical_mj
 from magical_mj.rendering.backend import chosen_backend
-from tests.helpers.commands import Shell
-from tests.helpers.entries import EPISODES
 
 os.environ.setdefault("MUJOCO_GL", chosen_backend())
+
+import magical_mj
+from tests.helpers.commands import Shell
+from tests.helpers.entries import EPISODES
 
 MAY_STAY = ("pytest-of-*", "torchinductor_*", ".ses")
 """What pytest keeps of failing tests, PyTorch makes at the first use of an optimiser, and ONNX Runtime at import."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Iterable
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Final
 
@@ -157,12 +158,23 @@ def _parts(model: mujoco.MjModel, geom: int) -> list[NDArray[np.float64]]:
         raise RenderingError(NOT_OURS.format(what=f"the geom {name!r}"))
     mesh = int(model.geom_dataid[geom])
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-    turned = np.empty(9)
-    mujoco.mju_quat2Mat(turned, model.geom_quat[geom])  # the compiler moves meshes to their centres and turns them
-    vertices = model.mesh_vert[first : first + count] @ turned.reshape(3, 3).T + model.geom_pos[geom]
-    if np.ptp(vertices[:, 2]) > 1e-6:
-        raise RenderingError(NOT_OURS.format(what=f"the geom {name!r}, which is not flat,"))
     faces = model.mesh_face[int(model.mesh_faceadr[mesh]) :][: int(model.mesh_facenum[mesh])]
+    mesh_data = model.mesh_vert[first : first + count], faces, model.geom_quat[geom], model.geom_pos[geom]
+    parts = _convex_parts(*(part.tobytes() for part in mesh_data))
+    if parts is None:
+        raise RenderingError(NOT_OURS.format(what=f"the geom {name!r}, which is not flat,"))
+    return parts
+
+
+@lru_cache(maxsize=256)  # most resets compile a new model of the same few shapes
+def _convex_parts(points: bytes, triangles: bytes, quaternion: bytes, place: bytes) -> list[NDArray[np.float64]] | None:
+    """See `_parts`; the arguments are the mesh's vertices and faces, and the geom's pose. None if it is not flat."""
+    turned = np.empty(9)
+    mujoco.mju_quat2Mat(turned, np.frombuffer(quaternion))  # the compiler moves meshes to their centres and turns them
+    vertices = np.frombuffer(points, np.float32).reshape(-1, 3) @ turned.reshape(3, 3).T + np.frombuffer(place)
+    if np.ptp(vertices[:, 2]) > 1e-6:
+        return None
+    faces = np.frombuffer(triangles, np.int32).reshape(-1, 3).astype(np.int64)
     outlines = [vertices[loop, :2] for loop in loops(faces)]
     if all(map(_is_convex, outlines)):
         return outlines
