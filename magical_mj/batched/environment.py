@@ -19,12 +19,21 @@ from magical_mj.batched.physics import Physics, check_device
 from magical_mj.batched.scenes import Capacity, SceneSampler, WorldScenes, sample
 from magical_mj.envs.gymnasium_env import check_options
 from magical_mj.envs.presets import preset_named
+from magical_mj.envs.vector import masked, world_seeds
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.tasks.registry import Pair, check_rules, task_spec
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
-from magical_mj.utils.errors import ClosedError, InvalidActionError, SettingsError, StateError, check_name, short_repr
+from magical_mj.utils.errors import (
+    ClosedError,
+    InvalidActionError,
+    SettingsError,
+    StateError,
+    as_integer,
+    check_name,
+    short_repr,
+)
 from magical_mj.variants import check_seed
 
 MODES: Final = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
@@ -123,18 +132,11 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """
         self._check_open()
         mask = check_options(options, "reset_mask").get("reset_mask")
-        worlds = masked(mask, self.num_envs)
-        seeds = None
-        if isinstance(seed, list | tuple | range) or (isinstance(seed, np.ndarray | Tensor) and seed.ndim > 0):
-            if len(seed) != self.num_envs:
-                raise SettingsError(f"there are {self.num_envs} worlds, and {len(seed)} seeds were given")
-            seeds = [check_seed(seed[world]) for world in worlds]
-        elif seed is not None:
-            first = check_seed(seed)
-            seeds = [first + world for world in worlds]
-            if mask is None:
-                self._sampler.seed(first)
-        observation = self._begin(worlds, seeds)
+        worlds = np.flatnonzero(masked(arrays(mask), self.num_envs)).tolist()
+        each = world_seeds(arrays(seed), self.num_envs)
+        if mask is None and as_integer(seed) is not None:
+            self._sampler.seed(check_seed(seed))
+        observation = self._begin(worlds, None if seed is None else [check_seed(each[world]) for world in worlds])
         return observation, self._info(torch.zeros(self.num_envs, dtype=torch.float64, device=self.device))
 
     def _begin(self, worlds: list[int], seeds: list[int] | None = None) -> Observation:
@@ -285,73 +287,30 @@ def arrays(value: Any) -> Any:
     return value
 
 
-def masked(mask: Any, worlds: int) -> list[int]:
-    """The worlds for which the mask is true; without a mask all of them.
-
-    Raises:
-        SettingsError: if it does not hold a bool for each world.
-    """
-    if mask is None:
-        return list(range(worlds))
-    entries = _tensor(mask)
-    if entries is None or entries.dtype != torch.bool or entries.shape != (worlds,):
-        raise SettingsError(f"reset_mask must hold {worlds} bools, one for each world, not {short_repr(mask)}")
-    return entries.nonzero()[:, 0].tolist()
-
-
 def check_actions(actions: Any, worlds: int, device: str) -> Tensor:
     """The numbers of the actions on a device.
 
     Raises:
         InvalidActionError: if there is not one in 0..17 for each world.
     """
-    numbers = _tensor(actions, device)
-    if (
-        numbers is None
-        or numbers.shape != (worlds,)
-        or numbers.dtype == torch.bool
-        or numbers.is_floating_point()
-        or numbers.is_complex()
-        or bool(((numbers.long() < 0) | (numbers.long() >= len(ACTIONS))).any())
-    ):
+    try:
+        given = torch.as_tensor(actions, device=device)
+        whole = not (given.dtype == torch.bool or given.is_floating_point() or given.is_complex())
+    except (TypeError, ValueError, RuntimeError):  # they make no tensor
+        given, whole = torch.empty(0), False
+    numbers = given.long()
+    if not whole or numbers.shape != (worlds,) or bool(((numbers < 0) | (numbers >= len(ACTIONS))).any()):
         raise InvalidActionError(
             f"actions must be {worlds} integers in 0..{len(ACTIONS) - 1}, one for each world, not {short_repr(actions)}"
         )
-    return numbers.long()
-
-
-def _tensor(values: Any, device: str = "cpu") -> Tensor | None:
-    """The values on a device; None if they make no tensor."""
-    try:
-        return torch.as_tensor(values, device=device)
-    except (TypeError, ValueError, RuntimeError):
-        return None
+    return numbers
 
 
 def check_state(state: Any, own: Mapping[str, Any]) -> None:
-    """Raises a `StateError` unless a state is of the same kind of worlds, and laid out in the same way.
-
-    Args:
-        state: what a user gives.
-        own: the present state of the worlds.
-    """
+    """Raises a `StateError` unless a state that a user gives is of the same kind of worlds as their `own` one."""
     kind = state.get("kind") if isinstance(state, Mapping) else None
     if not isinstance(kind, Mapping) or state.keys() != own.keys() or kind.keys() != own["kind"].keys():
         raise StateError(f"set_state() takes what get_state() gave, not {short_repr(state)}")
     for name, value in own["kind"].items():
         if kind[name] != value:
             raise StateError(f"the state has {name} {short_repr(kind[name])}, and these worlds {short_repr(value)}")
-    for name in own.keys() - {"kind"}:
-        if _layout(state[name]) != _layout(own[name]):
-            raise StateError(
-                f"the state is damaged: its {name} is not what these worlds have; take what get_state() gave"
-            )
-
-
-def _layout(part: Any) -> Any:
-    """Types and sizes of all that a part of a state holds."""
-    if isinstance(part, Mapping):
-        return {name: _layout(value) for name, value in part.items()}
-    if isinstance(part, Tensor | np.ndarray):
-        return type(part), part.dtype, tuple(part.shape)
-    return type(part), len(part) if isinstance(part, list) else None

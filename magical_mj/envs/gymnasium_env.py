@@ -302,10 +302,14 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         if scene is not None and self._preset.layout == "state":
             StateEncoder(scene)
 
+    def state(self) -> NDArray[np.float32]:
+        """The state vector."""
+        return self._engine.state_vector()
+
     def observe(self, out: Observation | None = None) -> Observation:
         """The present observation, in fresh arrays or in those of `out`."""
         if self._preset.layout == "state":
-            return _put(self._engine.state_vector(), out)
+            return _put(self.state(), out)
         parts: dict[str, NDArray[Any]] = {**self._stacks.latest}
         if self._preset.layout != "dict":
             return _put(next(iter(parts.values())), out)

@@ -52,9 +52,7 @@ def make_vec(
 
 
 def make_worlds(
-    task: str,
-    variant: str = "Demo",
-    preset: str = "",
+    kind: Callable[..., MagicalEnv] = MagicalEnv,
     *,
     num_envs: int = 1,
     threads: int | None = None,
@@ -65,28 +63,21 @@ def make_worlds(
     """What `gymnasium.make_vec` calls.
 
     Args:
-        task: that of the id.
-        variant: likewise.
-        preset: likewise.
+        kind: the class of the worlds.
         num_envs: the number of worlds.
         threads: how many step and draw them; None: one for each core.
         autoreset_mode: as Gymnasium defines it: a `gymnasium.vector.AutoresetMode` or its value.
         max_episode_steps: where episodes end before the task's horizon.
-        settings: the arguments of `MagicalEnv`, such as `renderer` and `image_size`.
+        settings: the arguments of the class, such as `task`, `renderer` and `image_size`.
 
     Raises:
         SettingsError: if a number is not possible.
     """
-    check_counts(num_envs=num_envs, threads=threads, max_episode_steps=max_episode_steps)
-    worlds = [MagicalEnv(task, variant, preset, limit=max_episode_steps, **settings) for _ in range(num_envs)]
-    return VectorEnv(worlds, threads, autoreset_mode)
-
-
-def check_counts(**counts: int | None) -> None:
-    """Raises a `SettingsError` unless each of these is None or an integer above 0."""
-    for name, value in counts.items():
+    for name, value in (("num_envs", num_envs), ("threads", threads), ("max_episode_steps", max_episode_steps)):
         if value is not None and as_integer(value, 1) is None:
             raise SettingsError(f"{name} must be an integer of at least 1, not {short_repr(value)}")
+    worlds = [kind(limit=max_episode_steps, **settings) for _ in range(num_envs)]
+    return VectorEnv(worlds, threads, autoreset_mode)
 
 
 class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):

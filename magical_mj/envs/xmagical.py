@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from magical_mj.envs.gymnasium_env import MagicalEnv, Observation
 from magical_mj.envs.presets import Preset
-from magical_mj.envs.vector import VectorEnv, check_counts
+from magical_mj.envs.vector import make_worlds
 from magical_mj.scene.actions import as_speeds
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.spec import Rules
@@ -102,8 +102,7 @@ class XMagicalEnv(MagicalEnv):
         self.action_space = spaces.Box(-1.0, 1.0, (self._size,), np.float32)
         if observation == "State":
             bound = 1.0 if rules == "released" else STATE_BOUND
-            shape = state_vector(self.scene).shape
-            self.observation_space = spaces.Box(-bound, bound, shape, np.float32)
+            self.observation_space = spaces.Box(-bound, bound, self.state().shape, np.float32)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -129,15 +128,9 @@ class XMagicalEnv(MagicalEnv):
         reward = float(info["in_zone"].mean()) if self.rewards == "sparse" else dense_reward(self.scene)
         return reward, False, last, info
 
-    def observe(self, out: Observation | None = None) -> Observation:
-        """The present observation, in fresh arrays or in `out`."""
-        if self._preset.layout != "state":
-            return super().observe(out)
-        state = state_vector(self.scene)
-        if out is None:
-            return state
-        np.copyto(out, state)  # pyright: ignore[reportArgumentType] - states are arrays
-        return out
+    def state(self) -> NDArray[np.float32]:
+        """x-magical's state vector."""
+        return state_vector(self.scene)
 
     def _info(self, *, last: bool) -> dict[str, Any]:
         inside = arrived(self.scene)
@@ -145,19 +138,5 @@ class XMagicalEnv(MagicalEnv):
         return {"eval_score": np.float64(score), "is_success": np.array(score == 1.0), "in_zone": inside}
 
 
-def make_suite_worlds(
-    *,
-    num_envs: int = 1,
-    threads: int | None = None,
-    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-    max_episode_steps: int | None = None,
-    **settings: Any,
-) -> VectorEnv:
-    """What `gymnasium.make_vec` calls; see `magical_mj.envs.vector.make_worlds`. Settings are those of `XMagicalEnv`.
-
-    Raises:
-        SettingsError: if a number is not possible.
-    """
-    check_counts(num_envs=num_envs, threads=threads, max_episode_steps=max_episode_steps)
-    worlds = [XMagicalEnv(limit=max_episode_steps, **settings) for _ in range(num_envs)]
-    return VectorEnv(worlds, threads, autoreset_mode)
+make_suite_worlds: Final = partial(make_worlds, XMagicalEnv)
+"""What `gymnasium.make_vec` calls."""
