@@ -10,6 +10,7 @@ On software OpenGL every drawn pixel costs time. Frames are cheap because of thi
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections.abc import Mapping
 from functools import cache
@@ -115,30 +116,24 @@ class Views:
         return self._flat.draw(data, self._cameras.get(view, view), size, out, bare)
 
     def close(self) -> None:
-        """Releases what it drew with. May be called twice."""
-        for renderer in (self._flat, self._segments, self._solid):
-            if renderer is not None:
-                renderer.close()
+        """Lets go of what it drew with; the shared drawing context remains. May be called twice."""
         self._flat = self._segments = self._solid = None
 
     def _choose(self) -> Renderer | SoftwareRenderer:
         if self._wanted == "software":
-            try:
+            with contextlib.suppress(RenderingError):  # of a model that users have changed
                 return _software(self.model)
-            except RenderingError:  # of a model that users have changed
-                return Renderer(self.model)
+            return Renderer(self.model)
         try:
             with CANVAS:
                 return Renderer(self.model)
         except RenderingError as error:
-            if self._wanted == "opengl" or str(error) == FORKED:
-                raise
-            try:
-                renderer = _software(self.model)
-            except RenderingError:
-                raise error from None
-            _warn(str(error))
-            return renderer
+            if self._wanted != "opengl" and str(error) != FORKED:
+                with contextlib.suppress(RenderingError):
+                    renderer = _software(self.model)
+                    _warn(str(error))
+                    return renderer
+            raise
 
 
 def _software(model: mujoco.MjModel) -> SoftwareRenderer:
@@ -155,11 +150,7 @@ def _warn(error: str) -> None:
 
 
 class Renderer:
-    """Draws the states of one model. Cheap to make; OpenGL starts at the first frame.
-
-    Args:
-        model: the model to draw.
-    """
+    """Draws the states of one model. Cheap to make; OpenGL starts at the first frame."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
@@ -174,18 +165,7 @@ class Renderer:
     def draw(
         self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None, bare: Picture | None = None
     ) -> Picture:
-        """A picture of the present state: RGB, top row first. Shape (size, size, 3).
-
-        Args:
-            data: the state; its positions must be current (as after `mj_forward`).
-            camera: the name of a camera of the model.
-            size: pixels per side.
-            out: where to write it; None: into a fresh array.
-            bare: as `Views.draw`.
-
-        Raises:
-            RenderingError: if OpenGL does not work here; it says what to do.
-        """
+        """A picture from a camera of the model, as `Views.draw`."""
         with CANVAS:
             try:
                 pixels = self.paint(data, camera, size)
@@ -208,10 +188,6 @@ class Renderer:
         scene.nlight, light = 1, scene.lights[0]
         light.ambient, light.diffuse = _FLAT
         return CANVAS.draw(context, scene, OVERSAMPLING * size, OVERSAMPLING * size)
-
-    def close(self) -> None:
-        """Releases the shared drawing context, which remains for other renderers. May be called twice."""
-        self._scene = self._context = None
 
     def _get_camera(self, name: str) -> mujoco.MjvCamera:
         if name not in self._cameras:

@@ -63,15 +63,10 @@ class SoftwareRenderer:
     def draw(
         self, data: mujoco.MjData, camera: str, size: int, out: Picture | None = None, bare: Picture | None = None
     ) -> Picture:
-        """A picture of the present state, shape (size, size, 3), or a segmentation, shape (size, size); top row first.
+        """A picture from a camera of the model that looks straight down, as `rendering.renderer.Views.draw`.
 
-        Args:
-            data: the state; its positions must be current (as after `mj_forward`).
-            camera: the name of a camera of the model that looks straight down; with "-segmentation" behind it, the
-                values FLOOR, WALL, ROBOT, FINGER, REGION + i and BLOCK + i of what is at each pixel's centre.
-            size: pixels per side.
-            out: where to write it, uint8, of any strides; None: into a fresh array.
-            bare: where to write how many of the four samples of each pixel nothing covers, shape (size, size).
+        With "-segmentation" behind the camera's name: the values FLOOR, WALL, ROBOT, FINGER, REGION + i and BLOCK + i
+        of what is at each pixel's centre, shape (size, size).
         """
         if data is not self._data:
             self._data, self._poses = data, (data.xpos, data.xmat)
@@ -90,10 +85,6 @@ class SoftwareRenderer:
         if bare is not None:
             self._scanlines.count_bare(pairs, bare)
         return picture
-
-    def close(self) -> None:
-        """Lets go of the state. May be called twice."""
-        self._data = None
 
 
 def scratch(side: int) -> tuple[NDArray[np.uint32], NDArray[np.int64], NDArray[np.int64]]:

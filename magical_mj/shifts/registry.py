@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Mapping
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -13,9 +12,10 @@ from magical_mj.shifts.drawn import Camera, Light, Palette, Sensor, Texture
 from magical_mj.shifts.physical import Clutter, Friction, Latency, Pose, Slip
 from magical_mj.shifts.shift import STRENGTHS, Factor, Shift
 from magical_mj.shifts.words import Words
+from magical_mj.tasks.plugins import announced, imported, reference_of
 from magical_mj.tasks.registry import task_spec
-from magical_mj.utils.errors import SettingsError, ShiftError, UntrustedNameError, as_integer, short_repr, unknown_name
-from magical_mj.utils.imports import is_reference, resolve, resolve_installed, with_place
+from magical_mj.utils.errors import SettingsError, ShiftError, as_integer, short_repr, unknown_name
+from magical_mj.utils.imports import is_reference
 
 PROTOCOL: Final = 1
 """The number of the names, ranges and draws of our shifts: a change to any of them requires the next number."""
@@ -33,22 +33,8 @@ Shifts = Mapping[str, int] | str | None
 
 @cache
 def shift_plugins() -> Mapping[str, EntryPoint]:
-    """The entry points of announced shifts by name; their modules are imported on first use."""
-    plugins: dict[str, EntryPoint] = {}
-    for point in sorted(entry_points(group=GROUP)):
-        if point.name in SHIFTS or plugins.get(point.name, point) != point:
-            warnings.warn(f"the shift {point.name!r} ({point.value}) is ignored: another has that name", stacklevel=2)
-        elif not (point.name.isidentifier() and is_reference(_reference(point))):
-            problem = 'announce a class in a module by a name of letters, digits and _, as in fog = "fog:Fog"'
-            warnings.warn(f"the shift {point.name!r} ({point.value}) is ignored: {problem}", stacklevel=2)
-        else:
-            plugins[point.name] = point
-    return MappingProxyType(plugins)
-
-
-def _reference(point: EntryPoint) -> str:
-    """Without the spaces that Python allows in entry points."""
-    return "".join(point.value.split())
+    """The entry points of announced shifts by name."""
+    return announced("shift", GROUP, SHIFTS, str.isidentifier, 'fog = "fog:Fog"')
 
 
 def shift_class(name: str) -> type[Shift]:
@@ -67,23 +53,7 @@ def shift_class(name: str) -> type[Shift]:
     point = shift_plugins().get(name) if isinstance(name, str) else None
     if point is None and not is_reference(name):
         raise unknown_name("shift", name, (*SHIFTS, *shift_plugins(), "package.module:NAME"))
-    try:
-        kind = resolve(name) if point is None else resolve_installed(_reference(point))
-    except UntrustedNameError:
-        raise
-    except ImportError as error:
-        raise unknown_name("shift", name, (*SHIFTS, *shift_plugins())) from error
-    except (Exception, SystemExit) as error:
-        raise ShiftError(f"the shift {short_repr(name)} cannot be imported: {with_place(error)}") from error
-    return _checked(kind, name)
-
-
-def _checked(kind: Any, name: str) -> type[Shift]:
-    """The class, if it is one of a shift.
-
-    Raises:
-        ShiftError: if it is anything else.
-    """
+    kind: Any = imported("shift", name, point, ShiftError)
     if not (isinstance(kind, type) and issubclass(kind, Shift)):
         raise ShiftError(f"{name} is not a class derived from magical_mj.shifts.Shift but {short_repr(kind)}")
     own = getattr(kind, "name", None)
@@ -101,7 +71,7 @@ def _checked(kind: Any, name: str) -> type[Shift]:
 def _canonical(name: object) -> str:
     """The name under which results are stored: a reference to an announced shift becomes its name."""
     shift_class(name)  # type: ignore[arg-type] - which says what is wrong with anything else
-    return next((known for known, point in shift_plugins().items() if _reference(point) == name), str(name))
+    return next((known for known, point in shift_plugins().items() if reference_of(point) == name), str(name))
 
 
 def parse_shifts(shifts: Shifts, task: str | None = None) -> dict[str, int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -34,35 +34,53 @@ _CHECKED: Final[dict[str, TaskSpec]] = {}
 """The last task that was checked for each name and reference."""
 
 
-@cache
-def task_plugins() -> Mapping[str, EntryPoint]:
-    """The entry points of announced tasks by the tasks' names; their modules are imported on first use.
+def announced(
+    noun: str, group: str, taken: Collection[str], is_name: Callable[[str], bool], example: str
+) -> Mapping[str, EntryPoint]:
+    """The entry points of a group by name, but for names that are `taken`; their modules are imported on first use.
 
     An invalid one is ignored with a warning, since it must not keep anybody from importing this package.
     """
     plugins: dict[str, EntryPoint] = {}
-    for point in sorted(entry_points(group=GROUP)):
-        if point.name in KNOWN or plugins.get(point.name, point) != point:
-            problem = "another task has that name"
-        elif not is_task_name(point.name):
-            problem = "the name of a task must be made of letters and digits"
-        elif not is_reference(_reference(point)):
-            problem = 'announce an object in a module, as in PushOut = "push_out:SPEC"'
+    for point in sorted(entry_points(group=group)):
+        if point.name in taken or plugins.get(point.name, point) != point:
+            problem = f"another {noun} has that name"
+        elif not is_name(point.name):
+            problem = f"the name of a {noun} must be made of letters and digits"
+        elif not is_reference(reference_of(point)):
+            problem = f"announce an object in a module, as in {example}"
         else:
             plugins[point.name] = point
             continue
-        warnings.warn(f"the task {point.name!r} ({point.value}) is ignored: {problem}", stacklevel=2)
+        warnings.warn(f"the {noun} {point.name!r} ({point.value}) is ignored: {problem}", stacklevel=3)
     return MappingProxyType(plugins)
 
 
-def _reference(point: EntryPoint) -> str:
-    """Without the spaces that Python allows in entry points."""
+def imported(noun: str, name: str, point: EntryPoint | None, failed: type[MagicalError]) -> Any:
+    """The object of an entry point, or the one that is named; an `UnknownNameError`, or `failed`, if there is none."""
+    try:
+        return resolve(name) if point is None else resolve_installed(reference_of(point))
+    except UntrustedNameError:
+        raise
+    except (Exception, SystemExit) as error:
+        why, kind = (error, UnknownNameError) if isinstance(error, ImportError) else (with_place(error), failed)
+        raise kind(f"the {noun} {short_repr(name)} cannot be imported: {why}") from error
+
+
+def reference_of(point: EntryPoint) -> str:
+    """What an entry point refers to, without the spaces that Python allows there."""
     return "".join(point.value.split())
+
+
+@cache
+def task_plugins() -> Mapping[str, EntryPoint]:
+    """The entry points of announced tasks by the tasks' names."""
+    return announced("task", GROUP, KNOWN, is_task_name, 'PushOut = "push_out:SPEC"')
 
 
 def announced_name(task: str) -> str:
     """The name under which a package announces the task with this reference; any other `task` is returned as it is."""
-    return next((name for name, point in task_plugins().items() if _reference(point) == task), task)
+    return next((name for name, point in task_plugins().items() if reference_of(point) == task), task)
 
 
 def load_spec(task: str) -> TaskSpec:
@@ -74,14 +92,7 @@ def load_spec(task: str) -> TaskSpec:
         TaskError: if its module fails when it is imported, or the object is not a valid task.
     """
     point = task_plugins().get(task)
-    try:
-        spec = resolve(task) if point is None else resolve_installed(_reference(point))
-    except UntrustedNameError:
-        raise
-    except ImportError as error:
-        raise UnknownNameError(f"the task {short_repr(task)} cannot be imported: {error}") from error
-    except (Exception, SystemExit) as error:
-        raise TaskError(f"the task {short_repr(task)} cannot be imported: {with_place(error)}") from error
+    spec = imported("task", task, point, TaskError)
     if _CHECKED.get(task) is spec:
         return spec
     check_spec(spec, task)
@@ -98,7 +109,7 @@ def code_digest(task: str) -> str:
     point, spec = task_plugins().get(task), load_spec(task)
     functions = (getattr(spec, field.name) for field in fields(spec))
     names = {getattr(function, "__module__", None) for function in functions if callable(function)}
-    sources = {source_of(str(name)) for name in (task if point is None else _reference(point), *names)}
+    sources = {source_of(str(name)) for name in (task if point is None else reference_of(point), *names)}
     return hashlib.sha256(b"\0".join(sorted(source.read_bytes() for source in sources if source))).hexdigest()
 
 
