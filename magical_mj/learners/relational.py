@@ -3,8 +3,13 @@
 A network sees blocks and regions from the robot (`relational_network`). Assumptions (`assumptions`) are tried one
 after the other: the training goes on with one more of them for some batches, and the policy plays in the demo scene.
 The assumption is kept unless the mean score there falls by more than `relational.loss` below the best so far; if it
-does, the weights from before it are restored. The rule is the same for all tasks, and `assumptions.json` in the run's
-folder says what came of it. No other scene is ever seen.
+does, the weights from before it are restored. `mirror` is tried only where `egocentric` was kept: whoever sees where in
+the arena things are tells mirrored samples from the demo scene, which then cannot show whether they are wrong.
+
+At last come rounds of training with all that was kept, and they must be earned, too: a round counts only if the score
+in the demo scene has risen by more than `relational.loss`, for otherwise more training is memory of this scene. The
+rules are the same for all tasks, and `assumptions.json` in the run's folder says what came of them. No other scene is
+ever seen.
 
 This needs more than the paper's methods have: the states of demonstrations, the simulation of the demo scene (for
 rollouts and detours), and its score.
@@ -25,7 +30,7 @@ from magical_mj.learners.assumptions import Samples, demonstrated, displace, mir
 from magical_mj.learners.data import drawn, shipped
 from magical_mj.learners.learner import Learner, restore_optimizer, seeded
 from magical_mj.learners.relational_network import Ensemble, graph
-from magical_mj.learners.settings import STATE, TrainingSettings
+from magical_mj.learners.settings import PREMISES, STATE, TrainingSettings
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError
 
@@ -57,7 +62,7 @@ class Relational(Learner):
             self._learning, self._actor = Ensemble(chosen).to(self.device), Ensemble(chosen).to(self.device)
         self._actor.load_state_dict(self._learning.state_dict())
         self._count, self._trials = 0, (2 + len(self._assumptions)) * chosen.trial
-        self.updates = self._trials + chosen.updates
+        self.updates = self._trials + chosen.rounds * chosen.trial
         self._kept: list[str] = []
         self._report: list[dict[str, Any]] = []
         self._before = self._weights()
@@ -98,13 +103,8 @@ class Relational(Learner):
             for flag, latest in zip(self._actor.buffers(), self._learning.buffers(), strict=True):
                 flag.copy_(latest)
         self._count += 1
-        if chosen.trial < self._count <= self._trials and self._count % chosen.trial == 0:
+        if self._count % chosen.trial == 0 and self._count > chosen.trial:
             self._judge()
-            self._restart()
-        elif self._count > self._trials:
-            rest = 1 - (self._count - self._trials) / chosen.updates
-            for optimizer in self._optimizers:
-                optimizer.param_groups[0]["lr"] = 2 * chosen.learning_rate * max(rest, 1e-3)
         return {"loss": torch.stack(losses).mean().item(), "accuracy": torch.stack(right).mean().item()}
 
     def save_policy(self, folder: Path) -> None:
@@ -140,7 +140,10 @@ class Relational(Learner):
         """The assumption on trial now, if one is: first comes twice the time of a trial without any."""
         number = self._count // self.settings.relational.trial - 1
         on_trial = number > 0 and self._count < self._trials
-        return self._assumptions[number - 1 : number] if on_trial else ()
+        return tuple(filter(self._can_be_tried, self._assumptions[number - 1 : number])) if on_trial else ()
+
+    def _can_be_tried(self, name: str) -> bool:
+        return name not in PREMISES or PREMISES[name] in self._kept
 
     def _draw_samples(self, assumed: list[str], size: int) -> tuple[torch.Tensor, torch.Tensor]:
         """States (size, names) and actions (size,), in random order, as changed by what is assumed."""
@@ -162,22 +165,36 @@ class Relational(Learner):
         return states.to(self.device), actions.to(self.device)
 
     def _judge(self) -> None:
-        """Plays in the demo scene, and keeps the assumption on trial or restores the weights from before it."""
+        """Plays in the demo scene, and keeps what was on trial or restores the weights from before it."""
         chosen = self.settings.relational
         asked = {"tasks": self.settings.tasks, "preset": self.settings.preset, "episodes": chosen.rollouts}
         frame = evaluate(self.policy(), variants="Demo", envs=chosen.rollouts, jobs=1, **asked)
         score = float(frame["score"].mean())
+        kept = [trial["score"] for trial in self._report if trial["kept"]]
         number = self._count // chosen.trial - 2
-        name = self._assumptions[number - 1] if number else None
-        best = max((trial["score"] for trial in self._report if trial["kept"]), default=0.0)
-        keep = score >= best - chosen.loss
-        self._report.append({"assumption": name, "score": score, "kept": keep})
-        if not keep:
-            self._learning.load_state_dict(self._before)
-            self._actor.load_state_dict(self._before)
-        elif name is not None:
-            self._kept.append(name)
-        self._before = self._weights()
+        trial: dict[str, Any] = {"score": score, "kept": True}
+        if self._count > self._trials:
+            trial = {"round": number - len(self._assumptions), **trial, "kept": score > kept[-1] + chosen.loss}
+        elif number:
+            name = self._assumptions[number - 1]
+            tried = self._can_be_tried(name)
+            trial = {"assumption": name, "tried": tried, **trial, "kept": tried and score >= max(kept) - chosen.loss}
+            if trial["kept"]:
+                self._kept.append(name)
+            elif tried:
+                self._restore()
+        self._report.append(trial)
+        if trial["kept"] or self._count <= self._trials:
+            self._before = self._weights()
+        if self._count <= self._trials:
+            self._restart()
+        elif self._count == self.updates:
+            self._restore()
+
+    def _restore(self) -> None:
+        """Goes back to the weights that were kept last."""
+        self._learning.load_state_dict(self._before)
+        self._actor.load_state_dict(self._before)
 
     def _weights(self) -> dict[str, torch.Tensor]:
         return {name: values.clone() for name, values in self._actor.state_dict().items()}

@@ -34,6 +34,8 @@ HEADS: Final = 4
 """Of the attention between blocks and regions, which share the units of `NetworkSettings.entity`."""
 ASSUMPTIONS: Final = ("egocentric", "mirror", "rename", "displace", "detours")
 """What `relational` tries to assume about a task, in this order: see `magical_mj.learners.assumptions`."""
+PREMISES: Final = {"mirror": "egocentric"}
+"""Assumptions that are tried only where another one was kept."""
 START: Final = "made"
 """The table of a config.toml that says when and with what a run was started; no setting."""
 OLD_SIMULATOR: Final = "ppo.worlds"
@@ -174,13 +176,18 @@ class RelationalSettings(Settings):
     networks: Annotated[int, Meta(ge=1, le=100, description="whose probabilities are averaged")] = 1
     trial: Annotated[
         Count, Meta(description="updates, of 16 batches each, of each assumption's trial; twice that before the first")
-    ] = 40
-    updates: Annotated[Count, Meta(description="with the assumptions that were kept, after the trials")] = 400
+    ] = 80
+    rounds: Annotated[
+        Natural, Meta(description="of training, as long as a trial, with the assumptions that were kept")
+    ] = 3
     batch_size: Count = 64
-    learning_rate: Annotated[Positive, Meta(description="of Adam in the trials; then it falls to 0")] = 1e-3
-    rollouts: Annotated[Count, Meta(description="episodes of the demo scene that judge an assumption")] = 40
+    learning_rate: Annotated[Positive, Meta(description="of Adam")] = 1e-3
+    rollouts: Annotated[Count, Meta(description="episodes of the demo scene that judge a trial")] = 80
     loss: Annotated[
-        Share, Meta(description="of score in the demo scene, up to which an assumption is kept; with 1, always")
+        Share,
+        Meta(
+            description="of score in the demo scene: an assumption's at most (1: all are kept); a round must gain more"
+        ),
     ] = 0.1
     detours: Annotated[Count, Meta(description="excursions that are tried")] = 1_000
     sharpness: Annotated[Positive, Meta(description="power of the probabilities that the policy draws from")] = 1.5
@@ -192,6 +199,9 @@ class RelationalSettings(Settings):
         names = tuple(name.strip() for name in names if name.strip())
         for name in names:
             check_name("assumption", name, ASSUMPTIONS)
+        for number, name in enumerate(names):
+            if name in PREMISES and PREMISES[name] not in names[:number]:
+                raise SettingsError(f"{name} is tried where {PREMISES[name]} was kept: name {PREMISES[name]} before it")
         object.__setattr__(self, "assumptions", names)
 
 

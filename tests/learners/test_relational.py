@@ -25,7 +25,7 @@ SMALL = {
     "demonstrations": 2,
     "relational.hidden": 8,
     "relational.trial": 1,
-    "relational.updates": 2,
+    "relational.rounds": 1,
     "relational.batch_size": 8,
     "relational.rollouts": 2,
     "relational.detours": 10,
@@ -122,17 +122,22 @@ def test_detours_lead_back() -> None:
 
 
 def test_the_rule_keeps_what_the_demo_scene_bears(tmp_path) -> None:  # noqa: ANN001
-    """With a loss of 1 everything is kept; with one of 0, nothing that lowers the score."""
+    """With a loss of 1 every assumption is kept; with one of 0, none that lowers the score."""
     for loss in (1.0, 0.0):
         settings = load_settings("relational", "MoveToRegion", **SMALL, **{"relational.loss": loss})
         folder = tmp_path / str(loss)
         train(settings, folder)
-        trials = json.loads((folder / REPORT).read_text())
-        assert [trial["assumption"] for trial in trials] == [None, *settings.relational.assumptions]
-        best = 0.0
+        start, *trials, last = json.loads((folder / REPORT).read_text())
+        assert [trial["assumption"] for trial in trials] == list(settings.relational.assumptions)
+        best, kept = start["score"], {None}
         for trial in trials:
-            assert trial["kept"] == (trial["score"] >= best - loss)
-            best = max(best, trial["score"]) if trial["kept"] else best
+            assert trial["tried"] == (trial["assumption"] != "mirror" or "egocentric" in kept)
+            assert trial["kept"] == (trial["tried"] and trial["score"] >= best - loss)
+            if trial["kept"]:
+                best = max(best, trial["score"])
+                kept.add(trial["assumption"])
+        assert last["round"] == 1
+        assert last["kept"] == (last["score"] > [t["score"] for t in (start, *trials) if t["kept"]][-1] + loss)
     frame = evaluate(folder, tasks="MoveToRegion", variants="Demo", preset="State", episodes=2, jobs=1)
     assert len(frame) == 2
     assert load_policy(folder).preset == "State"
@@ -147,7 +152,7 @@ def test_it_learns_the_demonstrations() -> None:
 
 
 def test_a_state_taken_at_any_time_leads_to_the_same_weights() -> None:
-    settings = load_settings("relational", "MoveToRegion", **SMALL, **{"relational.assumptions": "mirror,rename"})
+    settings = load_settings("relational", "MoveToRegion", **SMALL, **{"relational.assumptions": "egocentric,mirror"})
     first = Relational(settings)
     for _ in range(2):
         first.update()
@@ -165,9 +170,22 @@ def test_a_state_taken_at_any_time_leads_to_the_same_weights() -> None:
     [
         ("MoveToRegion,FixColour", {"preset": "State"}, SettingsError, "one task"),
         ("MoveToRegion", {}, SettingsError, "preset State"),
-        ("MoveToRegion", {"relational.assumptions": "mirrors"}, UnknownNameError, "mirror"),
+        ("MoveToRegion", {"preset": "State", "relational.assumptions": "mirrors"}, UnknownNameError, "mirror"),
+        ("MoveToRegion", {"preset": "State", "relational.assumptions": "mirror"}, SettingsError, "egocentric before"),
     ],
 )
 def test_mistakes_are_told(tasks: str, changes: dict, error: type[Exception], message: str, tmp_path) -> None:  # noqa: ANN001
     with pytest.raises(error, match=message):
         train(load_settings("relational", tasks, **changes), tmp_path / "run")
+
+
+def test_training_that_the_demo_scene_does_not_reward_is_undone() -> None:
+    """With a loss of 1 no round is kept: what plays at the end are the weights from before the first."""
+    settings = load_settings("relational", "MoveToRegion", **SMALL, **{"relational.loss": 1.0})
+    learner = Relational(settings)
+    while learner._count < learner.updates - 1:
+        learner.update()
+    before = learner._before
+    learner.update()
+    assert learner._report[-1]["kept"] is False
+    assert all(torch.equal(values, before[name]) for name, values in learner.actor.state_dict().items())
