@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import torch
 from torch import nn
@@ -28,10 +28,12 @@ class BehaviouralCloning(Learner):
     several tasks the loss is the mean of the tasks' losses: batches have the same number of samples of each.
     """
 
+    drop_noop: ClassVar[bool] = True
+
     def __init__(self, settings: TrainingSettings, demonstrations: Demonstrations | None = None) -> None:
         super().__init__(settings)
         self.updates = settings.bc.batches
-        self._data = Dataset(settings, drop_noop=True, demonstrations=demonstrations)
+        self._data = Dataset(settings, drop_noop=self.drop_noop, demonstrations=demonstrations)
         self._draw = torch.Generator().manual_seed(settings.seed)
         self._noise = torch.Generator(self.device).manual_seed(settings.seed)
         self._augment = augmentation(settings)

@@ -133,11 +133,14 @@ class Dataset:
     ) -> None:
         self._observations: list[NDArray[Any]] = []
         self._actions: list[Tensor] = []
+        self.lengths: list[list[int]] = []
+        """The number of transitions in each demonstration, for each task."""
         for task in settings.tasks:
             all_of_task = _demonstrations_of(task, demonstrations)
             numbers = drawn(task, settings.seed, settings.demonstrations, len(all_of_task))
             episodes = [_episode(task, all_of_task[number], settings, drop_noop) for number in numbers]
             observations, actions = zip(*episodes, strict=True)
+            self.lengths.append([len(taken) for taken in actions])
             self._observations.append(np.concatenate(observations))
             self._actions.append(torch.as_tensor(np.concatenate(actions).astype(np.int64)))
             if not self.sizes[-1]:
@@ -147,6 +150,10 @@ class Dataset:
     def sizes(self) -> list[int]:
         """The number of transitions of each task."""
         return [len(actions) for actions in self._actions]
+
+    def actions(self, task: int) -> Tensor:
+        """All actions of a task, by its number, shape (n,)."""
+        return self._actions[task]
 
     def sample(self, size: int, generator: torch.Generator) -> Batch:
         """Draws with replacement, evenly over the tasks."""

@@ -100,6 +100,17 @@ class CloningSettings(Settings):
 
 
 @dataclass(frozen=True)
+class InverseSettings(Settings):
+    """IQ-Learn (Garg et al. 2021); what it shares with behavioural cloning is in `bc`."""
+
+    part: ClassVar[str] = "iq"
+
+    discount: Share = 0.99
+    temperature: Annotated[Positive, Meta(description="of the policy; rewards are about as small")] = 0.01
+    alpha: Annotated[Positive, Meta(description="the smaller, the smaller must rewards be")] = 0.5
+
+
+@dataclass(frozen=True)
 class PPOSettings(Settings):
     """The policy's side of GAIL, WGAIL-GP and AL (appendix, table "Hyperparameters for GAIL experiments")."""
 
@@ -241,6 +252,7 @@ class TrainingSettings(Settings):
     ] = "float32"
     network: NetworkSettings = field(default_factory=NetworkSettings)
     bc: CloningSettings = field(default_factory=CloningSettings)
+    iq: InverseSettings = field(default_factory=InverseSettings)
     ppo: PPOSettings = field(default_factory=PPOSettings)
     discriminator: DiscriminatorSettings = field(default_factory=DiscriminatorSettings)
     features: FeatureSettings = field(default_factory=FeatureSettings)
@@ -297,6 +309,7 @@ ALL_PARTS: Final = tuple(item.name for item in fields(TrainingSettings) if is_da
 """The settings that are tables of their own."""
 PARTS: Final[Mapping[str, tuple[str, ...]]] = {
     "bc": ("network", "bc"),
+    "iq-learn": ("network", "bc", "iq"),
     "gail": ("network", "ppo", "discriminator"),
     "wgail-gp": ("network", "ppo", "discriminator"),
     "al": ("network", "ppo", "features"),
@@ -304,7 +317,7 @@ PARTS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """Method of this package -> the parts of the settings that it uses."""
 _USERS: Final[Mapping[str, tuple[str, ...]]] = {
-    "augment": ("bc", "gail", "wgail-gp"),
+    "augment": ("bc", "gail", "wgail-gp", "iq-learn"),
     "precision": ("bc",),
     "discriminator.gradient_penalty": ("wgail-gp",),
 }

@@ -20,6 +20,7 @@ from magical_mj.evaluation.run import evaluate
 from magical_mj.learners.apprenticeship import Apprenticeship
 from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.gail import GAIL, WGAILGP
+from magical_mj.learners.iq_learn import IQLearn
 from magical_mj.learners.learner import Method, device, threads_for
 from magical_mj.learners.relational import Relational
 from magical_mj.learners.run_folder import Metrics, RunFolder
@@ -38,6 +39,7 @@ class _Methods(Mapping[str, type[Method]]):
             "gail": GAIL,
             "wgail-gp": WGAILGP,
             "al": Apprenticeship,
+            "iq-learn": IQLearn,
             "relational": Relational,
         }
     )
