@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from magical_mj.learners.data import Rollout
-from magical_mj.learners.learner import restore_optimizer, seeded
+from magical_mj.learners.learner import seeded
 from magical_mj.learners.networks import SHAPE, StateTorso, Torso, convolutions
 from magical_mj.learners.ppo import RewardLearner
 from magical_mj.learners.settings import NetworkSettings, TrainingSettings
@@ -47,6 +47,7 @@ class Apprenticeship(RewardLearner):
         with seeded(settings.seed + 1):
             self._autoencoder = Autoencoder(settings.network, size, states=settings.states).to(self.device)
         self._optimizer = torch.optim.Adam(self._autoencoder.parameters(), settings.features.learning_rate, fused=True)
+        self.stateful |= {"autoencoder": self._autoencoder, "autoencoder optimizer": self._optimizer}
         self._batches = 0
         self._metrics: dict[str, float] = dict.fromkeys(METRICS, 0.0)
         self._demonstrated: Tensor | None = None
@@ -82,21 +83,13 @@ class Apprenticeship(RewardLearner):
         return (self._autoencoder.features(observations, actions) * self._weights[tasks]).sum(1)
 
     def get_state(self) -> dict[str, Any]:
-        """Of all that plays, of the autoencoder, and the policy's latest features."""
-        return {
-            **super().get_state(),
-            "autoencoder": self._autoencoder.state_dict(),
-            "autoencoder optimizer": self._optimizer.state_dict(),
-            "batches": self._batches,
-            "metrics": self._metrics,
-            "latest": self._latest,
-        }
+        """Also the policy's latest features."""
+        own = {"batches": self._batches, "metrics": self._metrics, "latest": self._latest}
+        return {**super().get_state(), **own}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Goes back to a state that `get_state` returned."""
         super().set_state(state)
-        self._autoencoder.load_state_dict(state["autoencoder"])
-        restore_optimizer(self._optimizer, state["autoencoder optimizer"])
         self._batches, self._metrics = state["batches"], dict(state["metrics"])
         self._latest = state["latest"].to(self.device)
 

@@ -19,7 +19,6 @@ from torch import Tensor
 
 from magical_mj.learners.settings import AUGMENTATIONS, TrainingSettings
 from magical_mj.learners.state_features import HISTORY, pose_mask
-from magical_mj.utils.errors import check_name
 
 TRANSLATION: Final = 0.05  # the bounds of the uniform draws: of the picture's width and height
 ROTATION: Final = 5.0  # degrees
@@ -51,24 +50,14 @@ _SCALE: Final = 1.055**2.4
 _SRGB_SLOPE: Final = _SCALE / 12.92
 
 
-class _Augmentation:
-    """Changes observations at random.
-
-    Attributes:
-        parts: the augmentations that are applied.
-    """
+class Augmentation:
+    """Augments batches of stacks of frames by the parts of one of the `AUGMENTATIONS`."""
 
     def __init__(self, preset: str = "all") -> None:
-        """Takes a name in `magical_mj.learners.settings.AUGMENTATIONS`; any other raises UnknownNameError."""
-        check_name("augmentation", preset, AUGMENTATIONS)
         self.parts = AUGMENTATIONS[preset]
 
-
-class Augmentation(_Augmentation):
-    """Augments batches of stacks of frames."""
-
     @torch.no_grad()
-    def __call__(self, stacks: Tensor, generator: torch.Generator) -> Tensor:
+    def __call__(self, stacks: Tensor, generator: torch.Generator, /) -> Tensor:
         """Returns augmented `stacks`, which are not changed; no gradients flow back to them.
 
         All frames of a stack are moved and recoloured equally, different stacks differently. The noise is independent.
@@ -100,7 +89,7 @@ class Augmentation(_Augmentation):
         return torch.empty_like(stacks).copy_(pictures.clamp_(0, 1))
 
 
-class StateAugmentation(_Augmentation):
+class StateAugmentation(Augmentation):
     """Changes histories at random.
 
     The counterparts of a moved and turned picture are a robot that stands and looks a little elsewhere than it does,
@@ -110,7 +99,7 @@ class StateAugmentation(_Augmentation):
     """
 
     @torch.no_grad()
-    def __call__(self, histories: Tensor, generator: torch.Generator) -> Tensor:
+    def __call__(self, histories: Tensor, generator: torch.Generator, /) -> Tensor:
         """Augments histories (n, HISTORY, names); they stay as they are, and are returned if there is nothing to do."""
         if not self.parts:
             return histories
@@ -126,9 +115,9 @@ class StateAugmentation(_Augmentation):
         return changed
 
 
-def augmentation(settings: TrainingSettings) -> Augmentation | StateAugmentation:
+def augmentation(settings: TrainingSettings) -> Augmentation:
     """The augmentation of a run's observations."""
-    return StateAugmentation(settings.augment) if settings.states else Augmentation(settings.augment)
+    return (StateAugmentation if settings.states else Augmentation)(settings.augment)
 
 
 def move(stacks: Tensor, shifts: Tensor, degrees: Tensor) -> Tensor:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Final
+from typing import ClassVar, Final
 
 import torch
 from torch import nn
 
 from magical_mj.learners.augmentation import augmentation
 from magical_mj.learners.data import Dataset, Demonstrations
-from magical_mj.learners.learner import Learner, restore_optimizer, seeded, threads_for
+from magical_mj.learners.learner import Learner, seeded, threads_for
 from magical_mj.learners.networks import Actor, as_input
 from magical_mj.learners.policy import TrainedPolicy
 from magical_mj.learners.settings import CloningSettings, TrainingSettings
@@ -49,6 +49,13 @@ class BehaviouralCloning(Learner):
         self._rate = torch.optim.lr_scheduler.LinearLR(
             self._optimizer, 1.0, settings.bc.final_learning_rate / settings.bc.learning_rate, self.updates
         )
+        self.stateful = {
+            "actor": self._actor,
+            "optimizer": self._optimizer,
+            "rate": self._rate,
+            "draw": self._draw,
+            "noise": self._noise,
+        }
 
     @property
     def actor(self) -> Actor:
@@ -85,24 +92,6 @@ class BehaviouralCloning(Learner):
                 self._actor(self._augment(as_input(observations, self.device), noise), tasks.to(self.device))
         for norm in norms:
             norm.momentum = 0.1  # PyTorch's
-
-    def get_state(self) -> dict[str, Any]:
-        """Weights, and the states of the optimizer, the learning rate's schedule and the generators."""
-        return {
-            "actor": self._actor.state_dict(),
-            "optimizer": self._optimizer.state_dict(),
-            "rate": self._rate.state_dict(),
-            "draw": self._draw.get_state(),
-            "noise": self._noise.get_state(),
-        }
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Goes back to a state that `get_state` returned."""
-        self._actor.load_state_dict(state["actor"])
-        restore_optimizer(self._optimizer, state["optimizer"])
-        self._rate.load_state_dict(state["rate"])
-        self._draw.set_state(state["draw"])
-        self._noise.set_state(state["noise"])
 
 
 def clone(settings: TrainingSettings, demonstrations: Demonstrations | None = None) -> TrainedPolicy:

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from magical_mj.learners.augmentation import augmentation
 from magical_mj.learners.data import Rollout, joined
-from magical_mj.learners.learner import restore_optimizer, seeded
+from magical_mj.learners.learner import seeded
 from magical_mj.learners.networks import Heads, StateTorso, Torso
 from magical_mj.learners.ppo import RewardLearner, Samples
 from magical_mj.learners.settings import NetworkSettings, TrainingSettings
@@ -49,6 +49,8 @@ class Adversarial(RewardLearner):
         self._discriminator = discriminator.to(self.device)
         rate = settings.discriminator.learning_rate
         self._optimizer = torch.optim.Adam(self._discriminator.parameters(), rate, fused=True)
+        self.stateful |= {"discriminator": self._discriminator, "discriminator optimizer": self._optimizer}
+        self.stateful |= {"noise": self._noise}
 
     def update(self) -> Mapping[str, float]:
         """A rollout, the discriminator's steps, and PPO's update on the new discriminator's rewards."""
@@ -67,23 +69,15 @@ class Adversarial(RewardLearner):
         """The discriminator's loss and metrics, for samples of which the first half are the policy's."""
 
     def get_state(self) -> dict[str, Any]:
-        """Of all that plays, of the discriminator and of the augmentations."""
+        """Also the rollouts that are used again."""
         earlier = self.settings.discriminator.rollouts - 1
-        return {
-            **super().get_state(),
-            "discriminator": self._discriminator.state_dict(),
-            "discriminator optimizer": self._optimizer.state_dict(),
-            "latest": [rollout._asdict() for rollout in (self._latest[-earlier:] if earlier else [])],
-            "noise": self._noise.get_state(),
-        }
+        latest = self._latest[-earlier:] if earlier else []
+        return {**super().get_state(), "latest": [rollout._asdict() for rollout in latest]}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Goes back to a state that `get_state` returned."""
         super().set_state(state)
-        self._discriminator.load_state_dict(state["discriminator"])
-        restore_optimizer(self._optimizer, state["discriminator optimizer"])
         self._latest = [Rollout(**rollout) for rollout in state["latest"]]
-        self._noise.set_state(state["noise"])
 
     def _step(self, rollout: Rollout) -> Mapping[str, float]:
         half = self.settings.discriminator.batch_size // 2

@@ -87,11 +87,13 @@ class Learner(Method):
 
     Attributes:
         device: where its networks are.
+        stateful: all on which later updates depend, by name: modules, optimizers, generators and the like.
     """
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
         self.device = device(settings.device)
+        self.stateful: dict[str, Any] = {}
 
     @property
     @abstractmethod
@@ -105,6 +107,21 @@ class Learner(Method):
     def save_policy(self, folder: Path) -> None:
         """Writes the network."""
         save_policy(folder, self.actor, self.settings)
+
+    def get_state(self) -> dict[str, Any]:
+        """The states of all that is `stateful`."""
+        parts = self.stateful.items()
+        return {name: part.state_dict() if hasattr(part, "state_dict") else part.get_state() for name, part in parts}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Goes back to a state that `get_state` returned."""
+        for name, part in self.stateful.items():
+            if isinstance(part, torch.optim.Optimizer):
+                restore_optimizer(part, state[name])
+            elif hasattr(part, "state_dict"):
+                part.load_state_dict(state[name])
+            else:
+                part.set_state(state[name])
 
     def fault(self) -> str | None:
         """Whether a weight, or an average of batch norm, is not finite."""

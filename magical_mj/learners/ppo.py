@@ -260,6 +260,7 @@ class RewardLearner(Learner):
             self._average = AveragedModel(actor, multi_avg_fn=get_ema_multi_avg_fn(settings.ppo.averaging))
             self._ppo = ExternalRewardPPO(settings, self._environments, actor, critic, self._draw, self.device)
         self._normalise = RewardNormaliser(settings.ppo.reward_deviation, self._environments.tasks)
+        self.stateful = {"ppo": self._ppo, "average": self._average, "rewards": self._normalise, "draw": self._draw}
 
     @classmethod
     def check(cls, settings: TrainingSettings) -> None:
@@ -296,22 +297,6 @@ class RewardLearner(Learner):
     def on_device(self, batch: Batch) -> Samples:
         """A batch as networks want it."""
         return as_input(batch.observations, self.device), batch.actions.to(self.device), batch.tasks.to(self.device)
-
-    def get_state(self) -> dict[str, Any]:
-        """Of the policy and its average, the environments, the rewards and the draws."""
-        return {
-            "ppo": self._ppo.get_state(),
-            "average": self._average.state_dict(),
-            "rewards": self._normalise.get_state(),
-            "draw": self._draw.get_state(),
-        }
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Goes back to a state that `get_state` returned."""
-        self._ppo.set_state(state["ppo"])
-        self._average.load_state_dict(state["average"])
-        self._normalise.set_state(state["rewards"])
-        self._draw.set_state(state["draw"])
 
     def close(self) -> None:
         """Closes the environments."""
