@@ -259,6 +259,7 @@ def rewrite_robot(model: mujoco.MjModel, robot: Robot, dynamics: Dynamics, scope
         model.tendon_frictionloss[model.tendon(f"{scope}{motor}").id] = torque
 
 
+@lru_cache(16)
 def controls(body: str = GRIPPER, veer: float = 0.0, settings: PhysicsSettings = SETTINGS) -> NDArray[np.float64]:
     """The values of `ctrl` for each of the 18 actions: speeds of wheels, rotors and finger motors. Shape (18, 6).
 
@@ -277,19 +278,14 @@ def controls(body: str = GRIPPER, veer: float = 0.0, settings: PhysicsSettings =
             grip = -c.SPEED_FINGER
         turns = turn + veer * speed, loaded_turn + veer * loaded_speed
         rows.append((speed, loaded_speed, *turns, *((grip, -grip) if fingers else ())))
-    return np.array(rows)
-
-
-@lru_cache(16)
-def _controls(body: str, veer: float) -> NDArray[np.float64]:
-    signals = controls(body, veer)
+    signals = np.array(rows)
     signals.setflags(write=False)
     return signals
 
 
 def control_signal(action: int, body: str = GRIPPER, veer: float = 0.0) -> NDArray[np.float64]:
     """The values of MuJoCo's `ctrl` for an action (0..17). Shape (6,), without fingers (4,)."""
-    return _controls(body, veer)[action]
+    return controls(body, veer)[action]
 
 
 TURN_GAIN: Final = 0.5 / TIMESTEP

@@ -88,7 +88,7 @@ class Physics:
         self._fields = {name: wp.to_torch(getattr(self._warp, name)) for name in FIELDS}
         self._state = {name: wp.to_torch(getattr(self.data, name)) for name in STATE}
         self._overflow = wp.to_torch(self.data.overflow)
-        self._controls = torch.from_numpy(controls()).float().to(device)
+        self._controls = torch.tensor(controls(), dtype=torch.float32, device=device)
         self._planar = torch.from_numpy(planar(self.blocks)).to(device)
         self._fingers = torch.tensor(self._slots.fingers, device=device)
         self._graph: Any = None

@@ -222,7 +222,7 @@ class Engine:
         self.setup, self.task, self.variant = setup, setup.task, setup.variant
         self.rules: Rules = setup.rules
         self.horizon = setup.horizon
-        self._simulation: Simulation | None = Simulation(scene, renderer, shifts)
+        self._simulation: Simulation | None = Simulation.of(scene, renderer, shifts)
         self._simulation.speeds = setup.speeds
         self.shifts = strengths
         self.seed: int | None = None

@@ -10,7 +10,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 from xml.etree.ElementTree import Comment, Element, SubElement, TreeBuilder, XMLParser, fromstring
 from xml.sax.saxutils import quoteattr
 
@@ -145,20 +145,14 @@ def _name_blocks(root: Element, scene: Scene) -> None:
 
 def _unfold_regions(root: Element, scene: Scene) -> None:
     """Replaces the regions' skins, which environments modify from scene to scene, by geoms."""
-    skins, assets, body = (_find(root, path) for path in ("deformable", "asset", f".//body[@name='{BONE}']"))
+    paths = ("deformable", "asset", f".//body[@name='{BONE}']")
+    skins, assets, body = (cast("Element", root.find(path)) for path in paths)
     root.remove(skins)
     for index, region in enumerate(scene.regions):
         mesh, *geoms = elements("".join(region_mjcf(index, region)))
         assets.append(mesh)
         body.append(Comment(f"Goal region {index}: {region.colour}"))
         body.extend(geoms)
-
-
-def _find(root: Element, path: str) -> Element:
-    element = root.find(path)
-    if element is None:
-        raise KeyError(path)
-    return element
 
 
 def _custom(scene: Scene, about: Mapping[str, Any], speeds: bool) -> Element:

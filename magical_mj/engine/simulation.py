@@ -94,34 +94,21 @@ class Simulation:
     """The simulation of a world, at rest in its scene after `start`.
 
     Args:
-        scene: the first scene.
-        renderer: as `magical_mj.Engine`.
-        shifts: those of the first episode.
+        world: the world of the first scene.
+        model: a compiled model of it.
+        data: its state, which others may use too.
+        cameras: as those of `Views`.
 
     Attributes:
         world: the world of the present scene.
         model: MuJoCo's model. `start` replaces it if the new scene has another structure.
         data: MuJoCo's state of that model.
+        renderer: as `magical_mj.Engine`.
         shifts: those of the present episode; None: none.
         speeds: whether actions are x-magical's speeds, see `magical_mj.assets.robot.speed_signal`.
     """
 
-    def __init__(self, scene: Scene, renderer: str | None = None, shifts: EpisodeShifts | None = None) -> None:
-        world = World(scene)
-        self._hold(world, copy(world_model(world.structure)))
-        self.renderer, self.shifts = renderer, shifts
-        self._begin()
-
-    @classmethod
-    def around(
-        cls, world: World, model: mujoco.MjModel, data: mujoco.MjData, cameras: Mapping[str, str] = MappingProxyType({})
-    ) -> Simulation:
-        """A simulation with a compiled model and its state, which others use too; `cameras` are those of `Views`."""
-        simulation = cls.__new__(cls)
-        simulation._hold(world, model, data, cameras)
-        return simulation
-
-    def _hold(
+    def __init__(
         self,
         world: World,
         model: mujoco.MjModel,
@@ -135,6 +122,15 @@ class Simulation:
         self._cameras = cameras
         self._views: Views | None = None
         self._encoder: tuple[Scene, StateEncoder] | None = None
+
+    @classmethod
+    def of(cls, scene: Scene, renderer: str | None = None, shifts: EpisodeShifts | None = None) -> Simulation:
+        """The simulation of an episode that begins in this scene, with these shifts."""
+        world = World(scene)
+        simulation = cls(world, copy(world_model(world.structure)))
+        simulation.renderer, simulation.shifts = renderer, shifts
+        simulation._begin()
+        return simulation
 
     @property
     def scene(self) -> Scene:
@@ -171,7 +167,7 @@ class Simulation:
 
     def copy(self) -> Simulation:
         """Another simulation in the same state, which shares the model, and takes actions as they are commanded."""
-        twin = Simulation.around(self.world, self.model, copy(self.data), self._cameras)
+        twin = Simulation(self.world, self.model, copy(self.data), self._cameras)
         twin.renderer, twin.speeds = self.renderer, self.speeds
         return twin
 

@@ -12,7 +12,7 @@ import importlib
 import importlib.util
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Final, Literal, cast, get_args
@@ -204,11 +204,6 @@ def egl_device_problem() -> str:
     return f"MUJOCO_EGL_DEVICE_ID is {wanted!r}; EGL's devices here are numbered from 0 to {count - 1}"
 
 
-def egl_works() -> bool:
-    """Whether an EGL display can be initialised."""
-    return bool(egl_display())
-
-
 @cache
 def osmesa_works() -> bool:
     """Whether the OSMesa library can be loaded."""
@@ -219,7 +214,7 @@ def osmesa_works() -> bool:
     return False
 
 
-PROBES: Final = {"egl": egl_works, "osmesa": osmesa_works}
+PROBES: Final[dict[str, Callable[[], object]]] = {"egl": egl_display, "osmesa": osmesa_works}
 """The backends that need no display, in the order in which they are tried."""
 OFF: Final = ("off", "disable", "disabled", "false", "0")
 KNOWN: Final = ("glfw", "on", "enable", "enabled", "true", "1", *OFF, *PROBES)

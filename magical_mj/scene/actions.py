@@ -142,11 +142,8 @@ def to_discrete(vector: ArrayLike) -> int:
     Raises:
         InvalidActionError: for another shape, or entries that are not finite numbers.
     """
-    try:
-        entries = np.asarray(vector, np.float64)
-    except (TypeError, ValueError, OverflowError):
-        entries = np.empty(0)
-    if entries.shape != (3,) or not np.isfinite(entries).all():
+    entries = _finite(vector, 3)
+    if entries is None:
         raise InvalidActionError(
             f"{short_repr(vector)} is not a continuous action: those are three finite numbers in [-1, 1] "
             "(drive, turn, grip)"
@@ -161,13 +158,19 @@ def as_speeds(action: ArrayLike, size: int) -> NDArray[np.float64]:
     Raises:
         InvalidActionError: for another shape, or entries that are not finite numbers.
     """
-    try:
-        entries = np.asarray(action, np.float64)
-    except (TypeError, ValueError, OverflowError):
-        entries = np.empty(0)
-    if entries.shape != (size,) or not np.isfinite(entries).all():
+    entries = _finite(action, size)
+    if entries is None:
         parts = "speed, turn, grip" if size == 3 else "speed, turn; this body has no gripper"
         raise InvalidActionError(
             f"{short_repr(action)} is not an action here: those are {size} finite numbers in [-1, 1] ({parts})"
         )
     return entries
+
+
+def _finite(values: ArrayLike, size: int) -> NDArray[np.float64] | None:
+    """The values as an array; None unless they are so many finite numbers."""
+    try:
+        entries = np.asarray(values, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return entries if entries.shape == (size,) and np.isfinite(entries).all() else None

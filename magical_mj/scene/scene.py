@@ -10,7 +10,7 @@ import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
@@ -160,6 +160,10 @@ class Dynamics:
                 raise InvalidSceneError(f"Dynamics.{entry.name} must be positive, not {getattr(self, entry.name)}")
 
 
+_LISTS: Final = {"blocks": Block, "regions": GoalRegion, "pebbles": Pebble}
+"""The fields of a scene that hold any number of parts."""
+
+
 @dataclass(frozen=True, slots=True)
 class Scene:
     """A world at rest: the robot, the blocks, the goal regions and the dynamics. Immutable and hashable.
@@ -180,16 +184,11 @@ class Scene:
             raise InvalidSceneError(
                 f"Scene.half_width must be in {SMALLEST_ARENA}..{LARGEST_ARENA}, not {self.half_width}"
             )
-        for name, kind in (("blocks", Block), ("regions", GoalRegion), ("pebbles", Pebble)):
-            parts = _as_tuple(getattr(self, name), f"Scene.{name} must be a sequence of {kind.__name__}")
-            object.__setattr__(self, name, parts)
-        for parts, kind in (
-            ((self.robot,), Robot),
-            (self.blocks, Block),
-            (self.regions, GoalRegion),
-            ((self.dynamics,), Dynamics),
-            (self.pebbles, Pebble),
-        ):
+        for name, kind in (("robot", Robot), ("dynamics", Dynamics), *_LISTS.items()):
+            parts = (getattr(self, name),)
+            if name in _LISTS:
+                parts = _as_tuple(*parts, f"Scene.{name} must be a sequence of {kind.__name__}")
+                object.__setattr__(self, name, parts)
             for part in parts:
                 if not isinstance(part, kind):
                     raise InvalidSceneError(f"a scene needs a {kind.__name__} here, not {short_repr(part)}")
@@ -208,7 +207,7 @@ class Scene:
 
     def to_json(self) -> str:
         """The scene as one line of JSON; floats are exact, so `from_json` gives an equal scene."""
-        return json.dumps({"format": SCENE_FORMAT, **_written(self)}, separators=(",", ":"))
+        return json.dumps({"format": SCENE_FORMAT, **_plain(self, UNWRITTEN)}, separators=(",", ":"))
 
     @classmethod
     def from_json(cls, text: str | bytes) -> Scene:
@@ -228,61 +227,39 @@ class Scene:
         if type(version) is not int or version != SCENE_FORMAT:
             raise InvalidSceneError(f'a scene must have "format": {SCENE_FORMAT}; write it with Scene.to_json')
         _check_fields(cls, data)
-        for name in ("blocks", "regions", "pebbles"):
-            if not isinstance(data.get(name, []), list):
-                raise InvalidSceneError(f"Scene.{name} must be a list, not {short_repr(data[name])}")
-        robot = _part(Robot, data["robot"])
-        check_named(robot.body, "a scene")
-        return cls(
-            robot=robot,
-            blocks=tuple(_part(Block, item) for item in data.get("blocks", ())),
-            regions=tuple(_part(GoalRegion, item) for item in data.get("regions", ())),
-            dynamics=_part(Dynamics, data.get("dynamics", {})),
-            half_width=data.get("half_width", c.ARENA_HALF_WIDTH),
-            pebbles=tuple(_part(Pebble, item) for item in data.get("pebbles", ())),
-        )
+        for name, kind in _LISTS.items():
+            if not isinstance(items := data.get(name, []), list):
+                raise InvalidSceneError(f"Scene.{name} must be a list, not {short_repr(items)}")
+            data[name] = tuple(_part(kind, item) for item in items)
+        data["robot"], data["dynamics"] = _part(Robot, data["robot"]), _part(Dynamics, data.get("dynamics", {}))
+        check_named(data["robot"].body, "a scene")
+        return cls(**data)
 
     def digest(self) -> str:
         """A short hash of the scene: equal scenes have equal digests, different ones different digests.
 
         Fields with their default value are left out, so that fields added by later versions change no digest.
         """
-        text = json.dumps(_not_default(self), sort_keys=True, separators=(",", ":"))
+        text = json.dumps(_plain(self), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-UNWRITTEN: Final = {
-    "body": GRIPPER,
-    "mass": c.BLOCK_MASS,
-    "border": "dashed",
-    "half_width": c.ARENA_HALF_WIDTH,
-    "veer": 0.0,
-    "pebbles": [],
-}
-"""Fields that JSON has only where they differ from these, the benchmark's: what was written before had none of them."""
+UNWRITTEN: Final = ("body", "mass", "border", "half_width", "veer", "pebbles")
+"""Fields that JSON has only where they differ from their default: what was written before had none of them."""
 
 
-def _written(value: Any) -> Any:
-    """A part of a scene as lists and dicts for its JSON form."""
+def _plain(value: Any, left_out: Collection[str] | None = None) -> Any:
+    """A part of a scene as lists and dicts. Fields with their default are `left_out` if they are in it; None: all."""
     if isinstance(value, tuple):
-        return [_written(item) for item in value]
-    if not dataclasses.is_dataclass(value):
-        return value
-    fields = {entry.name: _written(getattr(value, entry.name)) for entry in dataclasses.fields(value)}
-    return {name: field for name, field in fields.items() if name not in UNWRITTEN or field != UNWRITTEN[name]}
-
-
-def _not_default(value: Any) -> Any:
-    """A part of a scene as plain lists and dicts, without the fields that have their default value."""
-    if isinstance(value, tuple):
-        return [_not_default(item) for item in value]
+        return [_plain(item, left_out) for item in value]
     if not dataclasses.is_dataclass(value):
         return value
     told = {}
     for entry in dataclasses.fields(value):
         default = entry.default if entry.default_factory is dataclasses.MISSING else entry.default_factory()
-        if getattr(value, entry.name) != default:
-            told[entry.name] = _not_default(getattr(value, entry.name))
+        own = getattr(value, entry.name)
+        if own != default or (left_out is not None and entry.name not in left_out):
+            told[entry.name] = _plain(own, left_out)
     return told
 
 

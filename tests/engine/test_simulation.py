@@ -59,7 +59,7 @@ def test_rewriting_equals_compiling() -> None:
         pairs = repeats(task, variant)
         assert len(pairs) == 2
         for before, after in pairs:
-            used, fresh = Simulation(before.scene), mujoco.MjModel.from_xml_string(world_mjcf(after.scene))
+            used, fresh = Simulation.of(before.scene), mujoco.MjModel.from_xml_string(world_mjcf(after.scene))
             for _ in range(3):
                 used.act(10)  # a simulation that ran is no different
             model = used.model
@@ -78,7 +78,7 @@ def test_rewriting_changes_everything_that_a_scene_holds() -> None:
         (GoalRegion("green", -0.9, -0.1, -0.2, 0.6),),
         dynamics,
     )
-    used = Simulation(first)
+    used = Simulation.of(first)
     World(other).rewrite(used.model, used.data)
     assert_same_model(used.model, mujoco.MjModel.from_xml_string(world_mjcf(other)))
 
@@ -89,7 +89,7 @@ def test_regions_that_outgrow_a_model_are_not_squeezed_in() -> None:
     worlds = [World(Scene(Robot(0, 0, 0), regions=(region,))) for region in (small, large)]
     assert worlds[0].structure != worlds[1].structure
     with pytest.raises(ValueError, match="compile it again"):
-        rewrite_region(Simulation(worlds[0].scene).model, 0, large)
+        rewrite_region(Simulation.of(worlds[0].scene).model, 0, large)
 
 
 def test_a_spec_that_was_changed_leaves_the_next_one_as_it_should_be() -> None:
@@ -101,4 +101,4 @@ def test_a_spec_that_was_changed_leaves_the_next_one_as_it_should_be() -> None:
     block.first_geom().meshname = "star_fill"
     fresh = mujoco.MjModel.from_xml_string(world_mjcf(world.scene))
     assert changed.compile().ngeom == fresh.ngeom + 1
-    assert_same_model(Simulation(world.scene).model, fresh)
+    assert_same_model(Simulation.of(world.scene).model, fresh)

@@ -32,7 +32,7 @@ GALLERY = Scene(
 
 
 def draw(scene: Scene, view: str, size: int = 96) -> np.ndarray:
-    return Simulation(scene).draw(view, size)
+    return Simulation.of(scene).draw(view, size)
 
 
 def allo_pixel(x: float, y: float, size: int) -> tuple[int, int]:
@@ -135,7 +135,7 @@ def test_the_solid_view_shows_everything_with_light_and_shadow() -> None:
 
 
 def test_the_solid_view_disturbs_nobody() -> None:
-    simulation = Simulation(GALLERY)
+    simulation = Simulation.of(GALLERY)
     before = {view: simulation.draw(view, 96) for view in VIEWS}
     solid = simulation.draw("scene", 64)
     for view in VIEWS:
@@ -163,7 +163,7 @@ def test_averaging_is_exact_on_white_paper() -> None:
 
 @pytest.mark.parametrize("size", [1, 3, 97, LARGEST])
 def test_pictures_of_any_size_are_fresh_arrays(size: int) -> None:
-    simulation = Simulation(GALLERY)
+    simulation = Simulation.of(GALLERY)
     first, second = (simulation.draw("ego", size) for _ in range(2))
     assert first.shape == (size, size, 3)
     assert first.flags.c_contiguous
@@ -189,7 +189,7 @@ def test_interleaved_simulations_draw_what_each_draws_alone() -> None:
         for size in (96, 64, 200)
     }
     CANVAS.close()
-    simulations = [Simulation(scene) for scene in scenes]
+    simulations = [Simulation.of(scene) for scene in scenes]
     keys = list(alone)
     for choice in np.random.default_rng(0).integers(len(keys), size=300):
         k, view, size = keys[choice]
@@ -199,7 +199,7 @@ def test_interleaved_simulations_draw_what_each_draws_alone() -> None:
 
 def test_rewritten_models_draw_as_compiled_ones() -> None:
     scenes = [magical_mj.sample_scene("MatchRegions", "Layout", seed) for seed in range(4)]
-    used = Simulation(scenes[0])
+    used = Simulation.of(scenes[0])
     for scene in scenes:
         used.start(scene)
         for view in VIEWS:
@@ -207,7 +207,7 @@ def test_rewritten_models_draw_as_compiled_ones() -> None:
 
 
 def test_foreign_models_are_drawn_too_and_disturb_nobody() -> None:
-    ours = Simulation(GALLERY)
+    ours = Simulation.of(GALLERY)
     before = ours.draw("allo", 96)
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><asset><texture name="t" type="2d" builtin="checker" width="8" height="8" rgb1="1 0 0" rgb2="0 1 0"/>'
@@ -258,7 +258,7 @@ def test_drawing_beside_mujocos_renderers_disturbs_nobody() -> None:
 
 
 def test_the_canvas_can_be_closed_and_opened_again() -> None:
-    simulation = Simulation(GALLERY)
+    simulation = Simulation.of(GALLERY)
     before = simulation.draw("ego", 96)
     CANVAS.close()
     CANVAS.close()

@@ -121,7 +121,7 @@ class SceneTask(composer.Task):
         model, data = physics.model.ptr, physics.data.ptr
         if self._simulation is None or self._simulation.model is not model or self._simulation.data is not data:
             self.free()
-            self._simulation = Simulation.around(self.world, model, data, CAMERA_NAMES)
+            self._simulation = Simulation(self.world, model, data, CAMERA_NAMES)
             self._simulation.renderer = self.renderer
         self._simulation.world, self._simulation.shifts = self.world, self.shifts
         self._simulation.speeds = self.setup.speeds
