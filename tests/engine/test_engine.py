@@ -16,7 +16,7 @@ from gymnasium.error import ResetNeeded
 import magical_mj
 from magical_mj.engine import Engine
 from magical_mj.scene import Block, Dynamics, GoalRegion, Robot, Scene
-from magical_mj.scene.actions import Action, Drive, Gripper, Turn
+from magical_mj.scene.actions import Action, Drive
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import (
@@ -104,25 +104,6 @@ def test_processes_agree_bit_for_bit() -> None:
     ]
     assert outputs[0].stdout == outputs[1].stdout != ""
     assert outputs[0].stderr == ""  # nor is anything said when the interpreter exits
-
-
-def test_interleaved_engines_draw_what_each_draws_alone() -> None:
-    choices = [("FindDupe", 96), ("MoveToRegion", 64), ("FixColour", 96), ("ClusterColour", 200)]
-    actions = np.random.default_rng(1).integers(18, size=12).tolist()
-
-    def pictures(engine: Engine, size: int) -> np.ndarray:
-        return np.stack([engine.render("ego", size), engine.render("allo", size)])
-
-    alone = []
-    for task, size in choices:
-        engine = Engine(task, "All", seed=2)
-        alone.append([(engine.step(action), pictures(engine, size))[1] for action in actions])
-        engine.close()
-    engines = [Engine(task, "All", seed=2) for task, _ in choices]
-    for step, action in enumerate(actions):
-        for engine, expected, (_, size) in zip(engines, alone, choices, strict=True):
-            engine.step(action)
-            np.testing.assert_array_equal(pictures(engine, size), expected[step])
 
 
 def test_a_model_that_is_used_again_draws_and_moves_as_a_fresh_one() -> None:
@@ -232,15 +213,6 @@ def test_bad_actions_are_refused_and_harmless(action: object) -> None:
     with pytest.raises(InvalidActionError, match=r"integers 0\.\.17"):
         engine.step(action)
     assert engine.get_state() == before
-
-
-def test_actions_of_every_integer_kind() -> None:
-    states = []
-    for action in (4, np.int64(4), np.array(4), Action(Gripper.OPEN, Turn.LEFT, Drive.FORWARD)):
-        engine = Engine("MoveToRegion", seed=0)
-        engine.step(action)
-        states.append(engine.get_state())
-    assert all(state == states[0] for state in states)
 
 
 def test_bad_arguments_name_the_remedy() -> None:

@@ -204,21 +204,6 @@ def test_damaged_figures_are_refused_and_kept(tmp_path: Path) -> None:
         assert path.read_text("latin-1") == text
 
 
-def test_a_checkpoint_of_another_version_is_refused_and_kept(tmp_path: Path) -> None:
-    settings = playing(preset="State")
-    stopped(tmp_path / "run", settings)
-    kept = checkpoint.read(tmp_path / "run" / CHECKPOINT)
-    del kept["learner"]["average"]
-    checkpoint.write(tmp_path / "run" / CHECKPOINT, kept)
-    before = (tmp_path / "run" / CHECKPOINT).read_bytes()
-    with pytest.raises(TrainingError, match=r"does not fit this version of gail .*another folder"):
-        train(settings, tmp_path / "run", resume=True)
-    assert (tmp_path / "run" / CHECKPOINT).read_bytes() == before
-    (tmp_path / "run" / CHECKPOINT).write_bytes((tmp_path / "run" / POLICY).read_bytes())  # which is another thing
-    with pytest.raises(TrainingError, match="does not fit"):
-        train(settings, tmp_path / "run", resume=True)
-
-
 def test_a_training_with_other_demonstrations_or_worlds_is_not_continued(tmp_path: Path) -> None:
     train(state(), tmp_path / "run")
     config = tmp_path / "run" / CONFIG

@@ -197,15 +197,6 @@ def test_interleaved_simulations_draw_what_each_draws_alone() -> None:
     assert len(CANVAS.contexts) == 1
 
 
-def test_rewritten_models_draw_as_compiled_ones() -> None:
-    scenes = [magical_mj.sample_scene("MatchRegions", "Layout", seed) for seed in range(4)]
-    used = Simulation.of(scenes[0])
-    for scene in scenes:
-        used.start(scene)
-        for view in VIEWS:
-            np.testing.assert_array_equal(used.draw(view, 96), draw(scene, view))
-
-
 def test_foreign_models_are_drawn_too_and_disturb_nobody() -> None:
     ours = Simulation.of(GALLERY)
     before = ours.draw("allo", 96)
