@@ -88,12 +88,11 @@ class Source:
         """The hash of the policy's file or module; empty if there is none."""
         if not isinstance(self.origin, str) or self.origin in AGENTS:
             return {}
-        path = Path(self.origin)
-        what, file = "sha256", path
-        if path.suffix not in LOADERS:
-            what, file = (
-                ("sha256", path / _folder_loader(path).name) if path.is_dir() else ("code", source_of(self.origin))
-            )
+        what, file = "sha256", Path(self.origin)
+        if file.suffix not in LOADERS and file.is_dir():
+            file /= _folder_loader(file).name
+        elif file.suffix not in LOADERS:
+            what, file = "code", source_of(self.origin)
         return {} if file is None else {what: hashlib.sha256(file.read_bytes()).hexdigest()}
 
 

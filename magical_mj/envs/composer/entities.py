@@ -144,22 +144,20 @@ class Arena(composer.Entity):
             thing.detach()
         for pair in self._pairs:
             pair.remove()
-        names = [f"block{index}" for index in range(len(scene.blocks))]
-        for index, (name, block) in enumerate(zip(names, scene.blocks, strict=True)):
-            if (name, block.shape) not in self._things:
-                self._things[name, block.shape] = Thing(name, partial(_block, index), scene)
-        self.blocks = [self._things[name, block.shape] for name, block in zip(names, scene.blocks, strict=True)]
         if scene.pebbles and self._model.find("mesh", "pebble_outline") is None:
             for mesh in elements(pebble_library()):
                 self._model.asset.add("mesh", **mesh.attrib)
-        grit = [f"pebble{index}" for index in range(len(scene.pebbles))]
-        for index, name in enumerate(grit):
-            if (name, "pebble") not in self._things:
-                self._things[name, "pebble"] = Thing(name, partial(_pebble, index), scene)
-        self.pebbles = [self._things[name, "pebble"] for name in grit]
+        loose = [(f"block{index}", block.shape, partial(_block, index)) for index, block in enumerate(scene.blocks)]
+        loose += [(f"pebble{index}", "pebble", partial(_pebble, index)) for index in range(len(scene.pebbles))]
+        feet: dict[str, Thing] = {}
+        for name, shape, mjcf_of in loose:
+            if (name, shape) not in self._things:
+                self._things[name, shape] = Thing(name, mjcf_of, scene)
+            feet[name] = self._things[name, shape]
+        things = list(feet.values())
+        self.blocks, self.pebbles = things[: len(scene.blocks)], things[len(scene.blocks) :]
         for thing in (*self.blocks, self.robot, *self.pebbles):
             thing.attach_to(self, scene)
-        feet = dict(zip((*names, *grit), (*self.blocks, *self.pebbles), strict=True))
         self._pairs = []
         for attributes in _pairs(scene):
             foot = attributes["geom2"]
