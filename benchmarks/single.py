@@ -215,4 +215,4 @@ class BareLoop:
 
     def close(self) -> None:
         """Frees the renderer."""
-        self._views.close()
+        del self._views

@@ -74,6 +74,12 @@ def robot_mjcf(robot: Robot, settings: PhysicsSettings, half: float = c.ARENA_HA
     body = body_named(robot.body)
     castor = f'armature="{numbers(CASTOR_INERTIA)}" stiffness="{numbers(CASTOR_INERTIA / TIMESTEP**2)}"'
     wheels = "".join(_spinner(name, "-1 0 0", foot(name)) for name in WHEELS)
+    fingers = ""
+    if body.fingers:
+        fingers = f"""<!-- Finger motors: heavy rotors likewise, one for each finger -->
+{"".join(_spinner(name, "0 0 1") for name in MOTORS.values())}
+{_finger("left", robot.fingers[0], settings)}
+{_finger("right", robot.fingers[1], settings)}"""
     content = f"""
 <inertial pos="0 0 0" mass="{numbers(body.mass)}" diaginertia="{numbers(*[body.inertia] * 3)}"/>
 {_collision(body, settings)}
@@ -85,7 +91,7 @@ def robot_mjcf(robot: Robot, settings: PhysicsSettings, half: float = c.ARENA_HA
 <body name="castor"><joint name="castor" type="hinge" axis="0 0 1" {castor}/>{LIGHT}{wheels}</body>
 <!-- Turning: heavy rotors, which spin against the robot; dry friction with them turns it -->
 {"".join(_spinner(name, "0 0 1") for name in ROTORS)}
-{_fingers(robot, settings) if body.fingers else ""}
+{fingers}
 <!-- Body and eyes; they follow the fingers, which they hide in the flat pictures -->
 <body name="face">{_face(body)}</body>"""
     return comment("The robot") + planar_body("robot", robot.pose, content)
@@ -96,14 +102,6 @@ def _collision(body: Body, settings: PhysicsSettings) -> str:
     if body.outline:
         return polygon_geoms(body.corners, settings)
     return f'<geom name="robot" class="disc" size="{numbers(body.radius - settings.body_overlap)}"/>'
-
-
-def _fingers(robot: Robot, settings: PhysicsSettings) -> str:
-    """The fingers with their motors."""
-    return f"""<!-- Finger motors: heavy rotors likewise, one for each finger -->
-{"".join(_spinner(name, "0 0 1") for name in MOTORS.values())}
-{_finger("left", robot.fingers[0], settings)}
-{_finger("right", robot.fingers[1], settings)}"""
 
 
 def _spinner(name: str, axis: str, geom: str = "") -> str:

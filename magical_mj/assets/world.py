@@ -42,54 +42,36 @@ WALLS: Final = {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 
 """Wall -> the unit vector from the middle of the arena towards it."""
 
 
-def world_mjcf(scene: Scene, settings: PhysicsSettings = SETTINGS, regions: str | None = None) -> str:
+def world_mjcf(
+    scene: Scene, settings: PhysicsSettings = SETTINGS, regions: str | None = None, *, empty: bool = False
+) -> str:
     """The model as MJCF text: the scene is its reference pose. Blocks come before the robot, which is drawn over them.
 
     Args:
         scene: the scene.
         settings: parameters of the simulation.
         regions: the skins of the regions, as MJCF; None: those of the scene.
-    """
-    dynamics, robot, half = scene.dynamics, scene.robot, scene.half_width
-    blocks = "".join(block_mjcf(index, block, dynamics, settings) for index, block in enumerate(scene.blocks))
-    feet = "".join(block_pair(index, block, dynamics, settings) for index, block in enumerate(scene.blocks))
-    pebbles = "".join(pebble_mjcf(index, pebble, settings) for index, pebble in enumerate(scene.pebbles))
-    feet += robot_pairs(robot, dynamics, settings)
-    feet += "".join(pebble_pair(index, settings) for index in range(len(scene.pebbles)))
-    return model_mjcf(
-        bodies=blocks + robot_mjcf(robot, settings, half) + pebbles,
-        meshes=pebble_library() if scene.pebbles else "",
-        regions=regions_mjcf(scene.regions) if regions is None else regions,
-        contacts=feet + (APART if body_named(robot.body).fingers else ""),
-        tendons=tendons_mjcf(robot, dynamics, settings),
-        actuators=actuators_mjcf(robot.body),
-        settings=settings,
-        body=robot.body,
-        half=half,
-    )
-
-
-def model_mjcf(
-    *,
-    bodies: str = "",
-    regions: str = "",
-    meshes: str = "",
-    contacts: str = "",
-    tendons: str = "",
-    actuators: str = "",
-    settings: PhysicsSettings = SETTINGS,
-    body: str = GRIPPER,
-    half: float = c.ARENA_HALF_WIDTH,
-) -> str:
-    """A model as MJCF text: the arena, with the content of these sections; without any, the empty arena.
-
-    The meshes are those for a robot with this body, and the walls are `half` from the middle.
+        empty: leave out all but the arena, with the meshes that the scene needs.
 
     Elliptic cones make friction equal in all directions. Explicit Euler with a fixed step is the original's
     integrator; implicit damping would soften servos whose gain is chosen for this step. With so few geoms, testing all
     pairs is faster than the mid-phase, and sparse matrices make piles of blocks cheaper. Blocks at rest sleep until
     something touches them: most blocks, most of the time.
     """
+    dynamics, robot, half = scene.dynamics, scene.robot, scene.half_width
+    bodies = contacts = tendons = actuators = meshes = ""
+    if not empty:
+        blocks, pebbles = list(enumerate(scene.blocks)), list(enumerate(scene.pebbles))
+        bodies = "".join(block_mjcf(index, block, dynamics, settings) for index, block in blocks)
+        bodies += robot_mjcf(robot, settings, half)
+        bodies += "".join(pebble_mjcf(index, pebble, settings) for index, pebble in pebbles)
+        contacts = "".join(block_pair(index, block, dynamics, settings) for index, block in blocks)
+        contacts += robot_pairs(robot, dynamics, settings)
+        contacts += "".join(pebble_pair(index, settings) for index, _ in pebbles)
+        contacts += APART if body_named(robot.body).fingers else ""
+        tendons, actuators = tendons_mjcf(robot, dynamics, settings), actuators_mjcf(robot.body)
+        meshes = pebble_library() if pebbles else ""
+        regions = regions_mjcf(scene.regions) if regions is None else regions
     integrator = f'timestep="{numbers(TIMESTEP)}" gravity="0 0 0" integrator="Euler" cone="elliptic"'
     limits = f'iterations="{settings.iterations}" tolerance="{settings.tolerance}"'
     return f"""
@@ -104,10 +86,10 @@ def model_mjcf(
   <!-- What geoms are: two meet if a bit of the contype of one is in the conaffinity of the other -->
   <default>{geom_classes(settings)}</default>
   <!-- Flat polygons, in which things are drawn, and the sides of pentagons and stars -->
-  <asset>{style.SKY}{library(body, half)}{meshes}</asset>
+  <asset>{style.SKY}{library(robot.body, half)}{meshes}</asset>
   <!-- The world -->
   <worldbody>{_arena(half)}{bodies}</worldbody>
-  <deformable>{regions}</deformable>
+  <deformable>{regions or ""}</deformable>
   <!-- Friction with the ground: force cap / pressure -->
   <contact>{contacts}</contact>
   <!-- Servos -->

@@ -253,9 +253,7 @@ class Simulation:
         return Frame(view, step, (x, y, math.atan2(axes[3], axes[0]), float(self.model.cam_fovy[camera])))
 
     def free(self) -> None:
-        """Frees what the simulation drew with."""
-        if self._views is not None:
-            self._views.close()
+        """Frees what the simulation drew with; the drawing context, which all share, remains."""
         self._views = None
 
     def save(self) -> NDArray[np.float64]:

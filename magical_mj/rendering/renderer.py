@@ -115,10 +115,6 @@ class Views:
         self._flat = self._flat or self._choose()
         return self._flat.draw(data, self._cameras.get(view, view), size, out, bare)
 
-    def close(self) -> None:
-        """Lets go of what it drew with; the shared drawing context remains. May be called twice."""
-        self._flat = self._segments = self._solid = None
-
     def _choose(self) -> Renderer | SoftwareRenderer:
         if self._wanted == "software":
             with contextlib.suppress(RenderingError):  # of a model that users have changed

@@ -160,7 +160,6 @@ def test_segmentations_are_views() -> None:
     assert place.any()
     with pytest.raises(ValueError, match="out"):
         views.draw(data, "ego-segmentation", 20, np.zeros((20, 20, 3), np.uint8))
-    views.close()
 
 
 # The same bytes everywhere

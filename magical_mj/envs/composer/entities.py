@@ -19,7 +19,7 @@ from magical_mj.assets.mjcf import elements
 from magical_mj.assets.pebble import pebble_library, pebble_mjcf, pebble_pair
 from magical_mj.assets.region import regions_mjcf
 from magical_mj.assets.robot import actuators_mjcf, robot_mjcf, robot_pairs, tendons_mjcf
-from magical_mj.assets.world import APART, model_mjcf
+from magical_mj.assets.world import APART, world_mjcf
 from magical_mj.scene import Scene
 from magical_mj.scene.bodies import body_named
 
@@ -101,7 +101,7 @@ class Arena(composer.Entity):
 
     def _build(self, scene: Scene) -> None:
         body = scene.robot.body
-        self._model = mjcf.from_xml_string(model_mjcf(body=body, half=scene.half_width))
+        self._model = mjcf.from_xml_string(world_mjcf(scene, empty=True))
         self._model.size.memory = str(33 * 2**20)  # as dm_control writes it once trees are attached anew
         apart = APART if body_named(body).fingers else ""
         more = f"<actuator>{actuators_mjcf(body)}</actuator><contact>{apart}</contact>"
