@@ -194,12 +194,7 @@ class RunFolder:
                     f"{self.path} was begun with the {name} of number {start[name]}, and this version has number "
                     f"{number}: continue with magical_mj {start.get('magical_mj')}, or train anew in another folder"
                 )
-        threads = start.get("threads")
-        if threads is not None and as_integer(threads, 1, MOST_THREADS) is None:
-            raise SettingsError(
-                f"threads in {config} must be an integer from 1 to {MOST_THREADS}, not {short_repr(threads)}"
-            )
-        return threads
+        return as_integer(start.get("threads"), 1, MOST_THREADS)
 
 
 class Metrics:

@@ -38,8 +38,6 @@ PREMISES: Final = {"mirror": "egocentric"}
 """Assumptions that are tried only where another one was kept."""
 START: Final = "made"
 """The table of a config.toml that says when and with what a run was started; no setting."""
-OLD_SIMULATOR: Final = "ppo.worlds"
-"""What ppo.simulator, "single" or "batched" then, was called in runs of before."""
 GROUP: Final = "magical_mj.methods"
 """The entry-point group in which installed packages announce methods, such as ``mine = "package.module:Mine"``."""
 
@@ -510,11 +508,7 @@ def from_toml(path: Path) -> TrainingSettings:
     method, tasks = table.pop("method"), tuple(listed(table.pop("tasks"), TASKS))
     for task in tasks:
         check_named(task, path)
-    values = flattened(table)
-    if OLD_SIMULATOR in values:
-        worlds = values.pop(OLD_SIMULATOR)
-        values["ppo.simulator"] = "mujoco" if worlds == "single" else "warp" if worlds == "batched" else worlds
-    return changed(TrainingSettings(method, tasks), values)
+    return changed(TrainingSettings(method, tasks), flattened(table))
 
 
 def flattened(table: dict[str, Any]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from magical_mj.learners import TrainingSettings, checkpoint, load_policy, train
 from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.policy import POLICY
 from magical_mj.learners.run_folder import CHECKPOINT, CONFIG, METRICS
-from magical_mj.utils.errors import MagicalError, SettingsError, TrainingError
+from magical_mj.utils.errors import MagicalError, TrainingError
 from magical_mj.utils.files import read_toml
 from tests.helpers.learners import is_done, stopped, tiny
 
@@ -176,14 +176,6 @@ def test_a_training_goes_on_with_as_many_threads_as_it_began(tmp_path: Path) -> 
     assert read_toml(tmp_path / "cut" / CONFIG)["made"]["threads"] == 1
     whole, cut = (checkpoint.read(tmp_path / name / POLICY)["weights"] for name in ("whole", "cut"))
     assert all(torch.equal(whole[name], cut[name]) for name in whole)
-
-
-def test_a_wrong_number_of_threads_is_refused(begun: Path) -> None:
-    config = begun / CONFIG
-    for number in ("0", "1.5", "true", '"2"', "100000"):
-        config.write_text(config.read_text().rpartition("threads")[0] + f"threads = {number}\n")
-        with pytest.raises(SettingsError, match="threads"):
-            train(state(), begun, resume=True)
 
 
 class Greedy(BehaviouralCloning):

@@ -75,18 +75,6 @@ def test_toml_there_and_back(settings: TrainingSettings, tmp_path: Path) -> None
     assert to_toml(from_toml(path)) == to_toml(settings)
 
 
-def test_runs_that_call_the_simulator_worlds_can_still_be_read(tmp_path: Path) -> None:
-    path = tmp_path / "config.toml"
-    for simulator, worlds in (("mujoco", "single"), ("warp", "batched")):
-        settings = load_settings("gail", "FindDupe", **{"ppo.simulator": simulator})
-        path.write_text(to_toml(settings).replace(f'simulator = "{simulator}"', f'worlds = "{worlds}"'))
-        assert "worlds" in path.read_text()
-        assert from_toml(path) == settings
-    path.write_text(path.read_text().replace('worlds = "batched"', "worlds = [3]"))
-    with pytest.raises(UnknownNameError, match="simulator"):
-        from_toml(path)
-
-
 def test_toml_holds_what_means_something_to_the_method() -> None:
     text = to_toml(TrainingSettings("a method of one's own", ("FindDupe",), renderer="software"))
     for name in described(TrainingSettings):
