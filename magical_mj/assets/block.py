@@ -1,8 +1,11 @@
-"""Blocks: planar bodies with dry friction against the ground, collision geoms and visual geoms."""
+"""Blocks: planar bodies with dry friction against the ground, collision geoms and visual geoms.
+
+Pebbles are small discs of that kind, which only shifts put into scenes. Models without them are as if there were none.
+"""
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Final
 
 import mujoco
@@ -18,10 +21,10 @@ from magical_mj.assets.contacts import (
     softness,
     vertex,
 )
-from magical_mj.assets.meshes import Points, inset
+from magical_mj.assets.meshes import Points, convex, disc, inset, mesh_mjcf
 from magical_mj.assets.mjcf import comment, move_body, numbers, planar_body, planar_joint
 from magical_mj.assets.style import BLOCK_FILL, BLOCK_OUTLINE
-from magical_mj.scene import Block, Dynamics
+from magical_mj.scene import Block, Dynamics, Pebble
 from magical_mj.scene import constants as c
 from magical_mj.scene.constants import Shape
 from magical_mj.scene.geometry import block_outline, regular_polygon, square
@@ -35,6 +38,10 @@ INERTIA: Final[dict[Shape, float]] = {
 """Moments of inertia about the centre, as in the original's engine, of blocks of mass 0.5."""
 SIDES: Final = 3
 """The index of the sides among a block's geoms, after outline, fill and foot."""
+
+PEBBLE_CORNERS: Final = 12
+PEBBLE_HEIGHT: Final = 0.03  # world units
+PEBBLE_OUTLINE: Final = 0.008  # its width
 
 
 def block_mjcf(index: int, block: Block, dynamics: Dynamics, settings: PhysicsSettings) -> str:
@@ -114,3 +121,31 @@ def _edges(outline: Points, radius: float) -> str:
         f'<geom class="edge" type="capsule" size="{numbers(radius)}" fromto="{numbers(*ends[k - 1], 0, *ends[k], 0)}"/>'
         for k in range(len(ends))
     )
+
+
+@cache
+def pebble_library() -> str:
+    """The meshes of a pebble, as MJCF. They come after those of all models, and only where there are pebbles."""
+    outline = convex(disc(PEBBLE_CORNERS, c.PEBBLE_RADIUS), PEBBLE_HEIGHT)
+    fill = convex(disc(PEBBLE_CORNERS, c.PEBBLE_RADIUS - PEBBLE_OUTLINE), PEBBLE_HEIGHT + style.LIFT)
+    return mesh_mjcf("pebble_outline", outline) + mesh_mjcf("pebble_fill", fill)
+
+
+def pebble_mjcf(index: int, pebble: Pebble, settings: PhysicsSettings = SETTINGS) -> str:
+    """The body `pebble<index>`."""
+    name, inertia = f"pebble{index}", c.PEBBLE_MASS * c.PEBBLE_RADIUS**2 / 2
+    content = (
+        f'<inertial pos="0 0 0" mass="{c.PEBBLE_MASS}" diaginertia="{numbers(inertia, inertia, inertia)}"/>'
+        + style.visual_geom(f"{name}_outline", "pebble_outline", style.DARK_GREY)
+        + style.visual_geom(f"{name}_fill", "pebble_fill", style.GREY)
+        + foot(f"{name}_foot")
+        + style.solid(f"{name}_sides", style.cylinder_shape(c.PEBBLE_RADIUS, PEBBLE_HEIGHT), style.DARK_GREY)
+        + f'<body><geom class="disc" size="{numbers(c.PEBBLE_RADIUS)}"/></body>'
+    )
+    hinge = f'frictionloss="{c.PEBBLE_FRICTION_TORQUE}" {softness("friction", 1, settings.dry_impedance)}'
+    return comment(f"Pebble {index}") + planar_body(name, (pebble.x, pebble.y, 0.0), content, hinge)
+
+
+def pebble_pair(index: int, settings: PhysicsSettings = SETTINGS) -> str:
+    """The contact of the pebble's foot with the floor."""
+    return floor_pair(f"pebble{index}_foot", c.PEBBLE_FRICTION_FORCE, c.PEBBLE_MASS, settings)

@@ -19,11 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.assets import style
-from magical_mj.assets.block import SIDES, block_inertia, block_mjcf, block_pair, collision_geoms, rewrite_block
+from magical_mj.assets.block import (
+    SIDES,
+    block_inertia,
+    block_mjcf,
+    block_pair,
+    collision_geoms,
+    pebble_library,
+    pebble_mjcf,
+    pebble_pair,
+    rewrite_block,
+)
 from magical_mj.assets.contacts import FOOT_DEPTH, FOOT_RADIUS, SETTINGS, TIMESTEP, PhysicsSettings, geom_classes
 from magical_mj.assets.meshes import library
-from magical_mj.assets.mjcf import numbers
-from magical_mj.assets.pebble import pebble_library, pebble_mjcf, pebble_pair, rewrite_pebble
+from magical_mj.assets.mjcf import move_body, numbers
 from magical_mj.assets.region import BONE, blank_regions_mjcf, dash_count, regions_mjcf, rewrite_region
 from magical_mj.assets.robot import JOINTS, actuators_mjcf, rewrite_robot, robot_mjcf, robot_pairs, tendons_mjcf
 from magical_mj.scene import Block, Pebble, Robot, Scene
@@ -259,7 +268,8 @@ class World:
         for index, block in enumerate(scene.blocks):
             rewrite_block(model, index, block, scene.dynamics, f"block{index}/" if nested else "")
         for index, pebble in enumerate(scene.pebbles):
-            rewrite_pebble(model, index, pebble, f"pebble{index}/" if nested else "")
+            name = f"pebble{index}"
+            move_body(model, name, (pebble.x, pebble.y, 0.0), f"{name}/" if nested else "")
         for index, region in enumerate(scene.regions):
             rewrite_region(model, index, region)
         if change is not None:

@@ -1,4 +1,7 @@
-"""What learners see of a batch: stacks of frames, or state vectors, on the device."""
+"""What learners see of a batch, on the device: state vectors, or stacks of pictures.
+
+Pictures are painted from the outlines of the renderer's meshes.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,18 @@ from typing import Any, Final
 
 import numpy as np
 import torch
+import warp as wp
 from gymnasium import spaces
 from torch import Tensor
 
+from magical_mj.assets import style
+from magical_mj.assets.meshes import loops, meshes
+from magical_mj.batched.kernels import ROBOT_LAYERS, Outlines, Worlds, packed, paint
 from magical_mj.batched.physics import Physics
-from magical_mj.batched.pictures import Painter
 from magical_mj.batched.scenes import WorldScenes
 from magical_mj.envs.presets import Preset, observation_space, preset_named
+from magical_mj.scene import constants as c
+from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.scene.state_vector import MAX_BLOCKS, STATE_NAMES, StateEncoder
 
 Observation = Tensor | dict[str, Tensor]
@@ -58,6 +66,91 @@ class States:
         return self.look(physics)
 
 
+def _outlines(device: str) -> Any:
+    library = meshes()
+    names = [name for name, _, _ in ROBOT_LAYERS]
+    names += [f"{shape}_{what}" for shape in SHAPES for what in ("outline", "fill")]
+    points, ends, parts, reach = [], [], [], []
+    for name in names:
+        first = len(ends)
+        vertices, faces = library[name]
+        for loop in (vertices[loop, :2] for loop in loops(faces)):
+            begin = sum(map(len, points))
+            points.append(loop)
+            ends.append((begin, begin + len(loop)))
+        parts.append((first, len(ends)))
+        reach.append(max(float((loop**2).sum(axis=1).max()) for loop in points[first:]) + 1e-6)
+    palettes = (style.BLOCK_OUTLINE, style.BLOCK_FILL, style.REGION_FILL, style.REGION_BORDER)
+    outlines: Any = Outlines()
+    outlines.points = wp.array(np.concatenate(points).astype(np.float32), dtype=wp.vec2, device=device)
+    outlines.loops = wp.array(np.array(ends, np.int32), dtype=wp.vec2i, device=device)
+    outlines.parts = wp.array(np.array(parts, np.int32), dtype=wp.vec2i, device=device)
+    outlines.reach = wp.array(np.array(reach, np.float32), dtype=float, device=device)
+    outlines.frames = wp.array([frame for _, frame, _ in ROBOT_LAYERS], dtype=int, device=device)
+    outlines.colours = wp.array([packed(rgb) for _, _, rgb in ROBOT_LAYERS], dtype=int, device=device)
+    table = np.array([[packed(palette[colour]) for colour in COLOURS] for palette in palettes], np.int32)
+    outlines.palette = wp.array(table, dtype=int, device=device)
+    return outlines
+
+
+class Painter:
+    """Draws the worlds of a batch.
+
+    Args:
+        scenes: what is in each world.
+        device: Warp's name of the device, such as "cpu" or "cuda:0".
+    """
+
+    def __init__(self, scenes: WorldScenes, device: str = "cpu") -> None:
+        self._outlines = _outlines(device)
+        self._fixed = {
+            name: torch.from_numpy(getattr(scenes, name)).to(device).to(kind)
+            for name, kind in (
+                ("shapes", torch.int32),
+                ("colours", torch.int32),
+                ("regions", torch.float32),
+                ("region_colours", torch.int32),
+                ("dashes", torch.float32),
+            )
+        }
+        worlds, blocks = scenes.shapes.shape
+        self._places = torch.zeros((worlds, 1 + blocks, 4), device=device)
+        self._fingers = torch.zeros((worlds, 2, 2), device=device)
+        self._worlds: Any = Worlds()
+        for name, tensor in (*self._fixed.items(), ("places", self._places), ("fingers", self._fingers)):
+            kind = {"regions": wp.vec4, "dashes": wp.vec4, "places": wp.vec4, "fingers": wp.vec2}.get(name, wp.int32)
+            setattr(self._worlds, name, wp.from_torch(tensor, dtype=kind))
+        self._device = device
+        self.place(torch.from_numpy(scenes.poses), torch.from_numpy(scenes.fingers))
+
+    def change(self, scenes: WorldScenes, worlds: Tensor) -> None:
+        """Other scenes in some of the worlds."""
+        for name, tensor in self._fixed.items():
+            tensor[worlds] = torch.from_numpy(getattr(scenes, name)).to(tensor)
+
+    def place(self, poses: Tensor, fingers: Tensor) -> None:
+        """Where everything is now.
+
+        Args:
+            poses: x, y, angle of the robot and each block. Shape (worlds, 1 + blocks, 3).
+            fingers: angles of the left and the right finger. Shape (worlds, 2).
+        """
+        self._places[..., :2] = poses[..., :2]
+        self._places[..., 2], self._places[..., 3] = poses[..., 2].cos(), poses[..., 2].sin()
+        self._fingers[..., 0], self._fingers[..., 1] = fingers.cos(), fingers.sin()
+
+    def draw(self, view: str, out: Tensor) -> None:
+        """Paints all worlds.
+
+        Args:
+            view: "ego" or "allo".
+            out: where to; any strides. Shape (worlds, size, size, 3), uint8.
+        """
+        inputs = [self._worlds, self._outlines, int(view == "ego"), c.VISIBLE_SIZE]
+        inputs += [c.VISIBLE_SIZE * (0.5 - c.EGO_ANCHOR), wp.from_torch(out, dtype=wp.uint8)]
+        wp.launch(paint, dim=out.shape[:3], inputs=inputs, device=self._device)
+
+
 class Frames:
     """Stacks of pictures as a preset orders them, uint8: one tensor, or for the layout "dict" by view.
 
@@ -67,9 +160,14 @@ class Frames:
     def __init__(self, preset: Preset, size: int, scenes: WorldScenes, device: str) -> None:
         self._painter = Painter(scenes, device)
         self._preset, worlds = preset, len(scenes.shapes)
-        groups = {view: ((view, count),) for view, count in preset.frames}
-        self._groups = groups if preset.layout == "dict" else {"all": preset.frames}
-        channels = {name: 3 * sum(count for _, count in frames) for name, frames in self._groups.items()}
+        self._places: list[tuple[str, str, int, int]] = []
+        """Of each view: its stack, its name, and its channels there, from the first to the one after the last."""
+        channels: dict[str, int] = {}
+        for view, count in preset.frames:
+            name = view if preset.layout == "dict" else "all"
+            first = channels.get(name, 0)
+            channels[name] = first + 3 * count
+            self._places.append((name, view, first, channels[name]))
         self._stacks = {
             name: torch.zeros((worlds, size, size, count), dtype=torch.uint8, device=device)
             for name, count in channels.items()
@@ -83,24 +181,19 @@ class Frames:
 
     def look(self, physics: Physics) -> Observation:
         """Adds the present pictures to the stacks; fresh tensors."""
-        for name, frames in self._groups.items():
-            stack, first = self._stacks[name], 0
-            for _, count in frames:
-                end = first + 3 * count
-                stack[..., first : end - 3] = stack[..., first + 3 : end].clone()
-                first = end
+        for name, _, first, end in self._places:
+            stack = self._stacks[name]
+            stack[..., first : end - 3] = stack[..., first + 3 : end].clone()
         self._draw(physics)
         return self._observation(physics)
 
     def begin(self, physics: Physics, worlds: Tensor) -> Observation:
         """Fills the stacks of these worlds with their present pictures; fresh tensors, of all worlds."""
         self._draw(physics)
-        for name, frames in self._groups.items():
-            stack, first = self._stacks[name], 0
-            for _, count in frames:
-                newest = stack[worlds, :, :, first + 3 * (count - 1) : first + 3 * count]
-                stack[worlds, :, :, first : first + 3 * count] = newest.repeat(1, 1, 1, count)
-                first += 3 * count
+        for name, _, first, end in self._places:
+            stack = self._stacks[name]
+            newest = stack[worlds, :, :, end - 3 : end]
+            stack[worlds, :, :, first:end] = newest.repeat(1, 1, 1, (end - first) // 3)
         return self._observation(physics)
 
     def get_state(self) -> dict[str, Tensor]:
@@ -115,11 +208,8 @@ class Frames:
     def _draw(self, physics: Physics) -> None:
         """The present pictures, each where the newest of its view belongs."""
         self._painter.place(physics.poses, physics.fingers)
-        for name, frames in self._groups.items():
-            end = 0
-            for view, count in frames:
-                end += 3 * count
-                self._painter.draw(view, self._stacks[name][..., end - 3 : end])
+        for name, view, _, end in self._places:
+            self._painter.draw(view, self._stacks[name][..., end - 3 : end])
 
     def _observation(self, physics: Physics) -> Observation:
         """Copies: whoever changes an observation in place does not change the next ones."""

@@ -12,7 +12,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.envs.presets import PRESETS
+from magical_mj.envs.presets import PRESETS, Stacks, observation_space
 from magical_mj.policies.agents import AGENTS
 from magical_mj.policies.interface import Act, policy_name, reason, told, uses_simulation
 from magical_mj.policies.models import LOADERS, Shape
@@ -265,17 +265,15 @@ def check_fit(policy: object, pairs: Sequence[Pair], preset: str, like: str = ""
         )
     shapes: Iterable[Shape] | None = getattr(policy, "observation_shapes", None)
     if shapes is not None and not uses_simulation(policy):
-        _check_shape(list(shapes), pairs[0][0], preset)
+        _check_shape(list(shapes), preset)
 
 
-def _check_shape(accepted: Sequence[Shape], task: str, preset: str) -> None:
+def _check_shape(accepted: Sequence[Shape], preset: str) -> None:
     """Raises a `SettingsError` unless observations of the preset have one of these shapes."""
-    from magical_mj.envs.gymnasium_env import MagicalEnv  # imported late: it loads the simulator
 
     def shape_of(name: str) -> tuple[int, ...]:  # empty if observations are dicts
-        env = MagicalEnv(task, preset=name)
-        env.close()
-        return env.observation_space.shape or ()
+        kind = PRESETS[name]
+        return observation_space(kind, Stacks(kind, kind.image_size).shapes).shape or ()
 
     def fits(name: str) -> bool:
         shape = shape_of(name)

@@ -19,8 +19,8 @@ import magical_mj
 from magical_mj import batched
 from magical_mj.batched import physics as physics_module
 from magical_mj.batched.environment import Arrays
+from magical_mj.batched.observations import Painter
 from magical_mj.batched.physics import Physics
-from magical_mj.batched.pictures import Painter
 from magical_mj.batched.scenes import Capacity, WorldScenes
 from magical_mj.envs.presets import PRESETS
 from magical_mj.scene import Scene

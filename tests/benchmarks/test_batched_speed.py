@@ -18,7 +18,7 @@ from benchmarks.batched import (
     recorded_launches,
     step_seconds,
 )
-from magical_mj.batched.pictures import Painter
+from magical_mj.batched.observations import Painter
 from magical_mj.batched.scenes import Capacity, WorldScenes
 
 pytestmark = [pytest.mark.xdist_group("warp"), pytest.mark.filterwarnings("default")]

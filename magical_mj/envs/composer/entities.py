@@ -13,10 +13,9 @@ from xml.etree.ElementTree import Element, tostring
 
 from dm_control import composer, mjcf
 
-from magical_mj.assets.block import block_mjcf, block_pair
+from magical_mj.assets.block import block_mjcf, block_pair, pebble_library, pebble_mjcf, pebble_pair
 from magical_mj.assets.contacts import SETTINGS, geom_classes
 from magical_mj.assets.mjcf import elements
-from magical_mj.assets.pebble import pebble_library, pebble_mjcf, pebble_pair
 from magical_mj.assets.region import regions_mjcf
 from magical_mj.assets.robot import actuators_mjcf, robot_mjcf, robot_pairs, tendons_mjcf
 from magical_mj.assets.world import APART, world_mjcf
