@@ -35,19 +35,9 @@ from magical_mj.variants import check_seed
 
 @dataclass(frozen=True)
 class Setup:
-    """What is played.
+    """What is played: the arguments of `Engine` that say so, checked, and what follows from them.
 
-    Attributes:
-        task: one of `magical_mj.TASKS`, a task that a package announces, or ``"package.module:SPEC"``; None for plain
-            scenes, which have no score and no horizon.
-        variant: one of `magical_mj.VARIANTS` that the task has.
-        rules: "paper", or "released" for the scores and horizons of the original's released code.
-        body: the robot's body, which a plain scene says itself.
-
-    Raises:
-        UnknownNameError: for an unknown task, variant or rules, or an unsupported pair.
-        TaskError: if the task of another package is invalid.
-        SettingsError, InvalidSceneError: if the task is not offered with the body; if there is no such body.
+    The task is None for plain scenes, which have no score and no horizon, and say the robot's body themselves.
     """
 
     task: str | None

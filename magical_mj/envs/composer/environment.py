@@ -70,10 +70,7 @@ class SceneTask(composer.Task):
         strengths: the strengths of the shifts by name.
         scene: the first scene.
         shifts: the shifts of the first episode.
-        observations: any of "ego", "allo" and "state".
-        image_size: side of the pictures in pixels.
-        reward: "none", or "score" for the score at the last step.
-        renderer: what draws observations, as in `magical_mj.Engine`.
+        observations, image_size, reward, renderer: as `load`.
 
     Attributes:
         world: the world of this episode's scene.

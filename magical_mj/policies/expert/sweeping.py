@@ -95,7 +95,6 @@ class _Try:
         body = body_named(engine.setup.body)
         self._fingers = body.fingers
         self._half = GRIPPER_HALF if body.fingers or not body.outline else float(body.corners[:, 0].max())
-        self._reach = body.reach
         self._actions: list[Action] = []
         often = not steady and rng.random() < (0.8 if self._half > 0.5 else 0.4)
         self._wiggle, self._period = float(rng.uniform(0.15, 0.9)) if often else 0.0, int(rng.integers(3, 10))
