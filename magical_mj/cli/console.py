@@ -80,6 +80,8 @@ Jobs = Annotated[int | None, typer.Option(min=1, help="Worker processes.", show_
 Renderer = Annotated[
     RendererName | None, typer.Option(help="What draws flat views.", show_default="opengl where it works")
 ]
+Shifts = Annotated[str, typer.Option(help="What is shifted, and how much, such as camera:3,latency:1; docs/shifts.md.")]
+Body = Annotated[str, typer.Option(help="The robot's body, one that the task offers; docs/bodies.md.")]
 Trust = Annotated[bool, typer.Option("--trust", help="Use tasks whose code the files name, and run it.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there already.")]
 

@@ -13,11 +13,13 @@ from rich.table import Table
 import magical_mj
 from magical_mj import ENVIRONMENTS, TASKS, VARIANTS, env_id
 from magical_mj.cli.console import (
+    Body,
     Cameras,
     Force,
     OptionalTask,
     Renderer,
     Seed,
+    Shifts,
     Task,
     Variant,
     check_fits,
@@ -28,6 +30,7 @@ from magical_mj.cli.console import (
     file_name,
 )
 from magical_mj.cli.film import INK, PAPER, side_by_side, views_of
+from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.plugins import task_plugins
 from magical_mj.tasks.registry import environment_axes, environments, task_spec
 from magical_mj.utils import files
@@ -77,6 +80,8 @@ def view(
     out: Picture = None,
     size: Size = None,
     camera: Cameras = "allo,ego",
+    shifts: Shifts = "",
+    body: Body = GRIPPER,
     renderer: Renderer = None,
     force: Force = False,
 ) -> None:
@@ -86,13 +91,13 @@ def view(
     if grid:
         if task is not None:
             raise typer.BadParameter("give either TASK or --grid, not both.")
-        check_fits(context, False, "for one environment: the grid shows all from above", "camera")
+        check_fits(context, False, "for one environment: the grid shows all from above", "camera", "shifts", "body")
         path = check_writable(out or Path(f"environments-{seed}.png"), force)
         picture = contact_sheet(seed, size or 128, renderer)
     else:
         if task is None:
             raise typer.BadParameter("give TASK, or --grid for all environments.")
-        with closing(magical_mj.Engine(task, variant, seed=seed, renderer=renderer)) as env:
+        with closing(magical_mj.Engine(task, variant, seed=seed, shifts=shifts, body=body, renderer=renderer)) as env:
             path = check_writable(out or Path(file_name(task, variant, seed, ".png")), force)
             picture = Image.fromarray(side_by_side(env, size or 384, views))
     with files.new_file(path, overwrite=force) as unfinished:
@@ -100,9 +105,17 @@ def view(
     console().print(path, soft_wrap=True)
 
 
-def export(task: Task, out: Folder, variant: Variant = "Demo", seed: Seed = 0, force: Force = False) -> None:
-    """Write a scene as a self-contained MJCF model."""
-    with closing(magical_mj.Engine(task, variant, seed=seed)) as env:
+def export(
+    task: Task,
+    out: Folder,
+    variant: Variant = "Demo",
+    seed: Seed = 0,
+    shifts: Shifts = "",
+    body: Body = GRIPPER,
+    force: Force = False,
+) -> None:
+    """Write a scene as a self-contained MJCF model. It has the shifts of scene and dynamics, not those of pictures."""
+    with closing(magical_mj.Engine(task, variant, seed=seed, shifts=shifts, body=body)) as env:
         path = check_writable(out / file_name(task, variant, seed, ".xml"), force)
         console().print(magical_mj.export_mjcf(env, path, overwrite=force), soft_wrap=True)
 

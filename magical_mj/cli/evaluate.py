@@ -19,10 +19,12 @@ from rich.table import Table
 from magical_mj.cli.console import (
     COMPLETIONS,
     Bars,
+    Body,
     Cameras,
     Force,
     Jobs,
     Seed,
+    Shifts,
     Size,
     Task,
     Tasks,
@@ -43,6 +45,8 @@ from magical_mj.evaluation.scores import SCORES, EpisodeResult, open_scores, rea
 from magical_mj.evaluation.settings import EvaluationSettings, Split
 from magical_mj.evaluation.worker import Player, Unit
 from magical_mj.policies.loading import playable, sources
+from magical_mj.scene.bodies import GRIPPER
+from magical_mj.shifts.registry import parse_shifts, shift_label
 from magical_mj.tasks.registry import SPLITS, VARIANTS, task_name, task_spec, variant_name
 from magical_mj.utils import files
 from magical_mj.utils.errors import EvaluationError, counted
@@ -113,6 +117,8 @@ def rollout(
     seed: Seed = 0,
     split: Split = "test",
     preset: Preset = "LoRes4E",
+    shifts: Shifts = "",
+    body: Body = GRIPPER,
     video: Video = None,
     size: Size = 384,
     camera: Cameras = "allo,ego",
@@ -124,7 +130,9 @@ def rollout(
     check_suffix(video, ".mp4")
     views = views_of(camera)
     pair = task_name(task), variant_name(variant)  # not lists of names, nor "all"
-    settings = EvaluationSettings(tasks=(pair[0],), variants=(pair[1],), split=split, preset=preset, trust=trust)
+    chosen: dict[str, Any] = {"tasks": (pair[0],), "variants": (pair[1],), "split": split, "trust": trust}
+    settings = EvaluationSettings(**chosen, preset=preset, body=body)
+    shift = shift_label(parse_shifts(shifts, pair[0]))
     listed = playable(policy, [pair], preset, trust=trust)
     if video is not None:
         check_writable(video, force)
@@ -133,7 +141,9 @@ def rollout(
     try:
         with showing as movie, closing(Player()) as player:
             for source in listed:
-                units = [Unit(source, *pair, (SPLITS[split] + seed + k,), settings) for k in range(episodes)]
+                units = [
+                    Unit(source, *pair, (SPLITS[split] + seed + k,), settings, shift=shift) for k in range(episodes)
+                ]
                 scores = []
                 for unit in with_bar(screen, f"playing {source.name}", units, episodes):
                     scores += player.play(unit)

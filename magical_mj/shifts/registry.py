@@ -111,7 +111,8 @@ def parse_shifts(shifts: Shifts, task: str | None = None) -> dict[str, int]:
 def _pair(text: str) -> tuple[str, Any]:
     """Name and strength from text such as "camera:3"."""
     name, _, strength = text.rpartition(":")
-    if not name or (not is_reference(name) and ":" in name) or not strength.lstrip("-").replace(".", "").isdigit():
+    named = is_reference(name) or ":" not in name
+    if name not in SHIFTS and not (name and named and strength.lstrip("-").replace(".", "").isdigit()):
         shift_class(text)  # an unknown name is the first thing to say
         raise SettingsError(f"the shift {text!r} lacks its strength: give one of 0 to {STRENGTHS}, as in {text}:3")
     return name, int(strength) if strength.isdigit() else strength

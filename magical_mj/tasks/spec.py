@@ -89,7 +89,7 @@ class TaskSpec(VariationRules):
         """
         if check_body_name(body) in BODIES and body not in self.bodies:
             raise SettingsError(
-                f"{self.name} is not offered with the body {body!r}, for that cannot solve it; it has "
+                f"{self.name} is not offered with the body {body!r}, which cannot solve it; it has "
                 f"{', '.join(self.bodies)} (docs/bodies.md)"
             )
 

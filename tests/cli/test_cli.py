@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import pytest
@@ -81,6 +82,20 @@ def test_view_draws_the_cameras_that_are_named(shell: Shell, tmp_path: Path) -> 
     assert three.crop((0, 0, 64, 64)).tobytes() == scene.tobytes()
     assert "scene" in shell.fails(2, "view", "FindDupe", "--camera", "scenes")
     assert "scene" in shell.fails(2, "rollout", "FindDupe", "--video", "a.mp4", "--camera", "scenes")
+
+
+def test_shifts_and_bodies_are_seen_exported_and_played(shell: Shell, tmp_path: Path) -> None:
+    shifted = ("MoveToRegion", "--shifts", "texture:5,clutter:2", "--body", "mediumstick")
+    assert shell("view", *shifted, "--size", 64, "--out", "a.png", "--renderer", "software")[0] == 0
+    options: dict[str, Any] = {"shifts": "texture:5,clutter:2", "body": "mediumstick", "renderer": "software"}
+    env = magical_mj.Engine("MoveToRegion", seed=0, **options)
+    assert opened(tmp_path / "a.png").crop((0, 0, 64, 64)).tobytes() == env.render("allo", 64).tobytes()
+    assert shell("export", *shifted, "--out", "models")[0] == 0
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "models" / "MoveToRegion-Demo-0.xml"))
+    assert [model.body(index).name.rstrip("0123456789") for index in range(model.nbody)].count("pebble") == 2
+    rollout = ("rollout", *shifted, "--policy", "random", "--preset", "State")
+    assert "seed 0: score 0.00 after 40 steps" in shell(*rollout)[1]
+    assert "strength" in shell.fails(2, "view", "FindDupe", "--shifts", "camera:1-3")
 
 
 def test_view_grid(shell: Shell, tmp_path: Path) -> None:
