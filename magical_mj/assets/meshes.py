@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from magical_mj.assets import style
 from magical_mj.assets.mjcf import single
 from magical_mj.scene import constants as c
-from magical_mj.scene.bodies import GRIPPER, Body, body_named
+from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.scene.constants import SHAPES, Shape
 from magical_mj.scene.geometry import block_outline, finger_outlines, mirrored, regular_polygon, square
 
@@ -145,7 +145,10 @@ def meshes(body: str = GRIPPER, half: float = c.ARENA_HALF_WIDTH) -> dict[str, M
     wall, block, finger, robot = style.WALL_HEIGHT, style.BLOCK_HEIGHT, style.FINGER_HEIGHT, style.ROBOT_HEIGHT
     aside, ahead = shape.eye
     pupil = aside + c.PUPIL_CENTRE[0] - c.EYE_CENTRE[0], ahead + c.PUPIL_CENTRE[1] - c.EYE_CENTRE[1]
-    outline, fill = (_body_outline(shape, depth) for depth in (0.0, style.ROBOT_OUTLINE_WIDTH))
+    outline, fill = (
+        inset(shape.corners, depth) if shape.outline else disc(ROBOT_SIDES, shape.radius - depth)
+        for depth in (0.0, style.ROBOT_OUTLINE_WIDTH)
+    )
     shared = {
         "surround": frame(half, SURROUND_HALF * half, 0),  # begins under the border line
         "border": frame(half - line, half + line, wall + lift),
@@ -164,11 +167,6 @@ def meshes(body: str = GRIPPER, half: float = c.ARENA_HALF_WIDTH) -> dict[str, M
     if shape.outline:
         shared["robot_sides"] = sides(outline, robot - lift)
     return shared
-
-
-def _body_outline(body: Body, depth: float) -> Points:
-    """The drawn outline of the robot's body, moved inwards by `depth`."""
-    return inset(body.corners, depth) if body.outline else disc(ROBOT_SIDES, body.radius - depth)
 
 
 @cache

@@ -72,6 +72,7 @@ LIGHT: Final = '<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-7 1e-7 1e-7"/>
 def robot_mjcf(robot: Robot, settings: PhysicsSettings, half: float = c.ARENA_HALF_WIDTH) -> str:
     """The body `robot` with its motors, fingers, face and the ego camera, in an arena of this half width."""
     body = body_named(robot.body)
+    disc = f'<geom name="robot" class="disc" size="{numbers(body.radius - settings.body_overlap)}"/>'
     castor = f'armature="{numbers(CASTOR_INERTIA)}" stiffness="{numbers(CASTOR_INERTIA / TIMESTEP**2)}"'
     wheels = "".join(_spinner(name, "-1 0 0", foot(name)) for name in WHEELS)
     fingers = ""
@@ -82,7 +83,7 @@ def robot_mjcf(robot: Robot, settings: PhysicsSettings, half: float = c.ARENA_HA
 {_finger("right", robot.fingers[1], settings)}"""
     content = f"""
 <inertial pos="0 0 0" mass="{numbers(body.mass)}" diaginertia="{numbers(*[body.inertia] * 3)}"/>
-{_collision(body, settings)}
+{polygon_geoms(body.corners, settings) if body.outline else disc}
 <!-- What the robot sees: it stands near the bottom and heads up -->
 {style.ego_camera(half)}
 <!-- The drive: wheels that press on the ground with a constant force, too heavy to be slowed. -->
@@ -95,13 +96,6 @@ def robot_mjcf(robot: Robot, settings: PhysicsSettings, half: float = c.ARENA_HA
 <!-- Body and eyes; they follow the fingers, which they hide in the flat pictures -->
 <body name="face">{_face(body)}</body>"""
     return comment("The robot") + planar_body("robot", robot.pose, content)
-
-
-def _collision(body: Body, settings: PhysicsSettings) -> str:
-    """The collision geoms of the body, without fingers."""
-    if body.outline:
-        return polygon_geoms(body.corners, settings)
-    return f'<geom name="robot" class="disc" size="{numbers(body.radius - settings.body_overlap)}"/>'
 
 
 def _spinner(name: str, axis: str, geom: str = "") -> str:

@@ -15,7 +15,6 @@ import mujoco_warp as mjw
 import numpy as np
 import torch
 import warp as wp
-from numpy.typing import NDArray
 from torch import Tensor
 
 from magical_mj.assets.contacts import SETTINGS, SUBSTEPS
@@ -102,7 +101,9 @@ class Physics:
             worlds: their numbers. Shape (n,), int64.
         """
         fields = self._slots.fields(scenes)
-        fields["pair_friction"] = self._precise(fields["pair_friction"])
+        impedance = self.model.pair_solimp[:, 0]  # feet press with a force in proportion to 1 / (1 - impedance)
+        error = (1 - impedance.astype(np.float32).astype(np.float64)) / (1 - impedance)
+        fields["pair_friction"][..., :2] *= error[:, None]
         for name, values in fields.items():
             place = self._fields[name]
             place[worlds] = torch.from_numpy(values).to(place).reshape(len(worlds), *place.shape[1:])
@@ -113,23 +114,12 @@ class Physics:
 
     def get_state(self) -> dict[str, Tensor]:
         """All that the steps to come depend on, scenes aside; copies."""
-        return {name: values.clone() for name, values in self._columns().items()}
+        return {name: values.clone() for name, values in (*self._state.items(), ("overflow", self._overflow))}
 
     def set_state(self, state: Mapping[str, Tensor]) -> None:
         """Goes back to a state of worlds that hold the same scenes."""
-        for name, values in self._columns().items():
+        for name, values in (*self._state.items(), ("overflow", self._overflow)):
             values[:] = state[name].to(values)
-
-    def _columns(self) -> dict[str, Tensor]:
-        return {**self._state, "overflow": self._overflow}
-
-    def _precise(self, friction: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The friction of pairs, which presses with a force in proportion to 1 / (1 - impedance), repaired."""
-        impedance = self.model.pair_solimp[:, 0]
-        error = (1 - impedance.astype(np.float32).astype(np.float64)) / (1 - impedance)
-        repaired = friction.copy()
-        repaired[..., :2] *= error[:, None]
-        return repaired
 
     def step(self, actions: Tensor, *, graph: bool = True) -> None:
         """One action in every world.

@@ -314,24 +314,21 @@ def with_shifts(state: State, shifts: EpisodeShifts | None) -> State:
 
 def write_numbers(model: mujoco.MjModel, other: mujoco.MjModel) -> None:
     """Gives a model the numbers of another one with the same structure, which takes less time than a copy of it."""
-    for name in _arrays():
+    arrays, options = _fields()
+    for name in arrays:
         values = getattr(other, name)
         if values.size:
             getattr(model, name)[...] = values
-    for name in _options():
+    for name in options:
         setattr(model.opt, name, getattr(other.opt, name))
 
 
 @cache
-def _arrays() -> tuple[str, ...]:
+def _fields() -> tuple[list[str], list[str]]:
+    """The names of a model's arrays, and of its options."""
     model = mujoco.MjModel.from_xml_string("<mujoco/>")
-    return tuple(name for name in dir(model) if name[0] != "_" and isinstance(getattr(model, name), np.ndarray))
-
-
-@cache
-def _options() -> tuple[str, ...]:
-    options = mujoco.MjOption()
-    return tuple(name for name in dir(options) if name[0] != "_" and not callable(getattr(options, name)))
+    arrays = [name for name in dir(model) if name[0] != "_" and isinstance(getattr(model, name), np.ndarray)]
+    return arrays, [name for name in dir(model.opt) if name[0] != "_" and not callable(getattr(model.opt, name))]
 
 
 def _update_sleep(model: mujoco.MjModel, data: mujoco.MjData) -> None:

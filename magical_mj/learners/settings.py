@@ -438,16 +438,14 @@ def parts_of(method: str) -> tuple[str, ...]:
 
 def users(name: str) -> tuple[str, ...]:
     """The methods of this package that use a setting."""
-    part, dot, _ = name.partition(".")
-    return _USERS.get(name) or tuple(method for method, parts in PARTS.items() if not dot or part in parts)
+    return tuple(method for method in PARTS if uses(method, name))
 
 
 def uses(method: str, name: str) -> bool:
     """Whether a method may use a setting."""
-    if method in PARTS:
-        return method in users(name)
     part, dot, _ = name.partition(".")
-    return not dot or part in parts_of(method)
+    in_use = method not in PARTS or method in _USERS.get(name, (method,))
+    return in_use and (not dot or part in parts_of(method))
 
 
 def check_changes(

@@ -49,7 +49,8 @@ class Body:
 
     def __post_init__(self) -> None:
         """Checks the numbers."""
-        if not all(isinstance(value, int | float) and 0 < value < math.inf for value in self._sizes):
+        sizes: tuple[Any, ...] = self.radius, self.mass, self.inertia
+        if not all(isinstance(value, int | float) and 0 < value < math.inf for value in sizes):
             raise InvalidSceneError(f"radius, mass and inertia of a body must be positive: {short_repr(self)}")
         if self.outline:
             corners = np.array(self.outline, float)
@@ -60,10 +61,6 @@ class Body:
                     "the outline of a body must be the corners (x, y) of a convex polygon, four or more, "
                     f"counter-clockwise, not {short_repr(self.outline)}"
                 )
-
-    @property
-    def _sizes(self) -> tuple[Any, ...]:
-        return self.radius, self.mass, self.inertia
 
     @property
     def total_mass(self) -> float:
@@ -81,9 +78,9 @@ class Body:
         return np.array(self.outline)
 
 
-def stick(width: float, inertia: float, thickness: float = 0.1) -> Body:
-    """A box whose long side is across the heading."""
-    x, y = width / 2, thickness / 2
+def stick(width: float, inertia: float) -> Body:
+    """A box whose long side is across the heading; the other one is 0.1 long."""
+    x, y = width / 2, 0.05
     return Body(((x, y), (-x, y), (-x, -y), (x, -y)), inertia=inertia, eye=(0.06, 0.0))
 
 
