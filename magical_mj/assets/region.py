@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.assets import style
-from magical_mj.assets.meshes import Faces
+from magical_mj.assets.meshes import Faces, mesh_mjcf
 from magical_mj.assets.mjcf import numbers, single
 from magical_mj.assets.style import DASH_LENGTH, REGION_BORDER, REGION_BORDER_WIDTH, REGION_FILL, rgba
 from magical_mj.scene import GoalRegion
@@ -87,10 +87,8 @@ def region_mjcf(index: int, region: GoalRegion) -> tuple[str, str, str]:
     place = f'pos="{numbers(x, y, z)}" size="{numbers(region.width / 2, region.height / 2, 1)}"'
     fill = f'<geom name="{name}_fill" class="visual" type="plane" {place} rgba="{rgba(REGION_FILL[region.colour])}"/>'
     count, mesh = len(dash_quads(region)), f"region{index}_border"
-    corners = single(_corners(region, index, count).ravel().tolist())
-    faces = " ".join(map(str, _quad_faces(count).ravel()))
     border = style.visual_geom(f"{name}_border", mesh, REGION_BORDER[region.colour])
-    return f'<mesh name="{mesh}" inertia="shell" vertex="{corners}" face="{faces}"/>', fill, border
+    return mesh_mjcf(mesh, (_corners(region, index, count), _quad_faces(count))), fill, border
 
 
 def blank_regions_mjcf(dashes: tuple[int, ...]) -> str:
