@@ -12,6 +12,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from functools import cache
+from itertools import chain
 from operator import attrgetter, index
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -33,6 +34,8 @@ FORMAT: Final = 2
 SUFFIX: Final = ".json.xz"
 CARD: Final = "card.toml"
 """In a folder that is an entry: its files hold some runs each, so that another run adds a file and rewrites none."""
+SHARED: Final = ("observations", "rules", "protocol")
+"""What all files of an entry must agree in."""
 MOST_OF_CARD: Final = 20_000
 """The largest size of such a card in bytes."""
 SEEDS: Final = 100
@@ -96,6 +99,11 @@ class Card(Struct, forbid_unknown_fields=True):
     training: Training = msgspec.field(default_factory=Training)
     hardware: Line | None = None
     privileges: Annotated[list[Privilege], Meta(max_length=7)] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.method.isprintable() or self.method != self.method.strip():
+            problem = "holds signs that cannot be seen, or begins or ends with a space"
+            raise ValueError(f"the method's name {self.method!r} {problem}")
 
 
 class Versions(Struct, forbid_unknown_fields=True):
@@ -259,15 +267,6 @@ def _check_trainings(folders: Sequence[Path], method: str) -> None:
 
 def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders: Sequence[Path]) -> Entry:
     """The entry of one method's episodes, each given with its folder; they must be of one kind."""
-
-    def common(setting: str, values: Iterable[tuple[Any, Path]]) -> Any:
-        (first, folder), *others = values
-        for value, other in others:
-            if value != first:
-                pair = f"{first or 'none'} in {folder}, {value or 'none'} in {other}"
-                raise EvaluationError(f"different {setting}: {pair}; an entry is of one kind")
-        return first
-
     for episode, folder in sources:
         if episode.split != "test":
             raise EvaluationError(f"{folder} was played on the split {episode.split}, and entries are of test")
@@ -280,25 +279,22 @@ def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders
     episodes = [episode for episode, _ in sources]
     return Entry(
         card,
-        common("preset", ((episode.preset, folder) for episode, folder in sources)),
-        common("rules", ((episode.rules, folder) for episode, folder in sources)),
-        common("protocol", ((recorded_settings(folder).get("protocol"), folder) for folder in folders)),
+        _common("preset", ((episode.preset, folder) for episode, folder in sources)),
+        _common("rules", ((episode.rules, folder) for episode, folder in sources)),
+        _common("protocol", ((recorded_settings(folder).get("protocol"), folder) for folder in folders)),
         Versions(*(sorted({getattr(episode, name) for episode in episodes}) for name in Versions.__struct_fields__)),
         episodes,
     )
 
 
-def _extended(earlier: Entry, added: Entry, name: object, card: Card) -> Entry:
-    """The episodes of both, which must be of one kind."""
-    for field in ("observations", "rules", "protocol"):
-        before, now = getattr(earlier, field), getattr(added, field)
-        if before != now:
-            raise EvaluationError(
-                f"{name} holds files of different kinds: {field} is {before} in one, {now} in another"
-            )
-    pairs = zip(*(msgspec.structs.astuple(entry.versions) for entry in (earlier, added)), strict=True)
-    versions = Versions(*(sorted({*before, *now}) for before, now in pairs))
-    return msgspec.structs.replace(added, card=card, versions=versions, episodes=[*earlier.episodes, *added.episodes])
+def _common(setting: str, values: Iterable[tuple[Any, object]]) -> Any:
+    """The value that all have, each given with the file or folder that holds it."""
+    (first, folder), *others = values
+    for value, other in others:
+        if value != first:
+            pair = f"{first or 'none'} in {folder}, {value or 'none'} in {other}"
+            raise EvaluationError(f"different {setting}: {pair}; an entry is of one kind")
+    return first
 
 
 def recorded_settings(folder: Path) -> dict[str, Any]:
@@ -365,16 +361,18 @@ def read_entry(path: Path | str) -> Entry:
     path = Path(path)
     if not (path / CARD).is_file():
         return unpacked(_content(path, MOST_BYTES), path)
-    card, parts = _card_in(path), sorted(path.glob(f"*{SUFFIX}"))
+    card = _card_in(path)
+    parts = {part: unpacked(_content(part, MOST_BYTES), part) for part in sorted(path.glob(f"*{SUFFIX}"))}
     if not parts:
         raise EvaluationError(f"{path} has a card, and no episodes (*{SUFFIX})")
-    first, *others = (unpacked(_content(part, MOST_BYTES), part) for part in parts)
-    entry = msgspec.structs.replace(first, card=card)
-    for part, other in zip(parts[1:], others, strict=True):
-        if twice := {row.title for row in entry.episodes} & {row.title for row in other.episodes}:
-            raise EvaluationError(f"{part} holds episodes that another file of {path} holds, too: {min(twice)}")
-        entry = _extended(entry, other, path, card)
-    return entry
+    places: dict[str, Path] = {}
+    for part, row in ((part, row) for part, entry in parts.items() for row in entry.episodes):
+        if places.setdefault(row.title, part) != part:
+            raise EvaluationError(f"{part} holds episodes that another file of {path} holds, too: {row.title}")
+    same = (_common(name, ((getattr(entry, name), part) for part, entry in parts.items())) for name in SHARED)
+    known = [[getattr(entry.versions, name) for entry in parts.values()] for name in Versions.__struct_fields__]
+    versions = Versions(*(sorted({*chain.from_iterable(lists)}) for lists in known))
+    return Entry(card, *same, versions, [row for entry in parts.values() for row in entry.episodes])
 
 
 def _content(path: Path, most: int) -> bytes:
@@ -387,11 +385,9 @@ def _content(path: Path, most: int) -> bytes:
 def _card_in(folder: Path) -> Card:
     path = folder / CARD
     try:
-        card = msgspec.toml.decode(_content(path, MOST_OF_CARD), type=Card)
+        return msgspec.toml.decode(_content(path, MOST_OF_CARD), type=Card)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
         raise EvaluationError(f"{path} is no card: {str(error)[:200]}") from error
-    _check_name(card.method, path)
-    return card
 
 
 def unpacked(data: bytes, name: object = "the entry") -> Entry:
@@ -411,17 +407,10 @@ def unpacked(data: bytes, name: object = "the entry") -> Entry:
         raise EvaluationError(f"{name} was altered after it was made: its hash is not that of its content")
     if content.protocol not in (None, PROTOCOL):
         raise EvaluationError(f"{name} follows protocol {content.protocol}, and this version plays {PROTOCOL}")
-    _check_name(content.card.method, name)
     episodes = _episodes(content, name)
     if content.runs != sorted({episode.run for episode in episodes}):
         raise EvaluationError(f"{name} names the runs {content.runs}, and its episodes are of others")
     return Entry(content.card, content.observations, content.rules, content.protocol, content.versions, episodes)
-
-
-def _check_name(method: str, name: object) -> None:
-    if not method.isprintable() or method != method.strip():
-        problem = "holds signs that cannot be seen, or begins or ends with a space"
-        raise EvaluationError(f"the method's name {method!r} in {name} {problem}")
 
 
 def _decompressed(data: bytes, name: object) -> bytes:

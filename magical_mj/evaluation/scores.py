@@ -23,8 +23,9 @@ from magical_mj.policies.interface import Episode, letters_of
 from magical_mj.policies.loading import loader_in
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.scene.bodies import GRIPPER
+from magical_mj.tasks.registry import VARIANTS
 from magical_mj.utils import files
-from magical_mj.utils.errors import EvaluationError, SettingsError, short_repr
+from magical_mj.utils.errors import EvaluationError, SettingsError, check_name, short_repr
 from magical_mj.utils.settings import check_unchanged
 
 SCORE_TOLERANCE: Final = 1e-9
@@ -32,6 +33,8 @@ SCORE_TOLERANCE: Final = 1e-9
 SCORES: Final = "scores.jsonl"
 SETTINGS: Final = "run.json"
 
+Natural = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
+"""Which tables of scores can hold."""
 Key = tuple[str, int, str, str, int, str]
 """Identifies an episode: policy, run, task, variant, seed, shift."""
 GROWING: Final = ("policies", "environments", "shifts")
@@ -91,12 +94,12 @@ class EpisodeResult:
     """
 
     policy: str
-    run: Annotated[int, msgspec.Meta(ge=0)]
+    run: Natural
     task: str
     variant: str
-    seed: Annotated[int, msgspec.Meta(ge=0)]
+    seed: Natural
     score: Annotated[float, msgspec.Meta(ge=0, le=1)]
-    steps: Annotated[int, msgspec.Meta(ge=0)]
+    steps: Natural
     seconds: float
     rules: str
     preset: str | None
@@ -178,6 +181,7 @@ def parse(line: str | bytes) -> EpisodeResult:
         raise ValueError("lists in lists without end") from None
     except msgspec.MsgspecError as error:
         raise ValueError(str(error)) from None
+    check_name("variant", result.variant, VARIANTS)
     texts = {name: value for name, value in values.items() if isinstance(value, str) and name != "failure"}
     if not "".join(texts.values()).isprintable():
         name = next(name for name, text in texts.items() if not text.isprintable())

@@ -11,7 +11,6 @@ import weakref
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import product
 from typing import Any, Final, TypeVar
 
@@ -152,7 +151,7 @@ class Player:
 
     def _outcomes(self, unit: Unit, episodes: list[Episode]) -> list[Outcome]:
         policy, settings = self._policy(unit), unit.settings
-        if settings.envs > 1 and not uses_simulation(policy):
+        if settings.envs > 1 and not settings.wrap and not uses_simulation(policy):
             outcomes = self._in_time(unit, episodes, lambda: play_side_by_side(self._vector(unit), policy, episodes))
             if not any(outcome.failure for outcome in outcomes):
                 return outcomes
@@ -259,10 +258,6 @@ def _vector_env(unit: Unit) -> Envs:
     settings, mode = unit.settings, gymnasium.vector.AutoresetMode.DISABLED
     if not settings.batched:
         name, how = env_id(unit.task, unit.variant, settings.preset), arguments(unit)
-        if settings.wrap:
-            outer: list[Any] = [partial(_wrapped, wrap=settings.wrap)]
-            kwargs: dict[str, Any] = {"autoreset_mode": mode}
-            return gymnasium.make_vec(name, settings.envs, "sync", vector_kwargs=kwargs, wrappers=outer, **how)
         from magical_mj.envs.vector import make_vec  # imported late: it loads the simulator
 
         threads = None if settings.jobs == 1 else 1  # other processes have the other cores

@@ -133,6 +133,7 @@ def test_corrupted_lines_are_named(tmp_path: Path) -> None:
     lines = path.read_text().splitlines()
     whole = json.loads(lines[2])
     wrong = {"score": 1.5, "steps": "many", "run": True, "policy": "a\0b", "task": "a\nb", "gl": "\ud800", "mine": 1}
+    wrong |= {"variant": "Foo", "seed": 2**63}
     changed = [json.dumps(whole | {name: value}) for name, value in wrong.items()]
     less = json.dumps({name: value for name, value in whole.items() if name != "actions"})
     for line in (*changed, less, lines[1], "{half", "[]", "", "\x00\x00", "[" * 100_000, f"{lines[2]} {lines[2]}"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
@@ -14,7 +14,7 @@ from urllib.parse import quote
 import numpy as np
 
 from magical_mj.evaluation.reports.results import Results, results
-from magical_mj.evaluation.reports.shifts import by_shift, shift_curves, shift_tables
+from magical_mj.evaluation.reports.shifts import by_shift, panels_of, shift_curves, shift_tables
 from magical_mj.evaluation.reports.tables import (
     APPROXIMATE,
     DAGGER,
@@ -40,12 +40,13 @@ TITLE: Final = "# Evaluation"
 DPI: Final = 150
 FIGURES: Final = ("bars.png", "heat_map.png", "shifts.png")
 FILES: Final = {
-    "Means over tasks as CSV": "variants.csv",
-    "All environments as CSV": "environments.csv",
-    "Bars as PDF": "bars.pdf",
-    "Heat map as PDF": "heat_map.pdf",
+    "variants.csv": "Means over tasks as CSV",
+    "environments.csv": "All environments as CSV",
+    "bars.pdf": "Bars as PDF",
+    "heat_map.pdf": "Heat map as PDF",
+    "shifts.csv": "Shifts as CSV",
+    "shifts.pdf": "Curves of shifts as PDF",
 }
-SHIFT_FILES: Final = {"Shifts as CSV": "shifts.csv", "Curves of shifts as PDF": "shifts.pdf"}
 PANELS_PER_ROW: Final = 3
 PANEL: Final = (4.6, 3.5)  # inches
 ONE_TASK: Final = 1.5  # inches
@@ -68,7 +69,7 @@ def check_free(out: Path, others: Sequence[str] = ()) -> bool:
     page = out / PAGE
     if page.is_file() and page.read_bytes().startswith(f"{TITLE}\n\n".encode()):
         return True
-    for name in (PAGE, *FIGURES, *FILES.values(), *SHIFT_FILES.values(), *others):
+    for name in (PAGE, *FIGURES, *FILES, *others):
         if (out / name).exists():
             raise EvaluationError(f"{out / name} is not of an earlier report: move it, or choose another folder")
     return False
@@ -121,11 +122,15 @@ def write_report(data: Results, out: Path | str, links: Mapping[str, str] = Mapp
     """The part of `report` that writes the files; see there."""
     out = Path(out)
     tables, shifts = result_tables(data), by_shift(data.scores)
-    wanted = {"shifts.csv": len(shifts) > 0, "shifts.pdf": False}
-    curves = wanted["shifts.pdf"] = len(shifts) > 0 and bool(shifts["strength"].notna().any())
+    texts = {"variants.csv": csv(data.variants), "environments.csv": csv(data.environments)}
+    texts |= {"shifts.csv": csv(shifts)} if len(shifts) else {}
+    draw: dict[str, Callable[[], Figure]] = {"bars": lambda: bars(data), "heat_map": lambda: heat_map(data)}
+    if len(shifts) and shifts["strength"].notna().any():
+        draw["shifts"] = lambda: shift_curves(shifts)
     out.mkdir(parents=True, exist_ok=True)
     begin(out)
-    listed = {**links, **FILES, **{text: name for text, name in SHIFT_FILES.items() if wanted[name]}}
+    made = (*texts, *(f"{name}.pdf" for name in draw))
+    listed = {**links, **{text: name for name, text in FILES.items() if name in made}}
     parts = [
         TITLE,
         *(f"**{note}**" for note in tables[0].notes if note.startswith(APPROXIMATE)),
@@ -137,29 +142,22 @@ def write_report(data: Results, out: Path | str, links: Mapping[str, str] = Mapp
         "![Mean scores](heat_map.png)",
         *map(markdown, tables[2:]),
         *(["## Shifts"] if len(shifts) else []),
-        *(["![Scores over the strength of each shift](shifts.png)"] if curves else []),
+        *(["![Scores over the strength of each shift](shifts.png)"] if "shifts" in draw else []),
         *(map(markdown, shift_tables(shifts)) if len(shifts) else []),
         "## Files",
         "\n".join(f"- {escape.markdown_link(text, quote(name))}" for text, name in listed.items()),
     ]
     page = out / PAGE
     files.write(page, "\n\n".join(part.strip() for part in parts) + "\n", overwrite=True)
-    texts = {"variants.csv": csv(data.variants), "environments.csv": csv(data.environments)}
-    if len(shifts):
-        texts["shifts.csv"] = csv(shifts)
     for name, text in texts.items():
         files.write(out / name, text, overwrite=True)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from font")  # of methods in other scripts
-        figures = {
-            "bars": bars(data),
-            "heat_map": heat_map(data),
-            **({"shifts": shift_curves(shifts)} if curves else {}),
-        }
-        for name, figure in figures.items():
+        for name, figure in draw.items():
+            drawing = figure()
             for suffix in ("png", "pdf"):
                 with files.new_file(out / f"{name}.{suffix}", overwrite=True) as path:
-                    figure.savefig(path, dpi=DPI, metadata=None if suffix == "png" else {"CreationDate": None})
+                    drawing.savefig(path, dpi=DPI, metadata=None if suffix == "png" else {"CreationDate": None})
     return page
 
 
@@ -197,19 +195,11 @@ def extremes(scores: Iterable[EpisodeResult]) -> list[tuple[str, EpisodeResult]]
 
 def heat_map(results: Results) -> Figure:
     """For each method, its mean score in every environment; grey where there is no such environment."""
-    from matplotlib.figure import Figure
-
-    policies = results.policies
-    columns = min(PANELS_PER_ROW, len(policies))
-    rows = math.ceil(len(policies) / columns)
-    height = PANEL[1] if len(results.tasks) > 1 else ONE_TASK
-    figure = Figure((PANEL[0] * columns, height * rows), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    policies, height = results.policies, PANEL[1] if len(results.tasks) > 1 else ONE_TASK
+    figure, panels = panels_of(len(policies), PANELS_PER_ROW, (PANEL[0], height))
     image: Any = None
     for axes, policy in zip(panels.flat, policies, strict=False):
         image = _panel(axes, results, policy)
-    for axes in list(panels.flat)[len(policies) :]:
-        axes.set_axis_off()
     figure.colorbar(image, ax=panels, label="mean score", shrink=0.8, aspect=30)
     return figure
 

@@ -22,7 +22,7 @@ from magical_mj.evaluation.reports.statistics import Summary, by_environment, by
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult, episodes_in
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, in_order
 from magical_mj.tasks.spec import Rules
-from magical_mj.utils.errors import EvaluationError, SettingsError, short_repr
+from magical_mj.utils.errors import EvaluationError, SettingsError
 from magical_mj.utils.extras import check_extra
 
 if TYPE_CHECKING:
@@ -87,18 +87,12 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False, rules: Rules | 
         folders hold is there once. Methods that were played in a wrapper are called after it, too.
 
     Raises:
-        EvaluationError: if there are no folders, one is not an evaluation or names an unknown variant, two hold the
-            same episode with different results, or rules, worlds, splits, presets or scenes differ.
+        EvaluationError: if there are no folders, one is not an evaluation, two hold the same episode with different
+            results, or rules, worlds, splits, presets or scenes differ.
     """
     if not folders:
         raise EvaluationError("give at least one folder of an evaluation")
     scores = _read(folders, rules)
-    for name in scores["variant"].cat.categories:
-        if name not in VARIANTS:
-            folder = scores[scores["variant"] == name]["folder"].iloc[0]
-            raise EvaluationError(
-                f"{folder} holds results in the variant {short_repr(name)}; there are: {', '.join(VARIANTS)}"
-            )
     check_same(scores, "rules", "their scores cannot be compared; --rules scores all by the same again")
     check_same(scores, "worlds", "scores of batched worlds are approximate, and reported by themselves")
     check_same(scores, "split", "results are those on test; report dev by itself")
@@ -156,11 +150,8 @@ def _read(folders: Sequence[Path], rules: Rules | None = None) -> pd.DataFrame:
             for text, (known, append) in zip(texts_of(score), columns_of_texts, strict=True):
                 append(known.setdefault(text, len(known) - 1))
             numbers["actions"].append(crc32(score.actions.encode()))
-            try:
-                for name in ("run", "seed", "score"):
-                    numbers[name].append(getattr(score, name))
-            except OverflowError:
-                raise EvaluationError(f"{folder} holds a run or a seed that is too large: {score.key}") from None
+            for name in ("run", "seed", "score"):
+                numbers[name].append(getattr(score, name))
             codes["folder"].append(index)
     columns: dict[str, Any] = {name: np.asarray(column) for name, column in numbers.items()}
     for name, known in categories.items():

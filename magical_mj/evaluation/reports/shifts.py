@@ -134,16 +134,24 @@ def _difference(row: Any) -> str:
     return f"{row.difference:+.2f}{interval}"
 
 
-def shift_curves(shifts: pd.DataFrame) -> Figure:
-    """The score of each method over the strength of each shift, with the interval of its difference from strength 0."""
+def panels_of(count: int, per_row: int, size: tuple[float, float], legend: float = 0.0) -> Any:
+    """A figure, and the array of its axes, of which the first `count` are shown. `size` and `legend` are in inches."""
     from matplotlib.figure import Figure
 
+    columns = min(per_row, count)
+    rows = math.ceil(count / columns)
+    figure = Figure((max(4.0, size[0] * columns), legend + size[1] * rows), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    for axes in panels.flat[count:]:
+        axes.set_axis_off()
+    return figure, panels
+
+
+def shift_curves(shifts: pd.DataFrame) -> Figure:
+    """The score of each method over the strength of each shift, with the interval of its difference from strength 0."""
     single = shifts[shifts["strength"].notna()]
     axes_of_shifts = list(dict.fromkeys(single["axis"]))
-    columns = min(PANELS_PER_ROW, len(axes_of_shifts))
-    rows = math.ceil(len(axes_of_shifts) / columns)
-    figure = Figure((max(4.0, PANEL[0] * columns), 0.5 + PANEL[1] * rows), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    figure, panels = panels_of(len(axes_of_shifts), PANELS_PER_ROW, PANEL, legend=0.5)
     for axes, axis in zip(panels.flat, axes_of_shifts, strict=False):
         for number, policy in enumerate(dict.fromkeys(single["policy"])):
             group = single[(single["axis"] == axis) & (single["policy"] == policy)].sort_values("strength")
@@ -156,8 +164,6 @@ def shift_curves(shifts: pd.DataFrame) -> Figure:
         axes.set_ylim(-0.02, 1.05)
         axes.set_xticks(range(STRENGTHS + 1))
         axes.spines[["top", "right"]].set_visible(False)
-    for axes in list(panels.flat)[len(axes_of_shifts) :]:
-        axes.set_axis_off()
     lines = {line.get_label(): line for axes in panels.flat for line in axes.get_lines()}
     names = [escape.mathtext(str(name)) for name in lines]
     figure.legend(list(lines.values()), names, loc="outside upper center", ncols=4, frameon=False, fontsize=9)
