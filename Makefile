@@ -80,7 +80,6 @@ site-test: site | chromium  ## the site in headless Chromium, and its simulation
 	$(BIN)/python site/tests/cases.py out/site-test
 	node --test --test-concurrency=1 --test-reporter=spec site/tests/
 	$(BIN)/python site/tests/saved.py out/site-test/saved.json
-	$(BIN)/python site/seats.py 10 10
 	$(BIN)/python site/study.py
 
 site-picture: site | chromium  ## docs/site.png, anew

@@ -38,6 +38,7 @@ export async function launch() {
   const context = await chromium.launchPersistentContext(profile, {
     executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: FLAGS, viewport: { width: 600, height: 700 }, acceptDownloads: true,
   });
+  context.setDefaultTimeout(120000);  // machines of continuous integration may be slow
   const close = async () => {
     await context.close();
     await rm(profile, { recursive: true, force: true });

@@ -38,7 +38,7 @@ after(async () => {
 const message = () => page.textContent("#message");
 /** @param {string} name */
 const untilOpen = (name) => page.waitForFunction((name) => document.title.startsWith(`${name} `)
-  && document.getElementById("message")?.textContent === "", name, { timeout: 30000 });
+  && document.getElementById("message")?.textContent === "", name);
 /** @param {Record<string, string>} files */
 const openFiles = (files) => page.setInputFiles("#file", Object.entries(files).map(
   ([name, text]) => ({ name, mimeType: "text/plain", buffer: Buffer.from(text) })));

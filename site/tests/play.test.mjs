@@ -42,12 +42,12 @@ after(async () => {
 const frames = () => page.evaluate("frames");
 const status = () => page.textContent("#status");
 /** @param {string} text */
-const untilStatus = (text) => page.waitForFunction((text) => document.getElementById("status")?.textContent?.startsWith(text), text, { timeout: 30000 });
+const untilStatus = (text) => page.waitForFunction((text) => document.getElementById("status")?.textContent?.startsWith(text), text);
 const picture = () => page.$eval("#allo", (canvas) => /** @type {HTMLCanvasElement} */ (canvas).toDataURL());
 /** @param {number} count */
 const moreFrames = async (count) => {
   const start = await frames();
-  await page.waitForFunction((wanted) => /** @type {any} */ (window).frames >= wanted, Number(start) + count, { timeout: 10000 });
+  await page.waitForFunction((wanted) => /** @type {any} */ (window).frames >= wanted, Number(start) + count);
 };
 
 test("it opens and is played", async () => {
@@ -64,7 +64,7 @@ test("it opens and is played", async () => {
   assert.ok(rate > 0);
 });
 
-test("all environments can be played to the end", async () => {
+test("all environments can be played", async () => {
   await page.goto(`${site.address}play/?speed=${SPEED}`);
   const { environments, tasks } = await page.evaluate(async () => (await fetch("catalogue.json")).json());
   assert.equal(environments.length, 60);
@@ -74,9 +74,9 @@ test("all environments can be played to the end", async () => {
     await page.waitForFunction(([task, variant]) => /** @type {any} */ (document.getElementById("task")).value === task
       && /** @type {any} */ (document.getElementById("variant")).value === variant, [task, variant]);
     await untilStatus("Press");
-    const before = await picture(), share = Math.min(1, 100 / tasks[task].horizon);
+    const before = await picture(), share = 25 / tasks[task].horizon;
     for (const key of ["ArrowUp", "Space", "KeyD"]) await page.keyboard.down(key);
-    await page.waitForFunction((share) => /** @type {any} */ (document.getElementById("time")).value >= share - 1e-9, share, { timeout: 30000 });
+    await page.waitForFunction((share) => /** @type {any} */ (document.getElementById("time")).value >= share - 1e-9, share);
     for (const key of ["ArrowUp", "Space", "KeyD"]) await page.keyboard.up(key);
     await moreFrames(5);
     assert.notEqual(await picture(), before, `${task}-${variant}: nothing moved`);
@@ -189,7 +189,7 @@ test("canvases show what the renderer shows", async () => {
 test("what could not be loaded once is loaded again", async () => {
   const fresh = await browser.context.newPage();
   const until = (/** @type {string} */ text) => fresh.waitForFunction(
-    (text) => document.getElementById("status")?.textContent?.includes(text), text, { timeout: 30000 });
+    (text) => document.getElementById("status")?.textContent?.includes(text), text);
   for (const file of ["mujoco.js", "mujoco.wasm"]) {
     await fresh.route(`**/mujoco/${file}*`, (route) => route.abort());
     await fresh.goto("about:blank");

@@ -19,7 +19,7 @@ const serve = (...options) => spawn(PYTHON, ["-m", "magical_mj", "play", "--web"
 const addressOf = async (server) => (await createInterface(server.stdout)[Symbol.asyncIterator]().next()).value;
 /** @param {import("playwright-core").Page} page @param {string} text */
 const untilStatus = (page, text) => page.waitForFunction(
-  (text) => document.getElementById("status")?.textContent?.includes(text), text, { timeout: 40000 });
+  (text) => document.getElementById("status")?.textContent?.includes(text), text);
 /** The options for a study of MoveToRegion in which participants may do everything. @param {string} folder @param {Record<string, number>} quotas */
 async function study(folder, quotas) {
   const lines = Object.entries(quotas).map(([variant, wanted]) => `MoveToRegion-${variant} = ${wanted}`);
