@@ -18,6 +18,8 @@ from packaging.requirements import Requirement
 
 import magical_mj
 
+pytestmark = pytest.mark.xdist_group("wheel")  # which is built once
+
 ROOT = Path(__file__).parent.parent
 
 

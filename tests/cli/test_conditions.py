@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 SHORT = ("--tasks", "MoveToRegion", "--variants", "Demo")
 TINY = ("evaluations=0", "checkpoints=1", "demonstrations=2", "bc.batches=2", "bc.batch_size=4", "network.hidden=8")
@@ -63,6 +65,7 @@ def commands_in(folder: Path) -> list[list[str]]:
     return [[word.replace("{}", str(folder)) for word in command] for command in COMMANDS]
 
 
+@pytest.mark.slow
 def test_every_command_works(tmp_path: Path) -> None:
     """In a folder that cannot be written, isolated, without HOME and TMPDIR, in the C locale, on files of any name."""
     left = {name: value for name, value in os.environ.items() if name not in WITHOUT}

@@ -45,6 +45,7 @@ episodes = 2
 """
 
 
+@pytest.mark.slow
 def test_an_experiment_ends_in_a_report_and_goes_on(tmp_path: Path) -> None:
     """Two processes; done again, with one run damaged, only that is trained anew."""
     file = tmp_path / "experiment.toml"

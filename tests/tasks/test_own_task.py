@@ -14,6 +14,8 @@ import pytest
 
 from magical_mj.tasks.registry import VARIANTS
 
+pytestmark = pytest.mark.xdist_group("own task")  # of one installation
+
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "adding-a-task.md").read_text()
 EXAMPLE = ROOT / "examples" / "push_out"
