@@ -100,11 +100,6 @@ class Card(Struct, forbid_unknown_fields=True):
     hardware: Line | None = None
     privileges: Annotated[list[Privilege], Meta(max_length=7)] | None = None
 
-    def __post_init__(self) -> None:
-        if not self.method.isprintable() or self.method != self.method.strip():
-            problem = "holds signs that cannot be seen, or begins or ends with a space"
-            raise ValueError(f"the method's name {self.method!r} {problem}")
-
 
 class Versions(Struct, forbid_unknown_fields=True):
     """The versions of this package and of MuJoCo, and the OpenGL backends, with which the episodes were played."""
@@ -385,9 +380,11 @@ def _content(path: Path, most: int) -> bytes:
 def _card_in(folder: Path) -> Card:
     path = folder / CARD
     try:
-        return msgspec.toml.decode(_content(path, MOST_OF_CARD), type=Card)
+        card = msgspec.toml.decode(_content(path, MOST_OF_CARD), type=Card)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
         raise EvaluationError(f"{path} is no card: {str(error)[:200]}") from error
+    _check_name(card.method, path)
+    return card
 
 
 def unpacked(data: bytes, name: object = "the entry") -> Entry:
@@ -407,10 +404,17 @@ def unpacked(data: bytes, name: object = "the entry") -> Entry:
         raise EvaluationError(f"{name} was altered after it was made: its hash is not that of its content")
     if content.protocol not in (None, PROTOCOL):
         raise EvaluationError(f"{name} follows protocol {content.protocol}, and this version plays {PROTOCOL}")
+    _check_name(content.card.method, name)
     episodes = _episodes(content, name)
     if content.runs != sorted({episode.run for episode in episodes}):
         raise EvaluationError(f"{name} names the runs {content.runs}, and its episodes are of others")
     return Entry(content.card, content.observations, content.rules, content.protocol, content.versions, episodes)
+
+
+def _check_name(method: str, name: object) -> None:
+    if not method.isprintable() or method != method.strip():
+        problem = "holds signs that cannot be seen, or begins or ends with a space"
+        raise EvaluationError(f"the method's name {method!r} in {name} {problem}")
 
 
 def _decompressed(data: bytes, name: object) -> bytes:
