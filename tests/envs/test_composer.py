@@ -36,10 +36,10 @@ from magical_mj.utils.errors import (
 ARRAYS = ("qpos", "qvel", "act", "qacc_warmstart", "xpos", "xmat", "tree_asleep", "efc_force")
 
 
-def test_trajectories_states_and_scores_equal_an_engines_in_all_environments() -> None:
+def test_trajectories_states_and_scores_equal_an_engines_in_every_task() -> None:
     for task in magical_mj.TASKS:
         env = magical_mj.load(task, seed=0, observations=())
-        for number, (_, variant) in enumerate(pair for pair in magical_mj.ENVIRONMENTS if pair[0] == task):
+        for number, variant in enumerate(("Demo", "All")):
             engine, rng = Engine(task, variant, seed=number), np.random.default_rng(number)
             env.reset(scene=engine.initial_scene)
             for action in rng.integers(len(ACTIONS), size=20).tolist():
