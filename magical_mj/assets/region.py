@@ -88,7 +88,8 @@ def region_mjcf(index: int, region: GoalRegion) -> tuple[str, str, str]:
     fill = f'<geom name="{name}_fill" class="visual" type="plane" {place} rgba="{rgba(REGION_FILL[region.colour])}"/>'
     count, mesh = len(dash_quads(region)), f"region{index}_border"
     border = style.visual_geom(f"{name}_border", mesh, REGION_BORDER[region.colour])
-    return mesh_mjcf(mesh, (_corners(region, index, count), _quad_faces(count))), fill, border
+    corners = _corners(region, index, count).astype(np.float64)
+    return mesh_mjcf(mesh, (corners, _quad_faces(count))), fill, border
 
 
 def blank_regions_mjcf(dashes: tuple[int, ...]) -> str:
