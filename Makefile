@@ -11,7 +11,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test fast bench peers mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints notebooks release-check system site site-test site-picture node chromium xvfb
+.PHONY: demo test fast bench peers mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints notebooks release-check system site site-test site-picture policies node chromium xvfb
 
 demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
@@ -85,6 +85,9 @@ site-test: site | chromium  ## the site in headless Chromium, and its simulation
 site-picture: site | chromium  ## docs/site.png, anew
 	$(BIN)/python site/fetch.py
 	$(BIN)/python site/screenshots.py
+
+policies: $(VENV)/.installed-dev  ## the policies that act in the site: trained, exported to site/policies, and scored there
+	$(BIN)/python site/policies.py
 
 readme: $(VENV)/.installed-dev  ## run README.md in a new environment that has only what the page tells to install
 	$(BIN)/python tools/readme_run.py $(ARGS)

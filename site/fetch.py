@@ -15,5 +15,14 @@ PLAYWRIGHT: Final = Package(
 )
 """Drives the browser in the tests; Apache-2.0."""
 
+ONNX_RUNTIME: Final = Package(
+    "onnxruntime-web",
+    "1.30.0",
+    "q0y+JrrtukXSzsBWEMccVfqX25LRmosXHF+CaRJmg8pZClzcV7svNc4rKY3jL02Vb7QmRMDs1SigqR4CXAfKYQ==",
+)
+"""ONNX Runtime's WebAssembly build, which runs policies; MIT."""
+ONNX_FILES: Final = ("ort.wasm.min.mjs", "ort-wasm-simd-threaded.mjs", "ort-wasm-simd-threaded.wasm")
+"""Of its folder dist: what the page on which one plays loads, once a policy acts there."""
+
 if __name__ == "__main__":  # for the tests in JavaScript, which import it
     fetched(PLAYWRIGHT, CACHE)

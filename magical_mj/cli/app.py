@@ -36,6 +36,7 @@ COMMANDS: Final = {
     "doctor": ("doctor:doctor", "Show installed versions, and what can draw here."),
     "demo": ("evaluate:demo", "Evaluate the built-in agents in all environments, and write the report."),
     "train": ("train:train", "Train a policy."),
+    "export-policy": ("train:export", "Write a trained policy as an ONNX file."),
     "experiment": ("train:experiment", "Train and evaluate methods x tasks x seeds."),
 }
 """Command -> its function, or a `typer.Typer` with subcommands, in a module of this package; and what it does.

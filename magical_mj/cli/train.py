@@ -1,4 +1,4 @@
-"""`magical-mj train` and `magical-mj experiment`, and what they show: progress bars, and a line per evaluation."""
+"""`magical-mj train`, `experiment`, `export-policy`, and what they show: progress bars, and a line per evaluation."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rich.table import Column
 from rich.text import Text
 
 from magical_mj import learners
-from magical_mj.cli.console import Bars, Renderer, Trust, check_fits, console
+from magical_mj.cli.console import Bars, Force, Renderer, Trust, check_fits, check_writable, console
 from magical_mj.learners.settings import PPOSettings, TrainingSettings, check_changes, users, uses
 from magical_mj.policies.agents import AGENTS
 from magical_mj.utils.errors import MagicalError, SettingsError, check_name
@@ -55,6 +55,9 @@ File = Annotated[
     Path, typer.Argument(help="TOML: methods, tasks, seeds ...; see docs/learners.md.", show_default=False)
 ]
 Folder = Annotated[Path, typer.Option(help="The folder for runs, evaluations and the report.", show_default=False)]
+Run = Annotated[Path, typer.Argument(help="The folder of a training.", show_default=False)]
+OnnxFile = Annotated[Path, typer.Option("--out", help="The file.")]
+OneTask = Annotated[str, typer.Option("--task", help="Which task, of a policy for several.", show_default=False)]
 Jobs = Annotated[
     int | None,
     typer.Option(
@@ -141,6 +144,17 @@ def train(
     folder = shlex.quote(f"./{out}" if str(out) in AGENTS else str(out))
     again = f"magical-mj evaluate --policy {folder} --tasks {','.join(settings.tasks)} --preset {settings.preset}"
     screen.print(f"the policy is in {out}; to evaluate it: {again} --out ...", soft_wrap=True)
+
+
+def export(run: Run, out: OnnxFile = Path("policy.onnx"), task: OneTask = "", force: Force = False) -> None:
+    """Write the policy of a training as an ONNX file, which `evaluate --policy` and any ONNX runtime can play.
+
+    It takes the most likely action; `magical-mj evaluate --policy RUN` draws by the probabilities.
+    """
+    check_extra("learners", "eval", "il")
+    from magical_mj.learners.export import export_policy
+
+    console().print(export_policy(run, check_writable(out, force), task, overwrite=force), soft_wrap=True)
 
 
 def bars(screen: Console) -> Bars:

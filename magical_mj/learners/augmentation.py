@@ -18,7 +18,8 @@ from kornia.geometry.transform import get_affine_matrix2d, warp_affine
 from torch import Tensor
 
 from magical_mj.learners.settings import AUGMENTATIONS, TrainingSettings
-from magical_mj.learners.state_features import HISTORY, pose_mask
+from magical_mj.learners.state_features import pose_mask
+from magical_mj.policies.history import HISTORY
 
 TRANSLATION: Final = 0.05  # the bounds of the uniform draws: of the picture's width and height
 ROTATION: Final = 5.0  # degrees

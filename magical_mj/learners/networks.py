@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from magical_mj.learners.settings import HEADS, NetworkSettings
-from magical_mj.learners.state_features import ENTITY_FEATURES, ROBOT_FEATURES, features_of
+from magical_mj.learners.state_features import ENTITY_FEATURES, ROBOT_FEATURES, features_of, maxima
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.utils.errors import SettingsError
 
@@ -131,7 +131,7 @@ class StateTorso(nn.Module):
         rows = self.entity(torch.cat([entities, robot[:, None].expand(-1, entities.shape[1], -1)], 2))
         for layer in self.attention:
             rows = layer(rows, present)
-        parts = [robot, rows.masked_fill(~present[..., None], -10.0).amax(1)]
+        parts = [robot, maxima(rows, present)]
         if actions is not None:
             parts.append(nn.functional.one_hot(actions, ONE_HOT).to(robot.dtype))
         return self.linear(torch.cat(parts, dim=1))

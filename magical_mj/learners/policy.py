@@ -15,7 +15,7 @@ from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import SHAPE, Actor, as_input
 from magical_mj.learners.relational_network import Ensemble
 from magical_mj.learners.settings import LEARNABLE, STATE, NetworkSettings, RelationalSettings, TrainingSettings
-from magical_mj.learners.state_features import History
+from magical_mj.policies.history import History
 from magical_mj.policies.interface import Episode
 from magical_mj.policies.models import torch_threads
 from magical_mj.scene.state_vector import STATE_NAMES
@@ -33,11 +33,14 @@ class TrainedPolicy:
         actor: the network.
         tasks: the tasks on which it was trained, in the order of its heads.
         preset: the preset of the observations on which it was trained.
+
+    Attributes:
+        actor: the network.
     """
 
     def __init__(self, actor: Actor | Ensemble, tasks: Sequence[str], preset: str) -> None:
         self.tasks, self.preset = tuple(tasks), preset
-        self._actor = actor
+        self.actor = actor
         self._device = next(actor.parameters()).device
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
@@ -59,9 +62,9 @@ class TrainedPolicy:
         if self.preset == STATE:
             self._history = self._history or History(observations)
             observations = self._history.add(observations)
-        self._actor.eval()
+        self.actor.eval()
         with torch.inference_mode(), torch_threads(1):
-            logits = self._actor(as_input(observations, self._device), self._heads[: len(observations)])
+            logits = self.actor(as_input(observations, self._device), self._heads[: len(observations)])
         if not logits.isfinite().all():
             raise ValueError("the network's answer is not finite")
         shares = logits.double().softmax(dim=1).cumsum(dim=1).cpu().numpy()

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from magical_mj.learners.networks import ONE_HOT, check_size
 from magical_mj.learners.settings import RelationalSettings
+from magical_mj.learners.state_features import maxima
 from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
 
 BLOCKS: Final = slice(STATE_NAMES.index("block0.present"), STATE_NAMES.index("region0.present"))
@@ -73,7 +74,7 @@ class RelationalNetwork(nn.Module):
         for messages in self.rounds:
             nodes = messages(nodes, edges, hears)
         shares = self.share(nodes)[..., 0].masked_fill(~present, -1e4).softmax(1)
-        largest = nodes.masked_fill(~present[..., None], -10.0).amax(1)
+        largest = maxima(nodes, present)
         return self.action(torch.cat([(shares[..., None] * nodes).sum(1), largest, fingers], 1))
 
 
@@ -126,7 +127,8 @@ def graph(states: Tensor, arena: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         Nodes (n, k, NODE), edges (n, k, k, EDGE) from the second to the first, and which nodes are present (n, k).
     """
     blocks, regions = blocks_of(states), regions_of(states)
-    blocks, regions = blocks[:, blocks[..., 0].any(0)], regions[:, regions[..., 0].any(0)]
+    if not torch.compiler.is_exporting():  # the shapes in an exported network do not depend on what it sees
+        blocks, regions = blocks[:, blocks[..., 0].any(0)], regions[:, regions[..., 0].any(0)]
     b, r = blocks.shape[1], regions.shape[1]
     place, angle = states[:, None, :2], states[:, 2:3]
     sin, cos = angle.sin(), angle.cos()

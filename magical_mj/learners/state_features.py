@@ -10,15 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from magical_mj.policies.history import HISTORY
 from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
-
-HISTORY: Final = 4
-"""States in an observation, as many as there are frames in the paper's pictures."""
 
 _ROBOT: Final = sum(name.startswith("robot.") for name in STATE_NAMES)
 _BLOCKS: Final = slice(_ROBOT, _ROBOT + sum(name.startswith("block") for name in STATE_NAMES))
@@ -45,44 +41,29 @@ ENTITY_FEATURES: Final = sum(_ENTITY.values())
 ROBOT_FEATURES: Final = 6 + 5 * (HISTORY - 1)
 
 
-def histories(states: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The latest states at each step, (steps, HISTORY, names), of states (steps, names); the first one is repeated."""
-    steps = np.arange(len(states))[:, None] + np.arange(1 - HISTORY, 1)
-    return states[np.maximum(steps, 0)]
-
-
-class History:
-    """Keeps the latest HISTORY states of one or several episodes."""
-
-    def __init__(self, states: NDArray[np.float32]) -> None:
-        """Episodes begin with `states`, which are repeated."""
-        self.states = np.repeat(states[..., None, :], HISTORY, axis=-2)
-        """Shape (..., HISTORY, names), oldest first; a new array after each change."""
-
-    def add(self, states: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Takes in what came next, shape (..., names); returns `states`."""
-        self.states = np.concatenate([self.states[..., 1:, :], states[..., None, :]], axis=-2)
-        return self.states
-
-    def restart(self, which: NDArray[np.bool_], states: NDArray[np.float32]) -> None:
-        """Other episodes begin in some rows, `which` (n,), with their rows of `states` (n, names)."""
-        self.states = np.where(which[:, None, None], states[:, None], self.states)
-
-
 def features_of(histories: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Histories (n, HISTORY, names) as the robot sees them.
 
     Returns:
         The robot's features (n, ROBOT_FEATURES); those of each block and region (n, rows, ENTITY_FEATURES); which of
-        these rows stand for something (n, rows). Rows that stand for nothing in the whole batch are left out.
+        these rows stand for something (n, rows). Rows that stand for nothing in the whole batch are left out, but in a
+        network that is exported.
     """
     robot = _Robot(histories)
     blocks = histories[..., _BLOCKS].unflatten(2, (MAX_BLOCKS, -1))
-    blocks = blocks[:, :, blocks[:, -1, :, 0].any(0)]
     regions = histories[:, -1, _REGIONS].unflatten(1, (MAX_REGIONS, -1))
-    regions = regions[:, regions[..., 0].any(0)]
+    if not torch.compiler.is_exporting():  # the shapes in an exported network do not depend on what it sees
+        blocks = blocks[:, :, blocks[:, -1, :, 0].any(0)]
+        regions = regions[:, regions[..., 0].any(0)]
     present = torch.cat([blocks[:, -1, :, 0], regions[..., 0]], 1) > 0
     return robot.features(), torch.cat([_of_blocks(blocks, robot), _of_regions(regions, robot)], 1), present
+
+
+def maxima(rows: Tensor, present: Tensor) -> Tensor:
+    """The largest values, (n, size), of the rows (n, rows, size) that are `present` (n, rows)."""
+    # An exported network keeps all empty rows. A scene that is alone in its batch has none: they must not count there.
+    empty = -1e4 if torch.compiler.is_exporting() else -10.0
+    return rows.masked_fill(~present[..., None], empty).amax(1)
 
 
 def pose_mask(histories: Tensor) -> Tensor:

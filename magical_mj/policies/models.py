@@ -25,8 +25,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from magical_mj.policies.history import HISTORY, History
 from magical_mj.policies.interface import Episode, reason
 from magical_mj.scene.actions import ACTIONS
+from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import MissingExtraError, SettingsError
 from magical_mj.utils.extras import check_extra
 
@@ -55,29 +57,45 @@ TRUST: Final = "--trust (trust=True) loads it and runs the code that it contains
 
 
 class Model:
-    """A policy without memory that maps a batch of observations to a batch of actions.
+    """A policy that maps a batch of observations to a batch of actions.
 
     Args:
         act: the mapping.
         shapes: the accepted shapes of single observations; None if unknown.
+        remembers: whether it maps `History.states` instead, and observations are states.
+
+    Attributes:
+        tasks: on which it was trained, and
+        preset: the preset of the observations, where the file says so.
     """
 
-    def __init__(self, act: Callable[[Any], Any], shapes: Sequence[Shape] | None = None) -> None:
-        self._act = act
+    tasks: tuple[str, ...]
+    preset: str
+
+    def __init__(
+        self, act: Callable[[Any], Any], shapes: Sequence[Shape] | None = None, *, remembers: bool = False
+    ) -> None:
+        self._act, self._remembers = act, remembers
+        self._history: History | None = None
         self.observation_shapes = shapes
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
-        """There is nothing to forget."""
+        """Episodes begin, side by side."""
+        del episodes
+        self._history = None
 
     def act_batch(self, observations: Any) -> Any:
         """An action for each observation. Shape (n,)."""
+        if self._remembers:
+            self._history = self._history or History(observations)
+            observations = self._history.add(observations)
         return self._act(observations)
 
     def __call__(self, observation: Any) -> Any:
         """The action for one observation."""
         if isinstance(observation, dict):
-            return self._act({name: value[None] for name, value in observation.items()})[0]
-        return self._act(observation[None])[0]
+            return self.act_batch({name: value[None] for name, value in observation.items()})[0]
+        return self.act_batch(observation[None])[0]
 
 
 @contextmanager
@@ -272,7 +290,13 @@ def load_onnx(path: Path, trust: bool = False) -> Model:
         _check_numbers(values)
         return values.reshape(len(values)) if values.size == len(values) else values.argmax(axis=1)
 
-    return Model(act, [tuple(size if isinstance(size, int) else None for size in entry.shape[1:])])
+    shape = tuple(size if isinstance(size, int) else None for size in entry.shape[1:])
+    remembers = shape == (HISTORY, len(STATE_NAMES))
+    model = Model(act, [shape[1:] if remembers else shape], remembers=remembers)
+    known = session.get_modelmeta().custom_metadata_map  # which `export_policy` wrote
+    if {"task", "preset"} <= known.keys():
+        model.tasks, model.preset = (known["task"],), known["preset"]
+    return model
 
 
 @cache

@@ -18,7 +18,7 @@ MODULES: Final = {
     "gpu": ("mujoco_warp", "torch", "warp"),
     "il": ("kornia", "safetensors", "stable_baselines3", "tensorboard", "torch"),
     "minari": ("h5py", "minari"),
-    "onnx": ("onnxruntime",),
+    "onnx": ("onnxruntime", "onnxscript"),
     "robomimic": ("h5py",),
     "video": ("imageio_ffmpeg",),
     "web": ("websockets",),

@@ -16,8 +16,8 @@ from magical_mj import MagicalEnv, batched
 from magical_mj.cli.app import app
 from magical_mj.learners import TrainingSettings, checkpoint, load_policy, train
 from magical_mj.learners.run_folder import CHECKPOINT
-from magical_mj.learners.state_features import HISTORY
 from magical_mj.learners.vector_envs import OBSERVATION, TASK, BatchedEnvs, LocalEnvs
+from magical_mj.policies.history import HISTORY
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import MissingExtraError, SettingsError, UnknownNameError
 from tests.helpers.learners import playing
@@ -114,8 +114,8 @@ def test_a_resumed_training_ends_like_an_uninterrupted_one(method: str, preset: 
     assert state["update"] == 1
     assert state["learner"]["ppo"]["environments"]["worlds"]["steps"].shape == (2,)
     resumed = train(settings, tmp_path / "broken", resume=True)
-    for name, weights in whole._actor.state_dict().items():
-        assert torch.equal(weights, resumed._actor.state_dict()[name]), name
+    for name, weights in whole.actor.state_dict().items():
+        assert torch.equal(weights, resumed.actor.state_dict()[name]), name
 
 
 def test_the_command_line_trains_in_batched_worlds(tmp_path: Path) -> None:

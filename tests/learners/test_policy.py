@@ -28,7 +28,7 @@ def test_a_policy_draws_by_the_episode(tmp_path: Path) -> None:
         loaded(picture[:, :, :3])
     with pytest.raises(SettingsError, match="trained on MoveToRegion, and cannot act in FindDupe"):
         loaded.reset(Episode("FindDupe", "Demo", 0))
-    for weights in loaded._actor.parameters():
+    for weights in loaded.actor.parameters():
         weights.data.fill_(float("nan"))
     with pytest.raises(ValueError, match="not finite"):
         loaded(picture)

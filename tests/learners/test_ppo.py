@@ -166,7 +166,7 @@ def test_the_saved_policy_has_the_logits_of_the_one_that_plays(tmp_path: Path, m
     with torch.inference_mode():
         logits = ppo.policy.distribution_and_values(obs_as_tensor(seen, CPU))[0].logits
         actor = ppo.policy_kwargs["actor"]
-        theirs = saved._actor(as_input(seen[OBSERVATION], CPU), torch.tensor([0, 0, 1, 1])).log_softmax(1)
+        theirs = saved.actor(as_input(seen[OBSERVATION], CPU), torch.tensor([0, 0, 1, 1])).log_softmax(1)
         np.testing.assert_array_equal(
             actor(as_input(seen[OBSERVATION], CPU), torch.tensor([0, 0, 1, 1])).log_softmax(1), theirs
         )

@@ -25,7 +25,8 @@ from magical_mj.learners.bc import clone
 from magical_mj.learners.gail import GAIL
 from magical_mj.learners.networks import StateTorso
 from magical_mj.learners.settings import NetworkSettings
-from magical_mj.learners.state_features import HISTORY, History, features_of, histories
+from magical_mj.learners.state_features import features_of
+from magical_mj.policies.history import HISTORY, History, histories
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.scene.state_vector import MAX_BLOCKS, STATE_NAMES
 from magical_mj.utils.errors import DemonstrationError, SettingsError
@@ -159,7 +160,7 @@ def test_demonstrations_at_hand_are_those_of_the_package() -> None:
     shipped = demos.load("MoveToRegion")
     transitions = [demos.transitions([demonstration], "State", drop_noop=False) for demonstration in shipped]
     policies = [clone(settings, given) for given in (None, {"MoveToRegion": shipped}, {"MoveToRegion": transitions})]
-    weights = [torch.cat([w.flatten() for w in policy._actor.parameters()]) for policy in policies]
+    weights = [torch.cat([w.flatten() for w in policy.actor.parameters()]) for policy in policies]
     assert torch.equal(weights[0], weights[1])
     assert torch.equal(weights[0], weights[2])
 
@@ -207,7 +208,7 @@ def test_the_average_of_the_policies_is_what_plays_and_is_saved(tmp_path: Path) 
     assert not torch.equal(kept[0][0], kept[2][0])
     learner.save_policy(tmp_path)
     for policy in (learner.policy(), load_policy(tmp_path)):
-        for weights, wanted in zip(policy._actor.parameters(), expected, strict=True):
+        for weights, wanted in zip(policy.actor.parameters(), expected, strict=True):
             torch.testing.assert_close(weights, wanted)
     learner.close()
     plain.close()
