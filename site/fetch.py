@@ -21,8 +21,12 @@ ONNX_RUNTIME: Final = Package(
     "q0y+JrrtukXSzsBWEMccVfqX25LRmosXHF+CaRJmg8pZClzcV7svNc4rKY3jL02Vb7QmRMDs1SigqR4CXAfKYQ==",
 )
 """ONNX Runtime's WebAssembly build, which runs policies; MIT."""
-ONNX_FILES: Final = ("ort.wasm.min.mjs", "ort-wasm-simd-threaded.mjs", "ort-wasm-simd-threaded.wasm")
-"""Of its folder dist: what the page on which one plays loads, once a policy acts there."""
+ONNX_FILES: Final = {
+    "ort.js": "ort.wasm.min.mjs",
+    "wasm.js": "ort-wasm-simd-threaded.mjs",
+    "ort.wasm": "ort-wasm-simd-threaded.wasm",
+}
+"""Where the page on which one plays expects a file -> that in the folder dist. Not all servers know `.mjs`."""
 
 if __name__ == "__main__":  # for the tests in JavaScript, which import it
     fetched(PLAYWRIGHT, CACHE)

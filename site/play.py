@@ -9,14 +9,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from fetch import CACHE
+from fetch import CACHE, ONNX_FILES, ONNX_RUNTIME
 from standings_page import read_methods, write_replays
 
 import magical_mj
 from magical_mj.engine.export import mjcf_text
-from magical_mj.web.npm import library_files
+from magical_mj.web.npm import fetched, library_files
 from magical_mj.web.page_data import PAGE, catalogue, environment_scenes
 
+POLICIES: Final = Path(__file__).parent / "policies"
 FOLDER: Final = Path(__file__).parent.parent / "out" / "site" / "play"
 BETWEEN_ELEMENTS: Final = re.compile(r"(?<=>)(?=\s*<)")
 
@@ -41,6 +42,10 @@ def write_play(folder: Path) -> int:
     for name, content in libraries.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(content)
+    shutil.copytree(POLICIES, folder / "policies")
+    (folder / "onnx").mkdir()
+    for name, original in ONNX_FILES.items():  # which the page loads when a policy is to act
+        shutil.copy(fetched(ONNX_RUNTIME, CACHE) / "dist" / original, folder / "onnx" / name)
     size = len(libraries["mujoco/mujoco.wasm"])  # which compressed downloads do not say
     for path in folder.glob("*.html"):
         text = path.read_text(encoding="utf-8").replace('<html lang="en">', f'<html lang="en" data-wasm="{size}">')

@@ -12,10 +12,12 @@ import dm_control.suite
 import gymnasium
 import mujoco
 import numpy as np
+import onnxruntime
 
 import magical_mj
 from magical_mj.engine import Engine
 from magical_mj.engine.export import mjcf_text
+from magical_mj.policies.history import histories
 from magical_mj.scene import Scene
 from magical_mj.web.inspection import model_files
 from magical_mj.web.page_data import drawing_style, scene_data
@@ -26,6 +28,8 @@ STEPS: Final = 100
 GLANCES: Final = (1, 20, 100)  # steps after which states are compared; and the last one
 SCORED: Final = 10  # every so many states of the demonstrations are scored
 GATHERED: Final = 30  # scored states of each environment
+SEEN: Final = 25  # states of each task that are compared, and what policies do in them
+POLICIES: Final = Path(__file__).parents[1] / "policies"
 PICTURES: Final = 192  # pixels
 EVERY: Final = 4  # environments from one whose pictures are compared to the next
 
@@ -119,6 +123,18 @@ def _pictured(env: Engine, view: str) -> dict[str, Any]:
     }
 
 
+def policies() -> Iterator[dict[str, Any]]:
+    """The first states of a demonstration of each task, and what the site's policy prefers in each."""
+    for task in magical_mj.TASKS:
+        demo = magical_mj.demos.load(task)[0]
+        played = _played(task, task, demo.scene, demo.actions[:SEEN].tolist())
+        states = np.asarray(magical_mj.demos.observations(demo, "State"))[:SEEN]
+        session = onnxruntime.InferenceSession(POLICIES / f"{task}.onnx")
+        (logits,) = session.run(None, {"observations": histories(states)})
+        best = np.asarray(logits).argmax(1).tolist()
+        yield {**played, "states": states.tolist(), "best": best}
+
+
 def stepped() -> Iterator[dict[str, Any]]:
     """Models, some from elsewhere and with files beside them, and the state after 100 steps at full throttle."""
     for task, variant in magical_mj.ENVIRONMENTS[::7]:
@@ -179,6 +195,7 @@ if __name__ == "__main__":
     cases = {
         "stepped": list(stepped()),
         "episodes": list(episodes()),
+        "policies": list(policies()),
         "scores": list(scores()),
         "pictures": list(pictures()),
     }

@@ -135,6 +135,18 @@ test("nothing starts by itself, whatever was pressed or stands in the address", 
   assert.deepEqual(complaints, []);
 });
 
+test("a policy acts, and its scores are said", async () => {
+  await page.goto("about:blank");
+  await page.goto(`${site.address}play/?speed=4#MoveToRegion-Demo-0`);
+  await untilStatus("Press");
+  await page.keyboard.press("b");
+  await untilStatus("Watching BC from states: on average it scores 1.00 in Demo, 0.11 in Layout");
+  await untilStatus("Over");
+  assert.equal(await page.evaluate("location.hash"), "#MoveToRegion-Demo-0@bc");
+  assert.ok(await page.isDisabled("#save"));
+  assert.deepEqual(complaints, []);
+});
+
 test("a key that was released counts once, however often it repeated itself", async () => {
   const actions = await page.evaluate(async () => {
     const { Controls } = await import("./controls.js");

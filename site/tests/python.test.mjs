@@ -4,6 +4,8 @@ import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
 import { test } from "node:test";
 import loadMujoco from "../../out/npm/node_modules/@mujoco/mujoco/mujoco.js";
+import * as ort from "../../out/npm/node_modules/onnxruntime-web/dist/ort.wasm.min.mjs";
+import { Policy } from "../../magical_mj/web/page/policy.js";
 import { poses } from "../../magical_mj/web/page/scene.js";
 import { score } from "../../magical_mj/web/page/score.js";
 import { Simulation } from "../../magical_mj/web/page/simulation.js";
@@ -55,4 +57,27 @@ test("episodes go as in Python", async () => {
     assert.ok(worst[1] < 1e-12 && worst[20] < 1e-6, kind);
     assert.ok(unequal.length <= share * chosen.length, unequal.join(", "));
   }
+});
+
+test("policies see and prefer what they do in Python", async () => {
+  const [mujoco, cases] = await Promise.all([loadMujoco(), read("policies")]);
+  ort.env.wasm.numThreads = 1;
+  let worst = 0, count = 0;
+  for (const { task, scene, mjcf, actions, states, best } of cases) {
+    const network = await readFile(new URL(`../policies/${task}.onnx`, import.meta.url));
+    const simulation = new Simulation(mujoco, mjcf, scene);
+    const policy = new Policy(ort, await ort.InferenceSession.create(network), () => simulation.state());
+    for (const [i, state] of states.entries()) {
+      const seen = simulation.state();
+      worst = Math.max(worst, ...state.map((/** @type {number} */ value, /** @type {number} */ k) => Math.abs(value - seen[k])));
+      const values = await policy.think();
+      assert.equal(values.indexOf(Math.max(...values)), best[i], `${task}, state ${i}`);
+      simulation.act(actions[i]);
+      count += 1;
+    }
+    simulation.close();
+  }
+  console.log(`${count} states: they differ by at most ${worst.toExponential(1)}, the preferred actions do not`);
+  assert.equal(count, 200);
+  assert.ok(worst < 1e-6);
 });

@@ -2,8 +2,8 @@
 /**
  * An episode as it is played: actions at 8 Hz, and what to show at any moment in between.
  * @typedef {import("./scene.js").Scene} Scene
- * @typedef {{scene: Scene, act: (action: number) => Scene | Promise<Scene>, close: () => void}} Episode
- *   the scene that it starts in, and what simulates it
+ * @typedef {{scene: Scene, act: (action: number) => Scene | Promise<Scene>, close: () => void, state?: () => Float32Array}} Episode
+ *   the scene that it starts in, and what simulates it; state: what policies see, where the browser simulates
  */
 import { between } from "./scene.js";
 

@@ -6,6 +6,7 @@ import { Controls } from "./controls.js";
 import { draw, fitToScreen } from "./draw.js";
 import { Game } from "./game.js";
 import { onProgress } from "./mujoco.js";
+import { loadPolicy } from "./policy.js";
 import { recording, save } from "./recording.js";
 import { fetchJson, inBrowser, loadEnvironment } from "./scenes.js";
 import { score } from "./score.js";
@@ -29,6 +30,9 @@ const speed = may("speed") ? Math.min(40, Math.max(0.1, wish)) : 1;  // times re
 const seat = catalogue.simulation === "server" ? new Seat() : null;
 /** @type {Record<string, string>} the methods whose actions are stored, by the names of their entries */
 const methods = seat ? {} : await fetchJson("replays/index.json").catch(() => ({}));
+const BC = "bc";  // what addresses call the policies that act here
+/** @type {Record<string, Record<string, number>>} the mean scores of these policies, by task and variant */
+const policies = seat ? {} : await fetchJson("policies/scores.json").catch(() => ({}));
 onProgress((share) => {
   if (shown.game) return;
   element("time").value = share;
@@ -67,13 +71,14 @@ async function choose(task, variant, seed, { script = null, method = "", isAddre
   if (!environment) return stay();
   const known = environment.scenes.find((entry) => entry.seed === seed);
   const entry = known ?? (seat ? { seed, expert: "", scene: null } : environment.scenes[0]);
-  const replay = method ? await replayOf(method, task, variant, entry.seed) : script;
+  const acts = method === BC && task in policies;
+  const replay = method && !acts ? await replayOf(method, task, variant, entry.seed) : script;
   if (choice !== choices) return;
-  const watched = method && replay ? method : "";
+  const watched = acts || replay !== null ? method : "";
   element("inspect").href = `inspect.html#${task}-${variant}-${entry.seed}`;
-  Object.assign(shown, { task, variant, seed: entry.seed, environment, watching: replay !== null, method: watched });
+  Object.assign(shown, { task, variant, seed: entry.seed, environment, watching: acts || replay !== null, method: watched });
   showChoice(isOther, !isAddress);
-  if (method && !replay) say(`There are no actions of “${method}” in this scene`);
+  if (method && !watched) say(`There are no actions of “${method}” in this scene`);
   else if (entry.seed !== seed && variant !== "Demo") say(`There is no scene ${seed} here, but ${environment.scenes.length}: this is the first`);
   shown.game?.episode.close();
   shown.game = shown.again = null;
@@ -82,6 +87,7 @@ async function choose(task, variant, seed, { script = null, method = "", isAddre
   else element("status").textContent = PENDING;
   const actions = replay === null ? null : fromLetters(replay);
   const next = () => {
+    if (policy) return policy.next(game.actions.length);
     if (actions) return actions[game.actions.length] ?? 0;
     if (game.actions.length) return controls.next();
     if (!controls.touched) return null;
@@ -90,6 +96,8 @@ async function choose(task, variant, seed, { script = null, method = "", isAddre
   };
   const episode = await open(environment, entry, task, variant).catch(failed);
   if (!episode || choice !== choices) return episode?.close();
+  const policy = acts && await loadPolicy(task, () => /** @type {any} */ (episode).state()).catch(failed);
+  if ((acts && !policy) || choice !== choices) return episode.close();
   controls.tapped.clear();  // what was pressed before the scene was there does not start it
   const game = new Game(episode, catalogue.tasks[task].horizon, next, speed);
   shown.game = game;
@@ -129,7 +137,7 @@ async function replayOf(method, task, variant, seed) {
 function showNames(isNew = false) {
   const { task, variant, seed, method } = shown, hash = `#${task}-${variant}-${seed}${method && "@"}${method}`;
   if (hash !== location.hash) history[isNew && location.hash ? "pushState" : "replaceState"](null, "", hash);
-  element("method").value = method;
+  element("method").value = method in methods ? method : "";
   element("seed").value = seed;
   element("task").value = task;
   const variants = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);
@@ -185,8 +193,14 @@ function show(initial, scene) {
   element("save").disabled = !game?.over || watching || sending;
   if (game?.failure) say(game.failure);
   const status = shown.note ? shown.note : !game ? PENDING : game.over ? `Over: score ${now.toFixed(2)}`
-    : watching ? (shown.method ? `Watching ${methods[shown.method]}` : "Watching") : done ? "Playing" : "Press a key or button to start";
+    : watching ? (shown.method ? `Watching ${methods[shown.method] ?? bcWords()}` : "Watching") : done ? "Playing" : "Press a key or button to start";
   if (element("status").textContent !== status) element("status").textContent = status;
+}
+
+/** What acts here, and how well. */
+function bcWords() {
+  const scores = Object.entries(policies[shown.task]).map(([variant, score]) => `${score.toFixed(2)} in ${variant}`);
+  return `BC from states: on average it scores ${scores.join(", ")}`;
 }
 
 /** Says what is wrong, or was done, until another scene is shown. @param {Error | string} what */
@@ -223,6 +237,7 @@ function expertActions() {
 }
 
 const again = () => play(shown.seed);
+const bc = () => play(shown.seed, { method: BC });
 const expert = () => (shown.helped = true) && play(shown.seed, { script: expertActions() });
 
 let demonstration = 0;  // they are shown one after the other
@@ -316,7 +331,7 @@ function start() {
 }
 
 /** @type {Record<string, string>} the buttons that keys press */
-const SHORTCUTS = { KeyR: "again", KeyN: "next", KeyH: "expert" };
+const SHORTCUTS = { KeyR: "again", KeyN: "next", KeyH: "expert", KeyB: "bc" };
 
 /** Fields keep the focus while they are used by keyboard, and give it to the arena when used by pointer. */
 for (const [id, changed] of Object.entries({ task: changeNames, variant: changeNames, seed: changeSeed })) {
@@ -341,7 +356,7 @@ function changeSeed() {
 }
 
 element("method").onchange = () => play(shown.seed, { method: element("method").value });
-for (const [id, press] of Object.entries({ again, next, expert, demo })) element(id).onclick = () => press();
+for (const [id, press] of Object.entries({ again, next, expert, demo, bc })) element(id).onclick = () => press();
 element("save").onclick = catalogue.collects ? send : () => save(recording(shown, catalogue.protocol));
 element("seed").addEventListener("keydown", ({ key }) => { if (key === "Enter") arena.focus({ preventScroll: true }); });
 addEventListener("keydown", (event) => {
@@ -354,6 +369,7 @@ addEventListener("hashchange", chooseByAddress);
 addEventListener("beforeunload", (event) => { if (unsent()) event.preventDefault(); });
 
 fitToScreen(["allo", "ego"].map(element), () => shown.again?.());
+element("bc").hidden = !Object.keys(policies).length;
 element("methods").hidden = !Object.keys(methods).length;
 element("method").append(...Object.entries(methods).map(([name, text]) => new Option(text, name)));
 element("task").replaceChildren(...Object.keys(catalogue.tasks).map((name) => new Option(name)));

@@ -38,6 +38,6 @@ export function inBrowser() {
   return async ({ elements = [] }, { scene, mjcf = [] }) => {
     if (!scene) throw new Error("there is no such scene here");
     const simulation = new Simulation(await loadMujoco(), mjcf.map((i) => elements[i]).join(""), scene);
-    return { scene, act: (action) => simulation.act(action), close: () => simulation.close() };
+    return { scene, act: (action) => simulation.act(action), close: () => simulation.close(), state: () => simulation.state() };
   };
 }

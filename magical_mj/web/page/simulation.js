@@ -4,6 +4,7 @@
  * @typedef {import("./scene.js").Scene} Scene
  */
 import { moved } from "./scene.js";
+import { stateVector } from "./state.js";
 
 export class Simulation {
   /**
@@ -39,9 +40,22 @@ export class Simulation {
     const { ctrl } = this.data;
     ctrl.set(this.controls.subarray(action * ctrl.length, (action + 1) * ctrl.length));
     for (let i = 0; i < this.substeps; i++) this.mujoco.mj_step(this.model, this.data);
-    const qpos = this.data.qpos, { robot, fingers, blocks } = this.addresses;
-    const planar = (/** @type {number} */ first) => [qpos[first], qpos[first + 1], qpos[first + 2]];
-    return moved(this.scene, { robot: planar(robot), fingers: fingers.map((at) => qpos[at]), blocks: blocks.map(planar) });
+    const [robot, ...blocks] = this.#planar(this.data.qpos);
+    return moved(this.scene, { robot, fingers: this.#fingers(), blocks });
+  }
+
+  /** What policies see now. */
+  state() {
+    return stateVector(this.scene, this.#planar(this.data.qpos), this.#planar(this.data.qvel), this.#fingers());
+  }
+
+  /** The coordinates, or velocities, of the robot and each block: x, y, angle. @param {Float64Array} values  all joints have one */
+  #planar(values) {
+    return [this.addresses.robot, ...this.addresses.blocks].map((first) => [values[first], values[first + 1], values[first + 2]]);
+  }
+
+  #fingers() {
+    return this.addresses.fingers.map((at) => this.data.qpos[at]);
   }
 
   /**
