@@ -221,7 +221,7 @@ test("what could not be loaded once is loaded again", async () => {
   await until("Loading");
   await fresh.selectOption("#task", "FixColour");
   await until("etch");  // and yet the first scene can be played
-  await fresh.waitForFunction(() => location.hash === "#FindDupe-All-3");
+  await fresh.waitForFunction(() => location.hash === "#FindDupe-All-3" && document.getElementById("left")?.textContent);
   await fresh.focus("#arena");
   await fresh.keyboard.down("ArrowUp");
   await until("Playing");

@@ -92,6 +92,7 @@ test("a server that says nothing any more costs no episode, and no patience", as
     const address = await addressOf(server);
     const page = await browser.context.newPage();
     const questions = questionsOf(page);
+    await page.clock.install();
     await page.goto(`${address}?speed=40`);
     await page.click("#agree");
     await untilStatus(page, "ress a key");
@@ -102,6 +103,7 @@ test("a server that says nothing any more costs no episode, and no patience", as
     await untilStatus(page, "Sending");
     await page.keyboard.press("n");
     assert.deepEqual(questions, ["This episode was not sent. Leave it?"]);
+    await page.clock.fastForward(60000);
     await untilStatus(page, "no connection to the server: try again");
     server.kill("SIGCONT");
     await page.click("#save");
