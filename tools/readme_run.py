@@ -51,7 +51,7 @@ def run(text: str, without: list[str], folder: Path) -> None:
     place = folder / "reader"
     place.mkdir()
     variables = {**os.environ, "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
-    constraints = f"-q --disable-pip-version-check -c {ROOT / 'constraints.txt'}"
+    constraints = f"-q --no-compile --disable-pip-version-check -c {ROOT / 'constraints.txt'}"
     for language, code in blocks(text, without):
         if language == "python":
             told(f"python: {code.splitlines()[0]}")
