@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import shlex
 import time
-from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import closing, nullcontext
+from math import isnan
+from operator import attrgetter
 from pathlib import Path
 from statistics import fmean
 from typing import Annotated, Any, Final
@@ -41,7 +42,7 @@ from magical_mj.cli.environments import contact_sheet
 from magical_mj.cli.film import film, film_episodes, replay, views_of
 from magical_mj.evaluation.reports.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
-from magical_mj.evaluation.scores import SCORES, EpisodeResult, open_scores, read_settings
+from magical_mj.evaluation.scores import SCORES, EpisodeResult, frame, open_scores, read_settings
 from magical_mj.evaluation.settings import EvaluationSettings, Split
 from magical_mj.evaluation.worker import Player, Unit
 from magical_mj.policies.loading import playable, sources
@@ -186,30 +187,24 @@ def play_all(screen: Console, evaluation: Evaluation) -> None:
 
 def _summarise(screen: Console, scores: Sequence[EpisodeResult]) -> None:
     """Prints the mean scores over tasks by variant, then those with shifts by strength, and failures."""
-    cells: dict[tuple[str, str, str], dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
-    failures: dict[str, list[str]] = defaultdict(list)
-    for score in scores:
-        axis, _, strength = score.shift.rpartition(":")
-        place = ("mean score", score.variant) if not score.shift else (axis, strength)
-        if "+" in axis:
-            place = "several shifts", score.shift
-        cells[place[0], score.method, place[1]][f"{score.task}-{score.variant}"].append(score.score)
-        failures[score.method] += filter(None, [score.failure])
-    for heading in dict.fromkeys(heading for heading, _, _ in cells):
-        columns = {column for other, _, column in cells if other == heading}
-        columns = sorted(columns, key=lambda column: (VARIANTS.index(column) if column in VARIANTS else 0, column))
+    rows = frame(scores).assign(method=[score.method for score in sorted(scores, key=attrgetter("key"))])
+    axis, strength = (rows["shift"].str.rpartition(":")[part] for part in (0, 2))
+    rows["heading"] = axis.mask(axis.str.contains("+", regex=False), "several shifts").mask(axis == "", "mean score")
+    rows["column"] = strength.mask(rows["heading"] == "several shifts", rows["shift"]).mask(axis == "", rows["variant"])
+    environments = rows.groupby(["heading", "method", "column", "task", "variant"])["score"].mean()
+    means = environments.groupby(["heading", "method", "column"]).mean()
+    for heading in rows["heading"].unique():
+        table_of = means[heading].unstack()
+        columns = sorted(table_of, key=lambda column: (VARIANTS.index(column) if column in VARIANTS else 0, column))
         table = Table(heading, *columns, box=None, header_style="bold")
         for column in table.columns[1:]:
             column.justify = "right"
-        for method in sorted({method for other, method, _ in cells if other == heading}):
-            means = (cells.get((heading, method, column)) for column in columns)
-            table.add_row(
-                method, *("-" if tasks is None else f"{fmean(map(fmean, tasks.values())):.3f}" for tasks in means)
-            )
+        for method, values in table_of[columns].iterrows():
+            table.add_row(str(method), *("-" if isnan(value) else f"{value:.3f}" for value in values))
         screen.print(table)
-    for method, reasons in failures.items():
-        if reasons:
-            screen.print(f"{method}: {counted(len(reasons), 'episode')} failed: {reasons[0]}", soft_wrap=True)
+    for method, reasons in rows.groupby("method", sort=False)["failure"]:
+        if count := reasons.count():
+            screen.print(f"{method}: {counted(count, 'episode')} failed: {reasons.dropna().iloc[0]}", soft_wrap=True)
 
 
 def demo(out: Tour = Path("out/demo"), tasks: Tasks = "all", episodes: Each = 3, jobs: Jobs = None) -> None:

@@ -92,7 +92,9 @@ class EvaluationSettings(Settings):
         str,
         Meta(description="Shifts to play beside what is not shifted: camera:1-5,light; or all. See docs/shifts.md."),
     ] = ""
-    wrap: Annotated[str, Meta(description="A Gymnasium wrapper to play in, package.module:NAME.")] = ""
+    wrap: Annotated[
+        str, Meta(description="A Gymnasium wrapper to play in, one episode at a time: package.module:NAME.")
+    ] = ""
     body: Annotated[str, Meta(description="The robot's body, one that the tasks offer. See docs/bodies.md.")] = GRIPPER
     like: Annotated[str, Meta(description="The task that policies are told instead of their own.")] = ""
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from magical_mj.evaluation.entry import is_entry, read_entry
 from magical_mj.evaluation.replay import replay
-from magical_mj.evaluation.reports.statistics import Summary, by_environment, by_variant, mean_interval
+from magical_mj.evaluation.reports.statistics import Summary, by_environment, by_variant, paired_means
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult, episodes_in
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS, in_order
 from magical_mj.tasks.spec import Rules
@@ -365,20 +365,10 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
 def _comparison(variant: str, both: pd.DataFrame, paired: pd.DataFrame) -> dict[str, Any]:
     """A row of a comparison, from the mean scores in all scenes and in those that both have played."""
     difference = paired["first"] - paired["second"]
-    environments = [name for name in difference.index.names if name != "seed"]
-    strata = [group.to_numpy() for _, group in difference.groupby(environments)]
-    means = paired.groupby(environments).mean().mean()
-    low, high = mean_interval(strata)
     return {
         "variant": variant,
-        "first": float(means["first"]),
-        "second": float(means["second"]),
-        "difference": float(means["first"] - means["second"]),
-        "low": low,
-        "high": high,
+        **paired_means(paired, "first", "second"),
         "better": int((difference > SCORE_TOLERANCE).sum()),
         "worse": int((difference < -SCORE_TOLERANCE).sum()),
-        "scenes": len(paired),
-        "environments": len(strata),
         "unpaired": len(both) - len(paired),
     }

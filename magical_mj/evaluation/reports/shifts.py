@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final
 
-from magical_mj.evaluation.reports.statistics import mean_interval
+from magical_mj.evaluation.reports.statistics import paired_means
 from magical_mj.evaluation.reports.tables import NONE, Table
 from magical_mj.evaluation.scores import SCORE_TOLERANCE
 from magical_mj.shifts import SHIFTS
@@ -47,9 +47,6 @@ def by_shift(scores: pd.DataFrame) -> pd.DataFrame:
         both = both.groupby(["task", "variant", "seed"]).mean()
         if both.empty:
             continue
-        environments = [pairs for _, pairs in both.groupby(["task", "variant"])]
-        means = pd.DataFrame([pairs.mean() for pairs in environments]).mean()
-        low, high = mean_interval([(pairs["mean"] - pairs["without"]).to_numpy() for pairs in environments])
         axis, _, strength = str(shift).rpartition(":")
         rows.append(
             {
@@ -57,12 +54,7 @@ def by_shift(scores: pd.DataFrame) -> pd.DataFrame:
                 "shift": shift,
                 "axis": shift if "+" in str(shift) else axis,
                 "strength": math.nan if "+" in str(shift) else int(strength),
-                **means.to_dict(),
-                "difference": float(means["mean"] - means["without"]),
-                "low": low,
-                "high": high,
-                "scenes": len(both),
-                "environments": len(environments),
+                **paired_means(both, "mean", "without"),
             }
         )
     order = list(SHIFTS)

@@ -107,6 +107,26 @@ def mean_interval(strata: Sequence[Floats]) -> tuple[float, float]:
     return bootstrap(strata, _mean_of_means)
 
 
+def paired_means(pairs: pd.DataFrame, first: str, second: str) -> dict[str, Any]:
+    """The mean scores of two sides in the same scenes; all environments have equal weight.
+
+    Args:
+        pairs: a row for each scene with the two scores; its index says the environment, and as `seed` the scene.
+        first: the column of one side.
+        second: that of the other.
+
+    Returns:
+        Both means, the `difference` of the first from the second and its 95 % interval (`low`, `high`), which resamples
+        the scenes of each environment, and the numbers of `scenes` and `environments`.
+    """
+    groups = pairs.groupby([name for name in pairs.index.names if name != "seed"])
+    means = groups.mean().mean()
+    low, high = mean_interval([(group[first] - group[second]).to_numpy() for _, group in groups])
+    difference = float(means[first] - means[second])
+    counts = {"scenes": len(pairs), "environments": len(groups)}
+    return {**means.to_dict(), "difference": difference, "low": low, "high": high, **counts}
+
+
 def _means(strata: Sequence[Floats], axis: int) -> Floats:
     return np.stack([values.mean(axis=axis) for values in strata])
 
