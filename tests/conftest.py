@@ -61,12 +61,20 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None, None, None]
 
 
 @pytest.fixture
-def shell(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Shell]:
-    """Runs `magical-mj` in an empty folder, whose modules are forgotten afterwards."""
+def shell(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Shell:
+    """Runs `magical-mj` in an empty folder."""
     monkeypatch.chdir(tmp_path)
-    yield Shell(capsys)
-    for name in ("mine", "theirs"):
-        sys.modules.pop(name, None)
+    return Shell(capsys)
+
+
+@pytest.fixture(autouse=True)
+def forgotten_modules(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """After each test, the modules that it has written are forgotten: others write modules of the same names."""
+    yield
+    written = str(tmp_path_factory.getbasetemp())
+    for name, module in list(sys.modules.items()):
+        if (getattr(module, "__file__", None) or "").startswith(written):
+            del sys.modules[name]
 
 
 @pytest.fixture(scope="session")

@@ -48,7 +48,6 @@ def _module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     Path("mine.py").write_text(MODULE)
-    monkeypatch.delitem(__import__("sys").modules, "mine", raising=False)
 
 
 @pytest.mark.parametrize("envs", [1, 3])
