@@ -114,7 +114,7 @@ def _over_tasks(standing: Standing, variant: str, intervals: bool) -> str:
     there = [pair for pair in wanted if pair in standing.means]
     part = f" ({len(there)}/{len(wanted)})" if len(there) < len(wanted) else ""
     strata = [standing.means[pair] for pair in there]
-    if intervals and strata and len(strata[0]) > 1:
+    if intervals and strata and all(len(runs) > 1 for runs in strata):
         part = " [{:.2f}, {:.2f}]".format(*mean_interval(strata)) + part
     return f"{_mean(standing, (variant,)):.2f}{part}" if there else ""
 
