@@ -68,7 +68,7 @@ async function choose(task, variant, seed, { script = null, method = "", isAddre
   const isOther = task !== shown.task || variant !== shown.variant;
   const environment = isOther ? await loadEnvironment(task, variant).catch(failed) : shown.environment;
   if (choice !== choices) return;
-  if (!environment) return stay();
+  if (!environment) return stay(isAddress);
   const known = environment.scenes.find((entry) => entry.seed === seed);
   const entry = known ?? (seat ? { seed, expert: "", scene: null } : environment.scenes[0]);
   const acts = method === BC && task in policies;
@@ -104,10 +104,16 @@ async function choose(task, variant, seed, { script = null, method = "", isAddre
   return true;
 }
 
-/** Stays with the present scene, since another one could not be loaded. */
-async function stay() {
-  if (!shown.task) return;
+/** Stays with the present scene, since another one could not be loaded. @param {boolean} isFirst  whether that was the first */
+async function stay(isFirst) {
   const problem = shown.note;
+  if (!shown.task) {
+    if (isFirst) return;
+    await starting;  // which the other choice had overtaken
+    await start();
+    if (shown.game) say(problem);
+    return;
+  }
   showNames();
   if (shown.game) return;
   const opened = await choose(shown.task, shown.variant, shown.seed);  // whose opening the other choice had ended
