@@ -131,8 +131,9 @@ def rollout(
     check_suffix(video, ".mp4")
     views = views_of(camera)
     pair = task_name(task), variant_name(variant)  # not lists of names, nor "all"
-    chosen: dict[str, Any] = {"tasks": (pair[0],), "variants": (pair[1],), "split": split, "trust": trust}
-    settings = EvaluationSettings(**chosen, preset=preset, body=body)
+    settings = EvaluationSettings(
+        tasks=(pair[0],), variants=(pair[1],), split=split, preset=preset, body=body, trust=trust
+    )
     shift = shift_label(parse_shifts(shifts, pair[0]))
     listed = playable(policy, [pair], preset, trust=trust)
     if video is not None:
