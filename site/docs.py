@@ -13,7 +13,9 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
+from gallery import gallery
 from home import home
+from shift_curves import shift_curves
 from standings_page import read_methods, standings_page
 from task_pages import write_task_pages
 
@@ -31,6 +33,7 @@ BELOW: Final = {
     "demonstrations": ("experts",),
     "environments": ("pictures",),
     "adding-a-task": ("trust",),
+    "integrations": ("moving",),
 }
 """Pages of docs/ that stand below another one in the list of pages."""
 MISSING: Final = """<!doctype html><html lang="en"><meta charset="utf-8"><title>No such page · magical_mj</title>
@@ -38,6 +41,13 @@ MISSING: Final = """<!doctype html><html lang="en"><meta charset="utf-8"><title>
 <body style="font: 1.1rem/1.5 system-ui, sans-serif; max-width: 30rem; margin: 15vh auto; padding: 0 1rem">
 <h1>There is no such page</h1><p>It may have another name now: see the <a href="{home}">home page</a>.</p></body></html>
 """
+MENDS: Final = {
+    '<p class="caption" role="heading">': '<p class="caption" role="heading" aria-level="2">',
+    '<aside class="sidebar-drawer">': '<aside class="sidebar-drawer" aria-label="All pages">',
+    '<aside class="toc-drawer': '<aside aria-label="This page" class="toc-drawer',
+    '<th class="head"><p></p></th>': '<td class="head"></td>',
+}
+"""What the theme and Markdown's tables lack for those who read by ear -> what stands there instead."""
 REPOSITORY_FILES: Final = {
     "README.md": "index.md",
     "CHANGELOG.md": "changelog.md",
@@ -63,6 +73,8 @@ def write_docs(folder: Path) -> None:
     methods = read_methods()
     (SOURCES / "standings.md").write_text(standings_page(methods), encoding="utf-8")
     cards = write_task_pages(SOURCES, media, methods.values())
+    (SOURCES / "gallery.md").write_text(gallery(media), encoding="utf-8")
+    (SOURCES / "shift-curves.md").write_text(shift_curves(), encoding="utf-8")
     start = home(methods, cards, media)
     for path in PAGES.iterdir():
         if (ROOT / "docs" / path.name).exists():
@@ -79,6 +91,16 @@ def write_docs(folder: Path) -> None:
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", str(SOURCES), str(folder)]
     shutil.copy(ROOT / "docs" / "scene.png", media)
     subprocess.run([*command, "-d", str(SOURCES / ".doctrees")], check=True)
+    _finish(folder)
+
+
+def _finish(folder: Path) -> None:
+    """Mend the pages, and write what stands beside them."""
+    for path in folder.glob("*.html"):
+        text = path.read_text(encoding="utf-8")
+        for found, mended in MENDS.items():
+            text = text.replace(found, mended)
+        path.write_text(text, encoding="utf-8")
     address = os.environ.get("SITE_URL", "").rstrip("/")
     (folder / "404.html").write_text(MISSING.format(home=f"{address}/" if address else "./"), encoding="utf-8")
     if address:

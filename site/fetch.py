@@ -15,6 +15,13 @@ PLAYWRIGHT: Final = Package(
 )
 """Drives the browser in the tests; Apache-2.0."""
 
+AXE: Final = Package(
+    "axe-core",
+    "4.14.1",
+    "FHfa+lmNjQZfJz1q8wKqIDwC6DExcHt/pkjNQb09a3NPjCKg2rhu5qb2S4r76ASyFNNtuFooJpZe37OgudVGtQ==",
+)
+"""Finds what people with disabilities would stumble over; MPL-2.0."""
+
 ONNX_RUNTIME: Final = Package(
     "onnxruntime-web",
     "1.30.0",
@@ -29,4 +36,5 @@ ONNX_FILES: Final = {
 """Where the page on which one plays expects a file -> that in the folder dist. Not all servers know `.mjs`."""
 
 if __name__ == "__main__":  # for the tests in JavaScript, which import it
-    fetched(PLAYWRIGHT, CACHE)
+    for package in (PLAYWRIGHT, AXE):
+        fetched(package, CACHE)

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from pictures import replay
-from standings_page import chart
+from pictures import Filmed, film
+from standings_page import headline
 
 from magical_mj.leaderboard.standings import Standing
 from magical_mj.policies.interface import actions_of
@@ -40,6 +40,8 @@ there, too.</p>
 
 {cards}
 
+<p>All 60 environments, and what shifts do to them: <a href="gallery.html">gallery</a>.</p>
+
 ## What methods score
 
 <p>Mean over the tasks. All have demonstrations of Demo only. The method that infers the goal and plans towards it keeps
@@ -60,7 +62,7 @@ def home(methods: Mapping[str, Standing], cards: str, media: Path) -> str:
         sides="".join(_side(methods[SHOWN], variant, media) for variant in VARIANTS),
         install=INSTALL,
         cards=cards,
-        chart=chart(methods),
+        chart=headline(methods),
     )
 
 
@@ -69,11 +71,11 @@ def _side(method: Standing, variant: str, media: Path) -> str:
     episodes = [] if method.entry is None else method.entry.counted
     played = [episode for episode in episodes if (episode.task, episode.variant) == (TASK, variant)]
     episode = VARIANTS[variant](played, key=lambda episode: episode.score)
-    path = media / f"home-{variant}.webp"
-    replay(TASK, variant, episode.seed, actions_of(episode.actions or ""), path)
+    filmed, actions = Filmed(TASK, variant, episode.seed), actions_of(episode.actions or "")
+    still, moving = film(filmed, actions, media / f"home-{variant}", size=448, frames=2 * len(actions))
     return SIDE.format(
-        still=f"media/{path.stem}.png",
-        moving=f"media/{path.name}",
+        still=f"media/{still}",
+        moving=f"media/{moving}",
         place=f"{TASK}-{variant}",
         score=episode.score,
         words="Where it learnt" if variant == "Demo" else "All moved",

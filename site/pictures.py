@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -16,7 +16,8 @@ from magical_mj.scene import Scene, geometry
 from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.utils.errors import InvalidSceneError
 
-ANIMATION, SCENE, EXAMPLE = 224, 112, 160  # pixels
+ANIMATION, FILM, SCENE, EXAMPLE = 224, 192, 112, 160  # pixels
+PERIOD: Final = 1000 // CONTROL_RATE  # milliseconds from action to action
 SEEDS: Final = 3
 FRAMES: Final = 130  # of an animation, at most
 
@@ -28,22 +29,53 @@ def animation(task: str, path: Path) -> None:
     shown = itertools.islice(frames, 0, None, 1 + len(demo.actions) // FRAMES)
     frames = [Image.fromarray(np.hstack([views["allo"], views["ego"]])) for views in shown]
     frames += [frames[-1]] * CONTROL_RATE
-    period = 1000 // CONTROL_RATE  # milliseconds
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=period, loop=0, quality=55, method=4)
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=PERIOD, loop=0, quality=55, method=4)
 
 
-def replay(task: str, variant: str, seed: int, actions: Sequence[int], path: Path) -> None:
-    """An episode from above, played again from its actions, as an animated WebP that goes round."""
-    env = magical_mj.Engine(task, variant, seed=seed)
-    frames = []
-    for action in actions:
-        frames.append(Image.fromarray(env.render("allo", ANIMATION)))
+class Filmed(NamedTuple):
+    """What is filmed from above."""
+
+    task: str
+    variant: str
+    seed: int = 0
+    shifts: Mapping[str, int] | None = None
+
+
+def film(filmed: Filmed, actions: Sequence[int], path: Path, size: int = FILM, frames: int = 36) -> tuple[str, str]:
+    """An episode, played again from its actions, as an animated WebP that goes round, and its first picture.
+
+    Args:
+        filmed: where the actions are taken.
+        actions: all of the episode.
+        path: of the files, without an ending.
+        size: pixels per side.
+        frames: at most so many.
+
+    Returns:
+        The names of the still and of the moving picture.
+    """
+    every = 1 + len(actions) // frames
+    env = magical_mj.Engine(filmed.task, filmed.variant, seed=filmed.seed, shifts=filmed.shifts)
+    shown: list[Image.Image] = []
+    for step, action in enumerate(actions):
+        if step % every == 0:
+            shown.append(Image.fromarray(env.render("allo", size)))
         env.step(action)
-    frames += [Image.fromarray(env.render("allo", ANIMATION))] * CONTROL_RATE
+    shown += [Image.fromarray(env.render("allo", size))] * CONTROL_RATE
     env.close()
-    period = 1000 // CONTROL_RATE // 2  # milliseconds: at twice its speed
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=period, loop=0, quality=55, method=4)
-    frames[-1].save(path.with_suffix(".png"))
+    names = f"{path.name}-still.webp", f"{path.name}.webp"
+    shown[0].save(path.with_name(names[0]), quality=70, method=4)
+    period = max(60, every * PERIOD // 4)
+    shown[0].save(
+        path.with_name(names[1]),
+        save_all=True,
+        append_images=shown[1:],
+        duration=period,
+        loop=0,
+        quality=55,
+        method=4,
+    )
+    return names
 
 
 def picture(scene: Scene, path: Path, size: int) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from charts import chart
 
 from magical_mj.leaderboard.page import label
 from magical_mj.leaderboard.standings import BLOCKS, OVERALL, Estimate, Standing, own_standings, published
@@ -26,8 +27,6 @@ HEADLINE: Final = {
     "random": "Random actions",
 }
 """The entries that the home page's chart shows, and what it calls them."""
-WIDTH, HEIGHT, LEFT, BOTTOM = 720, 300, 34, 30  # pixels of the chart, and of its margins
-COLOURS: Final = ("#3d8a4e", "#2f6f92", "#8a4fa0", "#c0632b", "#7d808b")
 INTRODUCTION: Final = (
     "Interquartile means of the scores over tasks and runs, in [0, 1], with 95 % intervals where runs are ours. An "
     "agent learns from demonstrations in Demo, and is scored in all variants. Click a heading to sort. A method's row "
@@ -145,38 +144,17 @@ def write_replays(methods: Mapping[str, Standing], folder: Path) -> None:
     (folder / "index.json").write_text(json.dumps(index), encoding="utf-8")
 
 
-def chart(methods: Mapping[str, Standing]) -> str:
-    """Mean scores over all tasks by variant, as SVG with a legend whose entries can be switched off."""
-    width, height = WIDTH - LEFT - 10, HEIGHT - BOTTOM - 10
-    step = width / (len(VARIANTS) - 1)
-    lines, legend = "", ""
-    grid = "".join(
-        f'<line x1="{LEFT}" x2="{WIDTH - 10}" y1="{(y := 10 + height * (1 - level)):.1f}" y2="{y:.1f}"/>'
-        f'<text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{level:g}</text>'
-        for level in (0, 0.25, 0.5, 0.75, 1)
-    )
-    names = "".join(
-        f'<text x="{LEFT + place * step:.1f}" y="{HEIGHT - 10}" text-anchor="middle">{variant}</text>'
-        for place, variant in enumerate(VARIANTS)
-    )
-    for colour, (name, text) in zip(COLOURS, HEADLINE.items(), strict=True):
-        points = []
-        for place, variant in enumerate(VARIANTS):
-            value = np.mean([means.mean() for pair, means in methods[name].means.items() if pair[1] == variant])
-            points.append((LEFT + place * step, 10 + height * (1 - float(value)), variant, float(value)))
-        path = " ".join(f"{x:.1f},{y:.1f}" for x, y, *_ in points)
-        dots = "".join(
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4"><title>{text}, {variant}: {value:.2f}</title></circle>'
-            for x, y, variant, value in points
-        )
-        lines += f'<g data-line="{name}" style="--line: {colour}"><polyline points="{path}"/>{dots}</g>'
-        switch = f'<input type="checkbox" checked value="{name}"><span></span>'
-        legend += f'<label style="--line: {colour}">{switch} {text}</label>'
-    return (
-        f'<figure class="chart"><svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="Mean scores over all tasks, '
-        f'by variant: all but planning fall from Demo to Layout"><g class="grid">{grid}{names}</g>{lines}</svg>'
-        f"<figcaption>{legend}</figcaption></figure>"
-    )
+def headline(methods: Mapping[str, Standing]) -> str:
+    """A chart of some entries' mean scores over all tasks, by variant."""
+    lines = {
+        text: [
+            float(np.mean([means.mean() for pair, means in methods[name].means.items() if pair[1] == variant]))
+            for variant in VARIANTS
+        ]
+        for name, text in HEADLINE.items()
+    }
+    about = "Mean scores over all tasks, by variant: all but planning fall from Demo to Layout"
+    return chart(lines, tuple(VARIANTS), about)
 
 
 def read_methods() -> dict[str, Standing]:

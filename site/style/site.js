@@ -1,5 +1,9 @@
 // @ts-check
-/** Tables that are sorted by their headings, rows that open, and a chart whose lines are switched. */
+/** Tables that are sorted by their headings, rows that open, and charts whose lines are switched. */
+const wide = new ResizeObserver((boxes) => {  // what must be scrolled can be reached by keyboard
+  for (const { target } of boxes) /** @type {HTMLElement} */ (target).tabIndex = target.scrollWidth > target.clientWidth ? 0 : -1;
+});
+for (const box of document.querySelectorAll(".table-wrapper, pre, div.wide")) wide.observe(box);
 for (const table of /** @type {NodeListOf<HTMLTableElement>} */ (document.querySelectorAll("table.standings"))) {
   const headings = [...(table.tHead?.rows[0].cells ?? [])];
   headings.forEach((heading, column) => heading.querySelector("button")?.addEventListener("click", () => {
@@ -21,6 +25,40 @@ for (const button of document.querySelectorAll("button.opens")) {
   });
 }
 for (const box of /** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll(".chart input"))) {
-  const lines = document.querySelector(`[data-line="${box.value}"]`);
-  box.addEventListener("change", () => lines?.classList.toggle("off", !box.checked));
+  const parts = /** @type {HTMLElement} */ (box.closest(".chart")).querySelectorAll(`[data-line="${CSS.escape(box.value)}"]`);
+  box.addEventListener("change", () => parts.forEach((part) => part.classList.toggle("off", !box.checked)));
+}
+const move = (/** @type {Element} */ card, /** @type {boolean} */ isMoving) => {
+  const picture = /** @type {HTMLImageElement | null} */ (card.querySelector("[data-moving]"));
+  if (!picture || matchMedia("(prefers-reduced-motion: reduce)").matches) return;
+  picture.dataset.still ??= picture.src;
+  picture.src = (isMoving ? picture.dataset.moving : picture.dataset.still) ?? "";
+};
+const middle = new IntersectionObserver((cards) => {  // without a pointer, what is in the middle of the screen moves
+  for (const { target, isIntersecting } of cards) move(target, isIntersecting);
+}, { rootMargin: "-35% 0px" });
+for (const card of document.querySelectorAll(".card:has([data-moving])")) {
+  if (matchMedia("(hover: none)").matches) middle.observe(card);
+  for (const event of ["pointerenter", "focusin"]) card.addEventListener(event, () => move(card, true));
+  for (const event of ["pointerleave", "focusout"]) card.addEventListener(event, () => move(card, false));
+}
+const filter = /** @type {HTMLFormElement | null} */ (document.querySelector("form.filter"));
+if (filter) {
+  const cards = /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll(".gallery .card"));
+  for (const [name, value] of new URLSearchParams(location.hash.slice(1))) {
+    const field = /** @type {HTMLSelectElement | null} */ (filter.elements.namedItem(name));
+    if (field) field.value = value;
+  }
+  const choose = () => {
+    const { task, axis } = /** @type {Record<string, string>} */ (Object.fromEntries(new FormData(filter)));
+    for (const card of cards) {
+      const { task: its, axes = "" } = card.dataset;
+      card.hidden = Boolean((task && task !== its) || (axis && !axes.split(" ").includes(axis)));
+    }
+    const left = [...cards].filter((card) => !card.hidden).length;
+    /** @type {HTMLElement} */ (filter.querySelector("output")).textContent = `${left} environment${left === 1 ? "" : "s"}`;
+    history.replaceState(null, "", task || axis ? `#${new URLSearchParams({ task, axis })}` : location.pathname);
+  };
+  filter.addEventListener("change", choose);
+  choose();
 }

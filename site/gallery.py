@@ -1,0 +1,92 @@
+"""The gallery: all environments and shifts, which move when pointed at, and from which one can play or inspect."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from pictures import Filmed, film
+
+from magical_mj.policies.interface import actions_of
+from magical_mj.shifts import SHIFTS
+from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, task_spec
+from magical_mj.variants import varied_axes
+from magical_mj.web.page_data import environment_scenes
+
+AXES: Final = {
+    "jitter": "small changes of poses",
+    "layout": "poses",
+    "colour": "colours",
+    "shape": "shapes",
+    "count": "counts",
+    "dynamics": "dynamics",
+}
+"""The axes along which variants differ from Demo, in words."""
+SHIFTED: Final = "FindDupe"
+"""The task in whose demo scene shifts are shown."""
+STRENGTH: Final = 4
+TEMPLATE: Final = """# Gallery
+
+An expert at work in each of the 60 environments, and what shifts do to one of them. Point at a picture to see it move.
+
+<form class="filter" role="search" aria-label="Environments">
+<label>Task <select name="task"><option value="">all</option>{tasks}</select></label>
+<label>What varies <select name="axis"><option value="">anything</option>
+<option value="nothing">nothing: Demo</option>{axes}</select></label>
+<output>{count} environments</output>
+</form>
+
+<div class="cards small gallery">{environments}</div>
+
+## Shifts
+
+[Shifts](shifts.md) change any environment by degrees. Here each has strength {strength} of 5, in the demo scene of
+{shifted}; the actions are those of a demonstration, which solves it without the shift.
+
+<div class="cards small">{shifts}</div>
+"""
+PICTURE: Final = (
+    '<img src="media/{still}" data-moving="media/{moving}" width="192" height="192" loading="lazy" alt="{about}">'
+)
+CARD: Final = """<article class="card" data-task="{task}" data-axes="{axes}">
+<a href="play/#{name}-0" tabindex="-1">{picture}</a><strong>{name}</strong> {words}
+<span><a href="play/#{name}-0" aria-label="Play {name}">Play</a>
+<a href="play/inspect.html#{name}-0" aria-label="Inspect {name}">Inspect</a></span></article>"""
+
+
+def gallery(media: Path) -> str:
+    """The page in Markdown with HTML in it; its pictures go into `media`."""
+    cards = [_card(task, variant, media) for task, variant in ENVIRONMENTS]
+    shifts = [_shift(name, media) for name in SHIFTS if name != "words"]
+    return TEMPLATE.format(
+        tasks="".join(f"<option>{task}</option>" for task in TASKS),
+        axes="".join(f'<option value="{axis}">{words}</option>' for axis, words in AXES.items()),
+        count=len(cards),
+        environments="".join(cards),
+        strength=STRENGTH,
+        shifted=SHIFTED,
+        shifts="".join(shifts),
+    )
+
+
+def _expert(task: str, variant: str) -> list[int]:
+    return list(actions_of(environment_scenes(task, variant)["scenes"][0]["expert"]))
+
+
+def _card(task: str, variant: str, media: Path) -> str:
+    name, varied = f"{task}-{variant}", varied_axes(task_spec(task), variant)
+    still, moving = film(Filmed(task, variant), _expert(task, variant), media / f"gallery-{name}")
+    return CARD.format(
+        task=task,
+        name=name,
+        axes=" ".join(varied) or "nothing",
+        picture=PICTURE.format(still=still, moving=moving, about=f"The first scene of {name}"),
+        words=f"Varies {', '.join(AXES[axis] for axis in varied)}" if varied else "The scene of the demonstrations",
+    )
+
+
+def _shift(name: str, media: Path) -> str:
+    filmed = Filmed(SHIFTED, "Demo", shifts={name: STRENGTH})
+    still, moving = film(filmed, _expert(SHIFTED, "Demo"), media / f"gallery-shift-{name}")
+    picture = PICTURE.format(still=still, moving=moving, about=f"{SHIFTED} with {name} at strength {STRENGTH}")
+    return f'<article class="card">{picture}<strong>{name}</strong> {SHIFTS[name].summary}</article>'

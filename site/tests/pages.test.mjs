@@ -1,0 +1,81 @@
+// @ts-check
+/** The pages around the simulation: nobody is shut out, and what can be sorted, filtered and pointed at answers. */
+import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import { fileURLToPath } from "node:url";
+import { after, before, test } from "node:test";
+import { launch, serve } from "./browser.mjs";
+
+const OUT = fileURLToPath(new URL("../../out/", import.meta.url));
+const PAGES = ["index.html", "gallery.html", "FindDupe.html", "standings.html", "shift-curves.html", "results.html",
+  "play/#FindDupe-All-8", "play/inspect.html#FindDupe-All-3", "play/operator.html"];
+/** @type {Awaited<ReturnType<typeof serve>>} */
+let site;
+/** @type {Awaited<ReturnType<typeof launch>>} */
+let browser;
+/** @type {import("playwright-core").Page} */
+let page;
+
+before(async () => {
+  site = await serve(`${OUT}site`);
+  browser = await launch();
+  page = await browser.context.newPage();
+});
+after(async () => {
+  await browser.close();
+  site.close();
+});
+
+test("axe finds nothing that shuts anybody out, and no page is wider than a phone", async () => {
+  const axe = await readFile(`${OUT}npm/node_modules/axe-core/axe.min.js`, "utf8");
+  await page.setViewportSize({ width: 375, height: 800 });
+  for (const path of PAGES) {
+    await page.emulateMedia({ colorScheme: "light" });
+    await page.goto("about:blank");
+    await page.goto(site.address + path);
+    if (path.startsWith("play")) await page.waitForFunction(() => !document.querySelector("[role=status]")?.textContent?.endsWith("…"));
+    await page.evaluate(axe);
+    const violations = (/** @type {string} */ rules) => page.evaluate(`axe.run(${rules}).then(({ violations }) => violations.map(
+      ({ help, nodes }) => [help, ...nodes.slice(0, 3).map(({ html }) => html.slice(0, 300))].join("\\n")))`);
+    assert.deepEqual(await violations("{}"), [], path);
+    assert.equal(await page.evaluate("document.documentElement.scrollWidth"), 375, path);
+    await page.emulateMedia({ colorScheme: "dark" });
+    assert.deepEqual(await violations("{ runOnly: 'color-contrast' }"), [], `${path}, dark`);
+  }
+  await page.setViewportSize({ width: 1280, height: 800 });
+});
+
+test("the gallery moves what is pointed at, keeps what is asked for, and leads into play", async () => {
+  await page.goto(`${site.address}gallery.html#axis=colour`);
+  const shown = page.locator(".gallery .card:visible");
+  assert.equal(await shown.count(), 22);
+  await page.selectOption("[name=task]", "FixColour");
+  assert.deepEqual(await shown.locator("strong").allTextContents(), ["Colour", "CountPlus", "All"].map((variant) => `FixColour-${variant}`));
+  assert.match(page.url(), /#task=FixColour&axis=colour$/);
+  const still = await shown.last().locator("img").getAttribute("src");
+  await shown.last().hover();
+  await page.waitForFunction(() => document.querySelector("img[src$='FixColour-All.webp']"));
+  await page.mouse.move(0, 0);
+  await page.waitForFunction((still) => document.querySelector(`img[src$="${still}"]`), still);
+  await shown.last().getByText("Play").click();
+  await page.waitForFunction(() => document.getElementById("status")?.textContent?.startsWith("Press"));
+  assert.equal(await page.evaluate("location.hash"), "#FixColour-All-0");
+});
+
+test("charts say their figures, and the leaderboard sorts, opens, and replays", async () => {
+  await page.goto(`${site.address}index.html`);
+  const layout = page.locator(".column", { hasText: "Layout" });
+  await layout.focus();
+  assert.match(await layout.locator(".figures").innerText(), /Goals and planning 0\.\d\d[^]*BC from states 0\.\d\d/);
+  await page.locator(".chart label", { hasText: "BC from states" }).click();
+  await layout.focus();
+  assert.doesNotMatch(await layout.locator(".figures").innerText(), /BC from states/);
+  await page.goto(`${site.address}standings.html`);
+  const table = page.locator("table.standings").first();
+  await table.getByRole("button", { name: "Demo", exact: true }).click();
+  const demo = (await table.locator(":scope > tbody > tr:first-child > td:nth-child(5)").allTextContents()).map((text) => Number.parseFloat(text) || 0);
+  assert.deepEqual(demo, [...demo].sort((one, other) => other - one));
+  await table.locator("button.opens").first().click();
+  await table.locator(".heat a").first().click();
+  await page.waitForFunction(() => document.getElementById("status")?.textContent?.startsWith("Watching"));
+});
