@@ -70,9 +70,15 @@ EVALUATE: Final = (
 ENTRY: Final = "random.json.xz"
 TINY: Final = ("network.hidden=8", "demonstrations=2", "evaluations=2", "episodes=2", "checkpoints=16")
 PICTURES: Final = ("network.first_stride=4", "network.first_channels=4", "network.channels=4")
+SHIFTED: Final = ("evaluate", "--policy", "random", "--tasks", "MoveToRegion", "--variants", "Demo", "--episodes", "20")
 GAIL: Final = (
     *("ppo.environments=4", "ppo.steps=4", "ppo.minibatch=8", "ppo.epochs=2", "ppo.total_steps=512"),
     *("discriminator.steps=2", "discriminator.batch_size=8"),
+)
+AL: Final = (*GAIL[:-2], "features.batches=64", "features.batch_size=4", "features.samples=24")
+RELATIONAL: Final = tuple(
+    f"relational.{setting}"
+    for setting in ("hidden=8", "trial=1", "rounds=1", "batch_size=8", "rollouts=2", "detours=10")
 )
 
 Found = Mapping[str, bytes]
@@ -200,7 +206,7 @@ def train(method: str, look: tuple[str, ...], *settings: str) -> Kind:
 
 
 def prepare(inputs: Path) -> None:
-    """Makes what the commands read: an evaluation, an entry of it, recordings, and a file of an experiment."""
+    """Makes what the commands read: an evaluation, its entry, recordings, a training, and a file of an experiment."""
     kind = Kind((*MAIN, *EVALUATE, "--out", "{}"), lines, rows)
     undisturbed(kind, inputs / "scores")
     undisturbed(Kind((*MAIN, "submit", str(inputs / "scores"), "--out", "{}"), contents, None), inputs / ENTRY)
@@ -213,6 +219,7 @@ def prepare(inputs: Path) -> None:
         names = {"format": 1, "protocol": PROTOCOL, "task": "MoveToRegion", "variant": "All", "seed": seed}
         actions = [seed] * env.steps
         (inputs / f"{seed}.json").write_text(json.dumps(names | {"actions": actions, "final": final}))
+    undisturbed(train("bc", ("--preset", "State"), "network.entity=8", "bc.batches=8"), inputs / "run")
     settings = ('preset = "State"', *TINY, "bc.batches=40", "network.entity=8")
     text = ('methods = ["bc"]', 'tasks = ["MoveToRegion"]', "seeds = [0, 1]", "[settings]", *settings)
     (inputs / "e.toml").write_text("\n".join((*text, "[evaluation]", 'variants = "Demo"', "episodes = 8")))
@@ -240,6 +247,7 @@ def kinds(inputs: Path) -> dict[str, Kind]:
 
     return {
         "evaluate": Kind((*MAIN, *EVALUATE, "--out", "{}"), lines, rows),
+        "evaluate-shifts": Kind((*MAIN, *SHIFTED, "--shifts", "camera,slip", "--resume", "--out", "{}"), lines, rows),
         "rollout": whole(*rollout, "--video", "{}/a.mp4"),
         "view": whole("view", "--grid", "--size", "16", "--out", "{}/a.png", "--force"),
         "export": whole("export", "FindDupe", "All", "--out", "{}", "--force"),
@@ -250,6 +258,7 @@ def kinds(inputs: Path) -> dict[str, Kind]:
         "leaderboard": whole(*leaderboard),
         "list": reads("list"),
         "doctor": reads("doctor"),
+        "inspect": Kind((*MAIN, "inspect", "FindDupe", "--port", "0"), nothing, None),
         "demo": Kind((*MAIN, *demo), nothing, rows),  # it replaces an earlier tour
         "generate": Kind((*MAIN, *generate, "--out", "{}"), demonstrations, demonstrations),
         "import": Kind((*MAIN, "demos", "import", *recordings, "--out", "{}"), demonstrations, demonstrations),
@@ -258,6 +267,9 @@ def kinds(inputs: Path) -> dict[str, Kind]:
         "demos-video": whole("demos", "video", "--tasks", "FixColour", "--count", "1", "--out", "{}/a.mp4", "--force"),
         "demos-npz": whole(*export, "--out", "{}/a.npz"),
         "demos-minari": Kind(("env", "MINARI_DATASETS_PATH={}", *MAIN, *export, *minari), contents, contents),
+        "demos-lerobot": whole(*export[:-1], "--to", "lerobot", "--out", "{}/a"),
+        "demos-webdataset": whole(*export, "--to", "webdataset", "--out", "{}/a.tar"),
+        "demos-xirl": whole(*export[:-1], "--to", "xirl", "--out", "{}/a"),
         "demos-robomimic": whole(*export, "--to", "robomimic", "--out", "{}/a.hdf5"),
         "play": Kind((sys.executable, "-c", PLAYER, *play), demonstrations, None),
         "play-web": Kind((*MAIN, "play", "--web", "--port", "0", "--collect", "{}"), nothing, None),
@@ -265,6 +277,10 @@ def kinds(inputs: Path) -> dict[str, Kind]:
         "train-bc-state": train("bc", ("--preset", "State"), "network.entity=8", "bc.batches=800"),
         "train-bc": train("bc", ("--quick",), *PICTURES, "bc.batches=32", "bc.batch_size=8"),
         "train-gail": train("gail", ("--quick",), *PICTURES, *GAIL),
+        "train-al": train("al", ("--quick",), *PICTURES, *AL),
+        "train-iq-learn": train("iq-learn", ("--preset", "State"), "network.entity=8", "bc.batches=400"),
+        "train-relational": train("relational", ("--preset", "State"), *RELATIONAL),
+        "export-policy": whole("export-policy", str(inputs / "run"), "--out", "{}/a.onnx", "--force"),
         "experiment": Kind((*MAIN, "experiment", str(inputs / "e.toml"), "--jobs", "2", "--out", "{}"), lines, rows),
     }
 
