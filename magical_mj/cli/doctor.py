@@ -8,6 +8,7 @@ import platform
 import re
 import subprocess
 import sys
+import threading
 import time
 from contextlib import closing
 from importlib.metadata import PackageNotFoundError, requires, version
@@ -95,10 +96,16 @@ def _probe(name: str) -> dict[str, Any]:
     command = [sys.executable, "-m", "magical_mj.cli.doctor"]
     variables = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
     variables |= {VARIABLE: SOFTWARE} if name == SOFTWARE else {VARIABLE: "opengl", "MUJOCO_GL": name}
+    alive, ours = os.pipe()  # which ends with this process, however that is
     try:
-        result = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=TIMEOUT, check=False)
+        result = subprocess.run(
+            command, env=variables, stdin=alive, capture_output=True, text=True, timeout=TIMEOUT, check=False
+        )
     except subprocess.TimeoutExpired:
         return {"error": f"no answer within {TIMEOUT} s"}
+    finally:
+        os.close(alive)
+        os.close(ours)
     if result.returncode == 0:
         return json.loads(result.stdout)
     last_line = (result.stderr.strip().splitlines() or [f"exit code {result.returncode}"])[-1]
@@ -137,5 +144,12 @@ def probe() -> None:
     sys.stdout.write(json.dumps(facts))
 
 
+def _end_with_caller() -> None:
+    """Ends this process, in which a driver may hang, when the one that wants to know is gone."""
+    os.read(0, 1)  # a file object would be locked when Python ends
+    os._exit(1)
+
+
 if __name__ == "__main__":
+    threading.Thread(target=_end_with_caller, daemon=True).start()
     probe()

@@ -311,15 +311,17 @@ def write_settings(folder: Path, settings: dict[str, Any]) -> None:
 def check_continues(folder: Path, settings: dict[str, Any]) -> None:
     """Raises a `SettingsError` unless an evaluation with these settings continues, or adds to, the one in a folder."""
     before, now = (_without_paths(known) for known in (read_settings(folder), settings))
-    for name in (name for name in GROWING if name in now and isinstance(before.get(name), list)):
+    played, asked = _scenes(before), _scenes(now)
+    if not played or not all(isinstance(before.get(name), list) for name in GROWING):
+        raise SettingsError(f"{folder / SETTINGS} does not say what was played; start again in another folder")
+    for name in (name for name in GROWING if name in now):
         if absent := [item for item in before[name] if item not in now[name]]:
             listed = ", ".join(map(_named, absent))
             raise SettingsError(
                 f"{folder} holds {name} that are left out here, or have changed: {listed}. An evaluation that is "
                 "resumed may have more, but not less"
             )
-    played, asked = _scenes(before), _scenes(now)
-    if played and not (played[0] in asked and played[-1] in asked):
+    if not (played[0] in asked and played[-1] in asked):
         raise SettingsError(
             f"{folder} holds the scenes {played[0]} to {played[-1]} of its split, and {asked[0]} to {asked[-1]} are "
             "asked for: an evaluation that is resumed may have more, but not less"

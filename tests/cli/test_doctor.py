@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
+import time
 import tomllib
 from pathlib import Path
 
@@ -44,3 +48,22 @@ def test_doctor_without_opengl_says_what_to_do() -> None:
     assert "OpenGL, which draws the view `scene`" in result.stdout
     assert "libegl1" in result.stdout
     assert "MUJOCO_GL is osmesa, which does not start" in " ".join(result.stdout.split())
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
+def test_a_driver_that_hangs_ends_with_the_doctor_who_is_killed(tmp_path: Path) -> None:
+    """The module stands for a driver; the process that tries it writes its number, and waits."""
+    number = tmp_path / "number"
+    hangs = f"import os, pathlib, time; pathlib.Path({str(number)!r}).write_text(str(os.getpid())); time.sleep(600)"
+    (tmp_path / "glfw.py").write_text(hangs)
+    paths = os.pathsep.join([str(tmp_path), *sys.path])
+    doctor = subprocess.Popen([sys.executable, "-m", "magical_mj", "doctor"], env=os.environ | {"PYTHONPATH": paths})
+    while not (number.exists() and number.read_text()):
+        assert doctor.poll() is None
+        time.sleep(0.1)
+    doctor.kill()
+    doctor.wait()
+    driver, end = Path("/proc", number.read_text()), time.monotonic() + 60
+    while driver.exists() and time.monotonic() < end:
+        time.sleep(0.1)
+    assert not driver.exists()

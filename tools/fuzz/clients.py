@@ -19,7 +19,7 @@ from values import FindError, value
 import magical_mj
 from magical_mj.engine import State
 from magical_mj.envs.presets import PRESETS
-from magical_mj.envs.wrappers import ContinuousActions
+from magical_mj.envs.wrappers import ContinuousActions, ScoreAtTheEnd
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.utils.errors import MagicalError
 
@@ -99,6 +99,7 @@ def _wrapped(rng: random.Random, _folder: Path) -> None:
             env = kind(env, *ARGUMENTS.get(kind, ()))
         except (AssertionError, gymnasium.error.Error, MagicalError, TypeError, ValueError):
             continue
+    env = ScoreAtTheEnd(env)  # one of the wrappers ends episodes
     env.action_space.seed(0)
     for seed in (rng.randrange(100), None):
         try:
