@@ -11,7 +11,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test fast bench peers mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints notebooks release-check system site site-test site-picture policies node chromium xvfb
+.PHONY: demo test fast bench peers mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints notebooks release-check system site site-test site-audit site-picture policies node chromium xvfb
 
 demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
@@ -81,6 +81,10 @@ site-test: site | chromium  ## the site in headless Chromium, and its simulation
 	node --test --test-concurrency=1 --test-reporter=spec site/tests/
 	$(BIN)/python site/tests/saved.py out/site-test/saved.json
 	$(BIN)/python site/study.py
+
+site-audit: site | chromium  ## Lighthouse's figures of the site, a page of each kind
+	npm install --silent --no-audit --no-fund --prefix out/audit lighthouse@13.5.0
+	node site/audit.mjs
 
 site-picture: site | chromium  ## docs/site.png, anew
 	$(BIN)/python site/fetch.py

@@ -1,6 +1,7 @@
 """How Sphinx makes the documentation; `site/docs.py` gathers its sources."""
 
 import os
+import re
 from typing import Any
 
 from magical_mj import __version__
@@ -32,16 +33,20 @@ html_show_sourcelink = False
 
 
 def setup(app: Any) -> None:
-    """Docstrings mean no emphasis by their asterisks; links to pages show a picture."""
+    """Docstrings mean no emphasis by their asterisks; pages say what they are, and links to them show a picture."""
 
     def escape(*arguments: Any) -> None:
         lines: list[str] = arguments[-1]
         lines[:] = [line.replace("*", r"\*") for line in lines]
 
-    def picture(_app: Any, _page: str, _template: str, context: dict[str, Any], _tree: Any) -> None:
+    def about(_app: Any, _page: str, _template: str, context: dict[str, Any], _tree: Any) -> None:
+        if 'name="description"' not in context.get("metatags", ""):
+            title = re.sub("<[^>]*>", "", context.get("title", ""))
+            words = f"{title}: magical_mj, the MAGICAL benchmark for robust imitation learning on MuJoCo."
+            context["metatags"] = context.get("metatags", "") + f'<meta name="description" content="{words}">'
         if html_baseurl:
             address = f"{html_baseurl.rstrip('/')}/media/scene.png"
             context["metatags"] = context.get("metatags", "") + f'<meta property="og:image" content="{address}">'
 
     app.connect("autodoc-process-docstring", escape)
-    app.connect("html-page-context", picture)
+    app.connect("html-page-context", about)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import shutil
@@ -18,6 +19,9 @@ from magical_mj.web.npm import fetched, library_files
 from magical_mj.web.page_data import PAGE, catalogue, environment_scenes
 
 POLICIES: Final = Path(__file__).parent / "policies"
+OFFLINE: Final = Path(__file__).parent / "offline"
+LATER: Final = ("onnx", "policies", "replays", "three")
+"""The folders whose files are kept for visits without a network only once they were used."""
 FOLDER: Final = Path(__file__).parent.parent / "out" / "site" / "play"
 BETWEEN_ELEMENTS: Final = re.compile(r"(?<=>)(?=\s*<)")
 
@@ -26,7 +30,7 @@ def write_play(folder: Path) -> int:
     """Write the page, its scenes and MuJoCo's WebAssembly build anew; returns the number of bytes."""
     if folder.exists():
         shutil.rmtree(folder)
-    shutil.copytree(PAGE, folder)
+    shutil.copytree(PAGE, folder, ignore=shutil.ignore_patterns("operator.*"))  # which needs a study's server
     for task, variant in magical_mj.ENVIRONMENTS:
         data = environment_scenes(task, variant)
         env = magical_mj.Engine(task, variant, seed=0)
@@ -47,10 +51,23 @@ def write_play(folder: Path) -> int:
     for name, original in ONNX_FILES.items():  # which the page loads when a policy is to act
         shutil.copy(fetched(ONNX_RUNTIME, CACHE) / "dist" / original, folder / "onnx" / name)
     size = len(libraries["mujoco/mujoco.wasm"])  # which compressed downloads do not say
+    register = '<script type="module" src="register.js"></script>\n</head>'
     for path in folder.glob("*.html"):
         text = path.read_text(encoding="utf-8").replace('<html lang="en">', f'<html lang="en" data-wasm="{size}">')
-        path.write_text(text, encoding="utf-8")
+        path.write_text(text.replace("</head>", register), encoding="utf-8")
+    shutil.copy(OFFLINE / "register.js", folder)
+    (folder / "worker.js").write_text(_worker(folder), encoding="utf-8")
     return sum(path.stat().st_size for path in folder.rglob("*"))
+
+
+def _worker(folder: Path) -> str:
+    """The service worker, which keeps what is needed to play, and all scenes, under a hash of everything."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    everything = hashlib.sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in files)).hexdigest()
+    names = [path.relative_to(folder).as_posix() for path in files]
+    kept = [name for name in names if name.partition("/")[0] not in LATER and name != "index.html"]
+    text = (OFFLINE / "worker.js").read_text(encoding="utf-8")
+    return text.replace("@HASH@", everything[:16]).replace("@FILES@", " ".join(["./", *kept]))
 
 
 def with_models(data: dict[str, Any], models: Sequence[str]) -> dict[str, Any]:

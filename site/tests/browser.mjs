@@ -4,44 +4,73 @@ import { createServer } from "node:http";
 import { mkdtemp, readFile, rm } from "node:fs/promises";
 import { tmpdir } from "node:os";
 import { extname, join, normalize } from "node:path";
+import { gzipSync } from "node:zlib";
 import { chromium } from "../../out/npm/node_modules/playwright-core/index.mjs";
 
 const TYPES = { ".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".json": "application/json", ".wasm": "application/wasm",
   ".svg": "image/svg+xml", ".png": "image/png", ".webp": "image/webp" };
-const FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+export const FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
   "--disable-component-update", "--disable-sync"];
+
+/** One page of each kind. */
+export const PAGES = ["index.html", "gallery.html", "FindDupe.html", "standings.html", "shift-curves.html", "results.html",
+  "play/#FindDupe-All-8", "play/inspect.html#FindDupe-All-3"];
 
 /**
  * Serves a folder at http://127.0.0.1:PORT/sub/path/.
  * @param {string} folder
+ * @param {{compress?: boolean}} [how]  compress: as hosts of sites do, and let browsers keep files for a while
  */
-export async function serve(folder) {
+export async function serve(folder, { compress = false } = {}) {
   const server = createServer(async (request, response) => {
     const path = normalize(decodeURIComponent(new URL(request.url ?? "/", "http://x").pathname));
     const inner = path.startsWith("/sub/path/") ? path.slice("/sub/path/".length) : "..";
     const file = join(folder, inner === "" || inner.endsWith("/") ? `${inner}index.html` : inner);
     try {
       const content = await readFile(file);
-      response.writeHead(200, { "content-type": TYPES[/** @type {keyof TYPES} */ (extname(file))] ?? "application/octet-stream" }).end(content);
+      const type = TYPES[/** @type {keyof TYPES} */ (extname(file))] ?? "application/octet-stream";
+      const hosted = compress ? { "cache-control": "max-age=600", "content-encoding": "gzip" } : {};
+      response.writeHead(200, { "content-type": type, ...hosted }).end(compress ? gzipSync(content) : content);
     } catch {
       response.writeHead(404).end();
     }
   });
   await new Promise((resolve) => server.listen(0, "127.0.0.1", () => resolve(null)));
   const { port } = /** @type {import("node:net").AddressInfo} */ (server.address());
-  return { address: `http://127.0.0.1:${port}/sub/path/`, close: () => server.close() };
+  return { address: `http://127.0.0.1:${port}/sub/path/`, close: () => {
+    server.close();
+    server.closeAllConnections();
+  } };
 }
 
-/** Chromium with a new, empty profile. */
-export async function launch() {
+/**
+ * Chromium with a new, empty profile.
+ * @param {{keeps?: boolean}} [how]  keeps: pages may be kept for visits without a network; what is kept cannot be made to fail
+ */
+export async function launch({ keeps = false } = {}) {
   const profile = await mkdtemp(join(tmpdir(), "magical-site-"));
   const context = await chromium.launchPersistentContext(profile, {
     executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: FLAGS, viewport: { width: 600, height: 700 }, acceptDownloads: true,
   });
+  if (!keeps) await context.addInitScript(() => { Object.defineProperty(Navigator.prototype, "serviceWorker", { value: undefined }); });
   context.setDefaultTimeout(120000);  // machines of continuous integration may be slow
   const close = async () => {
     await context.close();
     await rm(profile, { recursive: true, force: true });
   };
   return { context, close };
+}
+
+/**
+ * What axe finds on a page that shuts somebody out, in light and in dark.
+ * @param {import("playwright-core").Page} page
+ */
+export async function barriers(page) {
+  await page.evaluate(await readFile(new URL("../../out/npm/node_modules/axe-core/axe.min.js", import.meta.url), "utf8"));
+  const found = (/** @type {string} */ rules) => page.evaluate(`axe.run(${rules}).then(({ violations }) => violations.map(
+    ({ help, nodes }) => [help, ...nodes.slice(0, 3).map(({ html }) => html.slice(0, 300))].join("\\n")))`);
+  await page.emulateMedia({ colorScheme: "light" });
+  const light = await found("{}");
+  await page.emulateMedia({ colorScheme: "dark" });
+  return [...light, ...await found("{ runOnly: 'color-contrast' }")];
 }

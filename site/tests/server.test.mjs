@@ -2,14 +2,14 @@
 /** The same page with Python behind it: `magical-mj play --web --collect`, in headless Chromium. */
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
-import { mkdtemp, readdir, writeFile } from "node:fs/promises";
+import { mkdtemp, readdir, readFile, writeFile } from "node:fs/promises";
 import { once } from "node:events";
 import { createInterface } from "node:readline";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { fileURLToPath } from "node:url";
 import { test } from "node:test";
-import { launch } from "./browser.mjs";
+import { barriers, launch } from "./browser.mjs";
 
 const PYTHON = fileURLToPath(new URL("../../.venv/bin/python", import.meta.url));
 
@@ -77,6 +77,9 @@ test("people play at the server and send what they did", async () => {
     assert.match(participant, /^[0-9a-f]{16}$/);
     assert.deepEqual(others, ["operator", "study.jsonl", "token"]);
     assert.equal((await readdir(join(folder, participant))).length, 2);
+    await page.goto(address.replace(/[^/]+\/$/, `${await readFile(join(folder, "operator"), "utf8")}/operator.html`));
+    await page.waitForFunction(() => document.getElementById("people")?.textContent === "1 participant");
+    assert.deepEqual(await barriers(page), []);
     assert.deepEqual(complaints.filter((text) => !text.includes("ERR_CONNECTION_REFUSED")), []);
   } finally {
     await browser.close();

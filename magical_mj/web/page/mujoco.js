@@ -23,6 +23,7 @@ export function loadMujoco() {
         return {};
       },
     }))
+    .then((mujoco) => new Promise((resolve) => { setTimeout(() => resolve(mujoco)); }))  // the page may answer before a model is made
     .catch((error) => {
       loading = null;
       failures += 1;
@@ -41,11 +42,12 @@ async function compiled(address) {
   const reply = await fetch(address);
   if (!reply.ok || !reply.body) throw new Error(`${reply.status} ${reply.statusText}`);
   const size = Number(document.documentElement.dataset.wasm) || Number(reply.headers.get("content-length"));
-  let here = 0;
+  let here = 0, told = 0;
   const counted = reply.body.pipeThrough(new TransformStream({
     transform(chunk, controller) {
       here += chunk.byteLength;
-      tell(size ? Math.min(1, here / size) : 0);
+      const share = size && Math.min(1, here / size);
+      if (share >= told + 0.01) tell(told = share);
       controller.enqueue(chunk);
     },
   }));

@@ -33,7 +33,7 @@ function bars(counts) {
 function show({ title, paused, participants, environments }) {
   isPaused = paused;
   element("title").textContent = title || "Study";
-  element("people").textContent = `${participants} participants`;
+  element("people").textContent = `${participants} participant${participants === 1 ? "" : "s"}`;
   element("pause").disabled = false;
   element("pause").textContent = paused ? "Resume" : "Pause";
   element("status").textContent = paused ? "Paused: nobody is offered anything new." : "Running.";

@@ -167,11 +167,23 @@ function showChoice(isOther, isNew) {
   for (const button of element("scenes").children) button.ariaCurrent = String(Number(button.dataset.seed) === seed);
 }
 
+/** @type {WeakMap<Element, import("./scene.js").Scene>} */
+const undrawn = new WeakMap();
+const drawer = new IntersectionObserver((canvases) => {  // small pictures are drawn when they are seen
+  for (const { target, isIntersecting } of canvases) {
+    const scene = undrawn.get(target);
+    if (!isIntersecting || !scene) continue;
+    drawer.unobserve(target);
+    draw(/** @type {HTMLCanvasElement} */ (target), catalogue.look, scene, "allo");
+  }
+}, { rootMargin: "200px" });
+
 /** @param {Entry} entry */
 function sceneButton({ seed, scene }) {
   const button = document.createElement("button"), canvas = document.createElement("canvas");
   canvas.width = canvas.height = 144;
-  draw(canvas, catalogue.look, scene, "allo");
+  undrawn.set(canvas, scene);
+  drawer.observe(canvas);
   button.dataset.seed = String(seed);
   button.ariaLabel = `Scene ${seed}`;
   button.append(canvas, String(seed));
