@@ -19,7 +19,7 @@ from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.geometry import check_scene
 from magical_mj.scene.state_vector import CAMERAS, SEGMENTATIONS
 from magical_mj.shifts.episode import Draws, EpisodeShifts, draw_shifts
-from magical_mj.shifts.registry import Shifts, parse_shifts
+from magical_mj.shifts.registry import Shifts, split_body
 from magical_mj.tasks.registry import check_rules, environment_axes, sample_scene, task_spec, variant_name
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import (
@@ -153,7 +153,7 @@ class Engine:
         seed: the seed of the present episode's scene; None if it came from elsewhere.
         steps: the number of actions since the start of the episode.
         horizon: the number of actions of an episode; None if it never ends, as in plain scenes.
-        shifts: the strengths of the shifts by name.
+        shifts: the strengths of the shifts by name, without `body`.
 
     Raises:
         UnknownNameError: for an unknown task, variant or rules, or an unsupported pair.
@@ -178,9 +178,9 @@ class Engine:
         body: str = GRIPPER,
     ) -> None:
         task_spec(task)  # None, too, is no task
+        strengths, body = split_body(shifts, task, body)
         setup = Setup(task, variant, rules, body)
         setup.check_start(seed=seed, scene=scene)
-        strengths = parse_shifts(shifts, task)
         if scene is None:
             seed = start = secrets.randbits(63) if seed is None else check_seed(seed)
         else:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from magical_mj.evaluation.scores import SCORE_TOLERANCE, EpisodeResult
 from magical_mj.policies.interface import LETTERS, actions_of
+from magical_mj.shifts.registry import named_in
 from magical_mj.tasks.registry import check_rules, task_spec
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import PhysicsError
@@ -45,7 +46,7 @@ def replay(recorded: Iterable[Recorded], *, rules: Rules | None = None, jobs: in
     for source, episode in recorded:
         alike[episode.task, episode.variant, episode.rules, episode.shift, episode.body].append((source, episode))
     for task, _, _, shift, body in alike:
-        for name in (task, body, *(part.rpartition(":")[0] for part in shift.split("+"))):
+        for name in (task, body, *map(named_in, shift.split("+"))):
             check_named(name, "an episode")
     chunks: list[list[Recorded]] = []
     for episodes in alike.values():  # a scene that several entries have played is sampled and compiled once

@@ -14,6 +14,7 @@ from magical_mj.envs.presets import preset_named
 from magical_mj.rendering.backend import RendererName, drawn_by
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts import expand_shifts, shift_label
+from magical_mj.shifts.registry import BODY
 from magical_mj.shifts.registry import PROTOCOL as SHIFT_PROTOCOL
 from magical_mj.tasks import KNOWN
 from magical_mj.tasks.plugins import code_digest
@@ -90,7 +91,7 @@ class EvaluationSettings(Settings):
     trust: Annotated[bool, Meta(description="Run the code that model files contain.")] = False
     shifts: Annotated[
         str,
-        Meta(description="Shifts to play beside what is not shifted: camera:1-5,light; or all. See docs/shifts.md."),
+        Meta(description="Shifts to play beside what is not shifted: camera:1-5,light,body; all. See docs/shifts.md."),
     ] = ""
     wrap: Annotated[
         str, Meta(description="A Gymnasium wrapper to play in, one episode at a time: package.module:NAME.")
@@ -128,7 +129,8 @@ class EvaluationSettings(Settings):
 
     def shift_labels(self, task: str) -> list[str]:
         """What is shifted in a task, one setting after another, as in rows; the first one is nothing."""
-        return list(dict.fromkeys(["", *map(shift_label, expand_shifts(self.shifts, task))]))
+        labels = dict.fromkeys(["", *map(shift_label, expand_shifts(self.shifts, task))])
+        return [label for label in labels if label != shift_label({BODY: self.body})]
 
     @property
     def seeds(self) -> range:

@@ -23,7 +23,7 @@ from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
 from magical_mj.policies.interface import Act, Episode, PolicyError, reason, told, uses_simulation
 from magical_mj.policies.loading import Source
 from magical_mj.rendering.backend import drawn_by
-from magical_mj.shifts import parse_shifts
+from magical_mj.shifts.registry import split_body
 from magical_mj.tasks.registry import sample_scene, task_spec
 from magical_mj.utils.errors import SettingsError, UntrustedNameError, short_repr
 from magical_mj.utils.imports import resolve, with_place
@@ -231,7 +231,8 @@ def start_digest(task: str, variant: str, seed: int, shift: str, body: str) -> s
         return sample_scene(task, variant, seed, body).digest()
     from magical_mj.engine.engine import Setup  # imported late: it loads the simulator
 
-    return Setup(task, variant, body=body).begin(parse_shifts(shift), seed)[0].digest()
+    strengths, body = split_body(shift, task, body)
+    return Setup(task, variant, body=body).begin(strengths, seed)[0].digest()
 
 
 def _wrapped(env: gymnasium.Env[Any, Any], wrap: str) -> gymnasium.Env[Any, Any]:

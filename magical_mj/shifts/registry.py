@@ -8,13 +8,21 @@ from importlib.metadata import EntryPoint
 from types import MappingProxyType
 from typing import Any, Final
 
+from magical_mj.scene.bodies import BODIES, check_body_name
 from magical_mj.shifts.drawn import Camera, Light, Palette, Sensor, Texture
 from magical_mj.shifts.physical import Clutter, Friction, Latency, Pose, Slip
 from magical_mj.shifts.shift import STRENGTHS, Factor, Shift
 from magical_mj.shifts.words import Words
 from magical_mj.tasks.plugins import announced, imported, reference_of
 from magical_mj.tasks.registry import task_spec
-from magical_mj.utils.errors import SettingsError, ShiftError, as_integer, short_repr, unknown_name
+from magical_mj.utils.errors import (
+    InvalidSceneError,
+    SettingsError,
+    ShiftError,
+    as_integer,
+    short_repr,
+    unknown_name,
+)
 from magical_mj.utils.imports import is_reference
 
 PROTOCOL: Final = 1
@@ -27,7 +35,10 @@ SHIFTS: Final[Mapping[str, type[Shift]]] = MappingProxyType({kind.name: kind for
 GROUP: Final = "magical_mj.shifts"
 """The entry-point group in which installed packages announce shifts, such as ``fog = "fog:Fog"``."""
 
-Shifts = Mapping[str, int] | str | None
+BODY: Final = "body"
+"""The axis whose levels are names and not strengths: bodies of the robot that the task offers. "all" leaves it out."""
+
+Shifts = Mapping[str, int | str] | str | None
 """Shifts and their strengths, such as ``{"camera": 3, "latency": 1}`` or ``"camera:3,latency:1"``; None: none."""
 
 
@@ -74,8 +85,8 @@ def _canonical(name: object) -> str:
     return next((known for known, point in shift_plugins().items() if reference_of(point) == name), str(name))
 
 
-def parse_shifts(shifts: Shifts, task: str | None = None) -> dict[str, int]:
-    """The strength of each shift: ours first, in their order, then others by name. Those of strength 0 are left out.
+def parse_shifts(shifts: Shifts, task: str | None = None) -> dict[str, int | str]:
+    """The level of each shift: the body's name, then strengths, ours first, in their order. Strength 0 is left out.
 
     Args:
         shifts: names and strengths as a dict, or as text like ``"camera:3,latency:1"``, or a label; None: no shifts.
@@ -94,22 +105,46 @@ def parse_shifts(shifts: Shifts, task: str | None = None) -> dict[str, int]:
         pairs = []
     else:
         raise SettingsError(f'shifts are a dict like {{"camera": 3}} or text like "camera:3", not {short_repr(shifts)}')
-    strengths: dict[str, int] = {}
+    strengths: dict[str, int | str] = {}
     for name, value in pairs:
-        name = _canonical(name)
+        name = BODY if name == BODY else _canonical(name)
         if name in strengths:
             raise SettingsError(f"the shift {name} is given twice; give each one once, with one strength")
-        strengths[name] = _strength(name, value)
-    ordered = {name: strengths[name] for name in (*SHIFTS, *sorted(strengths.keys() - SHIFTS)) if strengths.get(name)}
+        strengths[name] = _body(value) if name == BODY else _strength(name, value)
+    names = (BODY, *SHIFTS, *sorted(strengths.keys() - SHIFTS - {BODY}))
+    ordered = {name: strengths[name] for name in names if strengths.get(name)}
     if task is not None:
-        for name in ordered:
-            if problem := shift_class(name).supports(task):
+        for name, level in ordered.items():
+            if name == BODY:
+                task_spec(task).check_body(str(level))
+            elif problem := shift_class(name).supports(task):
                 raise SettingsError(f"{task_spec(task).name} cannot have the shift {name!r}: {problem}")
     return ordered
 
 
+def split_body(shifts: Shifts, task: str, body: str) -> tuple[dict[str, int], str]:
+    """The strengths of shifts, and the body that the robot has with them, instead of `body` if they say so.
+
+    Raises:
+        UnknownNameError, ShiftError, SettingsError, InvalidSceneError: as `parse_shifts`.
+    """
+    levels = parse_shifts(shifts, task)
+    body = str(levels.pop(BODY, body))
+    return {name: int(strength) for name, strength in levels.items()}, body
+
+
+def _body(name: object) -> str:
+    """The name of a body, as a level of its axis."""
+    try:
+        return check_body_name(name)
+    except InvalidSceneError as error:
+        raise SettingsError(f"the levels of the shift {BODY!r} are names: {error}") from error
+
+
 def _pair(text: str) -> tuple[str, Any]:
-    """Name and strength from text such as "camera:3"."""
+    """Name and level from text such as "camera:3"."""
+    if text.partition(":")[0] == BODY:
+        return BODY, text.partition(":")[2]
     name, _, strength = text.rpartition(":")
     named = is_reference(name) or ":" not in name
     if name not in SHIFTS and not (name and named and strength.lstrip("-").replace(".", "").isdigit()):
@@ -127,12 +162,15 @@ def _strength(name: str, value: object) -> int:
     return strength
 
 
-def expand_shifts(shifts: str | Iterable[Mapping[str, int]], task: str | None = None) -> list[dict[str, int]]:
+def expand_shifts(
+    shifts: str | Iterable[Mapping[str, int | str]], task: str | None = None
+) -> list[dict[str, int | str]]:
     """The shifts of an evaluation, one dict for each setting that is to be played, without repeats.
 
     Args:
         shifts: ``"camera:1-5,light,camera:2+latency:1"``: an axis with a strength, with a range of strengths, or with
-            all from 1 to 5; or several of one strength each, joined by "+". "all" stands for all our axes. Or dicts.
+            all from 1 to 5; or several of one strength each, joined by "+". "all" stands for all our axes with
+            strengths, and "body" for all bodies that the task offers. Or dicts.
         task: the task that is to have them; "all" leaves out what it cannot have. None: any task.
 
     Raises:
@@ -141,17 +179,25 @@ def expand_shifts(shifts: str | Iterable[Mapping[str, int]], task: str | None = 
     if not isinstance(shifts, str):
         each: Any = [shifts] if isinstance(shifts, Mapping) else shifts
         return _unique(parse_shifts(setting, task) for setting in each)
-    settings: list[dict[str, int]] = []
+    settings: list[dict[str, int | str]] = []
     for part in filter(None, (part.strip() for part in shifts.split(","))):
         if part == "all":
             able = [name for name, kind in SHIFTS.items() if task is None or not kind.supports(task)]
-            settings += [{name: strength} for name in able for strength in range(1, STRENGTHS + 1)]
-        elif "+" in part:
+            settings += [parse_shifts({name: strength}) for name in able for strength in range(1, STRENGTHS + 1)]
+        elif part == BODY:
+            settings += [parse_shifts({BODY: name}) for name in (BODIES if task is None else task_spec(task).bodies)]
+        elif "+" in part or part.startswith(f"{BODY}:"):
             settings.append(parse_shifts(part, task))
         else:
             name, least, most = _range(part)
             settings += [parse_shifts({name: strength}, task) for strength in range(least, most + 1)]
     return _unique(settings)
+
+
+def named_in(part: str) -> str:
+    """What a part of a label names: a body, or the shift whose strength it gives."""
+    axis, _, level = part.partition(":")
+    return level if axis == BODY else part.rpartition(":")[0]
 
 
 def _range(part: str) -> tuple[str, int, int]:
@@ -168,10 +214,10 @@ def _range(part: str) -> tuple[str, int, int]:
     return name, least, most
 
 
-def _unique(settings: Iterable[dict[str, int]]) -> list[dict[str, int]]:
+def _unique(settings: Iterable[dict[str, int | str]]) -> list[dict[str, int | str]]:
     return list({shift_label(setting): setting for setting in settings}.values())
 
 
-def shift_label(shifts: Mapping[str, int]) -> str:
+def shift_label(shifts: Mapping[str, int | str]) -> str:
     """The label of shifts in results, such as ``"camera:3+latency:1"``; "" for none."""
-    return "+".join(f"{name}:{strength}" for name, strength in parse_shifts(shifts).items())
+    return "+".join(f"{name}:{level}" for name, level in parse_shifts(shifts).items())

@@ -85,7 +85,9 @@ def command_line(arguments: Iterable[str]) -> Iterator[None]:
     With ``--trust`` among them, all are.
     """
     arguments, before = list(arguments), vars(_TRUST).copy()
-    named = {part for argument in arguments for part in re.split("[,=]", argument) if is_reference(part)}
+    parts = {part for argument in arguments for part in re.split("[,=+]", argument)}
+    parts |= {re.sub(r"^body:|:[\d-]+$", "", part) for part in parts}  # in shifts with their levels
+    named = set(filter(is_reference, parts))
     vars(_TRUST).update(named=named, everything="--trust" in arguments, only_named=True)
     try:
         yield

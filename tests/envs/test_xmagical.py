@@ -43,11 +43,10 @@ def test_there_are_96_ids_and_all_pass_gymnasiums_checker() -> None:
     assert len(IDS) == 96
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*(render|alternative namespace).*")
-        for number, id_ in enumerate(IDS):
+        for id_ in IDS:
             small = {} if "State" in id_ else {"image_size": 24}
             env = gymnasium.make(id_, renderer="software", **small)
-            if number % 9 == 0:
-                check_env(env.unwrapped, skip_render_check=True)
+            check_env(env.unwrapped, skip_render_check=True)
             observation, _ = env.reset(seed=3)
             assert observation in env.observation_space
             assert env.spec is not None

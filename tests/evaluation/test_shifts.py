@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,10 @@ import pytest
 from magical_mj.evaluation.reports.report import report
 from magical_mj.evaluation.reports.results import compare, gather
 from magical_mj.evaluation.reports.shifts import area, by_shift, curve, half_lost
-from magical_mj.evaluation.scores import EpisodeResult, read_settings
+from magical_mj.evaluation.scores import EpisodeResult, read, read_settings
 from magical_mj.leaderboard import verify
-from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError
+from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError, UntrustedNameError
+from magical_mj.utils.imports import trust
 from tests.helpers import agents
 from tests.helpers.commands import Shell
 from tests.helpers.evaluations import TEMPLATE, evaluate, rows, write
@@ -49,6 +51,21 @@ def test_an_evaluation_grows_by_shifts_and_is_replayed(tmp_path: Path) -> None:
     assert (findings.episodes, findings.differing) == (12, [])
     with pytest.raises(SettingsError, match="holds shifts that are left out here, or have changed: latency:4, "):
         evaluate("random", out=tmp_path, resume=True, variants="Demo")
+
+
+def test_other_bodies_stand_beside_the_first_one_and_are_replayed(shell: Shell, tmp_path: Path) -> None:
+    own = "body:tests.envs.test_xmagical:WEDGE"
+    options = ("--tasks", "MoveToRegion", "--variants", "Demo", "--preset", "State", "--episodes", "2")
+    shell("evaluate", "--policy", "random", *options, "--shifts", f"body,{own}", "--out", "out")
+    assert Counter(score.shift for score in read(tmp_path / "out")) == dict.fromkeys(
+        ["", "body:shortstick", "body:mediumstick", own], 2
+    )
+    shell("report", "out", "--out", "page")
+    assert "| random | body:mediumstick | " in (tmp_path / "page" / "report.md").read_text()
+    with pytest.raises(UntrustedNameError):
+        verify(tmp_path / "out", jobs=1)
+    trust(own.removeprefix("body:"))
+    assert verify(tmp_path / "out", jobs=1).differing == []
 
 
 def test_comparisons_pair_shifts(tmp_path: Path) -> None:

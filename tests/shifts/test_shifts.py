@@ -21,6 +21,7 @@ from magical_mj.shifts import SHIFTS, Factor, Shift, expand_shifts, parse_shifts
 from magical_mj.shifts.episode import draw_shifts
 from magical_mj.shifts.registry import PROTOCOL
 from magical_mj.shifts.words import SENTENCES
+from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import MagicalError, SettingsError, ShiftError, UnknownNameError
 
 DRAWN = ("camera", "light", "texture", "palette", "clutter", "sensor")
@@ -128,6 +129,28 @@ def test_a_task_can_lack_a_shift() -> None:
         magical_mj.Engine("SweepToTop", "Layout", seed=0, shifts="slip:1")
 
 
+def test_the_levels_of_the_axis_body_are_names() -> None:
+    assert shift_label(parse_shifts("camera:1,body:shortstick")) == "body:shortstick+camera:1"
+    offered = [{"body": name} for name in task_spec("MoveToRegion").bodies]
+    assert expand_shifts("body", "MoveToRegion") == offered
+    assert not any("body" in each for each in expand_shifts("all"))
+    shifted = {"shifts": {"camera": 2, "body": "mediumstick"}, "seed": 3, "renderer": "software"}
+    with (
+        closing(magical_mj.Engine("MoveToRegion", **shifted)) as env,
+        closing(magical_mj.Engine("MoveToRegion", shifts="camera:2", body="mediumstick", seed=3)) as same,
+    ):
+        assert env.initial_scene == same.initial_scene
+        assert env.shifts == {"camera": 2}
+        assert magical_mj.load("MoveToRegion", **shifted).initial_scene == env.initial_scene
+    for level in ("body:3", "body", "body:"):
+        with pytest.raises(SettingsError, match=r"are names: .* gripper, shortstick"):
+            magical_mj.Engine("MoveToRegion", shifts=level)
+    with pytest.raises(SettingsError, match="not offered with the body 'longstick'"):
+        magical_mj.Engine("MoveToRegion", shifts="body:longstick")
+    with closing(magical_mj.Engine("MoveToRegion", shifts="body:tests.envs.test_xmagical:WEDGE")) as env:
+        assert env.scene.robot.body == "tests.envs.test_xmagical:WEDGE"
+
+
 def test_a_shift_of_ones_own_that_returns_something_else_is_named() -> None:
     wrong = "tests.shifts.test_shifts:Wrong"
     with pytest.raises(ShiftError, match=r"Wrong.scene must return a magical_mj.Scene"):
@@ -147,7 +170,14 @@ def test_a_shift_of_ones_own_that_returns_something_else_is_named() -> None:
 
 @pytest.mark.parametrize("task", magical_mj.TASKS)
 def test_strength_0_is_no_shift_and_the_axes_do_not_touch_each_other(task: str) -> None:
-    with closing(engine(None, task=task)) as plain, closing(engine(dict.fromkeys(SHIFTS, 0), task=task)) as none:
+    for variant in (each for name, each in magical_mj.ENVIRONMENTS if name == task):
+        options: dict[str, Any] = {"seed": 3, "renderer": "software"}
+        plain = magical_mj.Engine(task, variant, **options)
+        none = magical_mj.Engine(task, variant, shifts=dict.fromkeys(SHIFTS, 0), **options)
+        for action in ACTIONS[:10]:
+            for each in (plain, none):
+                each.step(action)
+        assert none.initial_scene == magical_mj.sample_scene(task, variant, 3)  # of which hashes are kept
         assert none.get_state() == plain.get_state()
         assert pictures(none) == pictures(plain)
     able = {name: strength for name, strength in EVERYTHING.items() if not SHIFTS[name].supports(task)}

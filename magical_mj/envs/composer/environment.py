@@ -33,7 +33,7 @@ from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.state_vector import CAMERAS, OBSERVATIONS, STATE_NAMES, VIEWS, StateEncoder
 from magical_mj.shifts.episode import EpisodeShifts
-from magical_mj.shifts.registry import Shifts, parse_shifts
+from magical_mj.shifts.registry import Shifts, split_body
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.spec import REWARDS, Reward, Rules
 from magical_mj.utils import errors
@@ -468,8 +468,8 @@ def load(
     """
     task_spec(task)  # None, too, is no task
     check_name("reward", reward, REWARDS)
+    strengths, body = split_body(shifts, task, body)
     setup = Setup(task, variant, rules, body)
-    strengths = parse_shifts(shifts, task)
     looks = observations, image_size, reward, renderer
     return _loaded(setup, strengths, seed, scene, *looks, recompile=recompile_mjcf_every_episode)
 

@@ -32,7 +32,7 @@ def by_shift(scores: pd.DataFrame) -> pd.DataFrame:
         scores: a row for each episode; see `magical_mj.evaluation.reports.results.gather`.
 
     Returns:
-        A row for each policy and shift: the `axis` and its `strength` (NaN of several shifts at once), the mean score
+        A row for each policy and shift: the `axis` and its `strength` (NaN of several, and of bodies), the mean score
         with the shift (`mean`) and without it (`without`), the `difference` and its 95 % interval (`low`, `high`), and
         the numbers of `scenes` and `environments`. The interval resamples the scenes of each environment. Scores of
         several runs in one scene are averaged first; all environments have equal weight.
@@ -48,12 +48,13 @@ def by_shift(scores: pd.DataFrame) -> pd.DataFrame:
         if both.empty:
             continue
         axis, _, strength = str(shift).rpartition(":")
+        graded = "+" not in str(shift) and strength.isdigit()
         rows.append(
             {
                 "policy": policy,
                 "shift": shift,
-                "axis": shift if "+" in str(shift) else axis,
-                "strength": math.nan if "+" in str(shift) else int(strength),
+                "axis": axis if graded else shift,
+                "strength": int(strength) if graded else math.nan,
                 **paired_means(both, "mean", "without"),
             }
         )
@@ -118,7 +119,12 @@ def shift_tables(shifts: pd.DataFrame) -> Iterator[Table]:
             for row in combined.itertuples()
         )
         header = ("Method", "shifts", "without", "with", "difference")
-        yield Table("combined", "Several shifts at once, in the same scenes as without them", header, (("", rows),))
+        yield Table(
+            "combined",
+            "Several shifts at once in the same scenes, and other bodies with the same seeds, beside none",
+            header,
+            (("", rows),),
+        )
 
 
 def _difference(row: Any) -> str:
