@@ -7,10 +7,9 @@ all models of a batch, and variants change it from episode to episode.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, Final, cast
 
 import gymnasium
@@ -115,10 +114,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         for env in self.envs:
             env.observation_space = first.observation_space  # whose bounds take four times the memory of an observation
         self.action_space = batch_space(first.action_space, self.num_envs)
-        count = min(threads or cores(), self.num_envs)
-        bounds = [self.num_envs * thread // count for thread in range(count + 1)]
-        self._shares = [range(start, end) for start, end in pairwise(bounds)]
-        self._others = ThreadPoolExecutor(count - 1, "magical_mj") if count > 1 else None
+        self._threads = min(threads or cores(), self.num_envs)
+        self._others = ThreadPoolExecutor(self._threads - 1, "magical_mj") if self._threads > 1 else None
         self._over = np.zeros(self.num_envs, np.bool_)
 
     @cached_property
@@ -260,18 +257,22 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return self._observations
 
     def each_world(self, do: Callable[[int], None]) -> None:
-        """Does something in every world, by its number, with all threads. Raises the first error when all are done."""
+        """Does something in every world, by its number, with all threads. Raises the first error when all are done.
 
-        def work(share: Iterable[int]) -> None:
-            for world in share:
+        Each takes the next world when it is done with one, and none waits for a thread that has not begun: beside other
+        work the system may let a thread wait for as long as many steps take.
+        """
+        worlds = iter(range(self.num_envs))  # which all threads share
+
+        def work() -> None:
+            for world in worlds:
                 do(world)
 
-        first, *others = self._shares
-        futures: list[Future[None]] = [self._others.submit(work, share) for share in others] if self._others else []
+        futures = [self._others.submit(work) for _ in range(self._threads - 1)] if self._others else []
         try:
-            work(first)
+            work()
         finally:
-            errors = [future.exception() for future in futures]
+            errors = [None if future.cancel() else future.exception() for future in futures]
         for error in filter(None, errors):
             raise error
 
