@@ -265,7 +265,6 @@ def kinds(inputs: Path) -> dict[str, Kind]:
         "demos-video": whole("demos", "video", "--tasks", "FixColour", "--count", "1", "--out", "{}/a.mp4", "--force"),
         "demos-npz": whole(*export, "--out", "{}/a.npz"),
         "demos-minari": Kind(("env", "MINARI_DATASETS_PATH={}", *MAIN, *export, *minari), contents, contents),
-        "demos-lerobot": whole(*export[:-1], "--to", "lerobot", "--out", "{}/a"),
         "demos-webdataset": whole(*export, "--to", "webdataset", "--out", "{}/a.tar"),
         "demos-xirl": whole(*export[:-1], "--to", "xirl", "--out", "{}/a"),
         "demos-robomimic": whole(*export, "--to", "robomimic", "--out", "{}/a.hdf5"),

@@ -38,12 +38,12 @@ def theirs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         del sys.modules[name]
 
 
-def evaluation() -> Path:
-    """A folder with an episode of their task, in which nothing is done."""
-    row = replace(TEMPLATE, task=TASK, steps=40, actions="a" * 40)
+def evaluation(**fields: str) -> Path:
+    """A folder with an episode of their task, or with other fields, in which nothing is done."""
+    row = replace(TEMPLATE, steps=40, actions="a" * 40, **(fields or {"task": TASK}))
     folder = write(Path("run"), [row])
-    settings = {"policies": [{"name": row.policy, "run": 0}], "environments": [f"{TASK}-Demo"], "episodes": 1}
-    (folder / SETTINGS).write_text(json.dumps(settings))
+    settings = {"policies": [{"name": row.policy, "run": 0}], "environments": [f"{row.task}-Demo"], "episodes": 1}
+    (folder / SETTINGS).write_text(json.dumps(settings | {"shifts": [row.shift], "wrap": row.wrap, "body": row.body}))
     return folder
 
 
@@ -67,6 +67,16 @@ def test_no_command_runs_code_that_a_file_names(shell: Shell, command: str, thei
         assert code == 2
         assert TASK in error
         assert "trust" in error
+
+
+@pytest.mark.parametrize("field", ["shift", "wrap", "body", "policy", "preset", "rules"])
+def test_no_other_field_of_an_episode_runs_code(shell: Shell, field: str, theirs: Path) -> None:
+    evaluation(**{field: f"{TASK}:3" if field == "shift" else TASK})
+    played = ("--policy", "noop", "--tasks", "MoveToRegion", "--episodes", "1", "--jobs", "1")
+    for command in ("report run --videos", "verify run --jobs 1", "compare run run", "submit run --out e.json.xz"):
+        shell(*command.split())
+    shell("evaluate", *played, "--out", "run", "--resume")
+    assert not theirs.exists()
 
 
 def test_trusted_files_and_typed_names_run_it(shell: Shell, theirs: Path) -> None:

@@ -6,6 +6,7 @@ observation before and after each action.
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import tarfile
@@ -58,7 +59,11 @@ def to_webdataset(
     metadata = {**about(demos), "preset": preset, "features": dict(FEATURES)}
     with files.new_folder(folder, overwrite=overwrite) as unfinished:
         unfinished.mkdir()
-        with tarfile.open(unfinished / ARCHIVE, "w:gz", compresslevel=6) as archive:
+        with (
+            (unfinished / ARCHIVE).open("wb") as file,
+            gzip.GzipFile("", "wb", 6, file, mtime=0) as packed,  # the same bytes at any time
+            tarfile.open(fileobj=packed, mode="w") as archive,
+        ):
             _add(archive, "_metadata.json", json.dumps(metadata, indent=1).encode())
             for number, demo in enumerate(demos):
                 for step, parts in enumerate(_transitions(demo, preset)):
