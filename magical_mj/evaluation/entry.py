@@ -215,6 +215,8 @@ def submit(
     described = {} if card is None else files.read_toml(Path(card))
     sources = [(episode, folder) for folder in folders for episode in read(folder) if _has_place(episode)]
     names = list(dict.fromkeys(episode.policy for episode, _ in sources))
+    if not names:
+        raise EvaluationError("all episodes are shifted, by other shifts than those of the track; an entry holds none")
     if policy is not None:
         check_name("policy", policy, names)
     elif len(names) > 1:

@@ -56,8 +56,8 @@ class UntrustedNameError(MagicalError, ValueError):
 
     def __init__(self, reference: str, origin: object) -> None:
         super().__init__(
-            f"{origin} names {reference}, and using it runs that module's code: if you trust it, name it in "
-            f"commands that take names (--tasks {reference}; or --trust, for all that the files name), or in Python call "
+            f"{origin} names {reference}, and using it runs that module's code: if you trust it, name it in a "
+            f"command that takes names (--tasks {reference}; or --trust, for all of the files), or in Python call "
             f"magical_mj.utils.imports.trust({reference!r}) before"
         )
         self.reference = reference

@@ -65,6 +65,9 @@ def test_what_is_no_evaluation_of_one_method_is_explained(folder: Path, tmp_path
     rewrite(folder, lambda rows: rows[0].update(policy="bc-1"))
     with pytest.raises(SettingsError, match=r"bc-1, expert: .*\(--policy NAME\).*--policy BC=runs/a,BC=runs/b"):
         submit([folder], tmp_path / "entry.json.xz")
+    rewrite(folder, lambda rows: [row.update(shift="mine:Fog:3") for row in rows])
+    with pytest.raises(EvaluationError, match="all episodes are shifted"):
+        submit([folder], tmp_path / "entry.json.xz")
     assert not (tmp_path / "entry.json.xz").exists()
 
 

@@ -137,7 +137,9 @@ def _damaged(path: Path, data: bytes, rng: random.Random) -> bytes:
     if path.suffix in (".toml", ".csv"):
         words = data.decode().split(" " if path.suffix == ".toml" else ",")
         place = rng.randrange(len(words))
-        words[place] = rng.choice((json.dumps(json_value(rng)), "", "nan", "1" * 30, "true", '"x"', "[]", "{}", "\n"))
+        words[place] = rng.choice(
+            (json.dumps(json_value(rng)), "", "nan", "-" + "1" * 30, "true", '"x"', "[]", "{}", "\n")
+        )
         return (" " if path.suffix == ".toml" else ",").join(words).encode("utf-8", "replace")
     return spoilt_bytes(data, rng)
 
