@@ -237,10 +237,11 @@ class Simulation:
             return self._views.draw(self.data, view, size, out)
         check_out(out, size)
         bare = np.empty((size, size), np.uint8) if self.shifts.changes_ground else None
-        picture = self._views.draw(self.data, view, size, bare=bare)
+        place = None if self.shifts.filters else out  # which has gaps in memory
+        picture = self._views.draw(self.data, view, size, place, bare)
         frame = self._frame(view, self.shifts.steps)
         picture = self.shifts.picture(picture, frame, bare, self.world.scene.half_width)
-        if out is None:
+        if out is None or place is out:
             return picture
         for channel in range(3):  # three strided copies are faster than one of triples
             out[..., channel] = picture[..., channel]

@@ -120,7 +120,7 @@ class Texture(Shift):
             first, second = _tint(rng), _tint(rng)
             mixed = first + np.linspace(0, 1, 256)[:, None] * (second - first)
             blend = (opacity * mixed + (1 - opacity) * ground[where][0, 0]).astype(np.uint8)
-            textured[where] = blend[index[where]]
+            textured[where] = blend.take(index[where], axis=0)
         return textured
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -41,8 +42,9 @@ class EpisodeShifts:
         steps: the number of actions so far.
         commands: the last commands that each shift which changes actions was given.
         changes_model: whether one of them changes the model.
+        filters: whether one of them changes pictures after they were drawn, ground and all.
         changes_ground: whether one of them changes the look of the ground.
-        changes_pictures: whether pictures change after they were drawn.
+        changes_pictures: either of these.
     """
 
     def __init__(self, draws: Draws) -> None:
@@ -51,7 +53,8 @@ class EpisodeShifts:
         self._acting, self._drawing, self._laying = map(self._with, ("action", "picture", "ground"))
         self._ground: tuple[float, Picture] | None = None
         self.changes_ground = bool(self._laying)
-        self.changes_pictures = self.changes_ground or bool(self._drawing)
+        self.filters = bool(self._drawing)
+        self.changes_pictures = self.changes_ground or self.filters
         self.changes_model = self.changes_ground or bool(self._with("model"))
         self.steps = 0
         self.commands: dict[str, list[int]] = {name: [] for name in self._acting}
@@ -122,10 +125,7 @@ class EpisodeShifts:
     def _ground_in(self, half_width: float) -> Picture:
         """The look of the ground in an arena of this half width, and around it."""
         if self._ground is None or self._ground[0] != half_width:
-            ground = np.full((GROUND_CELLS, GROUND_CELLS, 3), SURROUNDINGS, np.uint8)
-            wall = round(GROUND_CELLS * half_width / (2 * GROUND_REACH))
-            inside = slice(GROUND_CELLS // 2 - wall, GROUND_CELLS // 2 + wall)
-            ground[inside, inside] = 255
+            ground = _plain_ground(half_width).copy()
             for name, shift in self._laying.items():
                 with _errors_of(name, "ground"):
                     looks = shift.ground(ground)
@@ -146,6 +146,16 @@ class EpisodeShifts:
         """Goes back to a step, with the commands before it."""
         self.steps = steps
         self.commands = {name: list(commands.get(name, ())) for name in self._acting}
+
+
+@lru_cache(4)
+def _plain_ground(half_width: float) -> Picture:
+    """The ground without another look; to be copied before it is changed."""
+    ground = np.full((GROUND_CELLS, GROUND_CELLS, 3), SURROUNDINGS, np.uint8)
+    wall = round(GROUND_CELLS * half_width / (2 * GROUND_REACH))
+    inside = slice(GROUND_CELLS // 2 - wall, GROUND_CELLS // 2 + wall)
+    ground[inside, inside] = 255
+    return ground
 
 
 def _checked(what: str, picture: Any, shape: tuple[int, ...]) -> Picture:

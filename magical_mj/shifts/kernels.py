@@ -18,7 +18,7 @@ ONE: Final = float(1 << BITS)
 _FRAME: Final = "UniTuple(f8, 4)"
 
 
-@compiled(f"void(u1[:, :, ::1], u1[:, ::1], u1[:, :, ::1], f8, {_FRAME})")
+@compiled(f"void(u1[:, :, :], u1[:, ::1], u1[:, :, ::1], f8, {_FRAME})")
 def lay(picture: Any, bare: Any, ground: Any, reach: float, camera: Any) -> None:
     """Puts a picture of the ground under what was drawn on white.
 
@@ -43,10 +43,11 @@ def lay(picture: Any, bare: Any, ground: Any, reach: float, camera: Any) -> None
             count = np.int32(bare[row, column])
             if count:
                 line, place = min(max(i >> BITS, 0), last), min(max(j >> BITS, 0), last)
-                for k in range(3):
-                    if count == 4:
+                if count == 4:
+                    for k in range(3):
                         picture[row, column, k] = ground[line, place, k]
-                    else:
+                else:
+                    for k in range(3):
                         darker = (count * (255 - np.int32(ground[line, place, k])) + 2) >> 2
                         picture[row, column, k] = np.uint8(max(np.int32(picture[row, column, k]) - darker, 0))
             i += stride_i
@@ -154,6 +155,22 @@ def _round(block: Any, step: int) -> None:
         block[i, 0], block[i, 1], block[i, 2], block[i, 3] = _mixed(block[i, 0], block[i, 1], block[i, 2], block[i, 3])
 
 
+@njit
+def _fill(picture: Any, top: int, left: int, plain: Any) -> bool:
+    """Replaces the levels of a block if all pixels are equal, as in most: only its mean is not 0. Whether they are."""
+    for i in range(top, top + BLOCK):
+        for j in range(left, left + BLOCK):
+            for k in range(3):
+                if picture[i, j, k] != picture[top, left, k]:
+                    return False
+    for k in range(3):
+        level = plain[picture[top, left, k]]
+        for i in range(top, top + BLOCK):
+            for j in range(left, left + BLOCK):
+                picture[i, j, k] = level
+    return True
+
+
 @compiled("void(u1[:, :, ::1], i8)")
 def quantise(picture: Any, step: int) -> None:
     """Rounds the coefficients of blocks of 4 x 4 pixels to multiples of a step, the mean finer, as JPEG does.
@@ -161,23 +178,22 @@ def quantise(picture: Any, step: int) -> None:
     They are those of the Hadamard transform, which are whole numbers. What does not fill a block stays.
     """
     size = len(picture) // BLOCK * BLOCK
-    block = np.empty((BLOCK, BLOCK), np.float64)
+    block, plain = np.empty((BLOCK, BLOCK), np.float64), np.empty(256, np.uint8)
+    for level in range(256):
+        mean = math.floor(16.0 * level / step + 0.5) * step
+        plain[level] = np.uint8(min(max(mean / 16.0 + 0.5, 0.0), 255.0))
     for corner in range((size // BLOCK) ** 2):
         top, left = corner // (size // BLOCK) * BLOCK, corner % (size // BLOCK) * BLOCK
+        if _fill(picture, top, left, plain):
+            continue
         for k in range(3):
-            part = picture[top : top + BLOCK, left : left + BLOCK, k]
-            different = np.uint8(0)
             for i in range(BLOCK):
                 for j in range(BLOCK):
-                    block[i, j] = part[i, j]
-                    different |= part[i, j] ^ part[0, 0]
-            if different == 0:  # as most are: only the mean is not 0
-                block[:] = math.floor(16.0 * block[0, 0] / step + 0.5) * step
-            else:
-                _round(block, step)
+                    block[i, j] = picture[top + i, left + j, k]
+            _round(block, step)
             for i in range(BLOCK):
                 for j in range(BLOCK):
-                    part[i, j] = np.uint8(min(max(block[i, j] / 16.0 + 0.5, 0.0), 255.0))
+                    picture[top + i, left + j, k] = np.uint8(min(max(block[i, j] / 16.0 + 0.5, 0.0), 255.0))
 
 
 @compiled("void(u1[:, :, ::1], u1[:, ::1], i8)")
