@@ -1,0 +1,25 @@
+#!/usr/bin/env bash
+# What each assumption of relational brings, by leaving it out (docs/results.md): experiments/relational-ablation.sh
+# Two tasks, 100 episodes. About half an hour of one core; run again, it goes on.
+set -euo pipefail
+
+# NAME ASSUMPTIONS
+run() {
+  for task in MoveToRegion FixColour; do
+    local policy=runs/ablation/$task-$1
+    [ -f "$policy.trained" ] || {
+      magical-mj train relational --tasks $task --preset State --set evaluations=0 --set relational.assumptions="$2" \
+        --out "$policy" && touch "$policy.trained"
+    }
+    magical-mj evaluate --policy "$1=$policy" --tasks $task --variants Demo,Layout,All --preset State --envs 50 \
+      --out "$policy-scores" --resume
+  done
+}
+
+run all egocentric,mirror,rename,displace,detours
+run without-egocentric rename,displace,detours  # mirror is tried only with it
+run without-mirror egocentric,rename,displace,detours
+run without-rename egocentric,mirror,displace,detours
+run without-displace egocentric,mirror,rename,detours
+run without-detours egocentric,mirror,rename,displace
+magical-mj report runs/ablation/*-scores --out runs/ablation/report
