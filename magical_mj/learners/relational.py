@@ -6,10 +6,8 @@ The assumption is kept unless the mean score there falls by more than `relationa
 does, the weights from before it are restored. `mirror` is tried only where `egocentric` was kept: whoever sees where in
 the arena things are tells mirrored samples from the demo scene, which then cannot show whether they are wrong.
 
-At last come rounds of training with all that was kept, and they must be earned, too: a round counts only if the score
-in the demo scene has risen by more than `relational.loss`, for otherwise more training is memory of this scene. The
-rules are the same for all tasks, and `assumptions.json` in the run's folder says what came of them. No other scene is
-ever seen.
+After the last trial there is no more training: it would be memory of the demo scene. The rules are the same for all
+tasks, and `assumptions.json` in the run's folder says what came of them. No other scene is ever seen.
 
 This needs more than the paper's methods have: the states of demonstrations, the simulation of the demo scene (for
 rollouts and detours), and its score.
@@ -61,8 +59,7 @@ class Relational(Learner):
         with seeded(settings.seed):
             self._learning, self._actor = Ensemble(chosen).to(self.device), Ensemble(chosen).to(self.device)
         self._actor.load_state_dict(self._learning.state_dict())
-        self._count, self._trials = 0, (2 + len(self._assumptions)) * chosen.trial
-        self.updates = self._trials + chosen.rounds * chosen.trial
+        self._count, self.updates = 0, (2 + len(self._assumptions)) * chosen.trial
         self._kept: list[str] = []
         self._report: list[dict[str, Any]] = []
         self._before = self._weights()
@@ -139,8 +136,7 @@ class Relational(Learner):
     def _tried(self) -> tuple[str, ...]:
         """The assumption on trial now, if one is: first comes twice the time of a trial without any."""
         number = self._count // self.settings.relational.trial - 1
-        on_trial = number > 0 and self._count < self._trials
-        return tuple(filter(self._can_be_tried, self._assumptions[number - 1 : number])) if on_trial else ()
+        return tuple(filter(self._can_be_tried, self._assumptions[max(0, number - 1) : max(0, number)]))
 
     def _can_be_tried(self, name: str) -> bool:
         return name not in PREMISES or PREMISES[name] in self._kept
@@ -173,28 +169,18 @@ class Relational(Learner):
         kept = [trial["score"] for trial in self._report if trial["kept"]]
         number = self._count // chosen.trial - 2
         trial: dict[str, Any] = {"score": score, "kept": True}
-        if self._count > self._trials:
-            trial = {"round": number - len(self._assumptions), **trial, "kept": score > kept[-1] + chosen.loss}
-        elif number:
+        if number:
             name = self._assumptions[number - 1]
             tried = self._can_be_tried(name)
             trial = {"assumption": name, "tried": tried, **trial, "kept": tried and score >= max(kept) - chosen.loss}
             if trial["kept"]:
                 self._kept.append(name)
             elif tried:
-                self._restore()
+                self._learning.load_state_dict(self._before)
+                self._actor.load_state_dict(self._before)
         self._report.append(trial)
-        if trial["kept"] or self._count <= self._trials:
-            self._before = self._weights()
-        if self._count <= self._trials:
-            self._restart()
-        elif self._count == self.updates:
-            self._restore()
-
-    def _restore(self) -> None:
-        """Goes back to the weights that were kept last."""
-        self._learning.load_state_dict(self._before)
-        self._actor.load_state_dict(self._before)
+        self._before = self._weights()
+        self._restart()
 
     def _weights(self) -> dict[str, torch.Tensor]:
         return {name: values.clone() for name, values in self._actor.state_dict().items()}

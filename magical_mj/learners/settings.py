@@ -186,17 +186,12 @@ class RelationalSettings(Settings):
     trial: Annotated[
         Count, Meta(description="updates, of 16 batches each, of each assumption's trial; twice that before the first")
     ] = 80
-    rounds: Annotated[
-        Natural, Meta(description="of training, as long as a trial, with the assumptions that were kept")
-    ] = 3
     batch_size: Count = 64
     learning_rate: Annotated[Positive, Meta(description="of Adam")] = 1e-3
     rollouts: Annotated[Count, Meta(description="episodes of the demo scene that judge a trial")] = 80
     loss: Annotated[
         Share,
-        Meta(
-            description="of score in the demo scene: an assumption's at most (1: all are kept); a round must gain more"
-        ),
+        Meta(description="of score in the demo scene that an assumption may cost (1: all are kept)"),
     ] = 0.1
     detours: Annotated[Count, Meta(description="excursions that are tried")] = 1_000
     sharpness: Annotated[Positive, Meta(description="power of the probabilities that the policy draws from")] = 1.5

@@ -25,7 +25,6 @@ SMALL = {
     "demonstrations": 2,
     "relational.hidden": 8,
     "relational.trial": 1,
-    "relational.rounds": 1,
     "relational.batch_size": 8,
     "relational.rollouts": 2,
     "relational.detours": 10,
@@ -127,7 +126,7 @@ def test_the_rule_keeps_what_the_demo_scene_bears(tmp_path) -> None:  # noqa: AN
         settings = load_settings("relational", "MoveToRegion", **SMALL, **{"relational.loss": loss})
         folder = tmp_path / str(loss)
         train(settings, folder)
-        start, *trials, last = json.loads((folder / REPORT).read_text())
+        start, *trials = json.loads((folder / REPORT).read_text())
         assert [trial["assumption"] for trial in trials] == list(settings.relational.assumptions)
         best, kept = start["score"], {None}
         for trial in trials:
@@ -136,8 +135,6 @@ def test_the_rule_keeps_what_the_demo_scene_bears(tmp_path) -> None:  # noqa: AN
             if trial["kept"]:
                 best = max(best, trial["score"])
                 kept.add(trial["assumption"])
-        assert last["round"] == 1
-        assert last["kept"] == (last["score"] > [t["score"] for t in (start, *trials) if t["kept"]][-1] + loss)
     frame = evaluate(folder, tasks="MoveToRegion", variants="Demo", preset="State", episodes=2, jobs=1)
     assert len(frame) == 2
     assert load_policy(folder).preset == "State"
@@ -177,15 +174,3 @@ def test_a_state_taken_at_any_time_leads_to_the_same_weights() -> None:
 def test_mistakes_are_told(tasks: str, changes: dict, error: type[Exception], message: str, tmp_path) -> None:  # noqa: ANN001
     with pytest.raises(error, match=message):
         train(load_settings("relational", tasks, **changes), tmp_path / "run")
-
-
-def test_training_that_the_demo_scene_does_not_reward_is_undone() -> None:
-    """With a loss of 1 no round is kept: what plays at the end are the weights from before the first."""
-    settings = load_settings("relational", "MoveToRegion", **SMALL, **{"relational.loss": 1.0})
-    learner = Relational(settings)
-    while learner._count < learner.updates - 1:
-        learner.update()
-    before = learner._before
-    learner.update()
-    assert learner._report[-1]["kept"] is False
-    assert all(torch.equal(values, before[name]) for name, values in learner.actor.state_dict().items())
