@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from statistics import fmean
@@ -30,7 +31,7 @@ from magical_mj.cli.console import (
 )
 from magical_mj.cli.film import film
 from magical_mj.scene.bodies import GRIPPER
-from magical_mj.tasks.registry import Pair, environments, score, task_spec
+from magical_mj.tasks.registry import SPLITS, Pair, environments, score, task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError, UntrustedNameError
 from magical_mj.utils.parallel import map_unordered
@@ -38,6 +39,11 @@ from magical_mj.utils.settings import LARGEST_SETTING
 
 if TYPE_CHECKING:  # imported late: it loads the simulator, which help does not need
     from magical_mj.demos import Demonstration, Imported, Verdict
+    from magical_mj.evaluation.settings import EvaluationSettings
+    from magical_mj.policies.loading import Source
+
+Key = tuple[str, str, int]
+"""Task, variant and number."""
 
 Paths = Annotated[
     list[Path] | None,
@@ -47,6 +53,9 @@ Recordings = Annotated[list[Path], typer.Argument(help="The JSON files that the 
 Count = Annotated[
     int, typer.Option(min=1, max=LARGEST_SETTING, help="Number in each environment, in the scenes of seeds 0, 1, ...")
 ]
+Policy = Annotated[str, typer.Option(help="random, noop, module:object, the folder of a training, or a model file.")]
+Steps = Annotated[int, typer.Option(min=1, max=LARGEST_SETTING, help="At least so many in each environment.")]
+Preset = Annotated[str, typer.Option(help="What the policy observes; what is exported may be something else.")]
 Folder = Annotated[Path, typer.Option("--out", help="The folder; existing files are kept.", show_default=False)]
 Least = Annotated[float, typer.Option(min=0, max=1, help="The least score of a demonstration.")]
 Filmed = Annotated[int, typer.Option("--count", min=1, help="How many to film at most.")]
@@ -91,36 +100,105 @@ def generate(
 ) -> None:
     """Make demonstrations by the expert. Called again, it continues; nothing is overwritten."""
     pairs = environments(tasks, variants)
-    keys = [(*pair, number) for pair in pairs for number in range(count)]
     for task, _ in pairs:
         task_spec(task).check_body(body)
     by = "" if body == GRIPPER else f"-{body.rpartition(':')[2]}"
+    keys = [(*pair, number) for pair in pairs for number in range(count)]
     paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}{by}-{key[2]:03}.npz" for key in keys}
-    if len(set(paths.values())) < len(keys):
+    make = partial(magical_mj.demos.demonstrate, least_score=least_score, body=body)
+    failures = make_missing(paths, make, out, jobs, "demonstrating")
+    describe([magical_mj.demos.read(path, key[0]) for key, path in paths.items() if path.exists()])
+    check_made(failures)
+
+
+@app.command()
+def rollouts(
+    out: Folder,
+    policy: Policy = "random",
+    tasks: Tasks = "all",
+    variants: Variants = "Demo,All",
+    steps: Steps = 10_000,
+    preset: Preset = "LoRes4E",
+    jobs: Jobs = None,
+) -> None:
+    """Record episodes of a policy, as data without labels. Called again, it continues; nothing is overwritten.
+
+    They are files as of demonstrations, which `export` takes; their scenes are never those of the tests.
+    """
+    from magical_mj.evaluation.settings import EvaluationSettings
+    from magical_mj.policies.loading import playable
+
+    pairs = environments(tasks, variants)
+    source, *others = playable(policy, pairs, preset)
+    if others:
+        raise typer.BadParameter("give one policy; another one gets a folder of its own.")
+    keys = [
+        (*pair, SPLITS["dev"] + k) for pair in pairs for k in range(math.ceil(steps / task_spec(pair[0]).horizon()))
+    ]
+    paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}-{source.name}-{key[2]}.npz" for key in keys}
+    play = partial(roll_out, source, EvaluationSettings(split="dev", preset=preset))
+    check_made(make_missing(paths, play, out, jobs, f"playing {source.name}"))
+    total = sum(task_spec(task).horizon() for task, _, _ in keys)
+    console().print(f"{len(paths)} episodes with {total} steps are in {out}", soft_wrap=True)
+
+
+def roll_out(source: Source, settings: EvaluationSettings, task: str, variant: str, seed: int) -> Demonstration:
+    """The episode of a policy in the scene of a seed.
+
+    Raises:
+        DemonstrationError: if the policy failed.
+    """
+    from magical_mj.evaluation.worker import Unit, play_unit
+    from magical_mj.policies.interface import actions_of
+
+    (result,), _ = play_unit(Unit(source, task, variant, (seed,), settings))
+    if result.failure is not None:
+        raise DemonstrationError(f"{source.name} failed in {task}-{variant}, seed {seed}: {result.failure}")
+    who = "random" if source.origin == "random" else "policy"
+    return magical_mj.demos.recorded(task, variant, seed, actions_of(result.actions), who)
+
+
+def make_missing(
+    paths: Mapping[Key, Path], make: Callable[..., Demonstration], out: Path, jobs: int | None, doing: str
+) -> list[str]:
+    """Writes those demonstrations that are not there yet, the longest first; returns why some cannot be made.
+
+    Args:
+        paths: task, variant and number -> the file.
+        make: makes the demonstration of a task, variant and number.
+        out: the folder.
+        jobs: how many processes.
+        doing: what the bar says.
+    """
+    if len(set(paths.values())) < len(paths):
         raise SettingsError("two of these tasks have the same name, and so would their files: use two folders")
     make_writable_folder(out)
     screen = console()
     there = {key for key, path in paths.items() if path.exists() and magical_mj.demos.read(path, key[0])}
     if there:
         screen.print(f"{len(there)} of {len(paths)} are there already")
-    longest_first = sorted(keys, key=lambda key: -pairs.index(key[:2]))
-    todo = [(*key, least_score, body, paths[key]) for key in longest_first if key not in there]
+    order = {pair: number for number, pair in enumerate(dict.fromkeys(key[:2] for key in paths))}
+    todo = [(key, paths[key]) for key in sorted(paths, key=lambda key: -order[key[:2]]) if key not in there]
     try:
-        messages = list(with_bar(screen, "demonstrating", map_unordered(make, todo, jobs), len(todo)))
+        messages = list(with_bar(screen, doing, map_unordered(partial(write_one, make), todo, jobs), len(todo)))
     except KeyboardInterrupt:
         finished = sum(path.exists() for path in paths.values())
         complain(f"interrupted: {finished} of {len(paths)} demonstrations are in {out}; the same command goes on")
         raise
-    describe([magical_mj.demos.read(path, key[0]) for key, path in paths.items() if path.exists()])
-    if failures := sorted(filter(None, messages)):
+    return sorted(filter(None, messages))
+
+
+def check_made(failures: Sequence[str]) -> None:
+    """Raises a `DemonstrationError` if there are any."""
+    if failures:
         raise DemonstrationError(f"{len(failures)} demonstrations are missing: {'; '.join(failures)}")
 
 
-def make(work: tuple[str, str, int, float, str, Path]) -> str:
+def write_one(make: Callable[..., Demonstration], work: tuple[Key, Path]) -> str:
     """The work of one process: makes one demonstration; returns an error message, or an empty text."""
-    task, variant, number, least_score, body, path = work
+    key, path = work
     try:
-        magical_mj.demos.write(magical_mj.demos.demonstrate(task, variant, number, least_score, body), path)
+        magical_mj.demos.write(make(*key), path)
     except FileExistsError:  # another process, which generates into the same folder, was faster
         return ""
     except DemonstrationError as error:

@@ -13,7 +13,7 @@ from magical_mj.demos.demonstration import Demonstration, files_in, keep, read, 
 from magical_mj.demos.export.archives import to_npz
 from magical_mj.demos.export.minari import to_minari
 from magical_mj.demos.learning import Transitions, observations, stream, transitions
-from magical_mj.demos.recording import MAX_BYTES, Imported, Recorder, demonstrate, from_recording
+from magical_mj.demos.recording import MAX_BYTES, Imported, Recorder, demonstrate, from_recording, recorded
 from magical_mj.demos.replay import Diversity, Verdict, diversity, render_demo, verify
 from magical_mj.demos.shipped import load_shipped
 from magical_mj.scene.bodies import GRIPPER
@@ -36,6 +36,7 @@ __all__ = [
     "load",
     "observations",
     "read",
+    "recorded",
     "render_demo",
     "stream",
     "to_minari",

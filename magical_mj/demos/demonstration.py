@@ -37,7 +37,7 @@ from magical_mj.utils.errors import DemonstrationError, MagicalError, short_repr
 from magical_mj.utils.imports import check_named
 from magical_mj.utils.settings import annotated, fitting
 
-Demonstrator = Literal["expert", "human"]
+Demonstrator = Literal["expert", "human", "random", "policy"]
 Seed = Annotated[int, Meta(ge=0)]
 
 FORMAT: Final = 1
@@ -59,7 +59,7 @@ class Demonstration:
     """`scene` is `sample_scene(task, variant, scene_seed)`."""
     demonstrator: Demonstrator
     seed: Seed
-    """The expert's seed; of people, the scene's."""
+    """The expert's seed; of others, the scene's."""
     scene: Scene
     actions: NDArray[Any]
     """Numbers, uint8, shape (steps,); where actions are speeds, as in SweepToTop, vectors, float32, (steps, 2 or 3)."""

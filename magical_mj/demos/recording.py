@@ -18,6 +18,7 @@ demonstration holds the states and the score of this replay. `final` is compared
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import closing
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
@@ -26,6 +27,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
+from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration, Demonstrator
 from magical_mj.engine import Engine
 from magical_mj.policies.expert import expert_of
@@ -160,6 +162,24 @@ def demonstrate(task: str, variant: str, number: int, least_score: float = 1.0, 
     )
 
 
+def recorded(task: str, variant: str, seed: int, actions: Iterable[int], demonstrator: Demonstrator) -> Demonstration:
+    """The demonstration of somebody's actions in the scene of a seed, which are played again.
+
+    Raises:
+        DemonstrationError: if they are not a whole episode.
+    """
+    actions = list(actions)
+    with closing(Engine(task, variant, seed=seed)) as env:
+        if len(actions) != env.horizon:
+            raise DemonstrationError(
+                f"an episode of {task} has {env.horizon} actions; this recording has {len(actions)}"
+            )
+        recorder = Recorder(env)
+        for action in actions:
+            recorder.step(action)
+        return recorder.demonstration(demonstrator)
+
+
 class Imported(NamedTuple):
     """A demonstration, and the difference between its end and what the player saw."""
 
@@ -200,21 +220,13 @@ def from_recording(text: str | bytes) -> Imported:
         UnknownNameError: if there is no such environment.
     """
     recording = _decoded(text)
-    actions, final = recording.actions, recording.final
-    with closing(Engine(recording.task, recording.variant, seed=recording.seed)) as env:
-        if len(actions) != env.horizon:
-            raise DemonstrationError(
-                f"an episode of {recording.task} has {env.horizon} actions; this recording has {len(actions)}"
-            )
-        blocks = len(env.initial_scene.blocks)
-        if final is not None and len(final.blocks) != blocks:
-            raise DemonstrationError(f"final must hold the poses of {blocks} blocks, not of {len(final.blocks)}")
-        recorder = Recorder(env)
-        for action in actions:
-            recorder.step(action)
-        demonstration, end = recorder.demonstration("human"), env.scene
+    demonstration = recorded(recording.task, recording.variant, recording.seed, recording.actions, "human")
+    final, blocks = recording.final, len(demonstration.scene.blocks)
     if final is None:
         return Imported(demonstration, None, suspect=False)
+    if len(final.blocks) != blocks:
+        raise DemonstrationError(f"final must hold the poses of {blocks} blocks, not of {len(final.blocks)}")
+    end = World(demonstration.scene).read(demonstration.qpos[-1])
     replayed = _Final(end.robot.pose, end.robot.fingers, [block.pose for block in end.blocks])
     deviation = float(np.abs(_numbers(replayed) - _numbers(final)).max())
     return Imported(demonstration, deviation, deviation > TOLERANCE)

@@ -15,8 +15,11 @@ import numpy as np
 import pytest
 
 from magical_mj import demos
-from magical_mj.cli.demos import make
+from magical_mj.cli.demos import write_one
 from magical_mj.demos import Demonstration
+from magical_mj.policies.agents import AGENTS
+from magical_mj.policies.interface import Episode
+from magical_mj.tasks.registry import SPLITS
 from tests.demos.test_files import forge
 from tests.helpers.commands import Shell
 
@@ -52,10 +55,28 @@ def test_generate_verify_info_video_and_export(shell: Shell) -> None:
     assert "none of the 3 demonstrations" in said(shell, "verify", "made", "--tasks", "MakeLine", "--jobs", 1, code=2)
 
 
+def test_rollouts_of_a_policy_are_episodes_in_scenes_of_no_test_which_exports_take(shell: Shell) -> None:
+    command = ("rollouts", "--tasks", "MoveToRegion", "--variants", "All", "--out", "made", "--jobs", 1)
+    assert "2 episodes with 80 steps" in said(shell, *command, "--steps", 41)
+    assert "2 of 3 are there already" in said(shell, *command, "--steps", 81)
+    played = [demos.read(path) for path in demos.files_in("made")]
+    assert [(demo.scene_seed, demo.demonstrator) for demo in played] == [
+        (SPLITS["dev"] + k, "random") for k in range(3)
+    ]
+    agent = AGENTS["random"]()
+    agent.reset(Episode("MoveToRegion", "All", SPLITS["dev"]))
+    assert played[0].actions.tolist() == [agent(None) for _ in range(40)]
+    assert all(demos.verify(demo).good for demo in played)
+    said(shell, "export", "made", "--to", "webdataset", "--preset", "State", "--out", "set")
+    card = Path("set", "README.md").read_text()
+    assert "# MoveToRegion-All: 3 episodes\n" in card
+    assert "by actions drawn independently and uniformly" in card
+
+
 def test_generate_takes_what_another_process_was_faster_to_make(demo: Demonstration, tmp_path: Path) -> None:
     demos.write(demo, tmp_path / "demo.npz")
     before = (tmp_path / "demo.npz").read_bytes()
-    assert make(("MoveToRegion", "Demo", 0, 1.0, "gripper", tmp_path / "demo.npz")) == ""
+    assert write_one(lambda *_: demo, (("MoveToRegion", "Demo", 0), tmp_path / "demo.npz")) == ""
     assert (tmp_path / "demo.npz").read_bytes() == before
 
 

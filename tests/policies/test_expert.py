@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import gymnasium
 import numpy as np
 import pytest
 
 import magical_mj
 from magical_mj import TASKS, Block, Robot, Scene
-from magical_mj.policies.expert import Expert
+from magical_mj.policies.expert import Expert, GoalPicture
 from magical_mj.policies.expert.driving import HumanExecution, Lookahead, drive, steer
 from magical_mj.policies.expert.manoeuvres import manoeuvres, obstacles, simplified
 from magical_mj.policies.expert.navigation import EMPTY, SearchTree, cell_costs, cells, explore
@@ -261,3 +262,16 @@ def test_a_place_out_of_reach_is_approached() -> None:
     (manoeuvre,) = manoeuvres(tree, free, scene, Subgoal(None, (0.5, 0.5), 0.1), noise, grips=True)
     assert manoeuvre.route[-1] == (0.5, 0.5)
     assert manoeuvre.estimate == 1.0
+
+
+def test_goals_are_pictures_of_the_solved_scene() -> None:
+    env = GoalPicture(gymnasium.make("magical_mj/FindDupe-TestAll-State-v0"), size=64)
+    _, info = env.reset(seed=3)
+    *_, after = env.step(0)
+    assert after["goal"] is info["goal"]
+    engine = env_of("FindDupe", "All", 3)
+    assert played(engine, "FindDupe", 3) == 1.0
+    assert np.array_equal(info["goal"], engine.render("allo", 64))
+    assert not np.array_equal(env.reset(seed=4)[1]["goal"], info["goal"])
+    with pytest.raises(SettingsError, match="eight tasks"):
+        GoalPicture(gymnasium.make("CartPole-v1"))

@@ -32,6 +32,14 @@ FEATURES: Final[Mapping[str, str]] = {
     "dones": "bool: whether it is the last action of the episode",
 }
 
+MAKERS: Final[Mapping[str, str]] = {
+    "expert": "by the scripted expert of magical_mj, which knows the state",
+    "human": "by people who drove the robot in magical_mj",
+    "random": "by actions drawn independently and uniformly",
+    "policy": "by a policy that somebody gave",
+}
+"""Demonstrator -> how the episodes were made."""
+
 
 def to_webdataset(
     demos: Sequence[Demonstration], folder: Path | str, preset: str = "LoRes4E", *, overwrite: bool = False
@@ -101,8 +109,8 @@ def card(demos: Sequence[Demonstration], observed: str, features: Mapping[str, s
         features: what each name in the data holds.
     """
     facts, spec = about(demos), task_spec(demos[0].task)
-    who = " and ".join(facts["demonstrators"])
-    made = "the scripted expert of magical_mj, which knows the state" if who == "expert" else f"{who} in magical_mj"
+    what = "demonstrations" if {"expert", "human"}.issuperset(facts["demonstrators"]) else "episodes"
+    made = " and ".join(MAKERS[name] for name in facts["demonstrators"])
     rows = "\n".join(f"| `{name}` | {meaning} |" for name, meaning in features.items())
     seeds = f"{min(facts['scene_seeds'])} to {max(facts['scene_seeds'])}"
     return f"""---
@@ -110,7 +118,7 @@ license: apache-2.0
 task_categories: [robotics]
 tags: [imitation-learning, magical, mujoco]
 ---
-# {facts["environment"]}: {facts["episodes"]} demonstrations
+# {facts["environment"]}: {facts["episodes"]} {what}
 
 {spec.summary}: {facts["episodes"]} episodes, {facts["steps"]} steps of 1/{CONTROL_RATE} s, scores \
 {min(facts["scores"]):.2f} to {max(facts["scores"]):.2f}.
@@ -120,7 +128,7 @@ tags: [imitation-learning, magical, mujoco]
 {rows}
 
 - **Observations**: {observed}.
-- **How made**: by {made}; replayed exactly from the actions. MuJoCo {", ".join(facts["mujoco"])}, magical_mj \
+- **How made**: {made}; replayed exactly from the actions. MuJoCo {", ".join(facts["mujoco"])}, magical_mj \
 {", ".join(facts["magical_mj"])}.
 - **Scenes**: of the seeds {seeds} of this environment, protocol {PROTOCOL}. In Demo all scenes are the same one;
   tests are played in the seeds 0 to 99 of the other variants.

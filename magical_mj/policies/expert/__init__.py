@@ -10,11 +10,12 @@ from collections.abc import Callable
 from typing import Any
 
 from magical_mj.engine import Engine
+from magical_mj.policies.expert.goals import GoalPicture
 from magical_mj.policies.expert.planner import Expert
 from magical_mj.policies.expert.sweeping import Sweeper
 from magical_mj.tasks.registry import task_spec
 
-__all__ = ["Expert", "Sweeper", "expert_of"]
+__all__ = ["Expert", "GoalPicture", "Sweeper", "expert_of"]
 
 
 def expert_of(env: Engine, task: str, seed: int) -> Callable[[], Any]:
