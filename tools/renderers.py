@@ -1,17 +1,24 @@
 """The software renderer beside OpenGL: how their pictures differ, and how long both take.
 
     python tools/renderers.py [--seeds N] [--states N] [--steps N]
+    python tools/renderers.py --hash N
 
 In every environment, each action of a few random episodes is drawn by both, ego and allo at 96 pixels. Then some
 environments are stepped with either. Times are processor time; they mean little on a busy machine.
+
+With --hash, only the SHA-256 of N of the software renderer's pictures is printed: it is the same in every process, and
+under every version of Python.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import sys
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import islice
 
 import gymnasium
 import mujoco
@@ -82,6 +89,16 @@ def compare(task: str, variant: str, seeds: int, count: int) -> tuple[int, int, 
     return pixels, different, levels
 
 
+def software_pictures() -> Iterator[bytes]:
+    """Pictures of 96 pixels, ego and allo, after each of 50 random actions in all environments, seed after seed."""
+    for seed in range(100):
+        for task, variant in magical_mj.ENVIRONMENTS:
+            software = None
+            for model, data in states(task, variant, seed, 50):
+                software = software or SoftwareRenderer(model)
+                yield from (software.draw(data, view, SIZE).tobytes() for view in VIEWS)
+
+
 def steps_per_second(task: str, renderer: str, steps: int) -> float:
     """Actions per second of processor time in a LoRes4E environment, without resets."""
     env = gymnasium.make(f"magical_mj/{task}-Demo-LoRes4E-v0", renderer=renderer).unwrapped
@@ -104,7 +121,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name, default in (("seeds", 2), ("states", 20), ("steps", 600)):
         parser.add_argument(f"--{name}", type=int, default=default)
+    parser.add_argument("--hash", type=int, default=0, metavar="N")
     arguments = parser.parse_args()
+    if arguments.hash:
+        digest = hashlib.sha256()
+        for picture in islice(software_pictures(), arguments.hash):
+            digest.update(picture)
+        print(f"{digest.hexdigest()}  {arguments.hash} pictures, Python {sys.version.split()[0]}")
+        return
     print(f"OpenGL: {opengl_name()}; MuJoCo {mujoco.__version__}")
     pixels, different, levels = 0, 0, np.zeros(256, np.int64)
     for task, variant in magical_mj.ENVIRONMENTS if arguments.seeds else ():
