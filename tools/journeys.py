@@ -42,7 +42,7 @@ def action() -> tuple[Callable[[], Any], str, tuple[str, str]]:
 
 def training() -> tuple[Callable[[], Any], str, tuple[str, str]]:
     """A training by behavioural cloning."""
-    from magical_mj.learners.settings import load_settings
+    from magical_mj.learners.config import load_settings
     from magical_mj.learners.training import train
 
     settings = load_settings("bc", "MoveToRegion", quick=True, demonstrations=2, device="cpu")

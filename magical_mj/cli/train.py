@@ -18,7 +18,8 @@ from rich.text import Text
 
 from magical_mj import learners
 from magical_mj.cli.console import Bars, Force, Renderer, Trust, check_fits, check_writable, console
-from magical_mj.learners.settings import PPOSettings, TrainingSettings, check_changes, users, uses
+from magical_mj.learners.config import check_changes, users, uses
+from magical_mj.learners.settings import PPOSettings, TrainingSettings
 from magical_mj.policies.agents import AGENTS
 from magical_mj.utils.errors import MagicalError, SettingsError, check_name
 from magical_mj.utils.extras import check_extra

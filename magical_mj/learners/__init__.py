@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from magical_mj.learners.learner import Learner
     from magical_mj.learners.policy import TrainedPolicy, load_policy
     from magical_mj.learners.training import METHODS, Progress, train
-from magical_mj.learners.settings import TrainingSettings, load_settings
+from magical_mj.learners.config import load_settings
+from magical_mj.learners.settings import TrainingSettings
 
 _LAZY = {  # loaded at first use: the command line knows these commands before anybody needs PyTorch
     "METHODS": "training",

@@ -23,7 +23,8 @@ from torch.utils.tensorboard.writer import SummaryWriter
 from magical_mj._version import __version__
 from magical_mj.evaluation.settings import MUJOCO_VERSION
 from magical_mj.learners import checkpoint
-from magical_mj.learners.settings import START, TrainingSettings, from_toml, recorded, to_toml, toml_value
+from magical_mj.learners.config import START, from_toml, recorded, to_toml, toml_value
+from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import Policy
 from magical_mj.policies.loading import loader_in, sources
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL

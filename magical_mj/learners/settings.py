@@ -1,24 +1,18 @@
-"""The settings of a training, with the paper's hyperparameters as defaults; their presets, and their TOML files."""
+"""The settings of a training: the paper's hyperparameters are their defaults."""
 
 from __future__ import annotations
 
-import json
-import tomllib
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
-from importlib.metadata import EntryPoint, entry_points
-from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 from msgspec import Meta
 
 from magical_mj.envs.presets import PRESETS, preset_named
 from magical_mj.rendering.backend import RendererName
-from magical_mj.tasks.registry import TASKS, listed, task_name, task_spec
+from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import SettingsError, check_name
-from magical_mj.utils.files import read_toml
-from magical_mj.utils.imports import check_named, resolve_installed, with_place
-from magical_mj.utils.settings import Count, Names, Natural, Settings, changed
+from magical_mj.utils.settings import Count, Names, Natural, Settings
 
 STATE: Final = "State"
 """The preset of the state track."""
@@ -36,10 +30,6 @@ ASSUMPTIONS: Final = ("egocentric", "mirror", "rename", "displace", "detours")
 """What `relational` tries to assume about a task, in this order: see `magical_mj.learners.assumptions`."""
 PREMISES: Final = {"mirror": "egocentric"}
 """Assumptions that are tried only where another one was kept."""
-START: Final = "made"
-"""The table of a config.toml that says when and with what a run was started; no setting."""
-GROUP: Final = "magical_mj.methods"
-"""The entry-point group in which installed packages announce methods, such as ``mine = "package.module:Mine"``."""
 
 Amount = Annotated[int, Meta(ge=1)]
 """An integer of at least 1, however large."""
@@ -309,214 +299,3 @@ PARTS: Final[Mapping[str, tuple[str, ...]]] = {
     "relational": ("relational",),
 }
 """Method of this package -> the parts of the settings that it uses."""
-_USERS: Final[Mapping[str, tuple[str, ...]]] = {
-    "augment": ("bc", "gail", "wgail-gp", "iq-learn"),
-    "precision": ("bc",),
-    "discriminator.gradient_penalty": ("wgail-gp",),
-}
-"""Setting -> the methods that use it, where these are not all that use its part."""
-_OF_PICTURES: Final = (
-    "renderer",
-    *(f"network.{name}" for name in ("first_kernel", "first_stride", "first_channels", "channels")),
-)
-_OF_STATES: Final = ("network.entity", "network.attention")
-
-_SHORT: Final[Mapping[str, Any]] = {
-    "ppo.steps": 16,
-    "ppo.epochs": 4,
-    "ppo.learning_rate": 3e-4,
-    "ppo.discount": 0.9,
-    "ppo.entropy": 0.003,
-    "ppo.clip": 0.2,
-    "ppo.anneal_clip": False,
-    "ppo.normalise_advantages": True,
-    "discriminator.steps": 6,
-    "discriminator.learning_rate": 1e-4,
-    "features.batches": 1_000,
-    "features.learning_rate": 1e-3,
-}
-"""Of trainings that are short enough for two cores, from pictures or states."""
-
-QUICK: Final[Mapping[str, Any]] = {
-    **_SHORT,
-    "renderer": "software",
-    "network.first_stride": 4,
-    "network.first_channels": 32,
-    "network.channels": 64,
-    "evaluations": 5,
-    "checkpoints": 10,
-    "bc.batches": 1_000,
-    "bc.optimizer": "adam",
-    "bc.final_learning_rate": 1e-5,
-    "ppo.total_steps": 80_000,
-    "discriminator.batch_size": 32,
-}
-"""The changes made by `quick`: a smaller network and shorter training, for two cores without an accelerator."""
-
-STATE_TRACK: Final[Mapping[str, Any]] = {
-    **_SHORT,
-    "evaluations": 2,
-    "checkpoints": 10,
-    "bc.batches": 6_000,
-    "bc.batch_size": 64,
-    "bc.optimizer": "adam",
-    "bc.learning_rate": 2e-3,
-    "bc.final_learning_rate": 1e-5,
-    "bc.heads": "uniform",
-    "ppo.total_steps": 1_000_000,
-    "ppo.minibatch": 128,
-    "ppo.entropy": 0.02,
-    "ppo.clip": 0.05,
-    "ppo.averaging": 0.995,
-    "discriminator.batch_size": 128,
-    "discriminator.rollouts": 4,
-}
-"""The changes for the preset State, which the paper does not have."""
-
-SHORT_AL: Final[Mapping[str, Any]] = {
-    "ppo.learning_rate": 6e-5,
-    "ppo.entropy": 1e-5,
-    "ppo.clip": 0.01,
-    "features.samples": 4096,
-}
-"""The paper's PPO in short trainings of AL, whose rewards change more than others' from one update to the next."""
-
-
-def load_settings(
-    method: str, tasks: str | tuple[str, ...], *, quick: bool = False, **changes: Any
-) -> TrainingSettings:
-    """The settings of a method: the paper's, changed for short trainings (`quick`, preset State), then by `changes`.
-
-    Args:
-        method: one of `magical_mj.learners.METHODS`, or the name of a method of the user's own.
-        tasks: the tasks, as a tuple or separated by commas; "all" is all eight.
-        quick: use a smaller network and a shorter training on pictures.
-        changes: by field; those of parts with dots, as in ``**{"ppo.clip": 0.02}``.
-
-    Raises:
-        UnknownNameError: for an unknown task or setting.
-        SettingsError: if a value is invalid, or `quick` is asked for with the preset State.
-    """
-    tasks = tuple(task_name(task) for task in listed(tasks, TASKS))
-    settings, short = TrainingSettings(method, tasks), QUICK if quick else {}
-    if isinstance(chosen := changes.get("preset"), str) and chosen == STATE:
-        if quick:
-            raise SettingsError("quick is for pictures: learning from states is quick as it is")
-        short = STATE_TRACK
-    if short and method == "al":
-        short = {**short, **SHORT_AL}
-    return changed(settings, {**short, **changes})
-
-
-def announced_methods() -> Mapping[str, EntryPoint]:
-    """The entry points of methods of installed packages, by name."""
-    return {point.name: point for point in entry_points(group=GROUP) if point.name not in PARTS}
-
-
-def load_method(name: str) -> Any:
-    """The class of an announced method.
-
-    Raises:
-        SettingsError: if its module fails when it is imported, or has no such class.
-    """
-    point = announced_methods()[name]
-    try:
-        return resolve_installed("".join(point.value.split()))
-    except Exception as error:
-        raise SettingsError(f"the method {name!r} ({point.value}) cannot be imported: {with_place(error)}") from error
-
-
-def parts_of(method: str) -> tuple[str, ...]:
-    """The parts of the settings that a method uses; one that no package announces may use all of them."""
-    return PARTS.get(method) or (load_method(method).parts if method in announced_methods() else ALL_PARTS)
-
-
-def users(name: str) -> tuple[str, ...]:
-    """The methods of this package that use a setting."""
-    return tuple(method for method in PARTS if uses(method, name))
-
-
-def uses(method: str, name: str) -> bool:
-    """Whether a method may use a setting."""
-    part, dot, _ = name.partition(".")
-    in_use = method not in PARTS or method in _USERS.get(name, (method,))
-    return in_use and (not dot or part in parts_of(method))
-
-
-def check_changes(
-    changes: Mapping[str, Any], methods: Collection[str], preset: Any = None, *, elsewhere: Collection[str]
-) -> None:
-    """Checks that changes have an effect.
-
-    Args:
-        changes: of settings.
-        methods: for which they are.
-        preset: what is looked at; None: as the changes say, or the default.
-        elsewhere: the settings that are given in another place.
-
-    Raises:
-        SettingsError: if a change is given elsewhere, or none of the methods uses it, or not with this preset.
-    """
-    preset = preset or changes.get("preset", TrainingSettings.preset)
-    for name in changes:
-        if name in elsewhere:
-            raise SettingsError(f"{name} is given by itself, and not among the settings that are changed")
-        if name in (_OF_PICTURES if preset == STATE else _OF_STATES):
-            kind = "pictures" if preset == STATE else "states"
-            raise SettingsError(f"{name} is for {kind}, and of no use with the preset {preset}")
-        if users(name) and not any(uses(method, name) for method in methods):
-            raise SettingsError(f"{name} is for {', '.join(users(name))}, and of no use to {' or '.join(methods)}")
-
-
-def to_toml(settings: TrainingSettings) -> str:
-    """The settings that the method uses, as TOML; `from_toml` reads them."""
-    plain, tables, parts = [], [], parts_of(settings.method)
-    for item in fields(settings):
-        value = getattr(settings, item.name)
-        if is_dataclass(value) and item.name in parts:
-            lines = [f"{inner.name} = {toml_value(getattr(value, inner.name))}" for inner in fields(value)]
-            tables.append("\n".join([f"[{item.name}]", *lines]))
-        elif not is_dataclass(value) and value is not None:
-            plain.append(f"{item.name} = {toml_value(value)}")
-    return "\n\n".join(["\n".join(plain), *tables]) + "\n"
-
-
-def recorded(settings: TrainingSettings) -> dict[str, Any]:
-    """Name -> value for everything that `to_toml` writes; names of nested parts contain dots."""
-    return flattened(tomllib.loads(to_toml(settings)))
-
-
-def from_toml(path: Path) -> TrainingSettings:
-    """The settings in a file.
-
-    Raises:
-        SettingsError, UnknownNameError: if it is not TOML, or holds invalid settings.
-        UntrustedNameError: if it names the code of a task that the user has not named.
-    """
-    table = read_toml(path)
-    if not isinstance(table.pop(START, {}), dict):
-        raise SettingsError(f"{START} in {path} must be a table, as a training writes it; remove it")
-    if "method" not in table or "tasks" not in table:
-        raise SettingsError(f"{path} must give a method and tasks")
-    method, tasks = table.pop("method"), tuple(listed(table.pop("tasks"), TASKS))
-    for task in tasks:
-        check_named(task, path)
-    return changed(TrainingSettings(method, tasks), flattened(table))
-
-
-def flattened(table: dict[str, Any]) -> dict[str, Any]:
-    """Name -> value; names in sub-tables contain dots."""
-    flat = {}
-    for name, value in table.items():
-        flat |= {f"{name}.{inner}": item for inner, item in value.items()} if isinstance(value, dict) else {name: value}
-    return flat
-
-
-def toml_value(value: Any) -> str:
-    """A value as TOML. What cannot be encoded, such as bytes of a file's name that are no UTF-8, is escaped twice."""
-    if isinstance(value, tuple):
-        return f"[{', '.join(map(toml_value, value))}]"
-    if isinstance(value, str):
-        text = value.encode(errors="backslashreplace").decode()
-        return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return json.dumps(value) if isinstance(value, bool) else repr(value)

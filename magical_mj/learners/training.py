@@ -19,12 +19,13 @@ import torch
 from magical_mj.evaluation.run import evaluate
 from magical_mj.learners.apprenticeship import Apprenticeship
 from magical_mj.learners.bc import BehaviouralCloning
+from magical_mj.learners.config import announced_methods, load_method
 from magical_mj.learners.gail import GAIL, WGAILGP
 from magical_mj.learners.iq_learn import IQLearn
 from magical_mj.learners.learner import Method, device, threads_for
 from magical_mj.learners.relational import Relational
 from magical_mj.learners.run_folder import Metrics, RunFolder
-from magical_mj.learners.settings import TrainingSettings, announced_methods, load_method
+from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import Policy
 from magical_mj.policies.models import torch_threads
 from magical_mj.utils.errors import TrainingError, check_name

@@ -208,8 +208,8 @@ def test_scenes_with_bodies_survive_json_export_and_both_doors(body: str, tmp_pa
 def test_learners_refuse_other_bodies_and_speeds() -> None:
     torch = pytest.importorskip("torch")
     del torch
+    from magical_mj.learners.config import load_settings
     from magical_mj.learners.data import _episode
-    from magical_mj.learners.settings import load_settings
 
     demo = magical_mj.demos.load("SweepToTop", body="longstick")[0]
     with pytest.raises(SettingsError, match="are speeds"):

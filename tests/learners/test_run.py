@@ -20,9 +20,9 @@ import torch
 import magical_mj
 from magical_mj.learners import METHODS, TrainingSettings, checkpoint, load_policy, train
 from magical_mj.learners.bc import CALIBRATION
+from magical_mj.learners.config import from_toml, recorded
 from magical_mj.learners.policy import POLICY, TrainedPolicy
 from magical_mj.learners.run_folder import CHECKPOINT, CONFIG, METRICS, read_metrics
-from magical_mj.learners.settings import from_toml, recorded
 from magical_mj.learners.training import Progress
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.utils.errors import SettingsError, TrainingError, UnknownNameError

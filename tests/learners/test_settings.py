@@ -12,16 +12,9 @@ import pytest
 
 from magical_mj import TASKS
 from magical_mj.learners import load_settings
+from magical_mj.learners.config import QUICK, flattened, from_toml, to_toml, toml_value
 from magical_mj.learners.networks import Actor
-from magical_mj.learners.settings import (
-    QUICK,
-    CloningSettings,
-    TrainingSettings,
-    flattened,
-    from_toml,
-    to_toml,
-    toml_value,
-)
+from magical_mj.learners.settings import CloningSettings, TrainingSettings
 from magical_mj.utils.errors import SettingsError, UnknownNameError
 from magical_mj.utils.settings import changed, described
 from tests.helpers.learners import tiny
