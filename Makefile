@@ -11,7 +11,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test fast bench peers mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints notebooks release-check system site site-test site-audit site-picture policies node chromium xvfb
+.PHONY: demo test fast bench peers mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints notebooks release-check system site site-test site-test-firefox site-audit site-picture policies node chromium firefox xvfb
 
 demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
@@ -82,6 +82,12 @@ site-test: site | chromium  ## the site in headless Chromium, and its simulation
 	$(BIN)/python site/tests/saved.py out/site-test/saved.json
 	$(BIN)/python site/study.py
 
+site-test-firefox: site | firefox  ## the pages in Firefox: those around the simulation, play and inspect
+	$(BIN)/python site/fetch.py
+	$(BIN)/python site/tests/cases.py out/site-test
+	BROWSER=firefox LIBGL_ALWAYS_SOFTWARE=1 xvfb-run -a node --test --test-concurrency=1 --test-reporter=spec \
+		site/tests/pages.test.mjs site/tests/play.test.mjs site/tests/inspect.test.mjs
+
 site-audit: site | chromium  ## Lighthouse's figures of the site, a page of each kind
 	npm install --silent --no-audit --no-fund --prefix out/audit lighthouse@13.5.0
 	node site/audit.mjs
@@ -151,7 +157,7 @@ $(VENV)/.installed-%: pyproject.toml constraints.txt magical_mj/_version.py $(BI
 $(BIN)/python: | system
 	$(PYTHON) -m venv $(VENV)
 
-node chromium xvfb:
+node chromium firefox xvfb:
 	@tools/system.sh $(PYTHON) $@
 
 system:

@@ -10,8 +10,8 @@ from magical_mj.web.npm import Package, fetched
 CACHE: Final = Path(__file__).parent.parent / "out" / "npm"
 PLAYWRIGHT: Final = Package(
     "playwright-core",
-    "1.65.1",
-    "hqPpz7blSMPxWVdoeE1yiBSzXsKiVOd2k+kjCvmUywD2GPO2Dd9HfcWnq9NN0GHbNZDFgZ9JfBFr+X5/BLo0qw==",
+    "1.61.0",
+    "caX7TrY3Ml6egyDX0WUcTHDxodl/b51y5wJOdCEA36QviK/s2g081hvmGs8eaE3DWb6NYZQ6BjO/QkNRPenoPA==",
 )
 """Drives the browser in the tests; Apache-2.0."""
 

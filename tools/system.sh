@@ -1,7 +1,7 @@
 #!/bin/sh
 # What pip cannot install: OpenGL without a display (EGL), and Debian's separately packaged `venv`.
 # Installs what is absent with apt-get where that is permitted, and says in one line what to install where it is not.
-# Usage: tools/system.sh PYTHON [node] [chromium] [xvfb]
+# Usage: tools/system.sh PYTHON [node] [chromium] [firefox] [xvfb]
 
 python=$1
 shift
@@ -16,6 +16,11 @@ fi
     'import sys; print("python{}.{}".format(*sys.version_info))')")-venv"
 case $* in *node*) command -v npm >/dev/null || missing="$missing nodejs npm" ;; esac
 case $* in *chromium*) [ -x "${CHROMIUM:-/usr/bin/chromium}" ] || missing="$missing chromium" ;; esac
+case $* in *firefox*)
+    [ -x /usr/bin/firefox-esr ] || missing="$missing firefox-esr"
+    command -v xvfb-run >/dev/null || missing="$missing xvfb"
+    command -v xauth >/dev/null || missing="$missing xauth" ;;
+esac
 case $* in *xvfb*)
     command -v Xvfb >/dev/null || missing="$missing xvfb"
     command -v xdotool >/dev/null || missing="$missing xdotool" ;;

@@ -5,7 +5,7 @@ import { mkdtemp, readFile, rm } from "node:fs/promises";
 import { tmpdir } from "node:os";
 import { extname, join, normalize } from "node:path";
 import { gzipSync } from "node:zlib";
-import { chromium } from "../../out/npm/node_modules/playwright-core/index.mjs";
+import { chromium, firefox } from "../../out/npm/node_modules/playwright-core/index.mjs";
 
 const TYPES = { ".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".json": "application/json", ".wasm": "application/wasm",
   ".svg": "image/svg+xml", ".png": "image/png", ".webp": "image/webp" };
@@ -44,14 +44,15 @@ export async function serve(folder, { compress = false } = {}) {
 }
 
 /**
- * Chromium with a new, empty profile.
+ * Chromium, or Firefox if BROWSER says so, with a new, empty profile.
  * @param {{keeps?: boolean}} [how]  keeps: pages may be kept for visits without a network; what is kept cannot be made to fail
  */
 export async function launch({ keeps = false } = {}) {
   const profile = await mkdtemp(join(tmpdir(), "magical-site-"));
-  const context = await chromium.launchPersistentContext(profile, {
-    executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: FLAGS, viewport: { width: 600, height: 700 }, acceptDownloads: true,
-  });
+  const screen = { viewport: { width: 600, height: 700 }, acceptDownloads: true };
+  const context = process.env.BROWSER === "firefox"
+    ? await firefox.launchPersistentContext(profile, { channel: "moz-firefox", executablePath: "/usr/bin/firefox-esr", headless: !process.env.DISPLAY, ...screen })
+    : await chromium.launchPersistentContext(profile, { executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: FLAGS, ...screen });
   if (!keeps) await context.addInitScript(() => { Object.defineProperty(Navigator.prototype, "serviceWorker", { value: undefined }); });
   context.setDefaultTimeout(120000);  // machines of continuous integration may be slow
   const close = async () => {
@@ -73,4 +74,28 @@ export async function barriers(page) {
   const light = await found("{}");
   await page.emulateMedia({ colorScheme: "dark" });
   return [...light, ...await found("{ runOnly: 'color-contrast' }")];
+}
+
+/**
+ * Presses a button that offers a download; its name and text. Firefox does not tell tests of downloads: there, the page is asked.
+ * @param {import("playwright-core").Page} page @param {string} button
+ * @returns {Promise<{name: string, text: string}>}
+ */
+export async function downloaded(page, button) {
+  if (process.env.BROWSER !== "firefox") {
+    const [download] = await Promise.all([page.waitForEvent("download"), page.click(button)]);
+    return { name: download.suggestedFilename(), text: await readFile(await download.path(), "utf8") };
+  }
+  return page.evaluate((button) => new Promise((resolve) => {
+    const { createObjectURL } = URL, { click } = HTMLAnchorElement.prototype;
+    URL.createObjectURL = (content) => {
+      HTMLAnchorElement.prototype.click = function () {
+        Object.assign(HTMLAnchorElement.prototype, { click });
+        /** @type {Blob} */ (content).text().then((text) => resolve({ name: this.download, text }));
+      };
+      URL.createObjectURL = createObjectURL;
+      return createObjectURL(content);
+    };
+    /** @type {HTMLElement} */ (document.querySelector(button)).click();
+  }), button);
 }

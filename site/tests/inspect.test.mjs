@@ -8,7 +8,7 @@ import { join } from "node:path";
 import { createInterface } from "node:readline";
 import { fileURLToPath } from "node:url";
 import { after, before, test } from "node:test";
-import { launch, serve } from "./browser.mjs";
+import { downloaded, launch, serve } from "./browser.mjs";
 
 const PYTHON = fileURLToPath(new URL("../../.venv/bin/python", import.meta.url));
 const OUT = fileURLToPath(new URL("../../out/", import.meta.url));
@@ -42,10 +42,7 @@ const untilOpen = (name) => page.waitForFunction((name) => document.title.starts
 /** @param {Record<string, string>} files */
 const openFiles = (files) => page.setInputFiles("#file", Object.entries(files).map(
   ([name, text]) => ({ name, mimeType: "text/plain", buffer: Buffer.from(text) })));
-const state = async () => {
-  const [download] = await Promise.all([page.waitForEvent("download"), page.click("#state")]);
-  return JSON.parse(await readFile(await download.path(), "utf8"));
-};
+const state = async () => JSON.parse((await downloaded(page, "#state")).text);
 
 test("all scenes open", async () => {
   await page.goto(`${site.address}play/inspect.html`);
@@ -131,8 +128,7 @@ test("the robot is driven by keys, and helpers and plots follow", async () => {
   assert.ok(driven.time > begun.time);
   assert.notDeepEqual(driven.qpos, begun.qpos);
   assert.match(await page.textContent("#plot") ?? "", /robot_x/);
-  const [download] = await Promise.all([page.waitForEvent("download"), page.click("#picture")]);
-  assert.equal(download.suggestedFilename(), "FindDupe-All-3.png");
+  assert.equal((await downloaded(page, "#picture")).name, "FindDupe-All-3.png");
   await page.keyboard.press("r");
   assert.deepEqual((await state()).qpos, begun.qpos);
   await page.click("#expert");

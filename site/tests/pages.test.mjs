@@ -29,7 +29,7 @@ test("axe finds nothing that shuts anybody out, and no page is wider than a phon
     await page.goto("about:blank");
     await page.goto(site.address + path);
     if (path.startsWith("play")) await page.waitForFunction(() => !document.querySelector("[role=status]")?.textContent?.endsWith("…"));
-    assert.equal(await page.evaluate("document.documentElement.scrollWidth"), 375, path);
+    assert.ok(Number(await page.evaluate("document.documentElement.scrollWidth")) <= 375, path);
     assert.deepEqual(await barriers(page), [], path);
   }
   await page.setViewportSize({ width: 1280, height: 800 });

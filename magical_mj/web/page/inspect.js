@@ -373,5 +373,6 @@ try {
   requestAnimationFrame(frame);
   await openAddress();
 } catch (error) {
-  say(`${/** @type {Error} */ (error).message}\nReload the page to try again.`, true);
+  const { message } = /** @type {Error} */ (error);
+  say(/WebGL/.test(message) ? "This browser cannot draw solids here: allow WebGL 2, or try another browser." : `${message}\nReload the page to try again.`, true);
 }

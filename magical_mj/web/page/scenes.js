@@ -24,8 +24,8 @@ export async function loadEnvironment(task, variant) {
 
 /** @param {string} path  beside the page */
 export async function fetchJson(path) {
-  const reply = await fetch(path);
-  if (!reply.ok) throw new Error(`${path}: ${reply.status} ${reply.statusText}`);
+  const reply = await fetch(path).catch(() => null);
+  if (!reply?.ok) throw new Error(`${path} could not be loaded${reply ? ` (${reply.status})` : ""}: try again`);
   return reply.json();
 }
 

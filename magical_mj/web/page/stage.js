@@ -87,8 +87,7 @@ export class Stage {
 
   /** Light from all sides, and a lamp whose shadow is soft. @param {number} extent @param {any} centre */
   #light(extent, centre) {
-    const dark = matchMedia("(prefers-color-scheme: dark)").matches;
-    this.scene.background = new THREE.Color(dark ? 0x23252b : 0xe7e7ea);
+    this.scene.background = new THREE.Color(isDark() ? 0x23252b : 0xe7e7ea);
     this.scene.add(new THREE.HemisphereLight(0xffffff, 0xdddde4, 2.1));
     const lamp = new THREE.DirectionalLight(0xffffff, 1.25);
     lamp.position.copy(centre).add(new THREE.Vector3(-0.36, -0.24, 1).multiplyScalar(2 * extent));
@@ -122,6 +121,7 @@ export class Stage {
       mesh.material.color.set(0xd0503c);
       if (model.body_weldid[model.geom_bodyid[geom]] === 0) Object.assign(mesh.material, { opacity: 0.12, depthWrite: false });  // walls
     }
+    if (isDark() && SURROUND.includes(this.world.name("geom", geom))) mesh.material.color.multiplyScalar(0.04);  // not in what policies see
     mesh.castShadow = type !== PLANE && !isCollision && !GROUPS.flat.includes(group) && rgba[3] > 0;
     mesh.receiveShadow = !isCollision;
     mesh.userData = { geom, group };
@@ -303,6 +303,8 @@ export class Stage {
   }
 }
 
+const SURROUND = ["floor", "surround"];
+const isDark = () => matchMedia("(prefers-color-scheme: dark)").matches;
 const WHITE = new THREE.Color(0xffffff);
 const UNIT = {
   box: new THREE.BoxGeometry(2, 2, 2), sphere: new THREE.SphereGeometry(1, 16, 12),
