@@ -14,7 +14,7 @@ from magical_mj.learners.learner import Learner, seeded, threads_for
 from magical_mj.learners.networks import Actor, as_input
 from magical_mj.learners.policy import TrainedPolicy
 from magical_mj.learners.settings import CloningSettings, TrainingSettings
-from magical_mj.policies.models import torch_threads
+from magical_mj.policies.models import torch_settings
 from magical_mj.utils.errors import SettingsError
 
 CALIBRATION: Final = 20
@@ -107,7 +107,7 @@ def clone(settings: TrainingSettings, demonstrations: Demonstrations | None = No
     """
     if settings.method != "bc":
         raise SettingsError(f"clone does behavioural cloning, and these settings are of {settings.method}: see train")
-    with torch_threads(threads_for(settings)):
+    with torch_settings(threads_for(settings)):
         learner = BehaviouralCloning(settings, demonstrations)
         for _ in range(learner.updates):
             learner.update()

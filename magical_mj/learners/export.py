@@ -14,6 +14,7 @@ from magical_mj.learners.networks import SHAPE, as_input
 from magical_mj.learners.policy import POLICY, load_policy
 from magical_mj.learners.settings import STATE
 from magical_mj.policies.history import HISTORY
+from magical_mj.policies.models import torch_settings
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, check_name
@@ -36,6 +37,7 @@ class _Logits(nn.Module):
         return self.actor(as_input(observations, torch.device("cpu")), tasks)
 
 
+@torch_settings()
 def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwrite: bool = False) -> Path:
     """Writes the policy of a training as an ONNX file, whose metadata name the task and the preset.
 

@@ -17,7 +17,7 @@ from magical_mj.learners.relational_network import Ensemble
 from magical_mj.learners.settings import LEARNABLE, STATE, NetworkSettings, RelationalSettings, TrainingSettings
 from magical_mj.policies.history import History
 from magical_mj.policies.interface import Episode
-from magical_mj.policies.models import torch_threads
+from magical_mj.policies.models import torch_settings
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import SettingsError, TrainingError, check_name, short_repr
 from magical_mj.utils.settings import changed
@@ -63,7 +63,7 @@ class TrainedPolicy:
             self._history = self._history or History(observations)
             observations = self._history.add(observations)
         self.actor.eval()
-        with torch.inference_mode(), torch_threads(1):
+        with torch_settings(1), torch.inference_mode():
             logits = self.actor(as_input(observations, self._device), self._heads[: len(observations)])
         if not logits.isfinite().all():
             raise ValueError("the network's answer is not finite")
@@ -101,6 +101,7 @@ def save_policy(folder: Path, actor: Actor | Ensemble, settings: TrainingSetting
     checkpoint.write(folder / POLICY, contents)
 
 
+@torch_settings()
 def load_policy(folder: Path | str) -> TrainedPolicy:
     """The policy in a run's folder, on the CPU.
 

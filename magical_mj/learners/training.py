@@ -27,7 +27,7 @@ from magical_mj.learners.relational import Relational
 from magical_mj.learners.run_folder import Metrics, RunFolder
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import Policy
-from magical_mj.policies.models import torch_threads
+from magical_mj.policies.models import torch_settings
 from magical_mj.utils.errors import TrainingError, check_name
 
 
@@ -111,7 +111,7 @@ def train(
     if last is not None and last.finished and (policy := folder.policy()) is not None:
         return policy
     with (
-        torch_threads(threads_for(settings, folder.threads)),
+        torch_settings(threads_for(settings, folder.threads)),
         _enough_memory(folder.path),
         closing((learner or METHODS[settings.method])(settings)) as method,
         folder.locked(),

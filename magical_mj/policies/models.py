@@ -16,7 +16,7 @@ import math
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -99,19 +99,36 @@ class Model:
 
 
 @contextmanager
-def torch_threads(number: int) -> Iterator[None]:
-    """A context in which PyTorch uses so many threads.
+def torch_settings(threads: int | None = None) -> Iterator[None]:
+    """A context in which PyTorch computes as it does unless its user has set something: float32, gradients, exactly.
 
-    Policies act on one: sums depend on how they are split, and workers share the cores.
+    Args:
+        threads: how many it uses; None: as many as before. Policies act on one: sums depend on how they are split, and
+            workers share the cores.
     """
     import torch
 
-    before = torch.get_num_threads()
-    torch.set_num_threads(number)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+    before = torch.get_num_threads(), torch.get_default_dtype(), torch.get_float32_matmul_precision()
+    with ExitStack() as stack:
+        stack.enter_context(torch.inference_mode(False))
+        stack.enter_context(torch.enable_grad())
+        for device in filter(torch.is_autocast_enabled, ("cpu", "cuda")):
+            stack.enter_context(torch.autocast(device, enabled=False))
+        if torch.empty(0).device.type != "cpu":  # as is made by default
+            stack.enter_context(torch.device("cpu"))
+        try:
+            _set_torch(threads or before[0], torch.float32, "highest")
+            yield
+        finally:
+            _set_torch(*before)
+
+
+def _set_torch(threads: int, kind: Any, precision: str) -> None:
+    import torch
+
+    torch.set_num_threads(threads)
+    torch.set_default_dtype(kind)
+    torch.set_float32_matmul_precision(precision)
 
 
 def load_sb3(path: Path, trust: bool = False) -> Model:
@@ -121,7 +138,7 @@ def load_sb3(path: Path, trust: bool = False) -> Model:
     except ModuleNotFoundError:
         raise MissingExtraError(f"{path} needs stable-baselines3: pip install stable-baselines3") from None
     data, weights = _content(path)
-    with _refused(f"{path} does not say how its network is built"):
+    with _refused(f"{path} does not say how its network is built"), torch_settings():
         policy = _trusted(path) if trust else _rebuilt(path, data, weights)
     if not isinstance(policy.action_space, spaces.Discrete) or policy.action_space.n != len(ACTIONS):
         raise SettingsError(f"{path} acts in {policy.action_space}, and {OTHER_ACTIONS}")
@@ -192,10 +209,10 @@ def _best_actions(policy: Any, observations: Any) -> Any:
     import torch
 
     if not hasattr(policy, "get_distribution"):
-        with torch_threads(1):
+        with torch_settings(1):
             return policy.predict(observations, deterministic=True)[0]
 
-    with torch.no_grad(), torch_threads(1):
+    with torch_settings(1), torch.no_grad():
         chosen = policy.get_distribution(policy.obs_to_tensor(observations)[0])
         _check_numbers(chosen.distribution.logits.cpu().numpy())
         return chosen.get_actions(deterministic=True).cpu().numpy()

@@ -51,6 +51,12 @@ def test_standard_networks_need_no_trust(tmp_path: Path, kind: str, name: str, k
     expected = [int(model.predict(observation, deterministic=True)[0]) for observation in observations]
     assert [int(loaded(observation)) for observation in observations] == expected
     np.testing.assert_array_equal(loaded.act_batch(np.stack(observations)), expected)
+    torch = sys.modules["torch"]
+    torch.set_default_dtype(torch.float64)
+    try:  # whatever its user has set
+        assert [int(load_sb3(tmp_path / "model.zip")(observation)) for observation in observations] == expected
+    finally:
+        torch.set_default_dtype(torch.float32)
 
 
 def test_evaluating_an_archive(tmp_path: Path) -> None:

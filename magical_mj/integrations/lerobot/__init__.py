@@ -35,7 +35,7 @@ from magical_mj.demos.export.lerobot import (
 from magical_mj.envs.gymnasium_env import MagicalEnv
 from magical_mj.envs.presets import STATE_BOUND
 from magical_mj.policies.interface import Episode
-from magical_mj.policies.models import torch_threads
+from magical_mj.policies.models import torch_settings
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import to_discrete
 from magical_mj.scene.state_vector import FINGERS as WHERE_FINGERS
@@ -195,7 +195,7 @@ class LeRobotPolicy:
         } or {STATE_VECTOR: torch.from_numpy(parts["state"])[None]}
         batch["observation.state"] = torch.from_numpy(state(fingers))[None]
         # Policies draw from torch's own generator.
-        with torch_threads(1), torch.inference_mode(), torch.random.fork_rng(devices=[]):
+        with torch_settings(1), torch.inference_mode(), torch.random.fork_rng(devices=[]):
             torch.set_rng_state(self._noise)
             action = self._after(self._policy.select_action(self._before({**batch, "task": [self._sentence]})))
             self._noise = torch.get_rng_state()
