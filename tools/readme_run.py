@@ -63,6 +63,9 @@ def run(text: str, without: list[str], folder: Path) -> None:
             command = re.sub(r'^pip install "\.(\[.*?\])?"', rf'pip install {constraints} "{wheel}\1"', line)
             told(line)
             subprocess.run(["/bin/sh", "-c", command], cwd=place, env=variables, check=True)
+            for file in re.findall(r"\S+\.(?:png|mp4)\b", command):
+                if not (place / file).stat().st_size:
+                    sys.exit(f"{file} is empty")
 
 
 if __name__ == "__main__":
