@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from pictures import animation, examples, scenes
+from pictures import ANIMATION, animation, examples, scenes
 
 from magical_mj.leaderboard.page import label
 from magical_mj.leaderboard.standings import BLOCKS, Standing, published
@@ -33,7 +33,8 @@ def write_task_pages(folder: Path, media: Path, own: Iterable[Standing]) -> str:
         animation(task, media / f"{task}.webp")
         (folder / f"{task}.md").write_text(_page(task, methods, media), encoding="utf-8")
         goal = _sentence(task_spec(task).summary)
-        cards.append(f'<a class="card" href="{task}.html">{_animation(task, media)}<strong>{task}</strong> {goal}</a>')
+        shown = _animation(task, media, loading="lazy")
+        cards.append(f'<a class="card" href="{task}.html">{shown}<strong>{task}</strong> {goal}</a>')
     cards_html = f'<div class="cards">{"".join(cards)}</div>'
     listed = "```{toctree}\n:hidden:\n\n" + "\n".join(TASKS) + "\n```"
     (folder / "tasks.md").write_text(f"# Tasks\n\n{listed}\n\n{cards_html}\n", encoding="utf-8")
@@ -65,10 +66,12 @@ def _page(task: str, methods: list[Standing], media: Path) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _animation(task: str, media: Path) -> str:
+def _animation(task: str, media: Path, loading: str = "eager") -> str:
     """For readers who want no movement, the initial scene."""
     still = next(iter(scenes(task, "Demo", media))).name
-    image = f'<img class="wide" src="media/{task}.webp" alt="An expert at work, from above and as the robot sees it">'
+    size = f'width="{2 * ANIMATION}" height="{ANIMATION}" loading="{loading}"'
+    about = "An expert at work, from above and as the robot sees it"
+    image = f'<img class="wide" src="media/{task}.webp" {size} alt="{about}">'
     return f'<picture><source media="(prefers-reduced-motion: reduce)" srcset="media/{still}">{image}</picture>'
 
 
