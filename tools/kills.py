@@ -38,6 +38,8 @@ SIGNALS: Final = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGSTOP)
 """A stopped command goes on a little later."""
 PAUSE: Final = 1.0
 """Seconds for which a command is stopped."""
+TRIES: Final = 3
+"""Times as many are sent as shall reach a command, at most."""
 PATIENCE: Final = 20.0
 """Seconds within which all processes must be gone."""
 PLAYING: Final = 8.0
@@ -295,9 +297,11 @@ def kill(kind: Kind, name: str, folder: Path, kills: int, rng: random.Random) ->
         seconds = time.monotonic() - start
         expected = kind.result(folder / "undisturbed")
     out, landed, most = folder / "killed", Counter[str](), 0
-    for number in range(kills):
+    for number in range(TRIES * kills):
+        if landed.total() == kills:
+            break
         before = kind.finished(out)
-        sent = SIGNALS[number % len(SIGNALS)]
+        sent = SIGNALS[landed.total() % len(SIGNALS)]  # again, if the command had ended before
         start = time.monotonic()
         how, reached, ended = killed(kind, out, rng.uniform(0, seconds), sent, rng)
         now = kind.finished(out)
@@ -412,7 +416,8 @@ def main() -> None:
             folder = Path(name) / kind
             folder.mkdir()
             try:
-                landed[kind] = kill(every[kind], kind, folder, arguments.kills, random.Random(arguments.seed))  # noqa: S311  no secret
+                rng = random.Random(f"{arguments.seed} {kind}")  # noqa: S311  no secret
+                landed[kind] = kill(every[kind], kind, folder, arguments.kills, rng)
             except SystemExit as error:
                 failed[kind] = error
                 print(f"{kind} FAILED: {error}", flush=True)
