@@ -62,16 +62,20 @@ from magical_mj.batched.scenes import Capacity, SceneSampler
 out, number = pathlib.Path(sys.argv[-1]), 0
 out.mkdir(parents=True, exist_ok=True)
 sampler = SceneSampler([("FindDupe", "All")] * 256, Capacity(10, 3), workers=2)
-while number := number + 1:
-    files.write(out / str(number), sampler.scenes(range(256)).poses.tobytes(), overwrite=True)
+try:
+    while number := number + 1:
+        files.write(out / str(number), sampler.scenes(range(256)).poses.tobytes(), overwrite=True)
+except KeyboardInterrupt:
+    pass
 """  # the scenes of batched worlds, sampled ahead by workers without end; without a guard for `__main__`
 EVALUATE: Final = (
     *("evaluate", "--policy", "random", "--tasks", "MoveToRegion,FixColour"),
     *("--variants", "Demo,Jitter", "--episodes", "60", "--resume", "--jobs", "2"),
 )
 ENTRY: Final = "random.json.xz"
-TINY: Final = ("network.hidden=8", "demonstrations=2", "evaluations=2", "episodes=2", "checkpoints=16")
-PICTURES: Final = ("network.first_stride=4", "network.first_channels=4", "network.channels=4")
+TINY: Final = ("demonstrations=2", "evaluations=2", "episodes=2", "checkpoints=16")
+STATES: Final = ("network.hidden=8", "network.entity=8")
+PICTURES: Final = ("network.hidden=8", "network.first_stride=4", "network.first_channels=4", "network.channels=4")
 SHIFTED: Final = ("evaluate", "--policy", "random", "--tasks", "MoveToRegion", "--variants", "Demo", "--episodes", "20")
 GAIL: Final = (
     *("ppo.environments=4", "ppo.steps=4", "ppo.minibatch=8", "ppo.epochs=2", "ppo.total_steps=512"),
@@ -219,8 +223,8 @@ def prepare(inputs: Path) -> None:
         names = {"format": 1, "protocol": PROTOCOL, "task": "MoveToRegion", "variant": "All", "seed": seed}
         actions = [seed] * env.steps
         (inputs / f"{seed}.json").write_text(json.dumps(names | {"actions": actions, "final": final}))
-    undisturbed(train("bc", ("--preset", "State"), "network.entity=8", "bc.batches=8"), inputs / "run")
-    settings = ('preset = "State"', *TINY, "bc.batches=40", "network.entity=8")
+    undisturbed(train("bc", ("--preset", "State"), *STATES, "bc.batches=8"), inputs / "run")
+    settings = ('preset = "State"', *TINY, "bc.batches=40", *STATES)
     text = ('methods = ["bc"]', 'tasks = ["MoveToRegion"]', "seeds = [0, 1]", "[settings]", *settings)
     (inputs / "e.toml").write_text("\n".join((*text, "[evaluation]", 'variants = "Demo"', "episodes = 8")))
 
@@ -273,11 +277,11 @@ def kinds(inputs: Path) -> dict[str, Kind]:
         "play": Kind((sys.executable, "-c", PLAYER, *play), demonstrations, None),
         "play-web": Kind((*MAIN, "play", "--web", "--port", "0", "--collect", "{}"), nothing, None),
         "scenes": Kind((sys.executable, "-c", SAMPLER, "{}"), scenes, None),
-        "train-bc-state": train("bc", ("--preset", "State"), "network.entity=8", "bc.batches=800"),
+        "train-bc-state": train("bc", ("--preset", "State"), *STATES, "bc.batches=800"),
         "train-bc": train("bc", ("--quick",), *PICTURES, "bc.batches=32", "bc.batch_size=8"),
         "train-gail": train("gail", ("--quick",), *PICTURES, *GAIL),
         "train-al": train("al", ("--quick",), *PICTURES, *AL),
-        "train-iq-learn": train("iq-learn", ("--preset", "State"), "network.entity=8", "bc.batches=400"),
+        "train-iq-learn": train("iq-learn", ("--preset", "State"), *STATES, "bc.batches=400"),
         "train-relational": train("relational", ("--preset", "State"), *RELATIONAL),
         "export-policy": whole("export-policy", str(inputs / "run"), "--out", "{}/a.onnx", "--force"),
         "experiment": Kind((*MAIN, "experiment", str(inputs / "e.toml"), "--jobs", "2", "--out", "{}"), lines, rows),
