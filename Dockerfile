@@ -1,11 +1,11 @@
 # The command magical-mj, without OpenGL: pictures are drawn by the software renderer, as two flat views.
-#   docker build --tag magical-mj .                                   evaluations, figures, dask
+#   docker build --tag magical-mj .                                   evaluations, figures, dask (videos: extra video, 165 MB)
 #   docker build --tag magical-mj --build-arg EXTRAS=eval,il .        and the learners, with PyTorch; for its index of CPU
 #                                                 builds, which are 4 GB smaller: --build-arg PIP_EXTRA_INDEX_URL=...
 #   docker run --rm --volume "$PWD/runs:/home/magical/runs" magical-mj evaluate --policy random --out runs/random
 FROM python:3.12-slim
 
-ARG EXTRAS=eval,video,dask
+ARG EXTRAS=eval,dask
 ARG PIP_EXTRA_INDEX_URL
 ENV MAGICAL_MJ_RENDERER=software MUJOCO_GL=off PYTHONUNBUFFERED=1 PIP_NO_CACHE_DIR=1
 
