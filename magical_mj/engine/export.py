@@ -81,7 +81,7 @@ def export_mjcf(source: Scene | Engine, path: str | os.PathLike[str], *, overwri
         FileExistsError: if the file exists and `overwrite` is false.
         OSError: if it cannot be written.
     """
-    path = Path(path)
+    path = files.to_path(path)
     text = mjcf_text(source)
     path.parent.mkdir(parents=True, exist_ok=True)
     files.write(path, text, overwrite=overwrite)

@@ -207,12 +207,12 @@ def submit(
         EvaluationError: if a folder is not an evaluation, or they cannot be combined.
         OSError: if the file exists or cannot be written.
     """
-    out, folders = Path(out), folders_of(folders)
+    out, folders = files.to_path(out), folders_of(folders)
     if not out.name.endswith(SUFFIX):
         raise SettingsError(f"{out} must end in {SUFFIX}")
     if not folders:
         raise SettingsError("give at least one folder of an evaluation")
-    described = {} if card is None else files.read_toml(Path(card))
+    described = {} if card is None else files.read_toml(files.to_path(card))
     sources = [(episode, folder) for folder in folders for episode in read(folder) if _has_place(episode)]
     names = list(dict.fromkeys(episode.policy for episode, _ in sources))
     if not names:
@@ -316,7 +316,7 @@ def entry_files(folder: Path | str) -> list[Path]:
     Raises:
         EvaluationError: if there are none.
     """
-    folder = Path(folder)
+    folder = files.to_path(folder)
     if folder.is_file() or (folder / CARD).is_file():
         return [folder]
     paths = sorted([*folder.glob(f"*{SUFFIX}"), *(path.parent for path in folder.glob(f"*/{CARD}"))])
@@ -355,7 +355,7 @@ def read_entry(path: Path | str) -> Entry:
     Raises:
         EvaluationError: if it is not an entry, is too large, damaged or was altered, or has another format or protocol.
     """
-    path = Path(path)
+    path = files.to_path(path)
     if not (path / CARD).is_file():
         return unpacked(_content(path, MOST_BYTES), path)
     card = _card_in(path)

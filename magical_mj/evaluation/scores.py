@@ -373,4 +373,4 @@ def folders_of(folders: Iterable[Path | str]) -> list[Path]:
     """The folders as a list; raises a `SettingsError` for a single one, since a text is a sequence of letters."""
     if isinstance(folders, str | bytes | PathLike):
         raise SettingsError(f"give a list of folders, such as [{str(folders)!r}], not {short_repr(folders)}")
-    return [Path(folder) for folder in folders]
+    return [files.to_path(folder) for folder in folders]

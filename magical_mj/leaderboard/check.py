@@ -18,6 +18,7 @@ from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, task_spec
 from magical_mj.utils.errors import short_repr
+from magical_mj.utils.files import to_path
 from magical_mj.variants import check_seed
 
 SHARE: Final = 0.1
@@ -69,7 +70,7 @@ def verify(folder: Path | str, *, jobs: int | None = None, watch: Callable[[], o
     Raises:
         EvaluationError: if the folder is not an evaluation.
     """
-    folder = Path(folder)
+    folder = to_path(folder)
     settings, episodes = recorded_settings(folder), read(folder)
     if any(episode.worlds != "single" for episode in episodes):
         return Findings(unfit=[f"it was played in batched worlds: {UNOFFICIAL}"])

@@ -25,7 +25,7 @@ from magical_mj.learners.training import METHODS, Progress, train
 from magical_mj.policies.interface import uses_simulation
 from magical_mj.tasks.registry import TASKS, environments, listed, task_name, task_spec
 from magical_mj.utils.errors import SettingsError, check_name
-from magical_mj.utils.files import read_toml
+from magical_mj.utils.files import read_toml, to_path
 from magical_mj.utils.imports import check_named
 from magical_mj.utils.parallel import check_backend, map_unordered
 from magical_mj.utils.settings import Names, Settings, with_values
@@ -172,7 +172,7 @@ def plan_experiment(file: Path | str, out: Path | str) -> list[Run]:
         SettingsError, UnknownNameError: if the file holds invalid settings.
         UntrustedNameError: if it names the code of a task that the user has not named.
     """
-    file, out = Path(file), Path(out)
+    file, out = to_path(file), to_path(out)
     experiment = with_values(ExperimentSettings, read_toml(file))
     for name in experiment.evaluation:
         check_name(f"entry of [evaluation] in {file}", name, EVALUATION)
@@ -221,7 +221,7 @@ def run_experiment(
         MagicalError: if a run fails, or would do so from the start: then before the first run. Called again, it
             continues.
     """
-    out = Path(out)
+    out = to_path(out)
     check_backend(backend, address)
     _check_runs(planned, out, backend == "local")
     if backend == "local" and jobs in (None, 1):

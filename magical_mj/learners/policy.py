@@ -19,6 +19,7 @@ from magical_mj.policies.history import History
 from magical_mj.policies.interface import Episode
 from magical_mj.policies.models import torch_settings
 from magical_mj.scene.state_vector import STATE_NAMES
+from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, TrainingError, check_name, short_repr
 from magical_mj.utils.settings import changed
 
@@ -108,7 +109,7 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
     Raises:
         TrainingError: if there is none, or the file is damaged.
     """
-    path = Path(folder) / POLICY
+    path = files.to_path(folder) / POLICY
     contents = checkpoint.read(path)
     try:
         tasks, preset = contents["tasks"], contents["preset"]

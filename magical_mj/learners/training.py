@@ -28,6 +28,7 @@ from magical_mj.learners.run_folder import Metrics, RunFolder
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import Policy
 from magical_mj.policies.models import torch_settings
+from magical_mj.utils import files
 from magical_mj.utils.errors import TrainingError, check_name
 
 
@@ -106,7 +107,7 @@ def train(
     """
     if learner is None:
         check_name("method", settings.method, METHODS)
-    folder = RunFolder(Path(out), settings, resume=resume)
+    folder = RunFolder(files.to_path(out), settings, resume=resume)
     last = folder.last_checkpoint()
     if last is not None and last.finished and (policy := folder.policy()) is not None:
         return policy

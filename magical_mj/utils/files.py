@@ -24,7 +24,7 @@ _LONGEST_STEM: Final = 30
 """The characters of a file's name in that of its temporary file: file systems take 255 bytes."""
 
 
-def to_path(path: Path | str) -> Path:
+def to_path(path: str | os.PathLike[str]) -> Path:
     """`path` as a `Path`; for public functions, whose users may give something else.
 
     Raises:

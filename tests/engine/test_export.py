@@ -260,3 +260,16 @@ def test_illegal_scenes_are_not_exported(tmp_path: Path) -> None:
     with pytest.raises(InvalidSceneError, match="walls"):
         magical_mj.export_mjcf(scene, tmp_path / "scene.xml")
     assert not (tmp_path / "scene.xml").exists()
+
+
+def test_numbers_below_the_smallest_are_written_as_zero(tmp_path: Path) -> None:
+    """Which MuJoCo's reader refuses: of scenes, and of what an episode leaves in its actuators."""
+    odd = Scene(Robot(1e-320, -1e-310, 1e-315), (Block("star", "red", 1e-320, 0.5, 1e-320),))
+    engine = Engine.of_scene(odd)
+    engine.step(10)
+    engine.data.act[:], engine.data.qvel[:] = 8.1e-320, -1e-310
+    for number, source in enumerate((odd, engine)):
+        path = magical_mj.export_mjcf(source, tmp_path / f"{number}.xml")
+        model = mujoco.MjModel.from_xml_path(str(path))
+        numbers = np.concatenate([model.key_qpos.ravel(), model.key_qvel.ravel(), model.key_act.ravel()])
+        assert (np.abs(numbers[numbers != 0]) > 1e-300).all()

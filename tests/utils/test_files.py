@@ -8,12 +8,19 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, Final
 
 import pytest
 
+from magical_mj import Robot, Scene, demos, export_mjcf, leaderboard
+from magical_mj.evaluation.reports.report import report
+from magical_mj.learners import load_policy, plan_experiment
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError
+
+BYTES: Final[Any] = b"a path"
 
 
 @pytest.mark.parametrize("data", ["äö\n", b"\x00\xff", ""])
@@ -230,3 +237,21 @@ def test_a_lock_is_for_one_at_a_time_and_ends_with_its_context(tmp_path: Path) -
         child.kill()
         child.join()
     assert (tmp_path / "a.txt").read_text() == "text"
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: demos.read(BYTES),
+        lambda: export_mjcf(Scene(Robot(0, 0, 0)), BYTES),
+        lambda: leaderboard.submit([BYTES], "entry.json.xz"),
+        lambda: leaderboard.read_entry(BYTES),
+        lambda: leaderboard.verify(BYTES),
+        lambda: report([BYTES], "report"),
+        lambda: plan_experiment(BYTES, "runs"),
+        lambda: load_policy(BYTES),
+    ],
+)
+def test_what_is_no_path_is_refused_in_words(call: Callable[[], object]) -> None:
+    with pytest.raises(SettingsError, match="a path must be"):
+        call()

@@ -120,7 +120,7 @@ def report(
 
 def write_report(data: Results, out: Path | str, links: Mapping[str, str] = MappingProxyType({})) -> Path:
     """The part of `report` that writes the files; see there."""
-    out = Path(out)
+    out = files.to_path(out)
     tables, shifts = result_tables(data), by_shift(data.scores)
     texts = {"variants.csv": csv(data.variants), "environments.csv": csv(data.environments)}
     texts |= {"shifts.csv": csv(shifts)} if len(shifts) else {}
