@@ -31,6 +31,7 @@ from magical_mj.cli.console import (
 )
 from magical_mj.cli.film import film
 from magical_mj.scene.bodies import GRIPPER
+from magical_mj.shifts.registry import parse_shifts, shift_label
 from magical_mj.tasks.registry import SPLITS, Pair, environments, score, task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError, UntrustedNameError
@@ -74,6 +75,7 @@ Name = Annotated[
 ]
 BodyName = Annotated[str, typer.Option("--body", help="The robot's body; see docs/bodies.md.")]
 ExportPreset = Annotated[str | None, typer.Option(help="The observations.", show_default="LoRes4E; State for Minari")]
+Shifts = Annotated[str, typer.Option(help="Physical shifts, such as clutter:3; see docs/shifts.md.")]
 DropNoop = Annotated[bool, typer.Option(help="For npz: leave out the steps with the no-op action.")]
 AsVideo = Annotated[bool, typer.Option("--video", help="For LeRobot: videos, which are lossy, instead of pictures.")]
 Fingers = Annotated[bool, typer.Option("--fingers", help="For LeRobot: the fingers' angles, too.")]
@@ -96,16 +98,22 @@ def generate(
     count: Count = 25,
     least_score: Least = 1.0,
     body: BodyName = GRIPPER,
+    shifts: Shifts = "",
     jobs: Jobs = None,
 ) -> None:
     """Make demonstrations by the expert. Called again, it continues; nothing is overwritten."""
+    from magical_mj.demos.demonstration import check_physical  # imported late: it loads the simulator
+
     pairs = environments(tasks, variants)
     for task, _ in pairs:
         task_spec(task).check_body(body)
-    by = "" if body == GRIPPER else f"-{body.rpartition(':')[2]}"
+        check_physical(shift_label(parse_shifts(shifts, task)))
+    label = shift_label(parse_shifts(shifts))
+    parts = ("" if body == GRIPPER else body.rpartition(":")[2], label.replace(":", ""))
+    by = "".join(f"-{part}" for part in parts if part)
     keys = [(*pair, number) for pair in pairs for number in range(count)]
     paths = {key: out / f"{task_spec(key[0]).name}-{key[1]}{by}-{key[2]:03}.npz" for key in keys}
-    make = partial(magical_mj.demos.demonstrate, least_score=least_score, body=body)
+    make = partial(magical_mj.demos.demonstrate, least_score=least_score, body=body, shifts=label)
     failures = make_missing(paths, make, out, jobs, "demonstrating")
     describe([magical_mj.demos.read(path, key[0]) for key, path in paths.items() if path.exists()])
     check_made(failures)

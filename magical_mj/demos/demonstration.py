@@ -13,6 +13,7 @@ import hashlib
 import io
 import itertools
 import json
+import re
 import zipfile
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -30,6 +31,7 @@ from magical_mj.assets.world import World
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS, NOOP, as_speeds
 from magical_mj.scene.bodies import GRIPPER, body_named
+from magical_mj.shifts.registry import PHYSICAL, named_in, parse_shifts, shift_label
 from magical_mj.tasks.plugins import announced_name
 from magical_mj.tasks.registry import environment_axes, score, task_spec, variant_name
 from magical_mj.utils import files
@@ -56,7 +58,7 @@ class Demonstration:
     task: str
     variant: str
     scene_seed: Seed
-    """`scene` is `sample_scene(task, variant, scene_seed)`."""
+    """`scene` is `sample_scene(task, variant, scene_seed)`, and what shifts make of it."""
     demonstrator: Demonstrator
     seed: Seed
     """The expert's seed; of others, the scene's."""
@@ -71,15 +73,18 @@ class Demonstration:
     """The score of the last state by the paper's rules."""
     package: str = __version__
     mujoco: str = version("mujoco")
+    shifts: str = ""
+    """Physical shifts, such as ``"clutter:3"``: actions are those that were commanded. Files without any lack it."""
 
     @property
     def name(self) -> str:
         """Such as ``"FindDupe-Demo"``: the name of the task, also if that is given by reference, and the variant.
 
-        Bodies other than the gripper stand behind them, as in ``"SweepToTop-Layout-longstick"``.
+        Bodies other than the gripper and shifts stand behind them, as in ``"SweepToTop-Layout-longstick"``.
         """
         body = self.scene.robot.body
-        return f"{task_spec(self.task).name}-{self.variant}{'' if body == GRIPPER else f'-{body}'}"
+        others = ("" if body == GRIPPER else body, self.shifts.replace(":", ""))
+        return "-".join(filter(None, (task_spec(self.task).name, self.variant, *others)))
 
     @property
     def digest(self) -> str:
@@ -266,7 +271,20 @@ def _digest(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> st
 def _checked_fields(values: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of a header, each of its type and within its bounds, and of an environment that exists."""
     environment_axes(values["task"], values["variant"])
-    return {name: fitting(name, values[name], kind) for name, kind in HEADER_FIELDS.items()}
+    fields = {name: fitting(name, values[name], kind) for name, kind in HEADER_FIELDS.items() if name != "shifts"}
+    shifts = fitting("shifts", values.get("shifts", ""), str)
+    check_physical(shifts)  # before any name is resolved, which could import what a file names
+    shifts = shift_label(parse_shifts(shifts, values["task"]))
+    return fields | ({"shifts": shifts} if shifts else {})
+
+
+def check_physical(shifts: str) -> None:
+    """Raises a `DemonstrationError` for shifts with which no demonstration is made."""
+    if others := [part for part in filter(None, re.split("[,+]", shifts)) if named_in(part) not in PHYSICAL]:
+        raise DemonstrationError(
+            f"a demonstration can have the shifts {', '.join(PHYSICAL)}, not {others[0]}: it holds states, whose "
+            "pictures and sentences are made when it is used"
+        )
 
 
 def _check_arrays(demo: Demonstration) -> None:
@@ -276,7 +294,7 @@ def _check_arrays(demo: Demonstration) -> None:
     if shapes != [(np.float32, 2) if speeds else (np.uint8, 1), (np.float64, 2), (np.float64, 2)]:
         kind = "(steps, n) of float32" if speeds else "(steps,) of uint8"
         raise DemonstrationError(f"actions must be an array {kind}, qpos and qvel arrays (steps + 1, n) of float64")
-    steps, coordinates = len(demo.actions), len(joints(body)) + 3 * len(demo.scene.blocks)
+    steps, coordinates = len(demo.actions), len(joints(body)) + 3 * len((*demo.scene.blocks, *demo.scene.pebbles))
     if steps == 0 or not demo.qpos.shape == demo.qvel.shape == (steps + 1, coordinates):
         raise DemonstrationError(
             f"{steps} actions in this scene have states of shape {(steps + 1, coordinates)}, not {demo.qpos.shape} and "

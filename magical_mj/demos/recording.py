@@ -28,12 +28,13 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from magical_mj.assets.world import World
-from magical_mj.demos.demonstration import Demonstration, Demonstrator
+from magical_mj.demos.demonstration import Demonstration, Demonstrator, check_physical
 from magical_mj.engine import Engine
 from magical_mj.policies.expert import expert_of
 from magical_mj.policies.interface import forever, play
 from magical_mj.scene.actions import NOOP, Action, action_number, to_vector
 from magical_mj.scene.bodies import GRIPPER
+from magical_mj.shifts.registry import Shifts, parse_shifts, shift_label
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import score, task_name, variant_name
 from magical_mj.utils.errors import DemonstrationError
@@ -109,13 +110,15 @@ class Recorder:
 
         Raises:
             InvalidSeedError: if the seed is not an integer, or negative.
-            DemonstrationError: if the episode did not begin in the scene of a seed, or went on without this recorder.
+            DemonstrationError: if the episode did not begin in the scene of a seed, or went on without this recorder;
+                if it has shifts that demonstrations cannot have.
         """
         env = self._env
         self._check_complete()
         if env.task is None or env.seed is None:
             raise DemonstrationError("only episodes that begin in the scene of a seed become demonstrations")
-        task = task_name(env.task)
+        task, shifts = task_name(env.task), shift_label(env.shifts)
+        check_physical(shifts)
         positions, velocities = self.states()
         return Demonstration(
             task=task,
@@ -128,6 +131,7 @@ class Recorder:
             qpos=positions,
             qvel=velocities,
             score=score(task, env.initial_scene, env.scene),
+            shifts=shifts,
         )
 
     def _check_complete(self) -> None:
@@ -135,18 +139,24 @@ class Recorder:
             raise DemonstrationError("the environment was reset or stepped without the recorder: make another one")
 
 
-def demonstrate(task: str, variant: str, number: int, least_score: float = 1.0, body: str = GRIPPER) -> Demonstration:
+def demonstrate(
+    task: str, variant: str, number: int, least_score: float = 1.0, body: str = GRIPPER, shifts: Shifts = None
+) -> Demonstration:
     """A demonstration by the expert with this body: `number` is the seed of the scene and of the expert.
+
+    Shifts are physical ones. The expert does not know of latency and slip, and reaches little with them.
 
     If it does not reach `least_score`, experts with other seeds try.
 
     Raises:
         InvalidSeedError: if `number` is not an integer, or negative.
-        DemonstrationError: if none of them reaches it.
+        DemonstrationError: if none of them reaches it; for shifts that demonstrations cannot have.
+        UnknownNameError, SettingsError: for wrong shifts.
     """
     number = check_seed(number)
+    check_physical(shift_label(parse_shifts(shifts, task)))
     best = 0.0
-    with closing(Engine(task, variant, seed=number, body=body)) as env:
+    with closing(Engine(task, variant, seed=number, body=body, shifts=shifts)) as env:
         for attempt in range(ATTEMPTS):
             env.reset(seed=number)
             seed = number + attempt * STRIDE

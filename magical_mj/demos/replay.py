@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -59,14 +59,17 @@ class Verdict(NamedTuple):
 def verify(demo: Demonstration) -> Verdict:
     """Checks a demonstration with this version of the package and of MuJoCo."""
     drawn = [pictures["allo"] for pictures in itertools.islice(render_demo(demo), 0, None, GLANCE)]
-    with closing(Engine(demo.task, demo.variant, scene=demo.scene, body=demo.scene.robot.body)) as env:
+    body = demo.scene.robot.body
+    start: dict[str, Any] = {"seed": demo.scene_seed, "shifts": demo.shifts} if demo.shifts else {"scene": demo.scene}
+    with closing(Engine(demo.task, demo.variant, body=body, **start)) as env:
+        expected = env.initial_scene if demo.shifts else sample_scene(demo.task, demo.variant, demo.scene_seed, body)
         recorder, replayed = Recorder(env), [env.render("allo", SIZE)]
         for step, _ in enumerate(play(recorder, demo.actions.tolist()), start=1):
             if step % GLANCE == 0:
                 replayed.append(env.render("allo", SIZE))
         positions, velocities = recorder.states()
         score = env.score()
-    same_scene = sample_scene(demo.task, demo.variant, demo.scene_seed, demo.scene.robot.body) == demo.scene and all(
+    same_scene = expected == demo.scene and all(
         np.allclose(states[0], recorded[0], rtol=0, atol=ROUNDING)
         for states, recorded in ((positions, demo.qpos), (velocities, demo.qvel))
     )

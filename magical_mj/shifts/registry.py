@@ -32,6 +32,9 @@ AXES: Final = (Pose, Camera, Light, Texture, Palette, Clutter, Sensor, Latency, 
 SHIFTS: Final[Mapping[str, type[Shift]]] = MappingProxyType({kind.name: kind for kind in AXES})
 """Our shifts by name, in the order of tables and in which they are applied. "all" means these."""
 
+PHYSICAL: Final = tuple(kind.name for kind in AXES if kind.scene is not Shift.scene or kind.action is not Shift.action)
+"""Those that change the scene, its dynamics or the actions, and not only what is seen or read."""
+
 GROUP: Final = "magical_mj.shifts"
 """The entry-point group in which installed packages announce shifts, such as ``fog = "fog:Fog"``."""
 

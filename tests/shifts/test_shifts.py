@@ -8,6 +8,7 @@ import json
 import pickle
 from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -19,10 +20,10 @@ import magical_mj
 from magical_mj.engine.export import mjcf_text
 from magical_mj.shifts import SHIFTS, Factor, Shift, expand_shifts, parse_shifts, shift_label
 from magical_mj.shifts.episode import draw_shifts
-from magical_mj.shifts.registry import PROTOCOL
+from magical_mj.shifts.registry import PHYSICAL, PROTOCOL
 from magical_mj.shifts.words import SENTENCES
 from magical_mj.tasks.registry import task_spec
-from magical_mj.utils.errors import MagicalError, SettingsError, ShiftError, UnknownNameError
+from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError, ShiftError, UnknownNameError
 
 DRAWN = ("camera", "light", "texture", "palette", "clutter", "sensor")
 ACTIONS = np.random.default_rng(0).integers(0, 18, 40).tolist()
@@ -149,6 +150,26 @@ def test_the_levels_of_the_axis_body_are_names() -> None:
         magical_mj.Engine("MoveToRegion", shifts="body:longstick")
     with closing(magical_mj.Engine("MoveToRegion", shifts="body:tests.envs.test_xmagical:WEDGE")) as env:
         assert env.scene.robot.body == "tests.envs.test_xmagical:WEDGE"
+
+
+def test_demonstrations_are_made_in_physical_shifts(tmp_path: Path) -> None:
+    assert PHYSICAL == ("pose", "clutter", "latency", "slip", "friction")
+    shifts = {"pose": 1, "clutter": 2, "slip": 3, "friction": 5}
+    demo = magical_mj.demos.demonstrate("MoveToRegion", "Demo", 4, shifts=shifts)
+    assert demo.name == "MoveToRegion-Demo-pose1+clutter2+slip3+friction5"
+    path = magical_mj.demos.keep(demo, tmp_path)[0]
+    again = magical_mj.demos.read(path)
+    assert again.digest == demo.digest
+    assert again.shifts == demo.shifts
+    verdict = magical_mj.demos.verify(again)
+    assert verdict.good
+    assert verdict.exact
+    assert not magical_mj.demos.verify(replace(demo, shifts="")).good
+    for shifts in ({"camera": 3}, {"tests.shifts.test_shifts:Wrong": 1}, {"body": "mediumstick"}):
+        with pytest.raises(DemonstrationError, match="can have the shifts pose, clutter"):
+            magical_mj.demos.demonstrate("MoveToRegion", "Demo", 4, shifts=shifts)
+    with pytest.raises(DemonstrationError, match=r"not evil\.module:NAME:3"):
+        magical_mj.demos.write(replace(demo, shifts="evil.module:NAME:3"), tmp_path / "other.npz")
 
 
 def test_a_shift_of_ones_own_that_returns_something_else_is_named() -> None:
