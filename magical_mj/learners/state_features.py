@@ -63,6 +63,8 @@ def maxima(rows: Tensor, present: Tensor) -> Tensor:
     """The largest values, (n, size), of the rows (n, rows, size) that are `present` (n, rows)."""
     # An exported network keeps all empty rows. A scene that is alone in its batch has none: they must not count there.
     empty = -1e4 if torch.compiler.is_exporting() else -10.0
+    if not rows.shape[1]:  # a scene without blocks and regions
+        return rows.new_full((len(rows), rows.shape[2]), empty)
     return rows.masked_fill(~present[..., None], empty).amax(1)
 
 

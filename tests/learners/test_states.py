@@ -48,6 +48,11 @@ def played() -> NDArray[np.float32]:
     return histories(np.asarray(demos.observations(demos.load("ClusterColour")[0], "State")))[::20]
 
 
+def test_scenes_may_hold_nothing_but_the_robot() -> None:
+    history = torch.zeros(2, HISTORY, len(STATE_NAMES))
+    assert StateTorso(NetworkSettings())(history).isfinite().all()
+
+
 def test_histories_begin_with_the_first_state() -> None:
     states = np.arange(6, dtype=np.float32)[:, None]
     expected = [[0, 0, 0, 0], [0, 0, 0, 1], [0, 0, 1, 2], [0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]]
