@@ -17,6 +17,7 @@ from magical_mj.evaluation.scores import EpisodeResult, read, read_settings
 from magical_mj.leaderboard import verify
 from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError, UntrustedNameError
 from magical_mj.utils.imports import trust
+from tests.envs.test_xmagical import WEDGE  # noqa: F401
 from tests.helpers import agents
 from tests.helpers.commands import Shell
 from tests.helpers.evaluations import TEMPLATE, evaluate, rows, write
@@ -54,7 +55,7 @@ def test_an_evaluation_grows_by_shifts_and_is_replayed(tmp_path: Path) -> None:
 
 
 def test_other_bodies_stand_beside_the_first_one_and_are_replayed(shell: Shell, tmp_path: Path) -> None:
-    own = "body:tests.envs.test_xmagical:WEDGE"
+    own = f"body:{__name__}:WEDGE"  # which no other test trusts
     options = ("--tasks", "MoveToRegion", "--variants", "Demo", "--preset", "State", "--episodes", "2")
     shell("evaluate", "--policy", "random", *options, "--shifts", f"body,{own}", "--out", "out")
     assert Counter(score.shift for score in read(tmp_path / "out")) == dict.fromkeys(
