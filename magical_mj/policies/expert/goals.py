@@ -50,7 +50,8 @@ class GoalPicture(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordC
         """Starts an episode."""
         observation, info = super().reset(seed=seed, options=options)
         engine = self._engine
-        self._goal = goal_picture(engine.task or "", engine.variant, engine.initial_scene, self._view, self._size)
+        where = engine.task or "", engine.variant, engine.initial_scene
+        self._goal = goal_picture(*where, self._view, self._size, engine.simulation.renderer)
         return observation, info | {"goal": self._goal}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -59,14 +60,16 @@ class GoalPicture(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordC
         return observation, reward, terminated, truncated, info | {"goal": self._goal}
 
 
-@lru_cache(maxsize=1024)
-def goal_picture(task: str, variant: str, scene: Scene, view: str, size: int) -> NDArray[np.uint8]:
+@lru_cache(maxsize=100)  # as many as an environment has test scenes; large pictures take megabytes
+def goal_picture(
+    task: str, variant: str, scene: Scene, view: str, size: int, renderer: str | None
+) -> NDArray[np.uint8]:
     """The end of an expert's episode that begins in `scene` and has score 1: shape (size, size, 3), not writable.
 
     Raises:
         TaskError: if the task has no plan, or no expert reaches that.
     """
-    with closing(Engine(task, variant, scene=scene, body=scene.robot.body)) as engine:
+    with closing(Engine(task, variant, scene=scene, body=scene.robot.body, renderer=renderer)) as engine:
         for seed in range(EXPERTS):
             engine.reset(scene=scene)
             expert = Expert(engine, task, seed)
