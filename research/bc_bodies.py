@@ -100,9 +100,7 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)
     for task in options.tasks.split(","):
-        spec = task_spec(task)
-        bodies = tuple(BODIES) if task == SWEEP else ("gripper", "shortstick", "mediumstick")
-        object.__setattr__(spec, "bodies", bodies)  # MoveToCorner is solved by sticks in Demo, and so not offered
+        bodies = task_spec(task).bodies
         print(f"| {task} | " + " | ".join(bodies) + " |")
         for body in bodies:
             policy = train(task, body, options.updates)

@@ -68,4 +68,5 @@ SPEC: Final = TaskSpec(
     colour=any_colours,
     shape=any_shapes,
     layout=False,
+    bodies=("gripper", "shortstick", "mediumstick"),
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from contextlib import closing
 
 import gymnasium
 import numpy as np
@@ -16,7 +17,9 @@ from magical_mj.policies.expert.driving import HumanExecution, Lookahead, drive,
 from magical_mj.policies.expert.manoeuvres import manoeuvres, obstacles, simplified
 from magical_mj.policies.expert.navigation import EMPTY, SearchTree, cell_costs, cells, explore
 from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
+from magical_mj.scene.bodies import BODIES
 from magical_mj.tasks.planning import Noise, Subgoal
+from magical_mj.tasks.registry import SPLITS
 from magical_mj.utils.errors import InvalidSceneError, InvalidSeedError, SettingsError, UnknownNameError
 
 
@@ -44,7 +47,7 @@ def env_of(task: str, variant: str = "Demo", seed: int = 0) -> magical_mj.Engine
 
 def test_a_way_is_what_the_robot_can_drive() -> None:
     scene = magical_mj.sample_scene("FindDupe", "Demo", 0)
-    costs = cell_costs(obstacles(scene), loaded=False)
+    costs = cell_costs(obstacles(scene), EMPTY)
     tree = explore(scene.robot.pose, costs, 60)
     assert np.array_equal(tree.poses[0], scene.robot.pose)
     assert len(tree.poses) > 5000
@@ -57,7 +60,7 @@ def test_a_way_is_what_the_robot_can_drive() -> None:
 
 
 def test_blocks_cost_toll_and_walls_stop() -> None:
-    costs = cell_costs(np.array([[0.0, 0.0, 0.12]]), loaded=False)
+    costs = cell_costs(np.array([[0.0, 0.0, 0.12]]), EMPTY)
     inside, free, wall = cells(np.array([[0.0, -0.25, 0.0], [0.6, -0.5, 0.0], [0.0, 0.9, 0.0]]))
     assert costs[free] == 0
     assert costs[inside] != 0
@@ -69,7 +72,7 @@ def test_routes_are_driven() -> None:
     """Of paths to anywhere in an empty arena only a few points are left, and the robot gets there."""
     env = env_of("MoveToRegion")
     world = Lookahead(env)
-    costs = cell_costs(np.empty((0, 3)), loaded=False)
+    costs = cell_costs(np.empty((0, 3)), EMPTY)
     tree = explore(world.robot, costs, 50)
     start = world.state
     for node in np.random.default_rng(0).integers(len(tree.poses), size=12).tolist():
@@ -86,7 +89,7 @@ def test_a_route_goes_round_a_block() -> None:
     env = magical_mj.Engine.of_scene(Scene(Robot(0, -0.7, 0), (Block("circle", "red", 0, 0, 0),)))
     env.reset()
     world = Lookahead(env)
-    costs = cell_costs(obstacles(env.scene), loaded=False)
+    costs = cell_costs(obstacles(env.scene), EMPTY)
     tree = explore(world.robot, costs, 80)
     node = int(np.hypot(*(tree.poses[:, :2] - (0.0, 0.7)).T).argmin())
     assert drive(world, simplified(tree.path_to(node), costs), Gripper.OPEN, 80, within=0.1)
@@ -254,12 +257,23 @@ def test_an_expert_drives_an_engine() -> None:
         Expert(magical_mj.MagicalEnv("MoveToRegion"), "MoveToRegion")
 
 
+@pytest.mark.parametrize("body", ["shortstick", "mediumstick"])
+def test_sticks_push_what_they_cannot_get_behind(body: str) -> None:
+    """In MoveToCorner the block lies near a wall, and goes to its corner by another one."""
+    for seed in (1, 3):
+        with closing(magical_mj.Engine("MoveToCorner", "All", seed=SPLITS["dev"] + seed, body=body)) as engine:
+            expert = Expert(engine, "MoveToCorner", 0)
+            while not engine.step(expert()):
+                pass
+            assert engine.score() == 1.0
+
+
 def test_a_place_out_of_reach_is_approached() -> None:
     """As after random actions, when the paths that the robot can see end before the place."""
     tree = SearchTree(np.array([(0.0, 0.0, 0.0), (0.0, 0.1, 0.0)]), np.array([-1, 0]), np.array([0, 1]))
     scene = magical_mj.sample_scene("MoveToRegion", "Demo", 0)
-    free, noise = cell_costs(obstacles(scene), loaded=False), Noise(np.random.default_rng(0), 1.0)
-    (manoeuvre,) = manoeuvres(tree, free, scene, Subgoal(None, (0.5, 0.5), 0.1), noise, grips=True)
+    free, noise = cell_costs(obstacles(scene), EMPTY), Noise(np.random.default_rng(0), 1.0)
+    (manoeuvre,) = manoeuvres(tree, free, scene, Subgoal(None, (0.5, 0.5), 0.1), noise, BODIES["gripper"])
     assert manoeuvre.route[-1] == (0.5, 0.5)
     assert manoeuvre.estimate == 1.0
 

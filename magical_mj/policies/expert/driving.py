@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from magical_mj.engine import Engine
 from magical_mj.scene import Pose, Scene
 from magical_mj.scene.actions import ACTIONS, Action, Drive, Gripper, Turn
+from magical_mj.scene.bodies import body_named
 
 SavedState = NDArray[np.float64]
 """A saved state: the array that `magical_mj.engine.simulation.Simulation.save` returns."""
@@ -71,8 +72,8 @@ class Lookahead:
         self._simulation = engine.simulation.copy()
         self._simulation.restore(engine.simulation.save())
         self._world = engine.simulation.world
-        self.grips = self._world.has_fingers
-        """Whether the robot can grip blocks; without fingers it pushes them."""
+        self.body = body_named(self._world.scene.robot.body)
+        """The robot's; without fingers it cannot grip blocks, and pushes them."""
         self.trace: list[int] = []
         """The actions since the last `restore`."""
         self.states: list[SavedState] = []

@@ -12,9 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.policies.expert.driving import AIM, FACE, VIA, Lookahead, Patience, Point, drive, steer
-from magical_mj.policies.expert.navigation import GRIP, Goal, Ints, SearchTree, cell_costs, cells, explore, places
+from magical_mj.policies.expert.navigation import (
+    GRIP,
+    LOADED,
+    Goal,
+    Ints,
+    SearchTree,
+    cell_costs,
+    cells,
+    explore,
+    places,
+)
 from magical_mj.scene import Pose, Scene
 from magical_mj.scene.actions import Drive, Gripper, Turn
+from magical_mj.scene.bodies import Body
 from magical_mj.tasks.planning import CARRYING, Noise, Subgoal
 
 BLOCK_RADIUS: Final = {"square": 0.125, "pentagon": 0.13, "star": 0.14, "circle": 0.12}
@@ -24,9 +35,11 @@ BLOCK_RADIUS: Final = {"square": 0.125, "pentagon": 0.13, "star": 0.14, "circle"
 BEFORE: Final = (0.46, 0.68)  # world units ahead of the robot where a block may be before it is gripped
 ASIDE: Final = 0.1  # and at most how far to the side
 BEHIND: Final = (0.2, 0.6)  # the same before it is pushed
-OFF_CENTRE: Final = 0.08
-ASKEW: Final = 0.35  # rad: and how far the way to the target may be from straight ahead
-SIDES: Final = 16  # the number of directions from which a block can be gripped
+OFF_CENTRE: Final = 0.08  # and to the side; with a longer side that pushes, up to 0.1 from its end
+OFF_CENTRE_COST: Final = 40.0  # actions for each unit to the side
+FREE_OF_WALLS: Final = 0.7  # |x| and |y| of places from which a block can be pushed on: from a wall it cannot
+ASKEW: Final = 0.35  # rad: a push in a direction this close to the target's goes there, others go beside it
+SIDES: Final = 16  # the number of directions from which a block can be gripped or pushed
 STOPS: Final = (GRIP, GRIP + 0.07, GRIP + 0.14)  # distances from the block at which there must be room for the fingers
 TIGHT: Final = 1.5  # actions for each unit of the cells' costs along them
 WALLED: Final = 12  # the cell's cost where a finger would be in a wall by calculation; sometimes it works anyway
@@ -57,7 +70,7 @@ class Manoeuvre:
     route: list[Point]
     """The points of the route to the block, or to the end if there is no block."""
     reverse: bool
-    """Whether to drive back while turning, with a block between the fingers."""
+    """Whether to drive back while turning, with a block between the fingers; without fingers, to push with the back."""
     estimate: float
     """About how many actions it takes."""
 
@@ -69,7 +82,7 @@ def obstacles(scene: Scene, without: int | None = None) -> NDArray[np.float64]:
 
 
 def manoeuvres(
-    tree: SearchTree, costs: Ints, scene: Scene, subgoal: Subgoal, noise: Noise, *, grips: bool
+    tree: SearchTree, costs: Ints, scene: Scene, subgoal: Subgoal, noise: Noise, body: Body
 ) -> list[Manoeuvre]:
     """Candidate manoeuvres for a subgoal: for each side of the block one of the fastest.
 
@@ -79,7 +92,7 @@ def manoeuvres(
         scene: the present scene.
         subgoal: the subgoal.
         noise: varies the choice.
-        grips: whether the robot grips blocks; else it pushes them towards the target, from behind.
+        body: the robot's. Without fingers it pushes blocks.
     """
     if subgoal.block is None:
         gaps = np.hypot(*(tree.poses[:, :2] - subgoal.target).T)
@@ -89,16 +102,13 @@ def manoeuvres(
         route = simplified([*tree.path_to(node), (*subgoal.target, 0.0)], costs)
         return [Manoeuvre(subgoal, route, False, float(tree.steps[node]))]
     block = scene.blocks[subgoal.block]
-    loaded = cell_costs(obstacles(scene, subgoal.block), loaded=True)
-    x, y, angle = tree.poses.T
-    right = np.cos(angle) * (block.x - x) + np.sin(angle) * (block.y - y)
-    ahead = np.cos(angle) * (block.y - y) - np.sin(angle) * (block.x - x)
-    if grips:
-        near = np.flatnonzero((np.abs(right) < ASIDE) & (BEFORE[0] < ahead) & (ahead < BEFORE[1]))
-    else:
-        onward = math.atan2(block.x - subgoal.target[0], subgoal.target[1] - block.y)
-        behind = np.abs((angle - onward + math.pi) % (2 * math.pi) - math.pi) < ASKEW
-        near = np.flatnonzero(behind & (np.abs(right) < OFF_CENTRE) & (BEHIND[0] < ahead) & (ahead < BEHIND[1]))
+    if not body.fingers:
+        half = float(body.corners[:, 0].max()) if body.outline else 0.0
+        return _pushes(tree, costs, block.pose, subgoal, max(OFF_CENTRE, half - 0.1))
+    loaded = cell_costs(obstacles(scene, subgoal.block), LOADED)
+    right, ahead = _relative(tree.poses, block.pose)
+    angle = tree.poses[:, 2]
+    near = np.flatnonzero((np.abs(right) < ASIDE) & (BEFORE[0] < ahead) & (ahead < BEFORE[1]))
     sides = np.round(angle[near] * SIDES / (2 * math.pi)).astype(int) % SIDES
     candidates = []
     for side in np.unique(sides).tolist():
@@ -111,7 +121,47 @@ def manoeuvres(
         route = simplified(tree.path_to(node), costs)
         estimate = tree.steps[node] + TIGHT * tight.sum() + _carrying(block.x, block.y, heading, subgoal)
         estimate += CORNER_COST * len(route)
-        candidates += [Manoeuvre(subgoal, route, reverse, float(estimate)) for reverse in (True, False)[: 1 + grips]]
+        candidates += [Manoeuvre(subgoal, route, reverse, float(estimate)) for reverse in (True, False)]
+    return candidates
+
+
+def _pushes(tree: SearchTree, costs: Ints, block: Pose, subgoal: Subgoal, aside: float) -> list[Manoeuvre]:
+    """Candidate pushes: straight to the target, or in other directions to where the target is at right angles.
+
+    So a block that cannot be pushed from behind goes there by a corner.
+
+    Args:
+        tree: the poses that the robot can reach.
+        costs: the additional cost of each cell.
+        block: the block's pose.
+        subgoal: the subgoal.
+        aside: how far to the side of the robot's centre the block may be.
+    """
+    dx, dy = subgoal.target[0] - block[0], subgoal.target[1] - block[1]
+    right, ahead = _relative(tree.poses, block)
+    near = np.flatnonzero((np.abs(right) < aside) & (BEHIND[0] < abs(ahead)) & (abs(ahead) < BEHIND[1]))
+    headings = tree.poses[near, 2] + math.pi * (ahead[near] < 0)  # the robot's back pushes as well
+    sides = np.round(headings * SIDES / (2 * math.pi)).astype(int) % SIDES
+    candidates = []
+    for side in np.unique(sides).tolist():
+        heading = side * 2 * math.pi / SIDES
+        along = -math.sin(heading) * dx + math.cos(heading) * dy
+        across = abs(math.cos(heading) * dx + math.sin(heading) * dy)
+        if along <= subgoal.tolerance:
+            continue
+        target = subgoal.target
+        if math.atan2(across, along) > ASKEW:
+            target = block[0] - along * math.sin(heading), block[1] + along * math.cos(heading)
+            if max(abs(target[0]), abs(target[1])) > FREE_OF_WALLS:
+                continue
+        for reverse in (False, True):
+            nodes = near[(sides == side) & ((ahead[near] < 0) == reverse)]
+            if len(nodes):
+                node = int(nodes[(tree.steps[nodes] + OFF_CENTRE_COST * np.abs(right[nodes])).argmin()])
+                route = simplified(tree.path_to(node), costs)
+                estimate = float(tree.steps[node]) + CARRYING * (along + across) + CORNER_COST * len(route)
+                push = Subgoal(subgoal.block, target, subgoal.tolerance)
+                candidates.append(Manoeuvre(push, route, reverse, estimate))
     return candidates
 
 
@@ -134,6 +184,13 @@ def _clear(start: Pose, end: Pose, costs: Ints) -> bool:
     return bool((costs[cells(np.concatenate([line, heading], axis=1))] == 0).all())
 
 
+def _relative(poses: NDArray[np.float64], block: Pose) -> NDArray[np.float64]:
+    """How far to the right and ahead of each of the robot's poses a block is. Shape (2, n)."""
+    x, y, angle = poses.T
+    right = np.cos(angle) * (block[0] - x) + np.sin(angle) * (block[1] - y)
+    return np.array([right, np.cos(angle) * (block[1] - y) - np.sin(angle) * (block[0] - x)])
+
+
 def _behind(x: float, y: float, heading: float, ahead: float) -> Pose:
     """The pose with this heading in which the point (x, y) is `ahead` of the robot."""
     return x + ahead * math.sin(heading), y - ahead * math.cos(heading), heading
@@ -154,19 +211,21 @@ def perform(lookahead: Lookahead, manoeuvre: Manoeuvre, limit: int) -> bool:
     if block is None:
         return drive(lookahead, manoeuvre.route, Gripper.OPEN, limit, within=subgoal.tolerance)
     drive(lookahead, manoeuvre.route, Gripper.OPEN, limit, within=VIA)
-    if not lookahead.grips:
-        return _push(lookahead, block, subgoal, limit)
+    if not lookahead.body.fingers:
+        return _push(lookahead, block, manoeuvre, limit)
     taken = _take(lookahead, block, limit)
     carried = taken and _carry(lookahead, block, manoeuvre, limit)
     _let_go(lookahead, block, limit, FREE if taken else FAR)
     return carried
 
 
-def _push(lookahead: Lookahead, block: int, subgoal: Subgoal, limit: int) -> bool:
-    """Faces the target and drives on until the block is there, or does not come closer; returns whether it is.
+def _push(lookahead: Lookahead, block: int, manoeuvre: Manoeuvre, limit: int) -> bool:
+    """Drives at the target until the block is there, or does not come closer; returns whether it is there.
 
-    Then the robot drives back, so that it can turn.
+    Then the robot drives off, so that it can turn.
     """
+    subgoal, side = manoeuvre.subgoal, -1 if manoeuvre.reverse else 1
+    on, off = (Drive.FORWARD, Drive.BACK)[::side]
     start = least = math.dist(lookahead.block(block), subgoal.target)
     patience = Patience()
     while len(lookahead.trace) < limit:
@@ -178,11 +237,11 @@ def _push(lookahead: Lookahead, block: int, subgoal: Subgoal, limit: int) -> boo
         # with the block ahead, aim a little beside the target, so that the block does not slide off
         right, ahead = lookahead.relative(subgoal.target)
         aside = lookahead.relative_block(block)[0]
-        bearing = math.atan2(-(right - CENTRING * aside), ahead)
+        bearing = math.atan2(-side * (right - CENTRING * aside), side * ahead)
         turn = Turn.NONE if abs(bearing) <= AIM else Turn.LEFT if bearing > 0 else Turn.RIGHT
-        lookahead.act(Gripper.OPEN, turn, Drive.NONE if abs(bearing) > FACE else Drive.FORWARD)
+        lookahead.act(Gripper.OPEN, turn, Drive.NONE if abs(bearing) > FACE else on)
     for _ in range(min(BACKED, limit - len(lookahead.trace))):
-        lookahead.act(Gripper.OPEN, Turn.NONE, Drive.BACK)
+        lookahead.act(Gripper.OPEN, Turn.NONE, off)
     return math.dist(lookahead.block(block), subgoal.target) <= subgoal.tolerance
 
 
@@ -233,7 +292,7 @@ def _carry(lookahead: Lookahead, block: int, manoeuvre: Manoeuvre, limit: int) -
 def _route(scene: Scene, block: int, goal: Goal, limit: int) -> list[Point]:
     """The points of a route that brings the block that the robot holds to its goal."""
     x, y, _ = scene.robot.pose
-    costs = cell_costs(obstacles(scene, block), loaded=True)
+    costs = cell_costs(obstacles(scene, block), LOADED)
     dx, dy = goal.x - x, goal.y - y
     distance = math.hypot(dx, dy)
     share = 1 - goal.ahead / distance if distance else 0.0

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from magical_mj.scene import Pose
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import Drive, Turn
+from magical_mj.scene.bodies import Body
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -92,19 +93,29 @@ def places(poses: Floats, ahead: float) -> Floats:
     return poses[:, :2] + ahead * np.stack([-np.sin(angles), np.cos(angles)], axis=1)
 
 
-def cell_costs(obstacles: Floats, loaded: bool) -> Ints:
+def footprint(body: Body) -> Discs:
+    """A body without fingers as discs in its frame: a row along the longer side of the box around its outline."""
+    if not body.outline:
+        return ((0.0, 0.0, body.radius),)
+    (left, back), (right, front) = body.corners.min(axis=0).tolist(), body.corners.max(axis=0).tolist()
+    radius = min(right - left, front - back) / 2
+    count = math.ceil(max(right - left, front - back) / (2 * radius)) + 1
+    row = np.linspace((left + radius, back + radius), (right - radius, front - radius), count)
+    return tuple((x, y, radius) for x, y in row.tolist())
+
+
+def cell_costs(obstacles: Floats, discs: Discs) -> Ints:
     """The additional number of actions to enter each cell; negative where the robot cannot be.
 
     Args:
         obstacles: x, y and radius of each block, shape (n, 3).
-        loaded: whether the robot carries a block.
+        discs: the robot, with a block that it carries.
     """
     axis = (np.arange(FINE_SIDE) + 0.5) * FINE - FINE_REACH
     x, y = axis[:, None], axis[None, :]
     room = np.full((FINE_SIDE, FINE_SIDE), np.inf)
     for ox, oy, radius in obstacles:
         np.minimum(room, np.sqrt((x - ox) ** 2 + (y - oy) ** 2) - radius, out=room)
-    discs = LOADED if loaded else EMPTY
     space = _least(room, discs)
     costs = np.zeros(len(space), np.int64)
     for clearance, cost in PUSH_COSTS:
@@ -133,7 +144,7 @@ def _samples(dx: float, dy: float) -> Ints:
     centres = (np.arange(SIDE) + 0.5) * CELL - c.ARENA_HALF_WIDTH
     x = centres[:, None] + dx * np.cos(angles) - dy * np.sin(angles)
     y = centres[None, :] + dx * np.sin(angles) + dy * np.cos(angles)
-    column, row = (np.floor((axis + FINE_REACH) / FINE).astype(np.int64) for axis in (x, y))
+    column, row = (np.floor((axis + FINE_REACH) / FINE).astype(np.int64).clip(0, FINE_SIDE - 1) for axis in (x, y))
     return (column * FINE_SIDE + row).ravel()
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from magical_mj.engine import Engine
 from magical_mj.policies.expert.driving import DELAY_PROBABILITY, HumanExecution, Lookahead, SavedState
 from magical_mj.policies.expert.manoeuvres import Manoeuvre, manoeuvres, obstacles, perform
-from magical_mj.policies.expert.navigation import cell_costs, explore
+from magical_mj.policies.expert.navigation import EMPTY, cell_costs, explore, footprint
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import NOOP, Gripper
 from magical_mj.tasks.planning import Noise, Subgoals, scene_after
@@ -144,13 +144,12 @@ class Planner:
         if not todo:
             return None
         lookahead = self._lookahead
-        costs = cell_costs(obstacles(scene), loaded=False)
-        tree = explore(scene.robot.pose, costs, min(left, REACH))
-        options = [
-            option
-            for subgoal in todo
-            for option in manoeuvres(tree, costs, scene, subgoal, noise, grips=lookahead.grips)
-        ]
+        options: list[Manoeuvre] = []
+        for discs in (EMPTY,) if lookahead.body.fingers else (EMPTY, footprint(lookahead.body)):
+            costs = cell_costs(obstacles(scene), discs)
+            tree = explore(scene.robot.pose, costs, min(left, REACH))
+            for subgoal in todo:
+                options += manoeuvres(tree, costs, scene, subgoal, noise, lookahead.body)
         options.sort(key=lambda option: option.estimate - option.subgoal.cost(scene) + noise(SPREAD))
         best, best_cost = None, math.inf
         for option in options[: self._tries]:
