@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from pictures import Filmed, film
+from numpy.typing import NDArray
+from pictures import film
 
+from magical_mj import demos
+from magical_mj.engine import Engine
+from magical_mj.engine.export import mjcf_text
 from magical_mj.policies.interface import actions_of
+from magical_mj.scene.bodies import BODIES
 from magical_mj.shifts import SHIFTS
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, task_spec
 from magical_mj.variants import varied_axes
@@ -25,6 +30,9 @@ AXES: Final = {
 SHIFTED: Final = "FindDupe"
 """The task in whose demo scene shifts are shown."""
 STRENGTH: Final = 4
+PHYSICAL: Final = ("pose", "clutter", "slip", "friction")
+"""The shifts that a model has in it."""
+SWEPT: Final = "SweepToTop"
 TEMPLATE: Final = """# Gallery
 
 An expert at work in each of the 60 environments, and what shifts do to one of them. Point at a picture to see it move.
@@ -44,6 +52,12 @@ An expert at work in each of the 60 environments, and what shifts do to one of t
 {shifted}; the actions are those of a demonstration, which solves it without the shift.
 
 <div class="cards small">{shifts}</div>
+
+## Other bodies
+
+[SweepToTop](bodies.md), x-magical's task, with its four bodies in the scenes of a demonstration each.
+
+<div class="cards small">{bodies}</div>
 """
 PICTURE: Final = (
     '<img src="media/{still}" data-moving="media/{moving}" width="192" height="192" loading="lazy" alt="{about}">'
@@ -52,6 +66,8 @@ CARD: Final = """<article class="card" data-task="{task}" data-axes="{axes}">
 <a href="play/#{name}-0" tabindex="-1">{picture}</a><strong>{name}</strong> {words}
 <span><a href="play/#{name}-0" aria-label="Play {name}">Play</a>
 <a href="play/inspect.html#{name}-0" aria-label="Inspect {name}">Inspect</a></span></article>"""
+OTHER: Final = '<article class="card">{picture}<strong>{name}</strong> {words}{link}</article>'
+INSPECT: Final = '<span><a href="play/inspect.html?model={model}.xml" aria-label="Inspect {model}">Inspect</a></span>'
 
 
 def gallery(media: Path) -> str:
@@ -66,6 +82,7 @@ def gallery(media: Path) -> str:
         strength=STRENGTH,
         shifted=SHIFTED,
         shifts="".join(shifts),
+        bodies="".join(_body(body, media) for body in BODIES),
     )
 
 
@@ -75,7 +92,7 @@ def _expert(task: str, variant: str) -> list[int]:
 
 def _card(task: str, variant: str, media: Path) -> str:
     name, varied = f"{task}-{variant}", varied_axes(task_spec(task), variant)
-    still, moving = film(Filmed(task, variant), _expert(task, variant), media / f"gallery-{name}")
+    still, moving = film(Engine(task, variant, seed=0), _expert(task, variant), media / f"gallery-{name}")
     return CARD.format(
         task=task,
         name=name,
@@ -85,8 +102,35 @@ def _card(task: str, variant: str, media: Path) -> str:
     )
 
 
+def gallery_models() -> dict[str, str]:
+    """The models to inspect that belong to no environment, as MJCF by their names: shifted ones, and other bodies."""
+    engines = {f"{SHIFTED}-{name}": _shifted(name) for name in PHYSICAL}
+    engines |= {f"{SWEPT}-{body}": _swept(body)[0] for body in BODIES}
+    texts = {name: mjcf_text(engine) for name, engine in engines.items()}
+    for engine in engines.values():
+        engine.close()
+    return texts
+
+
+def _shifted(name: str) -> Engine:
+    return Engine(SHIFTED, seed=0, shifts={name: STRENGTH})
+
+
+def _swept(body: str) -> tuple[Engine, NDArray[Any]]:
+    """A demonstration's scene, and what the body does in it."""
+    demo = demos.load(SWEPT, body=body)[0]
+    return Engine(SWEPT, "Layout", scene=demo.scene, body=body), demo.actions
+
+
 def _shift(name: str, media: Path) -> str:
-    filmed = Filmed(SHIFTED, "Demo", shifts={name: STRENGTH})
-    still, moving = film(filmed, _expert(SHIFTED, "Demo"), media / f"gallery-shift-{name}")
+    still, moving = film(_shifted(name), _expert(SHIFTED, "Demo"), media / f"gallery-shift-{name}")
     picture = PICTURE.format(still=still, moving=moving, about=f"{SHIFTED} with {name} at strength {STRENGTH}")
-    return f'<article class="card">{picture}<strong>{name}</strong> {SHIFTS[name].summary}</article>'
+    link = INSPECT.format(model=f"{SHIFTED}-{name}") if name in PHYSICAL else ""
+    return OTHER.format(picture=picture, name=name, words=SHIFTS[name].summary, link=link)
+
+
+def _body(body: str, media: Path) -> str:
+    engine, actions = _swept(body)
+    still, moving = film(engine, list(actions), media / f"gallery-body-{body}")
+    picture = PICTURE.format(still=still, moving=moving, about=f"{SWEPT} with the {body}")
+    return OTHER.format(picture=picture, name=body, words="", link=INSPECT.format(model=f"{SWEPT}-{body}"))

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from pictures import Filmed, film
+from pictures import film
 from standings_page import headline
 
+from magical_mj.engine import Engine
 from magical_mj.leaderboard.standings import Standing
 from magical_mj.policies.interface import actions_of
 
@@ -71,8 +72,8 @@ def _side(method: Standing, variant: str, media: Path) -> str:
     episodes = [] if method.entry is None else method.entry.counted
     played = [episode for episode in episodes if (episode.task, episode.variant) == (TASK, variant)]
     episode = VARIANTS[variant](played, key=lambda episode: episode.score)
-    filmed, actions = Filmed(TASK, variant, episode.seed), actions_of(episode.actions or "")
-    still, moving = film(filmed, actions, media / f"home-{variant}", size=448, frames=2 * len(actions))
+    env, actions = Engine(TASK, variant, seed=episode.seed), actions_of(episode.actions or "")
+    still, moving = film(env, actions, media / f"home-{variant}", size=448, frames=2 * len(actions))
     return SIDE.format(
         still=f"media/{still}",
         moving=f"media/{moving}",

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from PIL import Image
 
 import magical_mj
 from magical_mj import demos
+from magical_mj.engine import Engine
 from magical_mj.scene import Scene, geometry
 from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.utils.errors import InvalidSceneError
@@ -32,20 +33,11 @@ def animation(task: str, path: Path) -> None:
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=PERIOD, loop=0, quality=55, method=4)
 
 
-class Filmed(NamedTuple):
-    """What is filmed from above."""
-
-    task: str
-    variant: str
-    seed: int = 0
-    shifts: Mapping[str, int] | None = None
-
-
-def film(filmed: Filmed, actions: Sequence[int], path: Path, size: int = FILM, frames: int = 36) -> tuple[str, str]:
+def film(env: Engine, actions: Sequence[Any], path: Path, size: int = FILM, frames: int = 36) -> tuple[str, str]:
     """An episode, played again from its actions, as an animated WebP that goes round, and its first picture.
 
     Args:
-        filmed: where the actions are taken.
+        env: where the actions are taken; closed at the end.
         actions: all of the episode.
         path: of the files, without an ending.
         size: pixels per side.
@@ -55,7 +47,6 @@ def film(filmed: Filmed, actions: Sequence[int], path: Path, size: int = FILM, f
         The names of the still and of the moving picture.
     """
     every = 1 + len(actions) // frames
-    env = magical_mj.Engine(filmed.task, filmed.variant, seed=filmed.seed, shifts=filmed.shifts)
     shown: list[Image.Image] = []
     for step, action in enumerate(actions):
         if step % every == 0:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from fetch import CACHE, ONNX_FILES, ONNX_RUNTIME
+from gallery import gallery_models
 from standings_page import read_methods, write_replays
 
 import magical_mj
@@ -20,7 +21,7 @@ from magical_mj.web.page_data import PAGE, catalogue, environment_scenes
 
 POLICIES: Final = Path(__file__).parent / "policies"
 OFFLINE: Final = Path(__file__).parent / "offline"
-LATER: Final = ("onnx", "policies", "replays", "three")
+LATER: Final = ("model", "onnx", "policies", "replays", "three")
 """The folders whose files are kept for visits without a network only once they were used."""
 FOLDER: Final = Path(__file__).parent.parent / "out" / "site" / "play"
 BETWEEN_ELEMENTS: Final = re.compile(r"(?<=>)(?=\s*<)")
@@ -40,6 +41,9 @@ def write_play(folder: Path) -> int:
             models.append(mjcf_text(env))
         env.close()
         _write(folder / "scenes" / f"{task}-{variant}.json", with_models(data, models))
+    (folder / "model").mkdir()
+    for name, text in gallery_models().items():
+        (folder / "model" / f"{name}.xml").write_text(text, encoding="utf-8")
     write_replays(read_methods(), folder / "replays")
     _write(folder / "catalogue.json", catalogue(magical_mj.ENVIRONMENTS, "browser"))
     libraries = library_files(CACHE)

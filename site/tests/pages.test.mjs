@@ -52,6 +52,16 @@ test("the gallery moves what is pointed at, keeps what is asked for, and leads i
   assert.equal(await page.evaluate("location.hash"), "#FixColour-All-0");
 });
 
+test("shifted scenes and other bodies lead from the gallery to their models", async () => {
+  for (const name of ["FindDupe-clutter", "SweepToTop-longstick"]) {
+    await page.goto(`${site.address}gallery.html`);
+    await page.getByLabel(`Inspect ${name}`, { exact: true }).click();
+    await page.waitForFunction((name) => document.title.startsWith(`${name}.xml `), name);
+  }
+  await page.goto(`${site.address}play/inspect.html?model=nothing.xml`);
+  await page.waitForFunction(() => document.getElementById("message")?.textContent?.includes("no such model"));
+});
+
 test("charts say their figures, and the leaderboard sorts, opens, and replays", async () => {
   await page.goto(`${site.address}index.html`);
   const layout = page.locator(".column", { hasText: "Layout" });

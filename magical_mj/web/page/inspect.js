@@ -293,13 +293,15 @@ function showNames(task, variant, seed) {
   element("play").href = `./#${task}-${variant}-${seed}`;
 }
 
-/** What the address says: `#FindDupe-All-3`, or the file that the server was given. */
+/** What the address says: `#FindDupe-All-3`, `?model=` a file in the folder model, or the file that the server was given. */
 async function openAddress() {
-  const { hash } = location, given = catalogue.model;
+  const { hash } = location, asked = new URLSearchParams(location.search).get("model");
+  const given = asked ? { name: asked, files: [] } : catalogue.model;
   if (hash === "#file" && !given) return;
   if (given && (!hash || hash === "#file")) {
     return open(given.name, async () => {
       const reply = await Promise.all([given.name, ...given.files].map((name) => fetch(`model/${encodeURIComponent(name)}`)));
+      if (!reply[0].ok) throw new Error("There is no such model here.");
       const contents = await Promise.all(reply.map((one) => one.arrayBuffer()));
       const files = given.files.map((/** @type {string} */ name, /** @type {number} */ i) => [name, new Uint8Array(contents[i + 1])]);
       return { text: new TextDecoder().decode(contents[0]), files: new Map(files) };
