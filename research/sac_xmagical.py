@@ -1,6 +1,7 @@
 """SAC of Stable-Baselines3 on x-magical's SweepToTop from states: the curves in docs/bodies.md.
 
-    python -m research.sac_xmagical --body longstick --reward sparse --out FOLDER [--steps 75000]
+    python -m research.sac_xmagical --body longstick --reward sparse --out FOLDER/longstick-sparse [--steps 75000]
+    python -m research.sac_xmagical --plot docs/bodies-sac.png --out FOLDER    draws the curves of its runs
 
 The settings are XIRL's (Zakka et al. 2021): three stacked states, 5,000 random steps, a discount of 0.99, learning
 rates of 1e-4, a learnt temperature from 0.1, and an evaluation of 50 episodes by the mean action every 5,000 steps. On
@@ -17,6 +18,7 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium.wrappers import FlattenObservation, FrameStackObservation
+from matplotlib.figure import Figure
 from stable_baselines3 import SAC
 from stable_baselines3.common.monitor import Monitor
 
@@ -49,6 +51,19 @@ def evaluate(model: SAC, body: str, reward: str) -> tuple[float, float]:
     return float(np.mean(scores)), float(np.mean(returns))
 
 
+def plot(picture: Path, runs: Path) -> None:
+    """Draws the mean scores of all runs in a folder over their steps."""
+    figure = Figure((8.0, 3.0), layout="constrained", dpi=100)
+    axes = figure.subplots()
+    for path in sorted(runs.glob("*/curve.csv")):
+        steps, scores, _ = np.loadtxt(path, delimiter=",", skiprows=1).T
+        axes.plot(steps, scores, label=path.parent.name.replace("-", ", "))
+    axes.set(xlabel="step", ylabel="mean score", ylim=(0, 1))
+    axes.grid(alpha=0.3)
+    figure.legend(loc="outside right upper")
+    figure.savefig(picture)
+
+
 def main() -> None:
     """Trains, and writes a line of the curve after every evaluation."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
@@ -59,7 +74,11 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=256)
     parser.add_argument("--batch", type=int, default=256)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--plot", type=Path)
     options = parser.parse_args()
+    if options.plot:
+        plot(options.plot, options.out)
+        return
     torch.set_num_threads(1)
     options.out.mkdir(parents=True, exist_ok=True)
     curve, saved, buffer = (options.out / name for name in ("curve.csv", "model.zip", "buffer.pkl"))

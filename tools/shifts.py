@@ -53,11 +53,11 @@ def episode(key: Key) -> tuple[Key, float]:
         return key, env.score()
 
 
-def keys(agents: list[str], axes: list[str], strengths: list[int], episodes: int) -> Iterator[Key]:
+def keys(agents: list[str], tasks: list[str], axes: list[str], strengths: list[int], episodes: int) -> Iterator[Key]:
     """The episodes in the order in which they are played: all axes of a seed before the next seed."""
     settings = [{axis: strength} for axis, strength in itertools.product(axes, strengths) if strength]
     labels = [*([""] if 0 in strengths else []), *map(shift_label, settings)]
-    for seed, agent, label, task in itertools.product(range(episodes), agents, labels, magical_mj.TASKS):
+    for seed, agent, label, task in itertools.product(range(episodes), agents, labels, tasks):
         axis = label.partition(":")[0]
         if not axis or not SHIFTS[axis].supports(task):
             yield agent, task, label, seed
@@ -156,6 +156,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("command", choices=("play", "table", "speed", "distance", "picture"))
     parser.add_argument("--agents", default="expert,random,noop")
+    parser.add_argument("--tasks", default=",".join(magical_mj.TASKS))
     parser.add_argument("--axes", default=",".join(PHYSICAL))
     parser.add_argument("--strengths", default="0,1,2,3,4,5")
     parser.add_argument("--episodes", type=int, default=50)
@@ -167,7 +168,8 @@ def main() -> None:
     if given.command == "play":
         played = scores()
         strengths = [int(strength) for strength in given.strengths.split(",")]
-        wanted = keys(given.agents.split(","), given.axes.split(","), strengths, given.episodes)
+        agents, tasks, axes = (each.split(",") for each in (given.agents, given.tasks, given.axes))
+        wanted = keys(agents, tasks, axes, strengths, given.episodes)
         missing = [key for key in wanted if key not in played]
         EPISODES.parent.mkdir(exist_ok=True)
         with ProcessPoolExecutor(given.processes) as pool, EPISODES.open("a") as file:
