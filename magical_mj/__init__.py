@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
-from importlib.abc import MetaPathFinder
-from importlib.machinery import ModuleSpec
 from typing import TYPE_CHECKING, Any
 
 from magical_mj._version import __version__
 
 if TYPE_CHECKING:
+    from importlib.machinery import ModuleSpec
+
     from magical_mj import batched, demos, evaluation, shifts
     from magical_mj.demos import datasets
     from magical_mj.engine import Engine
@@ -113,8 +113,11 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-class _Registering(MetaPathFinder):
-    """Registers the environments as soon as gymnasium is imported, which takes ten times as long as this package."""
+class _Registering:
+    """Registers the environments as soon as gymnasium is imported, which takes ten times as long as this package.
+
+    No `importlib.abc.MetaPathFinder`, whose import would be nine tenths of this package's.
+    """
 
     def find_spec(self, name: str, *where: Any) -> ModuleSpec | None:
         """The place of gymnasium, with a loader that registers the environments when it has loaded it."""
