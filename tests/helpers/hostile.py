@@ -92,7 +92,10 @@ def outlines(shape: c.Shape, poses: NDArray[np.float64]) -> NDArray[np.object_]:
 
 
 def depth(overlap: shapely.Geometry) -> float:
-    """How far two bodies are in each other: the least width of the convex hull of each piece that they share."""
+    """How far two bodies are in each other at most: the least width of the convex hull of each piece that they share.
+
+    It is too much where the piece has a notch, between two arms of a star.
+    """
     pieces = [piece.convex_hull for piece in shapely.get_parts(overlap) if piece.area > 0]
     return max((float(np.ptp(np.array(hull.exterior.coords) @ DIRECTIONS, axis=0).min()) for hull in pieces), default=0)
 
