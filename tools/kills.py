@@ -234,8 +234,9 @@ def kinds(inputs: Path) -> dict[str, Kind]:
     """All commands, by name, of the inputs in this folder."""
     scores, entry = str(inputs / "scores"), str(inputs / ENTRY)
     generate = ("demos", "generate", "--tasks", "FixColour,MoveToRegion", "--count", "20", "--jobs", "2")
-    play = ("play", "MoveToRegion", "Jitter", "--size", "16", "--record", "{}")
     chosen = ("--tasks", "FixColour,MoveToRegion", "--variants", "Demo")
+    rollouts = ("demos", "rollouts", *chosen, "--steps", "1000", "--preset", "State", "--jobs", "2")
+    play = ("play", "MoveToRegion", "Jitter", "--size", "16", "--record", "{}")
     export = ("demos", "export", "--tasks", "MoveToRegion", "--variants", "Demo", "--preset", "State", "--force")
     rollout = ("rollout", "MoveToRegion", "--policy", "random", "--episodes", "2", "--size", "64", "--force")
     minari = ("--to", "minari", "--out", "magical-mj/killed-v0")
@@ -266,6 +267,7 @@ def kinds(inputs: Path) -> dict[str, Kind]:
         "inspect": Kind((*MAIN, "inspect", "FindDupe", "--port", "0"), nothing, None),
         "demo": Kind((*MAIN, *demo), nothing, rows),  # it replaces an earlier tour
         "generate": Kind((*MAIN, *generate, "--out", "{}"), demonstrations, demonstrations),
+        "demos-rollouts": Kind((*MAIN, *rollouts, "--out", "{}"), demonstrations, demonstrations),
         "import": Kind((*MAIN, "demos", "import", *recordings, "--out", "{}"), demonstrations, demonstrations),
         "demos-info": reads("demos", "info", *chosen),
         "demos-verify": reads("demos", "verify", *chosen, "--jobs", "2"),
