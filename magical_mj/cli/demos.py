@@ -34,7 +34,7 @@ from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts.registry import parse_shifts, shift_label
 from magical_mj.tasks.registry import SPLITS, Pair, environments, score, task_spec
 from magical_mj.utils import files
-from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError, UntrustedNameError
+from magical_mj.utils.errors import DemonstrationError, MagicalError, SettingsError, UntrustedNameError, counted
 from magical_mj.utils.parallel import map_unordered
 from magical_mj.utils.settings import LARGEST_SETTING
 
@@ -147,7 +147,7 @@ def rollouts(
     play = partial(roll_out, source, EvaluationSettings(split="dev", preset=preset))
     check_made(make_missing(paths, play, out, jobs, f"playing {source.name}"))
     total = sum(task_spec(task).horizon() for task, _, _ in keys)
-    console().print(f"{len(paths)} episodes with {total} steps are in {out}", soft_wrap=True)
+    console().print(f"{out}: {counted(len(paths), 'episode')} with {total} steps", soft_wrap=True)
 
 
 def roll_out(source: Source, settings: EvaluationSettings, task: str, variant: str, seed: int) -> Demonstration:
@@ -199,7 +199,7 @@ def make_missing(
 def check_made(failures: Sequence[str]) -> None:
     """Raises a `DemonstrationError` if there are any."""
     if failures:
-        raise DemonstrationError(f"{len(failures)} demonstrations are missing: {'; '.join(failures)}")
+        raise DemonstrationError(f"{counted(len(failures), 'demonstration')} could not be made: {'; '.join(failures)}")
 
 
 def write_one(make: Callable[..., Demonstration], work: tuple[Key, Path]) -> str:

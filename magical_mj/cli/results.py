@@ -115,7 +115,7 @@ def make_comparison(a: Side, b: Side) -> None:
     screen.print(table)
     unpaired = comparison["unpaired"].iloc[-1]
     if unpaired:
-        screen.print(f"{unpaired} scenes that only one of them has played are left out")
+        screen.print(f"without {counted(unpaired, 'scene')} that only one of them has played")
 
 
 def verify_folder(folder: Folder, jobs: Jobs = None) -> None:

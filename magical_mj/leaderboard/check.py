@@ -17,7 +17,7 @@ from magical_mj.evaluation.scores import SETTINGS, EpisodeResult, read
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, task_spec
-from magical_mj.utils.errors import short_repr
+from magical_mj.utils.errors import counted, short_repr
 from magical_mj.utils.files import to_path
 from magical_mj.variants import check_seed
 
@@ -95,7 +95,7 @@ def verify(folder: Path | str, *, jobs: int | None = None, watch: Callable[[], o
         played = [episode for episode in episodes if episode.policy == policy]
         findings.missing += [f"{policy}, {gap}" for gap in missing(played, tasks, runs.get(policy, ()))]
         if others := sum(episode.task not in TASKS for episode in played):
-            findings.unfit.append(f"{policy}: {others} episodes are of tasks outside the benchmark")
+            findings.unfit.append(f"{policy}: tasks outside the benchmark in {counted(others, 'episode')}")
     for _, _, problem in replay([("", episode) for episode in episodes if episode.task in TASKS], jobs=jobs):
         findings.add(problem)
         watch()

@@ -24,7 +24,7 @@ from magical_mj.learners.settings import TrainingSettings
 from magical_mj.learners.training import METHODS, Progress, train
 from magical_mj.policies.interface import uses_simulation
 from magical_mj.tasks.registry import TASKS, environments, listed, task_name, task_spec
-from magical_mj.utils.errors import SettingsError, check_name
+from magical_mj.utils.errors import SettingsError, check_name, counted
 from magical_mj.utils.files import read_toml, to_path
 from magical_mj.utils.imports import check_named
 from magical_mj.utils.parallel import check_backend, map_unordered
@@ -258,6 +258,6 @@ def agreement(planned: list[Run]) -> Iterator[str]:
         ranks = rank_correlation(first.to_dict(), second.to_dict())
         if len(shared) >= LEAST_PAIRS and ranks == ranks:  # it is no number if all means are alike
             by_variant = [means[shared].groupby("variant").mean().to_dict() for means in (first, second)]
-            counts = f"{ranks:.2f} over {len(shared)} environments"
+            counts = f"{ranks:.2f} over {counted(len(shared), 'environment')}"
             counts += f", {rank_correlation(*by_variant):.2f} over the means of {len(by_variant[0])} variants"
             yield f"{method} and the paper's {counterpart}: rank correlation {counts}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -62,6 +63,7 @@ from magical_mj.cli import main, play
 play.Window.wish = lambda self: "quit"  # somebody who looks at the window, and leaves
 print([main(command) for command in json.loads({commands!r})], file=sys.stderr)
 """
+ONE_OF_MANY = r"1 (?:demonstration|entrie|environment|episode|file|run|scene|step|task|variant)s\b"
 WITHOUT = ("XDG_CONFIG_HOME", "XDG_CACHE_HOME", "LANG")
 
 
@@ -90,3 +92,4 @@ def test_every_command_works(tmp_path: Path) -> None:
         check=False,
     )
     assert result.stderr.splitlines()[-1:] == [str(CODES)], result.stderr
+    assert not re.findall(rf"(?<![\d/.,]){ONE_OF_MANY}", result.stdout + result.stderr)
