@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import json
 import re
@@ -56,8 +57,11 @@ def write_play(folder: Path) -> int:
         shutil.copy(fetched(ONNX_RUNTIME, CACHE) / "dist" / original, folder / "onnx" / name)
     size = len(libraries["mujoco/mujoco.wasm"])  # which compressed downloads do not say
     register = '<script type="module" src="register.js"></script>\n</head>'
-    for path in folder.glob("*.html"):
-        text = path.read_text(encoding="utf-8").replace('<html lang="en">', f'<html lang="en" data-wasm="{size}">')
+    packed = {name: len(gzip.compress(content)) for name, content in libraries.items()}
+    for name, part in {"index.html": "mujoco/", "inspect.html": ""}.items():
+        path, download = folder / name, sum(packed[one] for one in packed if one.startswith(part)) / 1e6
+        told = f'<html lang="en" data-wasm="{size}" data-download="{download:.1f} MB">'
+        text = path.read_text(encoding="utf-8").replace('<html lang="en">', told)
         path.write_text(text.replace("</head>", register), encoding="utf-8")
     shutil.copy(OFFLINE / "register.js", folder)
     (folder / "worker.js").write_text(_worker(folder), encoding="utf-8")

@@ -230,3 +230,29 @@ test("what could not be loaded once is loaded again", async () => {
   }
   await fresh.close();
 });
+
+test("where data are spared, a picture waits to be pressed before megabytes come", async () => {
+  const spared = await browser.context.newPage();
+  await spared.addInitScript(() => Object.defineProperty(navigator, "connection", { value: { saveData: true } }));
+  /** @type {string[]} */
+  const loaded = [];
+  spared.on("request", (request) => loaded.push(new URL(request.url()).pathname));
+  const big = () => loaded.filter((path) => /mujoco\/|\.module\.js/.test(path));
+  await spared.goto(`${site.address}play/#FindDupe-Layot-7`);
+  await spared.waitForFunction(() => document.getElementById("status")?.textContent?.startsWith("There is no variant “Layot”"));
+  await spared.selectOption("#task", "MakeLine");
+  await spared.waitForFunction(() => document.getElementById("status")?.textContent === "Tap the picture to play");
+  assert.deepEqual(big(), []);
+  assert.match(String(await spared.textContent("#start")), /\d\.\d MB/);
+  await spared.click("#start");
+  await spared.waitForFunction(() => document.getElementById("status")?.textContent?.startsWith("Press"));
+  assert.match(await spared.evaluate("location.hash"), /^#MakeLine-Layout/);
+  loaded.length = 0;
+  await spared.goto(`${site.address}play/inspect.html#FindDupe-All-3`);
+  await spared.waitForSelector("#poster");
+  assert.deepEqual(big(), []);
+  await spared.click("#start");
+  await spared.waitForFunction(() => document.title.startsWith("FindDupe-All-3 "));
+  assert.equal(await spared.locator("#poster").count(), 0);
+  await spared.close();
+});

@@ -373,7 +373,9 @@ try {
   if (catalogue.simulation === "server") for (const id of ["home", "play"]) element(id).removeAttribute("href");
   connect();
   requestAnimationFrame(frame);
-  await openAddress();
+  const { files } = element("file");  // which may have been chosen before this was loaded
+  await (files.length ? openFiles(files) : openAddress());
+  element("poster").remove();
 } catch (error) {
   const { message } = /** @type {Error} */ (error);
   say(/WebGL/.test(message) ? "This browser cannot draw solids here: allow WebGL 2, or try another browser." : `${message}\nReload the page to try again.`, true);

@@ -6,6 +6,7 @@ import { Controls } from "./controls.js";
 import { draw, fitToScreen } from "./draw.js";
 import { Game } from "./game.js";
 import { onProgress } from "./mujoco.js";
+import { asked } from "./patience.js";
 import { loadPolicy } from "./policy.js";
 import { recording, save } from "./recording.js";
 import { fetchJson, inBrowser, loadEnvironment } from "./scenes.js";
@@ -36,9 +37,15 @@ const policies = seat ? {} : await fetchJson("policies/scores.json").catch(() =>
 onProgress((share) => {
   if (shown.game) return;
   element("time").value = share;
-  if (!shown.note) element("status").textContent = `${PENDING} ${Math.floor(100 * share)} %`;
+  if (!shown.note) element("status").textContent = `${pending} ${Math.floor(100 * share)} %`;
 });
-const open = seat?.open ?? inBrowser();
+if (seat) element("start").remove();  // there is nothing to load
+let pending = seat ? "Waiting for the server …" : element("start").hidden ? "Loading MuJoCo …" : "Tap the picture to play";
+const ready = seat ? Promise.resolve() : asked.then(() => {
+  pending = "Loading MuJoCo …";
+  shown.again?.();
+});
+const open = seat?.open ?? inBrowser(ready);
 
 /** What is on the page now. */
 const shown = {
@@ -50,17 +57,16 @@ const shown = {
 };
 let choices = 0;  // the last one wins, whatever was loaded in between
 
-const PENDING = seat ? "Waiting for the server …" : "Loading MuJoCo …";
-
 /**
  * Shows a scene and makes it ready to play; returns whether it is.
  * @param {string} task
  * @param {string} variant
  * @param {number} seed
- * @param {{script?: string | null, method?: string, isAddress?: boolean}} [how]
- *   script: actions to watch; null: the player's. method: whose stored actions to watch instead
+ * @param {{script?: string | null, method?: string, isAddress?: boolean, unknown?: string}} [how]
+ *   script: actions to watch; null: the player's. method: whose stored actions to watch instead.
+ *   unknown: what the address asks for and is not there
  */
-async function choose(task, variant, seed, { script = null, method = "", isAddress = false } = {}) {
+async function choose(task, variant, seed, { script = null, method = "", isAddress = false, unknown = "" } = {}) {
   if (unsent() && !confirm("This episode was not sent. Leave it?")) return showNames();
   const choice = ++choices;
   const failed = (/** @type {Error} */ error) => choice === choices ? say(error) : undefined;
@@ -78,13 +84,14 @@ async function choose(task, variant, seed, { script = null, method = "", isAddre
   element("inspect").href = `inspect.html#${task}-${variant}-${entry.seed}`;
   Object.assign(shown, { task, variant, seed: entry.seed, environment, watching: acts || replay !== null, method: watched });
   showChoice(isOther, !isAddress);
-  if (method && !watched) say(`There are no actions of “${method}” in this scene`);
+  if (unknown) say(unknown);
+  else if (method && !watched) say(`There are no actions of “${method}” in this scene`);
   else if (entry.seed !== seed && variant !== "Demo") say(`There is no scene ${seed} here, but ${environment.scenes.length}: this is the first`);
   shown.game?.episode.close();
   shown.game = shown.again = null;
   element("save").disabled = true;
   if (entry.scene) show(entry.scene, entry.scene);
-  else element("status").textContent = PENDING;
+  else element("status").textContent = pending;
   const actions = replay === null ? null : fromLetters(replay);
   const next = () => {
     if (policy) return policy.next(game.actions.length);
@@ -94,6 +101,8 @@ async function choose(task, variant, seed, { script = null, method = "", isAddre
     shown.note = "";
     return controls.next();
   };
+  await ready;
+  if (choice !== choices) return;
   const episode = await open(environment, entry, task, variant).catch(failed);
   if (!episode || choice !== choices) return episode?.close();
   const policy = acts && await loadPolicy(task, () => /** @type {any} */ (episode).state()).catch(failed);
@@ -210,7 +219,7 @@ function show(initial, scene) {
   if (element("score").textContent !== now.toFixed(2)) element("score").textContent = now.toFixed(2);  // else it is read out
   element("save").disabled = !game?.over || watching || sending;
   if (game?.failure) say(game.failure);
-  const status = shown.note ? shown.note : !game ? PENDING : game.over ? `Over: score ${now.toFixed(2)}`
+  const status = shown.note ? shown.note : !game ? pending : game.over ? `Over: score ${now.toFixed(2)}`
     : watching ? (shown.method ? `Watching ${methods[shown.method] ?? bcWords()}` : "Watching") : done ? "Playing" : "Press a key or button to start";
   if (element("status").textContent !== status) element("status").textContent = status;
 }
@@ -334,8 +343,7 @@ function seedIn(text) {
 /** What the address asks for; where there is no such thing, the nearest there is, and a word on it. */
 async function chooseByAddress() {
   const { task, variant, seed, method, unknown } = parseAddress(location.hash, catalogue);
-  await choose(task, variant, seed, { method, isAddress: true });
-  if (unknown) say(unknown);
+  await choose(task, variant, seed, { method, isAddress: true, unknown });
 }
 
 /** @type {Promise<void> | null} */

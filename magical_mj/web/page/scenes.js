@@ -31,10 +31,11 @@ export async function fetchJson(path) {
 
 /**
  * Simulates in the browser, with MuJoCo's WebAssembly build.
+ * @param {Promise<void>} asked  when that may be loaded
  * @returns {Opener}
  */
-export function inBrowser() {
-  loadMujoco().catch(() => {});  // whoever opens a scene is told
+export function inBrowser(asked) {
+  asked.then(loadMujoco).catch(() => {});  // whoever opens a scene is told
   return async ({ elements = [] }, { scene, mjcf = [] }) => {
     if (!scene) throw new Error("there is no such scene here");
     const simulation = new Simulation(await loadMujoco(), mjcf.map((i) => elements[i]).join(""), scene);
