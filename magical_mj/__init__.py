@@ -116,7 +116,7 @@ def __dir__() -> list[str]:
 class _Registering:
     """Registers the environments as soon as gymnasium is imported, which takes ten times as long as this package.
 
-    No `importlib.abc.MetaPathFinder`, whose import would be nine tenths of this package's.
+    No `importlib.abc.MetaPathFinder`: its import took a third of this package's time (15 ms, once, and 10 without).
     """
 
     def find_spec(self, name: str, *where: Any) -> ModuleSpec | None:
