@@ -73,7 +73,7 @@ def demonstrated(demonstrations: Sequence[Demonstration], excursions: int, seed:
     """The samples of demonstrations without no-ops, and those of detours from them, which are played."""
     rng = np.random.default_rng(seed)
     with closing(Engine.of_scene(demonstrations[0].scene)) as engine:
-        ways = [_Way(engine, demonstration) for demonstration in demonstrations]
+        ways = [Replay(engine, demonstration) for demonstration in demonstrations]
         steps = [np.flatnonzero(way.actions != NOOP) for way in ways]
         parts = [way.samples(number) for way, number in zip(ways, steps, strict=True)]
         detours = []
@@ -84,7 +84,7 @@ def demonstrated(demonstrations: Sequence[Demonstration], excursions: int, seed:
     return _joined(parts), _joined([part for part in detours if part is not None] or parts)
 
 
-class _Way:
+class Replay:
     """A demonstration, replayed: its states before and after each action, and who moved when."""
 
     def __init__(self, engine: Engine, demonstration: Demonstration) -> None:
@@ -157,7 +157,7 @@ def _joined(parts: Sequence[Samples]) -> Samples:
     return Samples(*(torch.cat(values) for values in zip(*parts, strict=True)))
 
 
-def _detour(engine: Engine, way: _Way, step: int, rng: np.random.Generator) -> Samples | None:
+def _detour(engine: Engine, way: Replay, step: int, rng: np.random.Generator) -> Samples | None:
     """The way back from a random excursion that begins at a step; None if it does not lead back."""
     engine.set_state(way.saved[step])
     start = way.states[step]

@@ -33,7 +33,7 @@ SMALL = {
 
 def states_of(task: str, steps: int = 30) -> tuple[torch.Tensor, torch.Tensor]:
     demonstration = shipped(task)[0]
-    way = assumptions._Way(Engine.of_scene(demonstration.scene), demonstration)
+    way = assumptions.Replay(Engine.of_scene(demonstration.scene), demonstration)
     return torch.from_numpy(way.states[:steps].copy()), torch.from_numpy(way.actions[:steps].copy())
 
 

@@ -1,0 +1,1 @@
+"""`relational` with samples by hindsight instead of detours: `python -m research.hindsight`."""
