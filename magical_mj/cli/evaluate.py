@@ -24,6 +24,7 @@ from magical_mj.cli.console import (
     Cameras,
     Force,
     Jobs,
+    Renderer,
     Seed,
     Shifts,
     Size,
@@ -120,6 +121,7 @@ def rollout(
     preset: Preset = "LoRes4E",
     shifts: Shifts = "",
     body: Body = GRIPPER,
+    renderer: Renderer = None,
     video: Video = None,
     size: Size = 384,
     camera: Cameras = "allo,ego",
@@ -132,7 +134,13 @@ def rollout(
     views = views_of(camera)
     pair = task_name(task), variant_name(variant)  # not lists of names, nor "all"
     settings = EvaluationSettings(
-        tasks=(pair[0],), variants=(pair[1],), split=split, preset=preset, body=body, trust=trust
+        tasks=(pair[0],),
+        variants=(pair[1],),
+        split=split,
+        preset=preset,
+        body=body,
+        renderer=renderer,
+        trust=trust,
     )
     shift = shift_label(parse_shifts(shifts, pair[0]))
     listed = playable(policy, [pair], preset, trust=trust)
@@ -151,7 +159,7 @@ def rollout(
                     scores += player.play(unit)
                     screen.print(_line(scores[-1]), soft_wrap=True)
                     if movie is not None:
-                        replay(movie, scores[-1])
+                        replay(movie, scores[-1], renderer)
                     played += 1
                 screen.print(f"{source.name}: mean of {episodes} {fmean(score.score for score in scores):.3f}")
                 failed |= all(score.failure is not None for score in scores)
