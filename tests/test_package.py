@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import pkgutil
 import re
 import subprocess
 import sys
@@ -146,3 +147,21 @@ def test_every_public_name_is_there_and_offered() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "set() True\nFalse\n"
+
+
+def test_every_public_name_is_in_the_api_reference() -> None:
+    """By an entry of its own, or among the members of its module."""
+    page = (ROOT / "site/pages/api.md").read_text()
+    entries = re.findall(r"\.\. auto(function|class|data|module):: (\S+)(?:\n   :members:(.*))?", page)
+    shown = []
+    for kind, name, members in entries:
+        thing = pkgutil.resolve_name(name)
+        shown.append(thing)
+        if kind == "module":
+            names = re.findall(r"\w+", members) or getattr(thing, "__all__", vars(thing))
+            shown += [getattr(thing, each) for each in names]
+    for place in ("", ".demos", ".shifts", ".evaluation", ".learners", ".leaderboard", ".batched"):
+        package = pkgutil.resolve_name(f"magical_mj{place}")
+        names = set(package.__all__) - {"__version__"}
+        missing = {name for name in names if not any(getattr(package, name) is thing for thing in shown)}
+        assert missing == set(), package.__name__
