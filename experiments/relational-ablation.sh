@@ -11,7 +11,7 @@ run() {
       magical-mj train relational --tasks $task --preset State --set evaluations=0 --set relational.assumptions="$2" \
         --out "$policy" && touch "$policy.trained"
     }
-    magical-mj evaluate --policy "$1=$policy" --tasks $task --variants Demo,Layout,All --preset State --envs 50 \
+    magical-mj evaluate --policy "$1=$policy" --tasks $task --variants Demo,Layout,All --preset State \
       --out "$policy-scores" --resume
   done
 }

@@ -112,7 +112,7 @@ def learn(chosen: Demonstrations, task: str, seed: int, episodes: int) -> tuple[
         learner.update()
     policy = TrainedPolicy(learner.actor, settings.tasks, settings.preset)
     played = {"tasks": task, "variants": "Demo,Jitter", "split": "dev", "episodes": episodes, "preset": "State"}
-    frame = evaluate(policy, envs=100, jobs=1, **played)
+    frame = evaluate(policy, jobs=1, **played)
     scores = frame.groupby("variant")["score"].mean()
     seen = drawn(task, seed, LEARNT_FROM, len(chosen))
     rest = [demo for number, demo in enumerate(chosen) if number not in seen]

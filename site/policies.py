@@ -40,7 +40,7 @@ def make(task: str) -> dict[str, float]:
         raise SystemExit(f"{file} has {file.stat().st_size:,} bytes, and may have {MOST_BYTES:,}")
     check(run, file, task)
     there = [variant for variant in VARIANTS if (task, variant) in ENVIRONMENTS]
-    scores = magical_mj.evaluate(run, tasks=task, variants=",".join(there), preset="State", envs=100)
+    scores = magical_mj.evaluate(run, tasks=task, variants=",".join(there), preset="State")
     return {variant: round(float(scores["score"][scores["variant"] == variant].mean()), 2) for variant in there}
 
 

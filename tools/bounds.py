@@ -49,7 +49,7 @@ def oracle(task: str, variant: str, out: Path) -> float:
     shown = [demonstrate(task, variant, SPLITS["dev"] + number) for number in range(DEMONSTRATIONS)]
     settings = load_settings("bc", task, preset="State", device="cpu", demonstrations=DEMONSTRATIONS)
     policy = clone(settings, {task: shown})
-    frame = evaluate({"Oracle": policy}, tasks=task, variants=variant, preset="State", envs=50, jobs=1, out=out)
+    frame = evaluate({"Oracle": policy}, tasks=task, variants=variant, preset="State", jobs=1, out=out)
     return float(frame["score"].mean())
 
 

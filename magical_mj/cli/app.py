@@ -46,7 +46,7 @@ The modules are imported when they are needed, which takes a while.
 CLOSED_PIPE: Final = 141
 """The exit code where the reader of the output has seen enough before the help was printed; as of shells' commands."""
 INTERRUPTED: Final = 130
-LESS: Final = "ask for fewer or smaller things at once, such as --episodes, --envs, --count, --jobs or --size"
+LESS: Final = "ask for fewer or smaller things at once, such as --episodes, --count, --jobs or --size"
 WIDEST: Final = 100  # columns of help
 NARROW: Final = 70  # columns below which the help of an option stands in the lines below it
 

@@ -65,7 +65,7 @@ class PolicyCopies:
         except Exception as error:
             raise SettingsError(
                 f"{type(policy).__name__} cannot be copied for episodes side by side ({reason(error)}): give it the "
-                "methods reset_batch and act_batch, or play one episode at a time (envs=1)"
+                "methods reset_batch and act_batch, or play in a single environment"
             ) from error
         self._space = envs.observation_space
 

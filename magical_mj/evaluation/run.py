@@ -166,7 +166,8 @@ class Evaluation:
         jobs, backend = self.settings.jobs, self.settings.backend
         if backend == "local":
             enough = max(1, sum(unit.steps for unit in self.units) // STEPS_PER_WORKER)
-            jobs = jobs or (1 if self.settings.batched else min(cores(), enough))  # which share one accelerator
+            alone = self.settings.batched or self._unsendable() is not None  # an accelerator is not shared
+            jobs = jobs or (1 if alone else min(cores(), enough))
         if backend == "local" and jobs == 1:
             with closing(Player()) as player:
                 for unit in self.units:
@@ -174,7 +175,8 @@ class Evaluation:
                         self._cause = player.cause
                         yield [result]
             return
-        self._check_pickles()
+        if problem := self._unsendable():
+            raise SettingsError(f"{problem}: give it as module:object, or jobs=1")
         try:
             for results, cause in map_unordered(play_unit, self.units, jobs, backend, self.settings.address):
                 self._cause = cause
@@ -182,15 +184,14 @@ class Evaluation:
         except WorkerError as error:
             raise EvaluationError(f"{error}; --resume continues (resume=True)") from error
 
-    def _check_pickles(self) -> None:
+    def _unsendable(self) -> str | None:
+        """Why a policy cannot be sent to other processes; None if all can."""
         for source in self._sources:
             try:
                 cloudpickle.dumps(source)
-            except Exception as error:
-                raise SettingsError(
-                    f"{source.name} cannot be sent to other processes ({reason(error)}): give it as module:object, or "
-                    "jobs=1"
-                ) from error
+            except Exception as error:  # noqa: BLE001 a policy's objects may raise anything
+                return f"{source.name} cannot be sent to other processes ({reason(error)})"
+        return None
 
 
 def _all_failed_error(results: list[EpisodeResult]) -> EvaluationError:

@@ -67,7 +67,10 @@ class EvaluationSettings(Settings):
     resume: Annotated[bool, Meta(description="Go on with what is in the folder.")] = False
     jobs: Annotated[
         Count | None,
-        Meta(description="Number of worker processes; by default one per core, if there is enough work."),
+        Meta(
+            description="Number of worker processes; by default one per core, if there is enough work. With 1, the "
+            "worlds of a policy that acts in batches are stepped on all cores."
+        ),
     ] = None
     backend: Annotated[Backend, Meta(description="Where the workers run: on this machine or on a cluster.")] = "local"
     address: Annotated[str | None, Meta(description="The cluster's address, such as tcp://host:8786.")] = None
@@ -76,13 +79,10 @@ class EvaluationSettings(Settings):
         Annotated[float, Meta(ge=0.1, le=LARGEST_SETTING)],
         Meta(description="Seconds after which an episode counts as failed."),
     ] = 300.0
-    envs: Annotated[
-        Count, Meta(description="Episodes that each worker plays side by side, for policies that act in batches.")
-    ] = 1
     simulator: Annotated[
         Simulator,
         Meta(
-            description="MuJoCo, or MuJoCo Warp (extra gpu): ENVS episodes in one batch on DEVICE, whose scores are "
+            description="MuJoCo, or MuJoCo Warp (extra gpu): many episodes in one batch on DEVICE, whose scores are "
             "approximate and never official."
         ),
     ] = "mujoco"

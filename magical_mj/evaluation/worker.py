@@ -20,7 +20,7 @@ from magical_mj.envs.registration import env_id
 from magical_mj.evaluation.rollouts import Env, Envs, play, play_side_by_side
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
-from magical_mj.policies.interface import Act, Episode, PolicyError, reason, told, uses_simulation
+from magical_mj.policies.interface import Act, BatchPolicy, Episode, PolicyError, reason, told, uses_simulation
 from magical_mj.policies.loading import Source
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.shifts.registry import split_body
@@ -30,8 +30,8 @@ from magical_mj.utils.imports import resolve, with_place
 
 T = TypeVar("T")
 
-SEEDS_PER_UNIT: Final = 10
-"""About the number of episodes in a unit: a few seconds, so that killed runs lose little, and units cost little."""
+SEEDS_PER_UNIT: Final = {"mujoco": 10, "warp": 100}
+"""The most episodes in a unit: a few seconds, so that killed runs lose little, and units cost little."""
 GRACE: Final = 1.0
 """Seconds that a call has to end after it was stopped."""
 
@@ -73,7 +73,7 @@ class Unit:
 def plan(policies: Sequence[Source], settings: EvaluationSettings, done: Collection[Key]) -> list[Unit]:
     """The remaining units, the longest first, so that all workers end at about the same time."""
     units = []
-    size = settings.envs * max(1, round(SEEDS_PER_UNIT / settings.envs))
+    size = SEEDS_PER_UNIT[settings.simulator]
     evaluation = secrets.token_hex(8)
     for task, variant in settings.environments:
         for source, shift in product(policies, settings.shift_labels(task)):
@@ -115,33 +115,30 @@ class Player:
         self._forget()
 
     def play(self, unit: Unit) -> Iterator[EpisodeResult]:
-        """Plays the unit's episodes, one after another or side by side.
+        """Plays the unit's episodes: side by side if the policy acts in batches, else one after another.
 
         Raises:
             SettingsError: if the policy cannot be loaded.
             RenderingError: if no pictures can be drawn here.
         """
         settings, source = unit.settings, unit.source
-        for start in range(0, len(unit.seeds), settings.envs):
-            seeds = unit.seeds[start : start + settings.envs]
-            task = told(unit.task, settings.like)
-            episodes = [Episode(task, unit.variant, seed, source.run) for seed in seeds]
-            policy = self._policy(unit)
-            facts = {
-                "policy": source.name,
-                "rules": settings.rules,
-                "preset": getattr(policy, "preset", None) if uses_simulation(policy) else settings.preset,
-                "worlds": WORLDS[settings.simulator],
-                "gl": drawn_by(settings.renderer),
-                "split": settings.split,
-                "shift": unit.shift,
-                "wrap": settings.wrap,
-                "body": settings.body,
-            }
-            for episode, outcome in zip(episodes, self._outcomes(unit, episodes), strict=True):
-                self.cause = outcome.cause
-                scene = start_digest(unit.task, unit.variant, episode.seed, unit.shift, settings.body)
-                yield EpisodeResult.of(replace(episode, task=unit.task), outcome, scene=scene, **facts)
+        task, policy = told(unit.task, settings.like), self._policy(unit)
+        episodes = [Episode(task, unit.variant, seed, source.run) for seed in unit.seeds]
+        facts = {
+            "policy": source.name,
+            "rules": settings.rules,
+            "preset": getattr(policy, "preset", None) if uses_simulation(policy) else settings.preset,
+            "worlds": WORLDS[settings.simulator],
+            "gl": drawn_by(settings.renderer),
+            "split": settings.split,
+            "shift": unit.shift,
+            "wrap": settings.wrap,
+            "body": settings.body,
+        }
+        for episode, outcome in zip(episodes, self._outcomes(unit, episodes), strict=True):
+            self.cause = outcome.cause
+            scene = start_digest(unit.task, unit.variant, episode.seed, unit.shift, settings.body)
+            yield EpisodeResult.of(replace(episode, task=unit.task), outcome, scene=scene, **facts)
 
     def close(self) -> None:
         """Closes the environments, unless an abandoned call may still use them."""
@@ -149,13 +146,16 @@ class Player:
             for what in list(self._kept):
                 self._drop(what)
 
-    def _outcomes(self, unit: Unit, episodes: list[Episode]) -> list[Outcome]:
+    def _outcomes(self, unit: Unit, episodes: list[Episode]) -> Iterator[Outcome]:
         policy, settings = self._policy(unit), unit.settings
-        if settings.envs > 1 and not settings.wrap and not uses_simulation(policy):
+        batches = settings.batched or (isinstance(policy, BatchPolicy) and not settings.wrap)
+        if batches and len(episodes) > 1 and not uses_simulation(policy):
             outcomes = self._in_time(unit, episodes, lambda: play_side_by_side(self._vector(unit), policy, episodes))
             if not any(outcome.failure for outcome in outcomes):
-                return outcomes
-        return [self._single(unit, episode) for episode in episodes]  # to find out which episodes fail
+                yield from outcomes
+                return
+        for episode in episodes:  # one by one also finds out which of a batch fail
+            yield self._single(unit, episode)
 
     def _single(self, unit: Unit, episode: Episode) -> Outcome:
         policy, key = self._policy(unit), (unit.task, unit.variant, unit.shift)  # a new one, after a time limit
@@ -181,7 +181,8 @@ class Player:
         return self._keep("policy", key, lambda: self._caller.call(unit.source.load, None))
 
     def _vector(self, unit: Unit) -> Envs:
-        return self._keep("vector", (unit.task, unit.variant, unit.shift), lambda: _vector_env(unit))
+        key = unit.task, unit.variant, unit.shift, len(unit.seeds)
+        return self._keep("vector", key, lambda: _vector_env(unit))
 
     def _keep(self, what: str, key: Any, make: Callable[[], T]) -> T:
         """The object made for this key; one that was kept for another key is replaced."""
@@ -262,12 +263,12 @@ def _vector_env(unit: Unit) -> Envs:
         from magical_mj.envs.vector import make_vec  # imported late: it loads the simulator
 
         threads = None if settings.jobs == 1 else 1  # other processes have the other cores
-        return make_vec(name, settings.envs, autoreset_mode=mode, threads=threads, **how)
+        return make_vec(name, len(unit.seeds), autoreset_mode=mode, threads=threads, **how)
     from magical_mj import batched  # these need PyTorch
     from magical_mj.batched.environment import Arrays
 
     envs = batched.make(
-        *(unit.task, unit.variant, settings.envs),
+        *(unit.task, unit.variant, len(unit.seeds)),
         preset=settings.preset,
         device=settings.device,
         rules=settings.rules,

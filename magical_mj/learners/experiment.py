@@ -22,7 +22,6 @@ from magical_mj.learners.learner import device, keep_freed_memory
 from magical_mj.learners.run_folder import METRICS, RunFolder, read_metrics
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.learners.training import METHODS, Progress, train
-from magical_mj.policies.interface import uses_simulation
 from magical_mj.tasks.registry import TASKS, environments, listed, task_name, task_spec
 from magical_mj.utils.errors import SettingsError, check_name, counted
 from magical_mj.utils.files import read_toml, to_path
@@ -30,7 +29,6 @@ from magical_mj.utils.imports import check_named
 from magical_mj.utils.parallel import check_backend, map_unordered
 from magical_mj.utils.settings import Names, Settings, with_values
 
-SIDE_BY_SIDE: Final = {"pictures": 10, "states": 100}
 """Episodes that are played at once, for networks like batches; pictures fill the memory."""
 NAMED: Final = ("preset", "augment", "device", "evaluations", "episodes", "checkpoints")
 """Settings that are not listed in a method's name: it shows them otherwise, or they do not affect the result."""
@@ -135,12 +133,11 @@ class Run:
             if watch is not None:
                 watch(self.name, progress)
 
-        policy = train(self.settings, self.trained, resume=True, watch=count)
+        train(self.settings, self.trained, resume=True, watch=count)
         frame = evaluate(
             {self.method: self.trained},
             out=self.scores,
             resume=True,
-            envs=1 if uses_simulation(policy) else SIDE_BY_SIDE["states" if self.settings.states else "pictures"],
             jobs=1,
             **self.played,
         )

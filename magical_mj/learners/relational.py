@@ -164,7 +164,7 @@ class Relational(Learner):
         """Plays in the demo scene, and keeps what was on trial or restores the weights from before it."""
         chosen = self.settings.relational
         asked = {"tasks": self.settings.tasks, "preset": self.settings.preset, "episodes": chosen.rollouts}
-        frame = evaluate(self.policy(), variants="Demo", envs=chosen.rollouts, jobs=1, **asked)
+        frame = evaluate(self.policy(), variants="Demo", jobs=1, **asked)
         score = float(frame["score"].mean())
         kept = [trial["score"] for trial in self._report if trial["kept"]]
         number = self._count // chosen.trial - 2

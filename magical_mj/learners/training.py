@@ -242,7 +242,7 @@ class _Training:
         settings = self._settings
         asked = {"tasks": settings.tasks, "preset": settings.preset, "episodes": settings.episodes}
         asked["renderer"] = settings.renderer
-        frame = evaluate(policy, variants="Demo", split="dev", envs=min(settings.episodes, 10), jobs=1, **asked)
+        frame = evaluate(policy, variants="Demo", split="dev", jobs=1, **asked)
         return {str(task): float(score) for task, score in frame.groupby("task")["score"].mean().items()}
 
     def _row(self, table: Metrics, scores: Mapping[str, float]) -> Mapping[str, float]:

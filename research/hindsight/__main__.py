@@ -78,9 +78,8 @@ def main() -> None:
     for trial in learner.get_state()["report"]:
         print(trial, flush=True)
     variants = "Demo,All" if asked.task == "MoveToCorner" else "Demo,Layout,All"
-    count = asked.episodes
     frame = evaluate(
-        learner.policy(), tasks=asked.task, variants=variants, preset="State", episodes=count, envs=count, split="dev"
+        learner.policy(), tasks=asked.task, variants=variants, preset="State", episodes=asked.episodes, split="dev"
     )
     print(asked.task, asked.seed, frame.groupby("variant")["score"].mean().round(3).to_dict())
 

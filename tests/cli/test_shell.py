@@ -70,23 +70,12 @@ def test_work_goes_on_when_nobody_reads_its_output(tmp_path: Path) -> None:
     assert (tmp_path / "v.mp4").stat().st_size > 1000
 
 
-@pytest.mark.parametrize(
-    ("limit", "command", "hint"),
-    [
-        (1_500_000, "demos generate --out d --variants all --count 1000000", "memory"),
-        (
-            3_000_000,
-            "evaluate --out o --policy still:act --preset State --jobs 1 --envs 1000000",
-            "Could not allocate memory",
-        ),
-    ],
-)
-def test_too_much_for_the_memory_is_one_line(limit: int, command: str, hint: str, tmp_path: Path) -> None:
-    (tmp_path / "still.py").write_text("def act(observation):\n    return 0\n")
-    limited = f"ulimit -v {limit}; exec '{sys.executable}' -m magical_mj {command}"
+def test_too_much_for_the_memory_is_one_line(tmp_path: Path) -> None:
+    command = "demos generate --out d --variants all --count 1000000"
+    limited = f"ulimit -v 1500000; exec '{sys.executable}' -m magical_mj {command}"
     result = subprocess.run(["bash", "-c", limited], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert result.returncode in (1, 2)
-    assert hint in result.stderr
+    assert "memory" in result.stderr
     assert result.stderr.count("\n") == 1
 
 

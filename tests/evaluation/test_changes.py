@@ -50,10 +50,9 @@ def _module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("mine.py").write_text(MODULE)
 
 
-@pytest.mark.parametrize("envs", [1, 3])
-def test_a_wrapper_is_played_in_and_named(envs: int, tmp_path: Path) -> None:
+def test_a_wrapper_is_played_in_and_named(tmp_path: Path) -> None:
     plain, dark = (
-        magical_mj.evaluate("mine:sum_is_even", out=name, envs=envs, wrap=wrap, jobs=1, **SMALL)
+        magical_mj.evaluate("mine:sum_is_even", out=name, wrap=wrap, jobs=1, **SMALL)
         for name, wrap in (("plain", ""), ("dark", "mine:Dark"))
     )
     assert (set(plain["actions"]), set(dark["actions"])) == ({"b" * 40}, {"a" * 40})

@@ -96,24 +96,36 @@ def test_runs_of_random_differ_and_are_the_same_again() -> None:
 
 
 def test_two_jobs_give_the_same_as_one() -> None:
-    """Side by side in each of them, too."""
     policies = {"blind": "random", "seeing": agents.Counting, "named": "tests.helpers.agents:Batch"}
-    pd.testing.assert_frame_equal(evaluate(policies, episodes=12, jobs=2, envs=2), evaluate(policies, episodes=12))
+    pd.testing.assert_frame_equal(evaluate(policies, episodes=12, jobs=2), evaluate(policies, episodes=12, jobs=1))
 
 
-@pytest.mark.parametrize("policy", [agents.Counting, agents.Batch])
-def test_episodes_side_by_side_give_the_same(policy: Any) -> None:
-    """Two at once of three: the last has no company."""
-    pd.testing.assert_frame_equal(evaluate(policy, envs=2), evaluate(policy))
+class OnlyBatch(agents.Batch):
+    """Cannot act alone."""
+
+    def __call__(self, observation: Any) -> int:
+        raise AssertionError("alone")
+
+
+def test_a_policy_for_batches_plays_side_by_side_and_does_the_same() -> None:
+    batch, single = (evaluate({"look": policy}) for policy in (OnlyBatch, agents.look))
+    pd.testing.assert_frame_equal(batch, single)
 
 
 def test_dict_observations_side_by_side() -> None:
-    def centre(observation: dict[str, np.ndarray]) -> int:
-        assert observation["ego"].shape == (96, 96, 12)
-        return int(observation["allo"].sum()) % 18
+    class Centre:
+        def reset_batch(self, episodes: Any) -> None: ...
+
+        def act_batch(self, observations: dict[str, np.ndarray]) -> list[int]:
+            assert observations["ego"].shape[1:] == (96, 96, 12)
+            return [int(picture.sum()) % 18 for picture in observations["allo"]]
+
+        def __call__(self, observation: dict[str, np.ndarray]) -> int:
+            return int(observation["allo"].sum()) % 18
 
     settings = {"preset": "LoResStack", "episodes": 2, "variants": "Demo"}
-    pd.testing.assert_frame_equal(evaluate(centre, envs=2, **settings), evaluate(centre, **settings))
+    batch, single = (evaluate({"centre": policy}, **settings) for policy in (Centre(), Centre().__call__))
+    pd.testing.assert_frame_equal(batch, single)
 
 
 def test_rules_reach_the_scores() -> None:
@@ -123,10 +135,9 @@ def test_rules_reach_the_scores() -> None:
         assert (frame["score"].item(), frame["steps"].item()) == expected
 
 
-@pytest.mark.parametrize("envs", [1, 2])
-def test_a_policy_may_learn_between_evaluations(envs: int) -> None:
+def test_a_policy_may_learn_between_evaluations() -> None:
     policy = agents.Stubborn()
-    settings: dict[str, Any] = {"preset": "State", "variants": "Demo", "episodes": 2, "envs": envs}
+    settings: dict[str, Any] = {"preset": "State", "variants": "Demo", "episodes": 2}
     assert set(evaluate(policy, **settings)["actions"]) == {"a" * 40}
     policy.action = 5
     assert set(evaluate(policy, **settings)["actions"]) == {"f" * 40}
@@ -169,11 +180,9 @@ def test_a_failing_policy_costs_only_its_episodes() -> None:
         assert reason in frame.loc[seed, "failure"]
 
 
-@pytest.mark.parametrize("kind", ["single", "batch"])
-def test_a_failure_side_by_side_costs_nobody_else(kind: str) -> None:
-    class Half(agents.Batch if kind == "batch" else agents.Counting):
+def test_a_failure_side_by_side_costs_nobody_else() -> None:
+    class Half(agents.Batch):
         def reset(self, episode: Episode) -> None:
-            self.steps = episode.seed
             self.seed = episode.seed
 
         def reset_batch(self, episodes: Any) -> None:
@@ -185,14 +194,16 @@ def test_a_failure_side_by_side_costs_nobody_else(kind: str) -> None:
                 raise ValueError("not this one")
             return super().__call__(observation)
 
-    side_by_side = evaluate(Half(), envs=3)
-    assert side_by_side["failure"].notna().tolist() == [False, True, False] * 2
-    pd.testing.assert_frame_equal(side_by_side, evaluate(Half()))
+    played = evaluate(Half())
+    assert played["failure"].notna().tolist() == [False, True, False] * 2
+    others = (
+        scores[scores["seed"] != 1].drop(columns="failure") for scores in (played, evaluate({"Half": agents.look}))
+    )
+    pd.testing.assert_frame_equal(*others)
 
 
-@pytest.mark.parametrize("how", [{}, {"envs": 3}])
-def test_a_policy_that_exits_has_failed(how: dict[str, int]) -> None:
-    frame = evaluate("tests.helpers.agents:Leaving", preset="State", variants="Demo", **how)
+def test_a_policy_that_exits_has_failed() -> None:
+    frame = evaluate("tests.helpers.agents:Leaving", preset="State", variants="Demo")
     assert frame["failure"].isna().tolist() == [True, False, True]
     assert frame["failure"][1].startswith("SystemExit: enough (agents.py, line ")
 
@@ -264,7 +275,7 @@ class Holding:
         ("tests.helpers.agents:Needy", {}, "is a class, and calling it fails: TypeError"),
         (agents.Needy, {}, "is a class, and calling it fails: TypeError"),
         ("leaving:act", {}, "cannot be imported: SystemExit: 3"),
-        (Holding(threading.Lock()), {"envs": 2, "jobs": 1}, "cannot be copied for episodes side by side (TypeEr"),
+        (Holding(threading.Lock()), {"jobs": 2}, "cannot be sent to other processes (TypeError"),
         (Holding(ctypes.pointer(ctypes.c_int())), {"jobs": 2}, "cannot be sent to other processes (ValueError"),
         (agents.Seeing((97,)), {}, "observations of shape (97,), and State gives"),
         (agents.Seeing((None, 96, 12)), {"preset": "State"}, "give --preset LoRes4E or LoRes4A or LoRes3EA"),

@@ -46,6 +46,17 @@ class Batch:
         return look(observation)
 
 
+class Alone:
+    """A policy without its methods for batches."""
+
+    def __init__(self, policy: Any) -> None:
+        self._policy = policy
+        self.reset, self.preset, self.tasks = policy.reset, policy.preset, policy.tasks
+
+    def __call__(self, observation: Any) -> Any:
+        return self._policy(observation)
+
+
 class Stubborn:
     """Always acts alike; once it is closed, it fails."""
 

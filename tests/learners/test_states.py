@@ -30,6 +30,7 @@ from magical_mj.policies.history import HISTORY, History, histories
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.scene.state_vector import MAX_BLOCKS, STATE_NAMES
 from magical_mj.utils.errors import DemonstrationError, SettingsError
+from tests.helpers.agents import Alone
 from tests.helpers.learners import playing, tiny
 
 NAMES = len(STATE_NAMES)
@@ -147,10 +148,8 @@ def test_a_policy_is_trained_kept_and_evaluated(tmp_path: Path) -> None:
     settings = load_settings("bc", "MoveToRegion", preset="State", device="cpu", **{"bc.batches": 60, "evaluations": 0})
     trained = train(settings, tmp_path / "run")
     scores = [
-        magical_mj.evaluate(policy, tasks="MoveToRegion", variants="Demo", preset="State", episodes=6, envs=envs)[
-            "score"
-        ]
-        for policy, envs in ((trained, 6), (load_policy(tmp_path / "run"), 3), (str(tmp_path / "run"), 1))
+        magical_mj.evaluate(policy, tasks="MoveToRegion", variants="Demo", preset="State", episodes=6)["score"]
+        for policy in (trained, Alone(load_policy(tmp_path / "run")), str(tmp_path / "run"))
     ]
     assert scores[0].tolist() == scores[1].tolist() == scores[2].tolist()
     with pytest.raises(SettingsError, match="preset State"):

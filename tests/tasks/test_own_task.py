@@ -121,7 +121,7 @@ def test_it_is_played_by_its_name_and_by_its_reference(user: User) -> None:
 
 @pytest.mark.slow
 def test_it_is_evaluated_and_reported(user: User) -> None:
-    episodes = "--variants Demo --episodes 2 --preset LoRes4A --envs 2 --jobs 1"
+    episodes = "--variants Demo --episodes 2 --preset LoRes4A --jobs 1"
     user.runs(
         f"""
         does("evaluate --policy watcher:act,expert --tasks PushOut {episodes} --out own")
