@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from copy import copy
 from functools import lru_cache
 from typing import Any, Final
 
@@ -89,6 +90,15 @@ class EpisodeShifts:
             with _errors_of(name, "model"):
                 shift.model(model)
 
+    @property
+    def delay(self) -> int:
+        """How many steps before the next one the command is given that takes effect in it, by the first of them."""
+        return next((shift.delay(self.steps) for shift in self._acting.values()), 0)
+
+    def revise(self, ago: int, action: int) -> None:
+        """Makes `action` what was commanded so many steps before the next one: plans choose it when they need it."""
+        next(iter(self.commands.values()))[-ago] = action
+
     def action(self, action: int) -> int:
         """The action that is taken when `action` is commanded."""
         for name, shift in self._acting.items():
@@ -141,6 +151,12 @@ class EpisodeShifts:
             if not isinstance(instruction, str):
                 raise ShiftError(f"{name}.instruction must return text, not {short_repr(instruction)}")
         return instruction
+
+    def copy(self) -> EpisodeShifts:
+        """Another one of the same episode, at the same step."""
+        twin = copy(self)
+        twin.commands = {name: list(commands) for name, commands in self.commands.items()}
+        return twin
 
     def resume(self, steps: int, commands: Mapping[str, tuple[int, ...]]) -> None:
         """Goes back to a step, with the commands before it."""

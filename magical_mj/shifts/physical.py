@@ -154,9 +154,12 @@ class Latency(Shift):
         Factor("spread", "most steps by which each delay differs from that", (0, 0, 0, 0, 2), "exact"),
     )
 
+    def delay(self, step: int) -> int:
+        """The delay of the action that is taken at a step."""
+        delay, spread = int(self.values["steps"]), int(self.values["spread"])
+        return delay + int(self.uniform(step) * (2 * spread + 1)) - spread if spread else delay
+
     def action(self, commands: Sequence[int], step: int) -> int:
         """The action of some steps before."""
-        delay, spread = int(self.values["steps"]), int(self.values["spread"])
-        if spread:
-            delay += int(self.uniform(step) * (2 * spread + 1)) - spread
+        delay = self.delay(step)
         return commands[-1 - delay] if delay < len(commands) else NOOP

@@ -136,6 +136,11 @@ class Shift:
         del step
         return commands[-1]
 
+    def delay(self, step: int) -> int:
+        """How many steps before `step` the command was given that takes effect in it. The scripted expert asks."""
+        del step
+        return 0
+
     def picture(self, picture: Picture, frame: Frame) -> Picture:
         """The picture that is seen instead of `picture`, which may be changed. Shape (size, size, 3), uint8."""
         del frame

@@ -133,7 +133,7 @@ def test_lookahead_is_what_happens() -> None:
         gripper, turn, drive = Gripper(rng.integers(2)), Turn(rng.integers(3)), Drive(rng.integers(3))
         world.act(gripper, turn, drive)
         env.step(world.trace[-1])
-        assert np.array_equal(world.state, env.simulation.save())
+        assert np.array_equal(world.state.simulation, env.simulation.save())
     assert world.scene() == env.scene
 
 
@@ -154,7 +154,7 @@ def test_what_is_remembered_happens_again() -> None:
         world.restore(here)
         for _ in range(40):
             world.act(Gripper.CLOSE, Turn.RIGHT, Drive.FORWARD)
-        ends.append(np.array(world.states))
+        ends.append(np.array([state.simulation for state in world.states]))
     assert np.array_equal(*ends)
 
 
@@ -200,6 +200,20 @@ def test_it_plans_again_when_the_world_is_not_as_foreseen() -> None:
         action = expert()
         env.step(NOOP if 5 <= step < 10 else action)  # somebody holds the robot for a while
     assert env.score() == 1.0
+
+
+@pytest.mark.parametrize("shifts", ["latency:4", "latency:5,slip:5"])
+def test_it_foresees_what_becomes_of_its_actions(shifts: str) -> None:
+    """Also with actions on their way: one plan holds to the end, and solves the task."""
+    with closing(magical_mj.Engine("MoveToRegion", seed=1, shifts=shifts)) as env:
+        for action in range(6):
+            env.step(action)
+        expert = Expert(env, "MoveToRegion")
+        action, plan = expert(), expert._plan
+        while not env.step(action):
+            action = expert()
+        assert env.score() == 1.0
+        assert expert._plan is plan
 
 
 def test_it_follows_the_environment_into_new_scenes() -> None:

@@ -1,5 +1,7 @@
 """Driving like a person with a keyboard, in a copy of the simulation, where actions have the same results.
 
+That holds for shifts that replace or delay actions, too: what they will do is known like the rest of the true state.
+
 The robot turns towards a point, drives there, and corrects the heading on the way. The actions depend mostly on the
 point's position in the robot's frame, so that a learner can recover the rule.
 """
@@ -8,18 +10,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.engine import Engine
 from magical_mj.scene import Pose, Scene
-from magical_mj.scene.actions import ACTIONS, Action, Drive, Gripper, Turn
+from magical_mj.scene.actions import ACTIONS, NOOP, Action, Drive, Gripper, Turn
 from magical_mj.scene.bodies import body_named
+from magical_mj.shifts.episode import EpisodeShifts
 
-SavedState = NDArray[np.float64]
-"""A saved state: the array that `magical_mj.engine.simulation.Simulation.save` returns."""
 Point = tuple[float, float]
 
 DELAY_PROBABILITY: Final = 0.25  # of a delay by one action
@@ -61,8 +62,25 @@ class HumanExecution:
         return int(self._rng.integers(self._hesitation))
 
 
+class SavedState(NamedTuple):
+    """A state of the lookahead.
+
+    Attributes:
+        simulation: what `magical_mj.engine.simulation.Simulation.save` returns.
+        shifts: those of the episode, at the same step.
+        commands: one for each step since the lookahead was made; None: it has taken no effect so far.
+    """
+
+    simulation: NDArray[np.float64]
+    shifts: EpisodeShifts
+    commands: tuple[int | None, ...]
+
+
 class Lookahead:
     """A copy of an engine's simulation, to try actions in.
+
+    Where actions are delayed, each is commanded as many steps earlier; if something else was commanded then, that is
+    what is taken. The lookahead begins when the first command takes effect that is not given yet.
 
     Args:
         engine: the engine whose present state is copied; it is not changed.
@@ -72,6 +90,9 @@ class Lookahead:
         self._simulation = engine.simulation.copy()
         self._simulation.restore(engine.simulation.save())
         self._world = engine.simulation.world
+        shifts = engine.simulation.shifts
+        self._shifts = EpisodeShifts({}) if shifts is None else shifts.copy()
+        self._commands: list[int | None] = []
         self.body = body_named(self._world.scene.robot.body)
         """The robot's; without fingers it cannot grip blocks, and pushes them."""
         self.trace: list[int] = []
@@ -82,10 +103,16 @@ class Lookahead:
         """Modifies the actions; None: they are executed as wanted."""
         self.count = 0
         """The total number of simulated steps."""
+        self.pending = [self.state]
+        """The states from the engine's to the one in which the lookahead begins, in which nothing can be done."""
+        while self._shifts.delay > len(self._commands):
+            self._take(NOOP)
+            self.pending.append(self.state)
 
     def restore(self, state: SavedState) -> None:
         """Goes to a state, with an empty history."""
-        self._simulation.restore(state)
+        self._simulation.restore(state.simulation)
+        self._shifts, self._commands = state.shifts.copy(), list(state.commands)
         self.trace, self.states = [], []
 
     def act(self, gripper: Gripper, turn: Turn = Turn.NONE, drive: Drive = Drive.NONE) -> None:
@@ -93,15 +120,31 @@ class Lookahead:
         action = Action(gripper, turn, drive)
         if self.execution is not None:
             action = self.execution(ACTIONS[self.trace[-1]] if self.trace else None, action)
-        self._simulation.act(action.number)
+        self._take(action.number)
         self.trace.append(action.number)
         self.states.append(self.state)
         self.count += 1
 
+    def _take(self, wanted: int) -> None:
+        """Takes an action, or what is taken instead if something else is commanded when it would have to be."""
+        delay = self._shifts.delay
+        at = len(self._commands) - delay
+        self._commands.append(None)
+        if at >= 0 and self._commands[at] is None:
+            self._commands[at] = wanted
+            if delay:
+                self._shifts.revise(delay, wanted)
+        self._simulation.act(self._shifts.action(NOOP if delay else wanted))
+
     @property
     def state(self) -> SavedState:
         """The present state."""
-        return self._simulation.save()
+        return SavedState(self._simulation.save(), self._shifts.copy(), tuple(self._commands))
+
+    @property
+    def commands(self) -> list[int]:
+        """What is to be commanded, beginning in the engine's present state, so that the present state is reached."""
+        return [NOOP if command is None else command for command in self._commands]
 
     @property
     def robot(self) -> Pose:

@@ -41,14 +41,14 @@ SETTLING: Final = 8
 
 
 class Plan(NamedTuple):
-    """A sequence of actions from one state, and the states that follow."""
+    """A sequence of commands from one state, and the states that follow."""
 
     score: float
     rest: int
     """The number of unused actions when all subgoals are reached."""
     actions: list[int]
     states: list[SavedState]
-    """The states before each action and after the last one."""
+    """The states before each command and after the last one."""
 
 
 class Planner:
@@ -86,14 +86,13 @@ class Planner:
             budget: the number of simulated steps after which no new plan is started.
             rng: varies the plans. Execution becomes more precise with each failure, noise increases for `ROUND` plans.
         """
-        start, end = self._lookahead.state, self._lookahead.count + budget
-        best = self._attempt(start, steps, Noise(rng, 1.0), self._execution(rng, DELAY_PROBABILITY))
+        end = self._lookahead.count + budget
+        best = self._attempt(steps, Noise(rng, 1.0), self._execution(rng, DELAY_PROBABILITY))
         for failed in range(1, ATTEMPTS):
             good = best.score == 1.0 and (best.rest or failed > EXTRA_PLANS)
             if good or self._lookahead.count > end:
                 break
             plan = self._attempt(
-                start,
                 steps,
                 Noise(rng, NOISE_GROWTH ** (failed % ROUND)),
                 self._execution(rng, DELAY_PROBABILITY * DELAY_DECAY**failed),
@@ -104,16 +103,15 @@ class Planner:
     def _execution(self, rng: np.random.Generator, delay_probability: float) -> HumanExecution:
         return HumanExecution(rng, 0.0, 1) if self._steady else HumanExecution(rng, delay_probability)
 
-    def _attempt(self, start: SavedState, steps: int, noise: Noise, execution: HumanExecution) -> Plan:
+    def _attempt(self, steps: int, noise: Noise, execution: HumanExecution) -> Plan:
         lookahead, todo = self._lookahead, ()
-        lookahead.restore(start)
-        actions: list[int] = []
-        states = [lookahead.state]
+        states = list(lookahead.pending)
+        lookahead.restore(states[-1])
         failures: Counter[int | None] = Counter()
         stuck: set[int] = set()
         waited, settling = 0, SETTLING + execution.pause()
-        while len(actions) < steps:
-            scene, left, here = lookahead.scene(), steps - len(actions), lookahead.state
+        while (left := steps + 1 - len(states)) > 0:
+            scene, here = lookahead.scene(), lookahead.state
             todo = tuple(subgoal for subgoal in todo if subgoal.left(scene))
             if not todo or self._score(scene_after(scene, todo)) < 1.0:
                 todo = self._subgoals(scene, noise, stuck)
@@ -135,9 +133,8 @@ class Planner:
                 if block is not None and block not in stuck and failures[block] >= self._patience:
                     stuck.add(block)
                     todo = ()
-            actions += lookahead.trace
             states += lookahead.states
-        return Plan(self._score(lookahead.scene()), waited, actions, states)
+        return Plan(self._score(lookahead.scene()), waited, lookahead.commands, states)
 
     def _best(self, here: SavedState, scene: Scene, todo: Subgoals, left: int, noise: Noise) -> Manoeuvre | None:
         """The best of the most promising manoeuvres, tried from a state; None if there is no subgoal left."""
@@ -199,7 +196,8 @@ class PlanFollower:
         if left <= 0:
             return NOOP
         state = self._env.simulation.save()
-        if self._step >= len(self._plan.actions) or not np.array_equal(state, self._plan.states[self._step]):
+        known = self._step < len(self._plan.actions)
+        if not known or not np.array_equal(state, self._plan.states[self._step].simulation):
             self._plan = self._planner().plan(left, self._budget * self._horizon, self._rng())
             self._step = 0
         self._step += 1
