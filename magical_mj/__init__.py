@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
 from magical_mj._version import __version__
 
+TYPE_CHECKING = False  # typing takes half of this package's time to import
 if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec
+    from typing import Any
 
     from magical_mj import batched, demos, evaluation, shifts
     from magical_mj.demos import datasets
