@@ -17,6 +17,7 @@ from gymnasium.utils.env_checker import check_env
 
 import magical_mj
 from magical_mj.demos.export.lerobot import to_lerobot
+from magical_mj.demos.export.webdataset import to_webdataset
 from magical_mj.utils.errors import (
     DemonstrationError,
     InvalidActionError,
@@ -125,6 +126,7 @@ ENDING = """
 import os, sys
 from magical_mj.demos import load
 from magical_mj.demos.export.lerobot import to_lerobot
+from magical_mj.demos.export.webdataset import to_webdataset
 
 class Ending(list):
     passes = 0
@@ -236,3 +238,18 @@ def test_the_folder_for_the_hub_is_what_lerobot_loads_from_there(
     assert infos["final_info"]["is_success"].tolist() == (rewards == 1).tolist()
     for suite in suites.values():
         suite[0].close()
+
+
+@pytest.mark.skipif(find_spec("huggingface_hub") is None, reason="huggingface_hub is not installed: make lerobot-test")
+@pytest.mark.parametrize("kind", ["model", "dataset"])
+def test_uploads_to_the_hub_are_whole(kind: str, tmp_path: Path) -> None:
+    """By the hub's own command to a stand-in, as the pages say: hub/lerobot, and an export of demonstrations."""
+    import yaml
+
+    folder, arrived = ROOT / "hub" / "lerobot", tmp_path / "arrived"
+    if kind == "dataset":
+        folder = to_webdataset(magical_mj.demos.load("MoveToRegion")[:1], tmp_path / "set", "State").parent
+    command = [sys.executable, ROOT / "tools" / "hub.py", folder, "--type", kind, "--out", arrived]
+    subprocess.run(command, check=True)
+    assert {path.name for path in arrived.iterdir()} == {path.name for path in folder.iterdir() if path.is_file()}
+    assert yaml.safe_load((arrived / "README.md").read_text().split("---")[1])["license"] == "apache-2.0"
