@@ -1,7 +1,7 @@
 """Runs README.md as a reader would: in a new environment that has only what the page tells to install. `make readme`.
 
-The wheel is built, an environment is made, and then each block is run in the page's order: `pip install` with the wheel
-in place of ".", commands that begin with `magical-mj`, and Python.
+The wheel is built, an environment is made, and then, after the first commands of somebody who has the wheel alone, each
+block is run in the page's order: `pip install` with the wheel in place of ".", and Python.
 
     python tools/readme_run.py [--without SECTION]
 """
@@ -21,6 +21,12 @@ from pathlib import Path
 from typing import Final
 
 ROOT: Final = Path(__file__).parent.parent
+FIRST: Final = """\
+$ pip install "."
+$ magical-mj --version
+$ python -m magical_mj --help
+$ magical-mj rollout MoveToRegion --policy expert
+"""
 BLOCK: Final = re.compile(r"^```(console|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
@@ -52,7 +58,7 @@ def run(text: str, without: list[str], folder: Path) -> None:
     place.mkdir()
     variables = {**os.environ, "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
     constraints = f"-q --no-compile --disable-pip-version-check -c {ROOT / 'constraints.txt'}"
-    for language, code in blocks(text, without):
+    for language, code in [("console", FIRST), *blocks(text, without)]:
         if language == "python":
             told(f"python: {code.splitlines()[0]}")
             subprocess.run([programs / "python", "-c", code], cwd=place, env=variables, check=True)
