@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import lzma
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
 
 import magical_mj
 from magical_mj import TASKS, demos
@@ -46,6 +49,23 @@ def test_packed_demonstrations_are_the_same_and_tell_of_damage(tmp_path: Path, m
     (tmp_path / "FixColour.npz.xz").write_bytes(lzma.compress(content))
     with pytest.raises((DemonstrationError, zipfile.BadZipFile)):
         demos.load("FixColour")
+
+
+def test_what_was_packed_is_read_to_the_bit_under_any_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The smallest numbers, in a process that takes the smallest ones for 0, and whose numpy raises errors."""
+    demo, rng = demos.load("MoveToRegion")[0], np.random.default_rng(0)
+    sizes = 10.0 ** rng.uniform(-330, -280, (2, *demo.qpos.shape))
+    qpos, qvel = np.where(rng.random(sizes.shape) < 0.2, 0.0, sizes) * rng.choice([-1, 1], sizes.shape)
+    odd = replace(demo, qpos=qpos, qvel=qvel)
+    shipped.pack([odd, demo], tmp_path / "MoveToRegion.npz.xz")
+    monkeypatch.setattr(shipped, "FOLDER", tmp_path)
+    torch.set_flush_denormal(True)
+    try:
+        with np.errstate(all="raise"):
+            again = demos.load("MoveToRegion")
+    finally:
+        torch.set_flush_denormal(False)
+    assert [other.qpos.tobytes() for other in again] == [qpos.tobytes(), demo.qpos.tobytes()]
 
 
 @pytest.mark.slow
