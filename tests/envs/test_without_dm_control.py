@@ -34,8 +34,10 @@ assert engine.score() == 1.0
 magical_mj.export_mjcf(engine, "model.xml")
 results = magical_mj.evaluate(lambda observation: 1, tasks="MoveToRegion", variants="Demo", episodes=1)
 assert len(results) == 1
+from magical_mj import *  # names are there, and tell what is missing when they are used
+assert not isinstance(engine, magical_mj.Environment)
 try:
-    magical_mj.load("MoveToRegion")
+    load("MoveToRegion")
 except MissingExtraError as error:
     assert "dm_control" in str(error) and "MuJoCo 3" in str(error)
 else:

@@ -166,7 +166,7 @@ CALLS: Final[dict[str, tuple[Callable[..., Any], dict[str, Any]]]] = {
     "evaluation": (
         _settings,
         {"tasks": "all", "variants": "all", "episodes": 3, "preset": "", "rules": "paper", "jobs": 1, "run": 0}
-        | {"backend": "local", "address": None, "time_limit": 3.0, "envs": 1},
+        | {"backend": "local", "address": None, "time_limit": 3.0},
     ),
     "training": (
         _training,
