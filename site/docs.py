@@ -158,7 +158,7 @@ def _logo() -> str:
     """The robot."""
     known: dict[str, Any] = drawing_style()
     paths = []
-    for layer in known["robot"]:
+    for layer in known["robots"]["gripper"]:
         x, y = known["fingerRoots"].get(layer["part"], (0, 0))
         turn = {"left_finger": 22.5, "right_finger": -22.5}.get(layer["part"], 0)
         loops = " ".join("M" + " ".join(f"{number:.4f}" for number in loop) + "Z" for loop in layer["loops"])

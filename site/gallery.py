@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from numpy.typing import NDArray
 from pictures import film
+from shifted import PHYSICAL, SWEPT, scenes
 
-from magical_mj import demos
 from magical_mj.engine import Engine
-from magical_mj.engine.export import mjcf_text
 from magical_mj.policies.interface import actions_of
-from magical_mj.scene.bodies import BODIES
+from magical_mj.scene.bodies import BODIES, GRIPPER
 from magical_mj.shifts import SHIFTS
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, task_spec
 from magical_mj.variants import varied_axes
@@ -30,9 +28,6 @@ AXES: Final = {
 SHIFTED: Final = "FindDupe"
 """The task in whose demo scene shifts are shown."""
 STRENGTH: Final = 4
-PHYSICAL: Final = ("pose", "clutter", "slip", "friction")
-"""The shifts that a model has in it."""
-SWEPT: Final = "SweepToTop"
 TEMPLATE: Final = """# Gallery
 
 An expert at work in each of the 60 environments, and what shifts do to one of them. Point at a picture to see it move.
@@ -55,7 +50,7 @@ An expert at work in each of the 60 environments, and what shifts do to one of t
 
 ## Other bodies
 
-[SweepToTop](bodies.md), x-magical's task, with its four bodies in the scenes of a demonstration each.
+[SweepToTop](bodies.md), x-magical's task, with its four bodies and their experts.
 
 <div class="cards small">{bodies}</div>
 """
@@ -67,7 +62,8 @@ CARD: Final = """<article class="card" data-task="{task}" data-axes="{axes}">
 <span><a href="play/#{name}-0" aria-label="Play {name}">Play</a>
 <a href="play/inspect.html#{name}-0" aria-label="Inspect {name}">Inspect</a></span></article>"""
 OTHER: Final = '<article class="card">{picture}<strong>{name}</strong> {words}{link}</article>'
-INSPECT: Final = '<span><a href="play/inspect.html?model={model}.xml" aria-label="Inspect {model}">Inspect</a></span>'
+LINKS: Final = """<span><a href="play/#{address}" aria-label="Play {name}">Play</a>
+<a href="play/inspect.html#{address}" aria-label="Inspect {name}">Inspect</a></span>"""
 
 
 def gallery(media: Path) -> str:
@@ -102,35 +98,19 @@ def _card(task: str, variant: str, media: Path) -> str:
     )
 
 
-def gallery_models() -> dict[str, str]:
-    """The models to inspect that belong to no environment, as MJCF by their names: shifted ones, and other bodies."""
-    engines = {f"{SHIFTED}-{name}": _shifted(name) for name in PHYSICAL}
-    engines |= {f"{SWEPT}-{body}": _swept(body)[0] for body in BODIES}
-    texts = {name: mjcf_text(engine) for name, engine in engines.items()}
-    for engine in engines.values():
-        engine.close()
-    return texts
-
-
-def _shifted(name: str) -> Engine:
-    return Engine(SHIFTED, seed=0, shifts={name: STRENGTH})
-
-
-def _swept(body: str) -> tuple[Engine, NDArray[Any]]:
-    """A demonstration's scene, and what the body does in it."""
-    demo = demos.load(SWEPT, body=body)[0]
-    return Engine(SWEPT, "Layout", scene=demo.scene, body=body), demo.actions
-
-
 def _shift(name: str, media: Path) -> str:
-    still, moving = film(_shifted(name), _expert(SHIFTED, "Demo"), media / f"gallery-shift-{name}")
+    engine = Engine(SHIFTED, seed=0, shifts={name: STRENGTH})
+    still, moving = film(engine, _expert(SHIFTED, "Demo"), media / f"gallery-shift-{name}")
     picture = PICTURE.format(still=still, moving=moving, about=f"{SHIFTED} with {name} at strength {STRENGTH}")
-    link = INSPECT.format(model=f"{SHIFTED}-{name}") if name in PHYSICAL else ""
+    address = f"{SHIFTED}-Demo-0?shifts={name}:{STRENGTH}"
+    link = LINKS.format(address=address, name=f"{SHIFTED} with {name}") if name in PHYSICAL else ""
     return OTHER.format(picture=picture, name=name, words=SHIFTS[name].summary, link=link)
 
 
 def _body(body: str, media: Path) -> str:
-    engine, actions = _swept(body)
-    still, moving = film(engine, list(actions), media / f"gallery-body-{body}")
+    shift = "" if body == GRIPPER else f"body:{body}"
+    (entry, *_) = scenes(SWEPT, "Layout", [shift])[0]["scenes"]
+    still, moving = film(Engine(SWEPT, "Layout", seed=0, body=body), entry["expert"], media / f"gallery-body-{body}")
     picture = PICTURE.format(still=still, moving=moving, about=f"{SWEPT} with the {body}")
-    return OTHER.format(picture=picture, name=body, words="", link=INSPECT.format(model=f"{SWEPT}-{body}"))
+    address = f"{SWEPT}-Layout-0{shift and '?shifts='}{shift}"
+    return OTHER.format(picture=picture, name=body, words="", link=LINKS.format(address=address, name=f"the {body}"))

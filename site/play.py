@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import shifted
 from fetch import CACHE, ONNX_FILES, ONNX_RUNTIME
-from gallery import gallery_models
+from shifted import SUITE
 from standings_page import read_methods, write_replays
 
 import magical_mj
@@ -22,7 +23,7 @@ from magical_mj.web.page_data import PAGE, catalogue, environment_scenes
 
 POLICIES: Final = Path(__file__).parent / "policies"
 OFFLINE: Final = Path(__file__).parent / "offline"
-LATER: Final = ("model", "onnx", "policies", "replays", "three")
+LATER: Final = ("onnx", "policies", "replays", "shifted", "three")
 """The folders whose files are kept for visits without a network only once they were used."""
 FOLDER: Final = Path(__file__).parent.parent / "out" / "site" / "play"
 BETWEEN_ELEMENTS: Final = re.compile(r"(?<=>)(?=\s*<)")
@@ -42,11 +43,13 @@ def write_play(folder: Path) -> int:
             models.append(mjcf_text(env))
         env.close()
         _write(folder / "scenes" / f"{task}-{variant}.json", with_models(data, models))
-    (folder / "model").mkdir()
-    for name, text in gallery_models().items():
-        (folder / "model" / f"{name}.xml").write_text(text, encoding="utf-8")
+    for pair in SUITE:
+        _write(folder / "scenes" / f"{'-'.join(pair)}.json", with_models(*shifted.scenes(*pair, [""])))
+    for pair in (*magical_mj.ENVIRONMENTS, *SUITE):
+        for axis, names in shifted.offered(*pair).items():
+            _write(folder / "shifted" / f"{'-'.join((*pair, axis))}.json", with_models(*shifted.scenes(*pair, names)))
     write_replays(read_methods(), folder / "replays")
-    _write(folder / "catalogue.json", catalogue(magical_mj.ENVIRONMENTS, "browser"))
+    _write(folder / "catalogue.json", catalogue((*magical_mj.ENVIRONMENTS, *SUITE), "browser", shifted.all_offered()))
     libraries = library_files(CACHE)
     for name, content in libraries.items():
         (folder / name).parent.mkdir(exist_ok=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -76,13 +76,12 @@ class Clutter(Shift):
         return replace(scene, pebbles=tuple(pebbles))
 
     def ground(self, ground: Picture) -> Picture:
-        """With stains: round spots, of which lower strengths have the first ones."""
-        rng, stained = self.rng(1), ground.copy()
+        """With the stains."""
+        stained = ground.copy()
         per_unit = len(ground) / (2 * GROUND_REACH)
-        for _ in range(int(self.values["stains"])):
-            x, y, size, shade = rng.random(4).tolist()
-            radius, darkness = (0.06 + 0.12 * size) * per_unit, 0.25 + 0.35 * shade
-            column, row = (GROUND_REACH + 2 * x - 1) * per_unit, (GROUND_REACH - 2 * y + 1) * per_unit
+        for x, y, size, darkness in self.stains():
+            radius = size * per_unit
+            column, row = (GROUND_REACH + x) * per_unit, (GROUND_REACH - y) * per_unit
             left, top = int(column - radius), int(row - radius)
             part = stained[top : int(row + radius) + 2, left : int(column + radius) + 2]
             down, across = np.ogrid[: part.shape[0], : part.shape[1]]
@@ -90,6 +89,13 @@ class Clutter(Shift):
             cover = darkness * np.clip(4 * (1 - gaps), 0, 1)[..., None]
             part[:] = part * (1 - cover * np.array([0.5, 0.7, 1.0]))  # brownish
         return stained
+
+    def stains(self) -> Iterator[tuple[float, float, float, float]]:
+        """Round spots, of which lower strengths have the first ones: x, y, radius (world units), darkness in [0, 1]."""
+        rng = self.rng(1)
+        for _ in range(int(self.values["stains"])):
+            x, y, size, shade = rng.random(4).tolist()
+            yield 2 * x - 1, 2 * y - 1, 0.06 + 0.12 * size, 0.25 + 0.35 * shade
 
 
 class Friction(Shift):

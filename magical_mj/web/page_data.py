@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from inspect import cleandoc
 from pathlib import Path
 from textwrap import dedent
+from types import MappingProxyType
 from typing import Any, Final, Literal
 
 import mujoco
@@ -20,11 +21,13 @@ from magical_mj.assets.robot import SIGN
 from magical_mj.assets.world import world_mjcf
 from magical_mj.policies.interface import letters_of
 from magical_mj.rendering.canvas import drawn
-from magical_mj.scene import Block, Robot, Scene
+from magical_mj.scene import Block, Pebble, Robot, Scene
 from magical_mj.scene import constants as c
+from magical_mj.scene.bodies import BODIES
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.tasks.registry import Pair, sample_scene, task_spec
+from magical_mj.tasks.sweep_to_top import HALF_WIDTH
 
 Simulation = Literal["browser", "server"]
 
@@ -37,6 +40,8 @@ SCENES: Final = 20
 DEMONSTRATIONS: Final = 5
 """The number of a task's shipped demonstrations that the page can show."""
 DECIMALS: Final = 6
+ROBOT: Final = ("left_finger", "right_finger", "face")
+"""The parts of which the robot's picture is made."""
 
 
 def sections(task: str) -> dict[str, str]:
@@ -54,12 +59,15 @@ def sections(task: str) -> dict[str, str]:
     return {name: dedent("\n".join(content)).strip() for name, content in parts.items()}
 
 
-def catalogue(environments: Sequence[Pair], simulation: Simulation) -> dict[str, Any]:
+def catalogue(
+    environments: Sequence[Pair], simulation: Simulation, shifts: Mapping[Pair, Sequence[str]] = MappingProxyType({})
+) -> dict[str, Any]:
     """The data that the page needs before the first scene, as JSON data.
 
     Args:
         environments: the pairs (task, variant) that can be chosen.
         simulation: where the simulation runs; the browser has the scenes of a few seeds only.
+        shifts: of some environments, the shifts with which they can be chosen, such as "clutter:3".
     """
     return {
         "protocol": PROTOCOL,
@@ -69,12 +77,14 @@ def catalogue(environments: Sequence[Pair], simulation: Simulation) -> dict[str,
             task: {
                 "summary": task_spec(task).summary,
                 "goal": " ".join(sections(task)["Goal"].split()),
-                "horizon": task_spec(task).horizon("paper"),
                 "solved": scene_data(demos.load(task)[0].scenes()[-1]),
             }
             for task in dict.fromkeys(task for task, _ in environments)
         },
-        "environments": [{"task": task, "variant": variant} for task, variant in environments],
+        "environments": [
+            {"task": task, "variant": variant, "shifts": list(shifts.get((task, variant), ()))}
+            for task, variant in environments
+        ],
     }
 
 
@@ -90,6 +100,7 @@ def environment_scenes(task: str, variant: str) -> dict[str, Any]:
     expert: list[str] = demonstrations[:1] or json.loads(EXPERT.read_text(encoding="utf-8"))[f"{task}-{variant}"]
     seeds = range(1 if variant == "Demo" else SCENES)
     return {
+        "horizon": task_spec(task).horizon("paper"),
         "demonstrations": demonstrations,
         "scenes": [
             {"seed": seed, "expert": actions, "scene": scene_data(sample_scene(task, variant, seed))}
@@ -105,14 +116,14 @@ def drawing_style() -> dict[str, Any]:
     the world, a block, the robot or one of its fingers. Parts and their layers are listed in drawing order.
     """
     blocks = tuple(Block(shape, "red", 0.5 * index, 0.5, 0.0) for index, shape in enumerate(SHAPES))
-    model = mujoco.MjModel.from_xml_string(world_mjcf(Scene(Robot(0.0, -0.5, 0.0), blocks)))
-    is_drawn = drawn(model.geom_group) & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
-    layers = [_layer(model, geom) for geom in is_drawn.nonzero()[0].tolist()]
+    layers = _layers(Scene(Robot(0.0, -0.5, 0.0), blocks, pebbles=(Pebble(0.0, 0.0),)))
+    arenas = {half: _layers(Scene(Robot(0.0, 0.0, 0.0), half_width=half)) for half in (c.ARENA_HALF_WIDTH, HALF_WIDTH)}
+    robots = {body: _layers(Scene(Robot(0.0, 0.0, 0.0, body=body))) for body in BODIES}
     return {
         "visible": c.VISIBLE_SIZE,
         "anchor": c.EGO_ANCHOR,
         "paper": css(style.WHITE),
-        "arena": [layer for layer in layers if layer["part"] == "world"],
+        "arenas": {f"{half:g}": [one for one in parts if one["part"] == "world"] for half, parts in arenas.items()},
         "regions": {
             "fill": _palette(style.REGION_FILL),
             "border": _palette(style.REGION_BORDER),
@@ -124,9 +135,17 @@ def drawing_style() -> dict[str, Any]:
             for index, shape in enumerate(SHAPES)
         },
         "blockColours": [_palette(style.BLOCK_OUTLINE), _palette(style.BLOCK_FILL)],
-        "robot": [layer for layer in layers if layer["part"] in ("left_finger", "right_finger", "face")],
+        "pebble": [layer for layer in layers if layer["part"] == "pebble0"],
+        "robots": {body: [one for one in parts if one["part"] in ROBOT] for body, parts in robots.items()},
         "fingerRoots": {f"{side}_finger": [sign * c.FINGER_ROOT[0], c.FINGER_ROOT[1]] for side, sign in SIGN.items()},
     }
+
+
+def _layers(scene: Scene) -> list[dict[str, Any]]:
+    """What is drawn of a world, in drawing order; goal regions apart."""
+    model = mujoco.MjModel.from_xml_string(world_mjcf(scene))
+    is_drawn = drawn(model.geom_group) & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
+    return [_layer(model, geom) for geom in is_drawn.nonzero()[0].tolist()]
 
 
 def css(rgb: style.Rgb) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import sys
 from collections.abc import Iterator
@@ -14,11 +15,15 @@ import mujoco
 import numpy as np
 import onnxruntime
 
+sys.path.append(str(Path(__file__).parents[1]))
+from shifted import SUITE, SWEPT, described, offered, scenes
+
 import magical_mj
 from magical_mj.engine import Engine
 from magical_mj.engine.export import mjcf_text
 from magical_mj.policies.history import histories
 from magical_mj.scene import Scene
+from magical_mj.scene.bodies import BODIES, GRIPPER
 from magical_mj.web.inspection import model_files
 from magical_mj.web.page_data import drawing_style, scene_data
 
@@ -38,20 +43,30 @@ def episodes() -> Iterator[dict[str, Any]]:
     """Demonstrations, and drives that hold an action for a while: into blocks, walls and heaps."""
     for task in magical_mj.TASKS:
         for number, demo in enumerate(magical_mj.demos.load(task)[SHIPPED]):
-            yield _played(f"demonstration {number} of {task}", task, demo.scene, demo.actions.tolist())
+            yield _played(f"demonstration {number} of {task}", Engine(task, scene=demo.scene), demo.actions.tolist())
     rng = np.random.default_rng(0)
     for seed in range(ROUGH):
         task, variant = magical_mj.ENVIRONMENTS[seed % len(magical_mj.ENVIRONMENTS)]
         scene = magical_mj.sample_scene(task, variant, 1000 + seed)
-        with_drive = [action for action in range(18) if action % 3]
-        actions = np.repeat(rng.choice(with_drive, 40), rng.integers(2, 16, 40)).tolist()
-        yield _played(f"rough drive {seed}, {task}-{variant}", task, scene, actions)
+        yield _played(f"rough drive {seed}, {task}-{variant}", Engine(task, scene=scene), _drive(rng))
+    for pair in (*magical_mj.ENVIRONMENTS, *SUITE):
+        for shift in (names[len(names) // 2] for names in offered(*pair).values()):
+            engine = Engine(*pair, seed=0, shifts=shift)
+            yield _played(f"shifted drive of {'-'.join(pair)}, {shift}", engine, _drive(rng))
+    for pair, body in itertools.product(SUITE, BODIES):
+        shift = "" if body == GRIPPER else f"body:{body}"
+        (entry, *_) = scenes(*pair, [shift])[0]["scenes"]
+        yield _played(f"expert of {'-'.join(pair)}, {body}", Engine(*pair, seed=0, body=body), entry["expert"])
 
 
-def _played(name: str, task: str, scene: Scene, actions: list[int]) -> dict[str, Any]:
-    env = magical_mj.Engine(task, scene=scene)
-    env.reset()
-    mjcf = mjcf_text(env)
+def _drive(rng: np.random.Generator) -> list[int]:
+    """Holds an action for a while, and another one, and so on."""
+    with_drive = [action for action in range(18) if action % 3]
+    return np.repeat(rng.choice(with_drive, 40), rng.integers(2, 16, 40)).tolist()
+
+
+def _played(name: str, env: Engine, actions: list[Any]) -> dict[str, Any]:
+    start = {"name": name, "task": env.task, "mjcf": mjcf_text(env), **described(env)}
     glances = {}
     actions = actions[: env.horizon]
     for step, action in enumerate(actions, start=1):
@@ -60,15 +75,7 @@ def _played(name: str, task: str, scene: Scene, actions: list[int]) -> dict[str,
             glances[step] = scene_data(env.scene)
     score = env.score()
     env.close()
-    return {
-        "name": name,
-        "task": task,
-        "scene": scene_data(scene),
-        "mjcf": mjcf,
-        "actions": actions,
-        "glances": glances,
-        "score": score,
-    }
+    return {**start, "actions": actions, "glances": glances, "score": score}
 
 
 def scores() -> Iterator[dict[str, Any]]:
@@ -86,7 +93,7 @@ def scores() -> Iterator[dict[str, Any]]:
                 yield {**scored, "reference": case["score"]}  # rounded to 9 digits
 
     rng = np.random.default_rng(0)
-    for task, variant in magical_mj.ENVIRONMENTS:
+    for task, variant in (*magical_mj.ENVIRONMENTS, *SUITE):
         for seed in range(GATHERED):
             scene = magical_mj.sample_scene(task, variant, seed)
             yield _scored(task, scene, _gathered(scene, rng))
@@ -112,11 +119,15 @@ def pictures() -> Iterator[dict[str, Any]]:
             env = magical_mj.Engine(task, variant, seed=number)
             yield from (_pictured(env, view) for view in ("allo", "ego"))
             env.close()
+    others = [Engine(*pair, seed=0, shifts=shift) for pair in SUITE for shift in offered(*pair)["body"]]
+    for env in (Engine(SWEPT, "All", seed=1), Engine("MakeLine", seed=0, shifts="clutter:5"), *others):
+        yield from (_pictured(env, view) for view in ("allo", "ego"))
+        env.close()
 
 
 def _pictured(env: Engine, view: str) -> dict[str, Any]:
     return {
-        "scene": scene_data(env.scene),
+        "scene": described(env)["scene"],
         "view": view,
         "size": PICTURES,
         "pixels": env.render(view, PICTURES).tobytes().hex(),
@@ -127,7 +138,7 @@ def policies() -> Iterator[dict[str, Any]]:
     """The first states of a demonstration of each task, and what the site's policy prefers in each."""
     for task in magical_mj.TASKS:
         demo = magical_mj.demos.load(task)[0]
-        played = _played(task, task, demo.scene, demo.actions[:SEEN].tolist())
+        played = _played(task, Engine(task, scene=demo.scene), demo.actions[:SEEN].tolist())
         states = np.asarray(magical_mj.demos.observations(demo, "State"))[:SEEN]
         session = onnxruntime.InferenceSession(POLICIES / f"{task}.onnx")
         (logits,) = session.run(None, {"observations": histories(states)})

@@ -54,6 +54,10 @@ test("all scenes open", async () => {
     await untilOpen(name);
     assert.ok(await page.locator("#tree button", { hasText: "robot" }).count());
   }
+  const shifted = "FindDupe-Demo-1?shifts=clutter:2";
+  await page.evaluate((hash) => { location.hash = hash; }, shifted);
+  await untilOpen(shifted);
+  assert.equal(await page.locator("#tree button", { hasText: "pebble" }).count(), 4);  // two, and what they stand on
   assert.deepEqual(complaints, []);
   console.log(`${environments.length} scenes opened in ${((performance.now() - since) / 1000).toFixed(0)} s`);
 });

@@ -52,14 +52,16 @@ test("the gallery moves what is pointed at, keeps what is asked for, and leads i
   assert.equal(await page.evaluate("location.hash"), "#FixColour-All-0");
 });
 
-test("shifted scenes and other bodies lead from the gallery to their models", async () => {
-  for (const name of ["FindDupe-clutter", "SweepToTop-longstick"]) {
+test("shifted scenes and other bodies lead from the gallery to where they are played and inspected", async () => {
+  for (const [name, address] of [["FindDupe with clutter", "FindDupe-Demo-0?shifts=clutter:4"], ["the longstick", "SweepToTop-Layout-0?shifts=body:longstick"]]) {
     await page.goto(`${site.address}gallery.html`);
     await page.getByLabel(`Inspect ${name}`, { exact: true }).click();
-    await page.waitForFunction((name) => document.title.startsWith(`${name}.xml `), name);
+    await page.waitForFunction((address) => document.title.startsWith(`${address} `), address);
+    await page.goto(`${site.address}gallery.html`);
+    await page.getByLabel(`Play ${name}`, { exact: true }).click();
+    await page.waitForFunction(() => document.getElementById("status")?.textContent?.startsWith("Press"));
+    assert.equal(await page.evaluate("location.hash"), `#${address}`);
   }
-  await page.goto(`${site.address}play/inspect.html?model=nothing.xml`);
-  await page.waitForFunction(() => document.getElementById("message")?.textContent?.includes("no such model"));
 });
 
 test("charts say their figures, and the leaderboard sorts, opens, and replays", async () => {

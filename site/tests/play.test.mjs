@@ -64,17 +64,18 @@ test("it opens and is played", async () => {
   assert.ok(rate > 0);
 });
 
-test("all environments can be played", async () => {
+test("all environments can be played, and SweepToTop", async () => {
   await page.goto(`${site.address}play/?speed=${SPEED}`);
-  const { environments, tasks } = await page.evaluate(async () => (await fetch("catalogue.json")).json());
-  assert.equal(environments.length, 60);
+  const { environments } = await page.evaluate(async () => (await fetch("catalogue.json")).json());
+  assert.equal(environments.length, 66);
   const since = performance.now();
   for (const { task, variant } of environments) {
     await page.evaluate((hash) => { location.hash = hash; }, `${task}-${variant}-1`);
     await page.waitForFunction(([task, variant]) => /** @type {any} */ (document.getElementById("task")).value === task
       && /** @type {any} */ (document.getElementById("variant")).value === variant, [task, variant]);
     await untilStatus("Press");
-    const before = await picture(), share = 25 / tasks[task].horizon;
+    const { horizon } = await page.evaluate(async (name) => (await fetch(`scenes/${name}.json`)).json(), `${task}-${variant}`);
+    const before = await picture(), share = 25 / horizon;
     for (const key of ["ArrowUp", "Space", "KeyD"]) await page.keyboard.down(key);
     await page.waitForFunction((share) => /** @type {any} */ (document.getElementById("time")).value >= share - 1e-9, share);
     for (const key of ["ArrowUp", "Space", "KeyD"]) await page.keyboard.up(key);
@@ -101,6 +102,33 @@ test("the expert is watched to its full score, and what a player does is saved",
   assert.equal(name, "MatchRegions-All-2.json");
   await writeFile(`${OUT}site-test/saved.json`, text);
   assert.deepEqual([saved.task, saved.variant, saved.seed, saved.actions.length], ["MatchRegions", "All", 2, 120]);
+  assert.deepEqual(complaints, []);
+});
+
+test("shifted scenes and other bodies can be chosen and linked to", async () => {
+  await page.goto("about:blank");
+  await page.goto(`${site.address}play/?speed=${SPEED}#FindDupe-Demo-2?shifts=clutter:3`);
+  await untilStatus("Press");
+  const cluttered = await picture();
+  assert.equal(await page.inputValue("#shifts"), "clutter:3");
+  await page.selectOption("#shifts", "slip:5");
+  await page.waitForFunction(() => location.hash === "#FindDupe-Demo-2?shifts=slip:5");
+  await untilStatus("Press");
+  await moreFrames(2);
+  assert.notEqual(await picture(), cluttered);
+  await page.click("#demo");
+  await untilStatus("Over");
+  assert.ok(await page.isDisabled("#save"));
+  for (const body of ["", "?shifts=body:shortstick", "?shifts=body:mediumstick", "?shifts=body:longstick"]) {
+    await page.evaluate((hash) => { location.hash = hash; }, `SweepToTop-All-1${body}`);
+    await untilStatus("Press");
+    await page.keyboard.press("h");
+    await untilStatus("Over: score 1.00");
+  }
+  await page.selectOption("#variant", "Layout");
+  await page.waitForFunction(() => location.hash === "#SweepToTop-Layout-0");
+  await page.evaluate(() => { location.hash = "#SweepToTop-Demo-0?shifts=body:longstik"; });
+  await untilStatus("There is no shift “body:longstik” of SweepToTop-Demo: this is SweepToTop-Demo-0?shifts=body:longstick");
   assert.deepEqual(complaints, []);
 });
 
@@ -194,7 +222,7 @@ test("canvases show what the renderer shows", async () => {
     worst[/** @type {keyof typeof worst} */ (view)] = Math.max(worst[/** @type {keyof typeof worst} */ (view)], apart);
   }
   console.log(`${pictures.length} pictures: mean levels apart at most ${worst.allo.toFixed(2)} from above, ${worst.ego.toFixed(2)} as the robot sees it`);
-  assert.ok(Math.max(...Object.values(worst)) < 1);
+  assert.ok(Math.max(...Object.values(worst)) < 1.2);  // the renderer draws stains in coarse cells
 });
 
 test("what could not be loaded once is loaded again", async () => {
@@ -248,8 +276,13 @@ test("where data are spared, a picture waits to be pressed before megabytes come
   await spared.waitForFunction(() => document.getElementById("status")?.textContent?.startsWith("Press"));
   assert.match(await spared.evaluate("location.hash"), /^#MakeLine-Layout/);
   loaded.length = 0;
-  await spared.goto(`${site.address}play/inspect.html#FindDupe-All-3`);
+  await spared.goto(`${site.address}play/inspect.html#FindDuple-All-2`);
   await spared.waitForSelector("#poster");
+  await spared.waitForFunction(() => document.getElementById("message")?.textContent?.includes("no task “FindDuple”: this is FindDupe-All-2"));
+  await spared.fill("#seed", "3");
+  await spared.press("#seed", "Enter");
+  await spared.waitForFunction(() => location.hash === "#FindDupe-All-3");
+  assert.equal(await spared.inputValue("#task"), "FindDupe");
   assert.deepEqual(big(), []);
   await spared.click("#start");
   await spared.waitForFunction(() => document.title.startsWith("FindDupe-All-3 "));

@@ -5,6 +5,7 @@ import { readFile } from "node:fs/promises";
 import { test } from "node:test";
 import loadMujoco from "../../out/npm/node_modules/@mujoco/mujoco/mujoco.js";
 import * as ort from "../../out/npm/node_modules/onnxruntime-web/dist/ort.wasm.min.mjs";
+import { taking } from "../../magical_mj/web/page/actions.js";
 import { Policy } from "../../magical_mj/web/page/policy.js";
 import { poses } from "../../magical_mj/web/page/scene.js";
 import { score } from "../../magical_mj/web/page/score.js";
@@ -34,17 +35,17 @@ test("scores are Python's", async () => {
 
 test("episodes go as in Python", async () => {
   const [mujoco, episodes] = await Promise.all([loadMujoco(), read("episodes")]);
-  const kinds = { demonstration: 0, "rough drive": 0.02 };  // share whose score may differ: heaps of blocks are chaotic
+  const kinds = { demonstration: 0, expert: 0, "rough drive": 0.02, "shifted drive": 0.02 };  // share whose score may differ: heaps of blocks are chaotic
   for (const [kind, share] of Object.entries(kinds)) {
     const chosen = episodes.filter((/** @type {any} */ { name }) => name.startsWith(kind));
     /** @type {Record<string, number>} */
     const worst = { 1: 0, 20: 0, 100: 0, end: 0 };
     const unequal = [];
-    for (const { name, task, scene, mjcf, actions, glances, score: right } of chosen) {
-      const simulation = new Simulation(mujoco, mjcf, scene);
+    for (const { name, task, scene, mjcf, taken, actions, glances, score: right } of chosen) {
+      const simulation = new Simulation(mujoco, mjcf, scene), done = taken ? taking(taken) : (/** @type {any} */ action) => action;
       let now = scene;
-      actions.forEach((/** @type {number} */ action, /** @type {number} */ i) => {
-        now = simulation.act(action);
+      actions.forEach((/** @type {number | number[]} */ action, /** @type {number} */ i) => {
+        now = simulation.act(done(action));
         if (!(i + 1 in glances)) return;
         const place = i + 1 === actions.length ? "end" : i + 1;
         worst[place] = Math.max(worst[place], distance(now, glances[i + 1]));
@@ -54,7 +55,7 @@ test("episodes go as in Python", async () => {
     }
     const figures = Object.entries(worst).map(([step, value]) => `${step}: ${value.toExponential(1)}`).join(", ");
     console.log(`${chosen.length} of ${kind}: largest difference of a pose after steps ${figures}; scores differ in ${unequal.length}`);
-    assert.ok(worst[1] < 1e-12 && worst[20] < 1e-6, kind);
+    assert.ok(worst[1] < 1e-10 && worst[20] < 1e-6, kind);
     assert.ok(unequal.length <= share * chosen.length, unequal.join(", "));
   }
 });

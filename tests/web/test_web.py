@@ -59,10 +59,12 @@ def test_outlines_have_their_sizes_and_layers() -> None:
     look = catalogue(magical_mj.ENVIRONMENTS[:1], "browser")["look"]
     square = look["blocks"]["square"][0][0]
     assert max(square) == pytest.approx(magical_mj.scene.constants.SQUARE_SIDE / 2, abs=1e-6)
-    assert [layer["part"] for layer in look["robot"]][-1] != "left_finger"  # the body hides the fingers' roots
-    assert {layer["part"] for layer in look["robot"]} >= {"left_finger", "right_finger"}
+    parts = {body: [layer["part"] for layer in layers] for body, layers in look["robots"].items()}
+    assert parts["gripper"][-1] != "left_finger"  # the body hides the fingers' roots
+    assert set(parts["gripper"]) >= {"left_finger", "right_finger"}
+    assert set(parts["longstick"]) == {"face"}
     assert set(look["blocks"]) == set(magical_mj.scene.constants.SHAPES)
-    assert len(look["arena"]) == 2  # what lies beyond the walls, and the line between
+    assert all(len(layers) == 2 for layers in look["arenas"].values())  # beyond the walls, and the line between
     assert all(len(layers) == 2 for layers in look["blocks"].values())
 
 

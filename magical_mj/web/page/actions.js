@@ -18,3 +18,18 @@ export function action(commands) {
 
 /** @param {string} letters */
 export const fromLetters = (letters) => [...letters].map((letter) => letter.charCodeAt(0) - "a".charCodeAt(0));
+
+/**
+ * What a worn or slow robot does instead of what it is told.
+ * @param {number[]} table  for each step, how many steps before the command was given, or -1 - n for the action n, whatever was
+ * @returns {(command: number) => number}
+ */
+export function taking(table) {
+  /** @type {number[]} */
+  const commands = [];
+  return (command) => {
+    const what = table[commands.length];
+    commands.push(command);
+    return what < 0 ? -1 - what : commands[commands.length - 1 - what] ?? 0;
+  };
+}

@@ -1,27 +1,40 @@
 // @ts-check
 /**
- * What the part of an address after `#` asks for: `#FindDupe-All-3`, and `#FindDupe-Layout-7@state-bc` to watch a method.
- * @typedef {{task: string, variant: string, seed: number, method: string, unknown: string}} Wish
+ * What the part of an address after `#` asks for: `#FindDupe-All-3`, `#FindDupe-Layout-7@state-bc` to watch a method, and
+ * `#FindDupe-Demo-0?shifts=clutter:3` with a shift, of which another body is one: `#SweepToTop-Layout-2?shifts=body:longstick`.
+ * @typedef {{task: string, variant: string, seed: number, shifts: string}} Place  shifts: "" for none
+ * @typedef {Place & {method: string, unknown: string}} Wish
  *   method: "" for none; unknown: what is wrong with the address, and what is shown instead; "" if nothing is
+ * @typedef {{task: string, variant: string, shifts: string[]}} Environment  with the shifts that are there
  */
 
 /**
  * @param {string} hash
- * @param {{environments: {task: string, variant: string}[]}} catalogue
+ * @param {{environments: Environment[]}} catalogue
  * @returns {Wish}
  */
 export function parseAddress(hash, { environments }) {
-  const [place, method = ""] = decodeURIComponent(hash.slice(1)).split("@");
+  const [all, method = ""] = decodeURIComponent(hash.slice(1)).split("@");
+  const [place, query = ""] = all.split("?"), shiftsAsked = new URLSearchParams(query).get("shifts") ?? "";
   const [asked, variantAsked = "", ...rest] = place.split("-"), seedAsked = rest.join("-");
   const tasks = [...new Set(environments.map(({ task }) => task))], task = nearest(asked, tasks);
   const variants = environments.filter((one) => one.task === task).map(({ variant }) => variant), variant = nearest(variantAsked, variants);
+  const there = shiftsOf({ task, variant }, environments), shifts = nearest(shiftsAsked, ["", ...there]);
   const isNumber = /^\d+$/.test(seedAsked) && Number.isSafeInteger(Number(seedAsked)), seed = isNumber ? Number(seedAsked) : 0;
   const wrong = [
     asked && asked !== task ? `no task “${asked}”` : "", variantAsked && variantAsked !== variant ? `no variant “${variantAsked}” of ${task}` : "",
-    seedAsked && !isNumber ? `no scene “${seedAsked}”` : "",
+    shiftsAsked !== shifts ? `no shift “${shiftsAsked}” of ${task}-${variant}` : "", seedAsked && !isNumber ? `no scene “${seedAsked}”` : "",
   ].filter(Boolean);
-  return { task, variant, seed, method, unknown: wrong.length ? `There is ${wrong.join(", and ")}: this is ${task}-${variant}-${seed}` : "" };
+  const found = { task, variant, seed, shifts };
+  return { ...found, method, unknown: wrong.length ? `There is ${wrong.join(", and ")}: this is ${addressOf(found)}` : "" };
 }
+
+/** The address of a scene, without `#`. @param {Place} place */
+export const addressOf = ({ task, variant, seed, shifts }) => `${task}-${variant}-${seed}${shifts && `?shifts=${shifts}`}`;
+
+/** @param {{task: string, variant: string}} name @param {Environment[]} environments */
+export const shiftsOf = ({ task, variant }, environments) =>
+  environments.find((one) => one.task === task && one.variant === variant)?.shifts ?? [];
 
 /** The name that differs least from the one asked for; the first one where nothing was. @param {string} asked @param {string[]} names */
 export function nearest(asked, names) {

@@ -3,10 +3,10 @@
  * Draws scenes on a canvas as magical_mj's renderer does: flat outlines of one colour each, one above the other.
  * @typedef {import("./scene.js").Scene} Scene
  * @typedef {{part: string, colour: string, loops: number[][]}} Layer
- * @typedef {{visible: number, anchor: number, paper: string, arena: Layer[], robot: Layer[],
+ * @typedef {{visible: number, anchor: number, paper: string, arenas: Record<string, Layer[]>, robots: Record<string, Layer[]>, pebble: Layer[],
  *   regions: {fill: Record<string, string>, border: Record<string, string>, line: number, dash: number},
  *   blocks: Record<string, number[][][]>, blockColours: Record<string, string>[],
- *   fingerRoots: Record<string, number[]>}} Look  written by magical_mj.web.look
+ *   fingerRoots: Record<string, number[]>}} Look  written by magical_mj.web.page_data
  */
 
 /**
@@ -18,7 +18,7 @@
  */
 export function draw(canvas, look, scene, view) {
   const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
-  const size = canvas.width, scale = size / look.visible;
+  const size = canvas.width, half = scene.half_width ?? 1, scale = size / (look.visible * half);
   context.setTransform(1, 0, 0, 1, 0, 0);
   context.fillStyle = look.paper;
   context.fillRect(0, 0, size, size);
@@ -27,8 +27,15 @@ export function draw(canvas, look, scene, view) {
     context.rotate(-scene.robot.angle);
     context.translate(-scene.robot.x, -scene.robot.y);
   } else context.setTransform(scale, 0, 0, -scale, size / 2, size / 2);
-  for (const layer of look.arena) fill(context, layer.loops, layer.colour);
+  for (const layer of look.arenas[half]) fill(context, layer.loops, layer.colour);
+  for (const stain of scene.stains ?? []) drawStain(context, stain);
   for (const region of scene.regions) drawRegion(context, look, region);
+  for (const { x, y } of scene.pebbles ?? []) {
+    context.save();
+    place(context, { x, y, angle: 0 });
+    for (const { colour, loops } of look.pebble) fill(context, loops, colour);
+    context.restore();
+  }
   for (const block of scene.blocks) {
     context.save();
     place(context, block);
@@ -64,18 +71,26 @@ function fill(context, loops, colour) {
   context.fill();
 }
 
+/** A brownish spot with a soft edge. @param {CanvasRenderingContext2D} context @param {number[]} stain */
+function drawStain(context, [x, y, radius, darkness]) {
+  const gradient = context.createRadialGradient(x, y, 0, x, y, radius);
+  for (const [place, cover] of [[0.75, darkness], [1, 0]]) gradient.addColorStop(place, `rgb(128 77 0 / ${cover})`);
+  context.fillStyle = gradient;
+  context.fillRect(x - radius, y - radius, 2 * radius, 2 * radius);
+}
+
 /**
  * The dashes start at the top left corner and go round clockwise.
  * @param {CanvasRenderingContext2D} context
  * @param {Look} look
  * @param {import("./scene.js").Region} region
  */
-function drawRegion(context, { regions }, { colour, x_min, y_min, x_max, y_max }) {
+function drawRegion(context, { regions }, { colour, x_min, y_min, x_max, y_max, border }) {
   context.fillStyle = regions.fill[colour];
   context.fillRect(x_min, y_min, x_max - x_min, y_max - y_min);
   context.strokeStyle = regions.border[colour];
   context.lineWidth = regions.line;
-  context.setLineDash([regions.dash, regions.dash]);
+  context.setLineDash(border === "solid" ? [] : [regions.dash, regions.dash]);
   context.beginPath();
   for (const [x, y] of [[x_min, y_max], [x_max, y_max], [x_max, y_min], [x_min, y_min], [x_min, y_max]]) context.lineTo(x, y);
   context.stroke();
@@ -90,7 +105,7 @@ function drawRobot(context, look, robot) {
   const turns = { left_finger: robot.fingers[0], right_finger: robot.fingers[1] };
   context.save();
   place(context, robot);
-  for (const { part, colour, loops } of look.robot) {
+  for (const { part, colour, loops } of look.robots[robot.body ?? "gripper"]) {
     context.save();
     if (part in turns) {
       const [x, y] = look.fingerRoots[part];

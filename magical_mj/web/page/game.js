@@ -2,7 +2,7 @@
 /**
  * An episode as it is played: actions at 8 Hz, and what to show at any moment in between.
  * @typedef {import("./scene.js").Scene} Scene
- * @typedef {{scene: Scene, act: (action: number) => Scene | Promise<Scene>, close: () => void, state?: () => Float32Array}} Episode
+ * @typedef {{scene: Scene, act: (action: number | number[]) => Scene | Promise<Scene>, close: () => void, state?: () => Float32Array}} Episode
  *   the scene that it starts in, and what simulates it; state: what policies see, where the browser simulates
  */
 import { between } from "./scene.js";
@@ -14,7 +14,7 @@ export class Game {
   /**
    * @param {Episode} episode
    * @param {number} horizon  actions
-   * @param {() => number | null} choose  the next action; null: wait
+   * @param {() => number | number[] | null} choose  the next action; null: wait
    * @param {number} speed  times real time
    */
   constructor(episode, horizon, choose, speed = 1) {
@@ -22,7 +22,7 @@ export class Game {
     this.horizon = horizon;
     this.choose = choose;
     this.period = 1000 / RATE / speed;  // milliseconds
-    /** @type {number[]} */
+    /** @type {(number | number[])[]} */
     this.actions = [];
     this.initial = this.before = this.now = episode.scene;
     this.since = -Infinity;  // when the way from `before` to `now` began
@@ -56,7 +56,7 @@ export class Game {
     }
   }
 
-  /** @param {number} action */
+  /** @param {number | number[]} action */
   #act(action) {
     const accept = (/** @type {Scene} */ scene) => {
       this.now = scene;

@@ -1,7 +1,8 @@
 // @ts-check
 /** The page on which any model is looked at while it runs: a file that is opened or dropped, or a scene of the benchmark. */
 import { fromLetters } from "./actions.js";
-import { parseAddress } from "./address.js";
+import { addressOf, parseAddress } from "./address.js";
+import { onChoice, showChoice } from "./choice.js";
 import { Controls } from "./controls.js";
 import { loadMujoco, onProgress } from "./mujoco.js";
 import { Plots } from "./plots.js";
@@ -26,7 +27,7 @@ const shown = {
   /** @type {World | null} */ world: null,
   name: "", text: "", running: false, stale: true, behind: 0, last: 0, selected: -1,
   /** @type {number[] | null} actions of the expert */ script: null,
-  /** @type {string} the expert's actions as letters, where they are known */ expert: "",
+  /** @type {string} the expert's actions as letters, where they are known, and are no speeds */ expert: "",
   done: 0, driven: false, turned: -Infinity, rough: false,
 };
 let choices = 0;  // the last one wins, whatever was loaded in between
@@ -266,49 +267,37 @@ async function openFiles(files) {
 /** @type {any} */
 let catalogue = null;
 
-/** @param {string} task @param {string} variant @param {number} seed */
-async function openScene(task, variant, seed) {
-  showNames(task, variant, seed);
-  await open(`${task}-${variant}-${seed}`, async () => {
+/** @param {import("./address.js").Place} place */
+async function openScene(place) {
+  const { task, variant, seed, shifts } = place, name = addressOf(place);
+  showChoice(catalogue, place);
+  await open(name, async () => {
     if (catalogue.simulation === "server") {
-      const reply = await fetch(`models/${task}-${variant}-${seed}.xml`);
+      const reply = await fetch(`models/${name}.xml`);
       if (!reply.ok) throw new Error(await reply.text());
       return { text: await reply.text() };
     }
-    const { scenes, elements = [] } = await loadEnvironment(task, variant);
+    const { scenes, elements = [] } = await loadEnvironment(task, variant, shifts);
     const entry = scenes.find((one) => one.seed === seed);
     if (!entry) throw new Error(`Here are the seeds ${scenes[0].seed} to ${scenes[scenes.length - 1].seed}; magical-mj inspect shows all.`);
-    return { text: (entry.mjcf ?? []).map((i) => elements[i]).join(""), expert: entry.expert };
+    return { text: (entry.mjcf ?? []).map((i) => elements[i]).join(""), expert: typeof entry.expert === "string" ? entry.expert : "" };
   });
 }
 
-/** @param {string} task @param {string} variant @param {number} seed */
-function showNames(task, variant, seed) {
-  history.replaceState(null, "", `#${task}-${variant}-${seed}`);
-  const variants = catalogue.environments.filter((/** @type {any} */ one) => one.task === task);
-  element("variant").replaceChildren(...variants.map((/** @type {any} */ one) => new Option(one.variant)));
-  Object.assign(element("task"), { value: task });
-  Object.assign(element("variant"), { value: variant });
-  element("seed").value = seed;
-  element("play").href = `./#${task}-${variant}-${seed}`;
-}
-
-/** What the address says: `#FindDupe-All-3`, `?model=` a file in the folder model, or the file that the server was given. */
+/** What the address says, as `#FindDupe-All-3`, or the file that the server was given. */
 async function openAddress() {
-  const { hash } = location, asked = new URLSearchParams(location.search).get("model");
-  const given = asked ? { name: asked, files: [] } : catalogue.model;
+  const { hash } = location, given = catalogue.model;
   if (hash === "#file" && !given) return;
   if (given && (!hash || hash === "#file")) {
     return open(given.name, async () => {
       const reply = await Promise.all([given.name, ...given.files].map((name) => fetch(`model/${encodeURIComponent(name)}`)));
-      if (!reply[0].ok) throw new Error("There is no such model here.");
       const contents = await Promise.all(reply.map((one) => one.arrayBuffer()));
       const files = given.files.map((/** @type {string} */ name, /** @type {number} */ i) => [name, new Uint8Array(contents[i + 1])]);
       return { text: new TextDecoder().decode(contents[0]), files: new Map(files) };
     });
   }
-  const { task, variant, seed, unknown } = parseAddress(hash, catalogue);
-  await openScene(task, variant, seed);
+  const { unknown, ...place } = parseAddress(hash, catalogue);
+  await openScene(place);
   if (unknown) say(unknown, true);
 }
 
@@ -334,11 +323,7 @@ function connect() {
     shown.stale = true;
   };
   for (const id of ["controls", "sensors"]) element(id).ontoggle = () => { shown.stale = true; };
-  element("task").onchange = () => {
-    const { variant } = parseAddress(`#${element("task").value}-${element("variant").value}`, catalogue);
-    openScene(element("task").value, variant, 0);
-  };
-  for (const id of ["variant", "seed"]) element(id).onchange = () => openScene(element("task").value, element("variant").value, Math.max(0, Number(element("seed").value)));
+  onChoice(catalogue, openScene);
   addEventListener("hashchange", openAddress);
   addEventListener("keydown", (event) => {
     const elsewhere = /** @type {any} */ (event.target).matches("select, input");
@@ -369,7 +354,6 @@ try {
   stage = new Stage(element("world"), () => { Object.assign(shown, { stale: true, turned: shown.last }); });
   onProgress((share) => { element("download").value = share; });
   catalogue = await fetchJson("catalogue.json");
-  element("task").replaceChildren(...Object.keys(catalogue.tasks).map((name) => new Option(name)));
   if (catalogue.simulation === "server") for (const id of ["home", "play"]) element(id).removeAttribute("href");
   connect();
   requestAnimationFrame(frame);

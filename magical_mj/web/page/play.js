@@ -1,7 +1,7 @@
 // @ts-check
 /** The page: choosing a scene, playing in it, watching, saving or sending. */
 import { fromLetters } from "./actions.js";
-import { parseAddress } from "./address.js";
+import { addressOf, parseAddress, shiftsOf } from "./address.js";
 import { Controls } from "./controls.js";
 import { draw, fitToScreen } from "./draw.js";
 import { Game } from "./game.js";
@@ -14,6 +14,7 @@ import { score } from "./score.js";
 import { remembered, Seat } from "./server.js";
 
 /** @typedef {import("./scenes.js").Entry} Entry */
+/** @typedef {string | number[][]} Script  actions, as letters or as vectors of speeds */
 /** @typedef {{task: string, variant: string}} Name */
 
 /** @param {string} id */
@@ -49,9 +50,9 @@ const open = seat?.open ?? inBrowser(ready);
 
 /** What is on the page now. */
 const shown = {
-  task: "", variant: "", seed: -1, watching: false, sending: false, note: "", helped: false, practice: false,
+  task: "", variant: "", seed: -1, shifts: "", horizon: 1, watching: false, sending: false, note: "", helped: false, practice: false,
   /** whose stored actions are watched; "" for nobody's */ method: "",
-  /** @type {import("./scenes.js").Environment} */ environment: { scenes: [], demonstrations: [] },
+  /** @type {import("./scenes.js").Environment} */ environment: { scenes: [], horizon: 1, demonstrations: [] },
   /** @type {Game | null} */ game: null,
   /** @type {(() => void) | null} draws it again */ again: null,
 };
@@ -62,37 +63,38 @@ let choices = 0;  // the last one wins, whatever was loaded in between
  * @param {string} task
  * @param {string} variant
  * @param {number} seed
- * @param {{script?: string | null, method?: string, isAddress?: boolean, unknown?: string}} [how]
+ * @param {{shifts?: string, script?: Script | null, method?: string, isAddress?: boolean, unknown?: string}} [how]
  *   script: actions to watch; null: the player's. method: whose stored actions to watch instead.
  *   unknown: what the address asks for and is not there
  */
-async function choose(task, variant, seed, { script = null, method = "", isAddress = false, unknown = "" } = {}) {
+async function choose(task, variant, seed, { shifts = "", script = null, method = "", isAddress = false, unknown = "" } = {}) {
   if (unsent() && !confirm("This episode was not sent. Leave it?")) return showNames();
   const choice = ++choices;
   const failed = (/** @type {Error} */ error) => choice === choices ? say(error) : undefined;
   shown.note = "";  // what is said while the scene is loaded stays
-  const isOther = task !== shown.task || variant !== shown.variant;
-  const environment = isOther ? await loadEnvironment(task, variant).catch(failed) : shown.environment;
+  const isOther = task !== shown.task || variant !== shown.variant || shifts !== shown.shifts;
+  const environment = isOther ? await loadEnvironment(task, variant, shifts).catch(failed) : shown.environment;
   if (choice !== choices) return;
   if (!environment) return stay(isAddress);
   const known = environment.scenes.find((entry) => entry.seed === seed);
-  const entry = known ?? (seat ? { seed, expert: "", scene: null } : environment.scenes[0]);
+  const entry = known ?? (seat ? { seed, expert: "", scene: null, horizon: environment.horizon } : environment.scenes[0]);
   const acts = method === BC && task in policies;
-  const replay = method && !acts ? await replayOf(method, task, variant, entry.seed) : script;
+  const replay = !method || acts ? script : shifts ? null : await replayOf(method, task, variant, entry.seed);
   if (choice !== choices) return;
   const watched = acts || replay !== null ? method : "";
-  element("inspect").href = `inspect.html#${task}-${variant}-${entry.seed}`;
-  Object.assign(shown, { task, variant, seed: entry.seed, environment, watching: acts || replay !== null, method: watched });
+  element("inspect").href = `inspect.html#${addressOf({ task, variant, seed: entry.seed, shifts })}`;
+  const horizon = entry.horizon ?? environment.horizon;
+  Object.assign(shown, { task, variant, seed: entry.seed, shifts, horizon, environment, watching: acts || replay !== null, method: watched });
   showChoice(isOther, !isAddress);
   if (unknown) say(unknown);
   else if (method && !watched) say(`There are no actions of “${method}” in this scene`);
-  else if (entry.seed !== seed && variant !== "Demo") say(`There is no scene ${seed} here, but ${environment.scenes.length}: this is the first`);
+  else if (entry.seed !== seed && environment.scenes.length > 1) say(`There is no scene ${seed} here, but ${environment.scenes.length}: this is the first`);
   shown.game?.episode.close();
   shown.game = shown.again = null;
   element("save").disabled = true;
   if (entry.scene) show(entry.scene, entry.scene);
   else element("status").textContent = pending;
-  const actions = replay === null ? null : fromLetters(replay);
+  const actions = typeof replay === "string" ? fromLetters(replay) : replay;
   const next = () => {
     if (policy) return policy.next(game.actions.length);
     if (actions) return actions[game.actions.length] ?? 0;
@@ -108,7 +110,7 @@ async function choose(task, variant, seed, { script = null, method = "", isAddre
   const policy = acts && await loadPolicy(task, () => /** @type {any} */ (episode).state()).catch(failed);
   if ((acts && !policy) || choice !== choices) return episode.close();
   controls.tapped.clear();  // what was pressed before the scene was there does not start it
-  const game = new Game(episode, catalogue.tasks[task].horizon, next, speed);
+  const game = new Game(episode, horizon, next, speed);
   shown.game = game;
   return true;
 }
@@ -125,7 +127,7 @@ async function stay(isFirst) {
   }
   showNames();
   if (shown.game) return;
-  const opened = await choose(shown.task, shown.variant, shown.seed);  // whose opening the other choice had ended
+  const opened = await choose(shown.task, shown.variant, shown.seed, { shifts: shown.shifts });  // whose opening the other choice had ended
   if (opened) say(problem);
 }
 
@@ -150,25 +152,30 @@ async function replayOf(method, task, variant, seed) {
 
 /** Selects and the address say which environment is shown. @param {boolean} [isNew]  whether one can go back from it */
 function showNames(isNew = false) {
-  const { task, variant, seed, method } = shown, hash = `#${task}-${variant}-${seed}${method && "@"}${method}`;
+  const { task, variant, shifts, method } = shown, hash = `#${addressOf(shown)}${method && "@"}${method}`;
   if (hash !== location.hash) history[isNew && location.hash ? "pushState" : "replaceState"](null, "", hash);
   element("method").value = method in methods ? method : "";
-  element("seed").value = seed;
+  element("seed").value = shown.seed;
   element("task").value = task;
   const variants = catalogue.environments.filter((/** @type {Name} */ one) => one.task === task);
   element("variant").replaceChildren(...variants.map((/** @type {Name} */ { variant }) => new Option(variant)));
   element("variant").value = variant;
+  const others = shiftsOf(shown, catalogue.environments);
+  element("shifted").hidden = !others.length;
+  element("shifts").replaceChildren(new Option("none", ""), ...others.map((name) => new Option(name.replace(":", " "), name)));
+  element("shifts").value = shifts;
 }
 
 /** @param {boolean} isOther  whether another environment is shown than before @param {boolean} isNew */
 function showChoice(isOther, isNew) {
-  const { task, variant, seed, environment } = shown;
+  const { task, seed, environment } = shown;
   const { summary, goal, solved } = catalogue.tasks[task];
   showNames(isNew);
   element("summary").textContent = `${summary[0].toUpperCase()}${summary.slice(1)}.`;
   element("words").textContent = goal;
-  element("expert").disabled = !expertActions();
-  element("demo").disabled = variant !== "Demo" || !environment.demonstrations.length;
+  element("expert").disabled = !expertActions()?.length;
+  element("bc").disabled = !(task in policies);
+  element("demo").disabled = !environment.demonstrations.length;
   if (isOther) {
     draw(element("solved"), catalogue.look, solved, "allo");
     element("scenes").replaceChildren(...environment.scenes.map(sceneButton));
@@ -206,7 +213,7 @@ function sceneButton({ seed, scene }) {
  */
 function show(initial, scene) {
   shown.again = () => show(initial, scene);
-  const { task, game, watching, sending } = shown, { horizon } = catalogue.tasks[task];
+  const { task, game, horizon, watching, sending } = shown;
   const done = game?.actions.length ?? 0, now = score(task, initial, game?.now ?? scene);
   for (const view of /** @type {const} */ (["allo", "ego"])) {
     const canvas = element(view);
@@ -217,7 +224,7 @@ function show(initial, scene) {
   element("time").value = done / horizon;
   element("left").textContent = game ? `${game.secondsLeft.toFixed(0)} s left` : "";
   if (element("score").textContent !== now.toFixed(2)) element("score").textContent = now.toFixed(2);  // else it is read out
-  element("save").disabled = !game?.over || watching || sending;
+  element("save").disabled = !game?.over || watching || sending || shown.shifts !== "";  // recordings do not say shifts
   if (game?.failure) say(game.failure);
   const status = shown.note ? shown.note : !game ? pending : game.over ? `Over: score ${now.toFixed(2)}`
     : watching ? (shown.method ? `Watching ${methods[shown.method] ?? bcWords()}` : "Watching") : done ? "Playing" : "Press a key or button to start";
@@ -246,21 +253,22 @@ function frame(time) {
   requestAnimationFrame(frame);
 }
 
-/** Plays this scene of the present environment, from its start. @param {number} seed @param {{script?: string | null, method?: string}} [how] */
+/** Plays this scene of the present environment, from its start. @param {number} seed @param {{script?: Script | null, method?: string}} [how] */
 function play(seed, how = {}) {
   arena.focus({ preventScroll: true });
   if (!shown.task) return start();  // the first scene could not be loaded, or not yet
-  return choose(shown.task, shown.variant, seed, how);
+  return choose(shown.task, shown.variant, seed, { shifts: shown.shifts, ...how });
 }
 
 function next() {
   const seeds = shown.environment.scenes.map(({ seed }) => seed);
-  return play(seat && shown.variant !== "Demo" ? shown.seed + 1 : seeds[(seeds.indexOf(shown.seed) + 1) % seeds.length], { method: shown.method });
+  return play(seat && seeds.length > 1 ? shown.seed + 1 : seeds[(seeds.indexOf(shown.seed) + 1) % seeds.length], { method: shown.method });
 }
 
-/** What the expert does in this scene, as letters, if that is known. All seeds of Demo have the same scene. */
+/** What the expert does in this scene, if that is known. All seeds of Demo have the same scene. */
 function expertActions() {
-  return shown.environment.scenes.find(({ seed }) => seed === shown.seed || shown.variant === "Demo")?.expert;
+  const { scenes } = shown.environment;
+  return scenes.find(({ seed }) => seed === shown.seed || scenes.length === 1)?.expert;
 }
 
 const again = () => play(shown.seed);
@@ -342,8 +350,8 @@ function seedIn(text) {
 
 /** What the address asks for; where there is no such thing, the nearest there is, and a word on it. */
 async function chooseByAddress() {
-  const { task, variant, seed, method, unknown } = parseAddress(location.hash, catalogue);
-  await choose(task, variant, seed, { method, isAddress: true, unknown });
+  const { task, variant, seed, ...how } = parseAddress(location.hash, catalogue);
+  await choose(task, variant, seed, { ...how, isAddress: true });
 }
 
 /** @type {Promise<void> | null} */
@@ -381,6 +389,7 @@ function changeSeed() {
   if (shown.task) choose(shown.task, shown.variant, seedIn(element("seed").value));
 }
 
+element("shifts").onchange = () => choose(shown.task, shown.variant, shown.seed, { shifts: element("shifts").value, method: shown.method });
 element("method").onchange = () => play(shown.seed, { method: element("method").value });
 for (const [id, press] of Object.entries({ again, next, expert, demo, bc })) element(id).onclick = () => press();
 element("save").onclick = catalogue.collects ? send : () => save(recording(shown, catalogue.protocol));

@@ -1,23 +1,45 @@
 // @ts-check
-/** Begins to inspect; where that has to wait, with a picture of the scene in the meantime. */
+/** Begins to inspect; where that has to wait, with a picture of the scene in the meantime, and with lists to choose another. */
 import { parseAddress } from "./address.js";
+import { onChoice, showChoice } from "./choice.js";
 import { draw } from "./draw.js";
 import { asked, waits } from "./patience.js";
 import { fetchJson, loadEnvironment } from "./scenes.js";
 
-async function drawPoster() {
-  const catalogue = await fetchJson("catalogue.json"), { task, variant, seed } = parseAddress(location.hash, catalogue);
-  const { scenes } = await loadEnvironment(task, variant), entry = scenes.find((one) => one.seed === seed) ?? scenes[0];
-  const canvas = /** @type {HTMLCanvasElement} */ (document.getElementById("poster"));
-  canvas.hidden = false;
-  draw(canvas, catalogue.look, entry.scene, "allo");
+/** @typedef {import("./address.js").Place} Place */
+const message = /** @type {HTMLElement} */ (document.getElementById("message")), loading = message.textContent;
+const begun = new AbortController();
+
+async function wait() {
+  message.textContent = "";
+  const catalogue = await fetchJson("catalogue.json");
+  const show = async (/** @type {Place} */ place, unknown = "") => {
+    showChoice(catalogue, place);
+    message.textContent = unknown;
+    message.classList.toggle("wrong", unknown !== "");
+    const { scenes } = await loadEnvironment(place.task, place.variant, place.shifts);
+    if (!begun.signal.aborted) drawPoster(catalogue.look, (scenes.find(({ seed }) => seed === place.seed) ?? scenes[0]).scene);
+  };
+  const showAddress = () => {
+    const { unknown, ...place } = parseAddress(location.hash, catalogue);
+    return show(place, unknown);
+  };
+  onChoice(catalogue, show);
+  if (catalogue.model || location.hash === "#file") return;  // no scene
+  addEventListener("hashchange", showAddress, begun);
+  await showAddress();
 }
 
-const message = /** @type {HTMLElement} */ (document.getElementById("message")), loading = message.textContent;
-if (waits) {
-  message.textContent = "";
-  drawPoster().catch(() => {});  // whoever starts is told
+/** @param {import("./draw.js").Look} look @param {import("./scene.js").Scene} scene */
+function drawPoster(look, scene) {
+  const canvas = /** @type {HTMLCanvasElement} */ (document.getElementById("poster"));
+  canvas.hidden = false;
+  draw(canvas, look, scene, "allo");
 }
+
+if (waits) wait().catch(() => {});  // whoever starts is told
 await asked;
+begun.abort();
 message.textContent = loading;
+message.classList.remove("wrong");
 await import("./inspect.js");

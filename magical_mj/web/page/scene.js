@@ -1,11 +1,14 @@
 // @ts-check
 /**
  * Scenes as magical_mj writes them: what is where. World units, x to the right, y up; angles in radians, counter-clockwise.
- * @typedef {{x: number, y: number, angle: number, fingers: number[]}} Robot  angle 0 faces +y; fingers left, right
+ * @typedef {{x: number, y: number, angle: number, fingers: number[], body?: string}} Robot
+ *   angle 0 faces +y; fingers left, right; body: "gripper" where none is said
  * @typedef {{shape: string, colour: string, x: number, y: number, angle: number}} Block
- * @typedef {{colour: string, x_min: number, y_min: number, x_max: number, y_max: number}} Region
- * @typedef {{robot: Robot, blocks: Block[], regions: Region[]}} Scene
- * @typedef {{robot: number[], fingers: number[], blocks: number[][]}} Poses  robot and each block as x, y, angle
+ * @typedef {{colour: string, x_min: number, y_min: number, x_max: number, y_max: number, border?: string}} Region
+ * @typedef {{robot: Robot, blocks: Block[], regions: Region[], half_width?: number, pebbles?: {x: number, y: number}[],
+ *   stains?: number[][]}} Scene  half_width: of the arena, else 1; stains: x, y, radius, darkness
+ * @typedef {{robot: number[], fingers: number[], blocks: number[][], pebbles?: number[][]}} Poses
+ *   robot and each block as x, y, angle; pebbles as x, y
  */
 
 /**
@@ -20,18 +23,20 @@ export function moved(scene, poses) {
     const [x, y, angle] = poses.blocks[i];
     return { ...block, x, y, angle };
   });
-  return { ...scene, robot: { x, y, angle, fingers: poses.fingers }, blocks };
+  const pebbles = poses.pebbles?.map(([x, y]) => ({ x, y }));
+  return { ...scene, robot: { ...scene.robot, x, y, angle, fingers: poses.fingers }, blocks, ...pebbles && { pebbles } };
 }
 
 /**
  * @param {Scene} scene
  * @returns {Poses}
  */
-export function poses({ robot, blocks }) {
+export function poses({ robot, blocks, pebbles }) {
   return {
     robot: [robot.x, robot.y, robot.angle],
     fingers: [...robot.fingers],
     blocks: blocks.map(({ x, y, angle }) => [x, y, angle]),
+    ...pebbles && { pebbles: pebbles.map(({ x, y }) => [x, y]) },
   };
 }
 
@@ -49,5 +54,6 @@ export function between(before, after, share) {
     robot: mix(from.robot, to.robot),
     fingers: mix(from.fingers, to.fingers),
     blocks: from.blocks.map((block, i) => mix(block, to.blocks[i])),
+    pebbles: from.pebbles?.map((pebble, i) => mix(pebble, /** @type {number[][]} */ (to.pebbles)[i])),
   });
 }

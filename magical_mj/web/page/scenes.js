@@ -3,12 +3,14 @@
  * The scenes of an environment, and who simulates them.
  * @typedef {import("./scene.js").Scene} Scene
  * @typedef {import("./game.js").Episode} Episode
- * @typedef {{seed: number, scene: Scene, expert: string, mjcf?: number[]}} Entry
- *   a scene, the actions of an expert in it, and the numbers of the elements of which its model is made
- * @typedef {{scenes: Entry[], elements?: string[], demonstrations: string[]}} Environment
- *   demonstrations: actions in its only scene
- * @typedef {(environment: Environment, entry: {seed: number, mjcf?: number[], scene: Scene | null}, task: string, variant: string) => Promise<Episode>} Opener
+ * @typedef {{seed: number, scene: Scene, expert: string | number[][], mjcf?: number[], shifts?: string, horizon?: number, taken?: number[]}} Entry
+ *   a scene, the actions of an expert in it (letters, or vectors of speeds), the numbers of the elements of which its model is made,
+ *   its shifts, its horizon where its body has one of its own, and what a worn or slow robot does (see `taking`)
+ * @typedef {{scenes: Entry[], horizon: number, elements?: string[], demonstrations: string[]}} Environment
+ *   horizon: actions of an episode; demonstrations: actions in its only scene
+ * @typedef {(environment: Environment, entry: {seed: number, mjcf?: number[], scene: Scene | null, taken?: number[]}, task: string, variant: string) => Promise<Episode>} Opener
  */
+import { taking } from "./actions.js";
 import { loadMujoco } from "./mujoco.js";
 import { Simulation } from "./simulation.js";
 
@@ -16,10 +18,13 @@ import { Simulation } from "./simulation.js";
  * An environment's scenes.
  * @param {string} task
  * @param {string} variant
+ * @param {string} [shifts]  a shift with its strength, as "clutter:3", or another body, as "body:longstick"
  * @returns {Promise<Environment>}
  */
-export async function loadEnvironment(task, variant) {
-  return fetchJson(`scenes/${task}-${variant}.json`);
+export async function loadEnvironment(task, variant, shifts = "") {
+  if (!shifts) return fetchJson(`scenes/${task}-${variant}.json`);
+  const all = await fetchJson(`shifted/${task}-${variant}-${shifts.split(":")[0]}.json`);
+  return { ...all, scenes: all.scenes.filter((/** @type {Entry} */ entry) => entry.shifts === shifts) };
 }
 
 /** @param {string} path  beside the page */
@@ -36,9 +41,10 @@ export async function fetchJson(path) {
  */
 export function inBrowser(asked) {
   asked.then(loadMujoco).catch(() => {});  // whoever opens a scene is told
-  return async ({ elements = [] }, { scene, mjcf = [] }) => {
+  return async ({ elements = [] }, { scene, mjcf = [], taken }) => {
     if (!scene) throw new Error("there is no such scene here");
     const simulation = new Simulation(await loadMujoco(), mjcf.map((i) => elements[i]).join(""), scene);
-    return { scene, act: (action) => simulation.act(action), close: () => simulation.close(), state: () => simulation.state() };
+    const done = taken && taking(taken);
+    return { scene, act: (action) => simulation.act(done ? done(Number(action)) : action), close: () => simulation.close(), state: () => simulation.state() };
   };
 }

@@ -1,6 +1,6 @@
 // @ts-check
 /**
- * The scores of the eight tasks by the paper's rules, as in magical_mj/tasks; held to them by tests.
+ * The scores of the eight tasks and of SweepToTop by the paper's rules, as in magical_mj/tasks; held to them by tests.
  * @typedef {import("./scene.js").Scene} Scene
  * @typedef {import("./scene.js").Block} Block
  * @typedef {import("./scene.js").Region} Region
@@ -53,6 +53,8 @@ const RULES = {
     }));
   },
 
+  SweepToTop: (_, { blocks, regions: [zone] }) => blocks.filter((block) => isWithin(zone, block)).length / blocks.length,
+
   ClusterColour: (_, { blocks }) => clusters(blocks, (block) => block.colour),
   ClusterShape: (_, { blocks }) => clusters(blocks, (block) => block.shape),
 };
@@ -64,6 +66,23 @@ const RULES = {
  * @param {Scene} final
  */
 export const score = (task, initial, final) => RULES[task](initial, final);
+
+const SIZE = 0.12, SQUARE = Math.sqrt(Math.PI) * SIZE / 2, PENTAGON = SIZE * Math.sqrt(Math.PI / (2.5 * Math.sin(0.4 * Math.PI))), STAR = 1.3 * SIZE;
+const ring = (/** @type {number} */ corners, /** @type {number} */ radius) => Array.from(
+  { length: corners }, (_, i) => [radius * Math.cos(Math.PI / 2 + 2 * Math.PI * i / corners), radius * Math.sin(Math.PI / 2 + 2 * Math.PI * i / corners)]);
+/** @type {Record<string, number[][]>} the outermost corners of blocks; a circle has none */
+const CORNERS = { square: [[SQUARE, SQUARE], [-SQUARE, SQUARE], [-SQUARE, -SQUARE], [SQUARE, -SQUARE]], pentagon: ring(5, PENTAGON), star: ring(5, STAR), circle: [[0, 0]] };
+/** @type {Record<string, number>} what the blocks have around them */
+const MARGINS = { square: 0.02 * SQUARE, circle: SIZE };
+
+/** Whether the bounding box of a block is in a region. @param {Region} region @param {Block} block */
+function isWithin(region, { shape, x, y, angle }) {
+  const margin = MARGINS[shape] ?? 0, cosine = Math.cos(angle), sine = Math.sin(angle);
+  return CORNERS[shape].every(([a, b]) => {
+    const right = x + cosine * a - sine * b, up = y + sine * a + cosine * b;
+    return region.x_min <= right - margin && right + margin <= region.x_max && region.y_min <= up - margin && up + margin <= region.y_max;
+  });
+}
 
 /** How many blocks the longest line has. @param {Block[]} blocks */
 function longestLine(blocks) {

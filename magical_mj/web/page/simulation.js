@@ -4,6 +4,7 @@
  * @typedef {import("./scene.js").Scene} Scene
  */
 import { moved } from "./scene.js";
+import { speedSignal, vector } from "./speeds.js";
 import { stateVector } from "./state.js";
 
 export class Simulation {
@@ -18,30 +19,38 @@ export class Simulation {
     this.model = mujoco.MjModel.from_xml_string(mjcf);
     this.data = new mujoco.MjData(this.model);
     mujoco.mj_resetDataKeyframe(this.model, this.data, 0);
-    this.controls = this.#numbers("controls");  // a row for each action
+    this.controls = this.#numbers("controls");  // a row for each action; where actions are speeds, nothing
     [this.substeps] = this.#numbers("substeps");
     const address = (/** @type {string} */ joint) => {
       const id = mujoco.mj_name2id(this.model, mujoco.mjtObj.mjOBJ_JOINT.value, joint);
-      return this.model.jnt_qposadr[id];
+      return id < 0 ? -1 : this.model.jnt_qposadr[id];
     };
     this.addresses = {
       robot: address("robot_x"),
-      fingers: [address("left_finger"), address("right_finger")],
+      fingers: ["left_finger", "right_finger"].map(address).filter((at) => at >= 0),  // sticks have none
       blocks: scene.blocks.map((_, i) => address(`block${i}_x`)),
+      pebbles: scene.pebbles?.map((_, i) => address(`pebble${i}_x`)),
     };
   }
 
   /**
    * Acts for one control step.
-   * @param {number} action  0 to 17
+   * @param {number | number[]} action  0 to 17; or, where actions are speeds, a vector of them
    * @returns {Scene} the scene after it
    */
   act(action) {
     const { ctrl } = this.data;
-    ctrl.set(this.controls.subarray(action * ctrl.length, (action + 1) * ctrl.length));
+    if (this.controls.length) {
+      const first = Number(action) * ctrl.length;
+      ctrl.set(this.controls.subarray(first, first + ctrl.length));
+    } else {
+      const fingers = this.addresses.fingers.map((at) => this.data.qpos[at]);
+      ctrl.set(speedSignal(typeof action === "number" ? vector(action) : action, fingers, ctrl, this.substeps, this.model.opt.timestep));
+    }
     for (let i = 0; i < this.substeps; i++) this.mujoco.mj_step(this.model, this.data);
     const [robot, ...blocks] = this.#planar(this.data.qpos);
-    return moved(this.scene, { robot, fingers: this.#fingers(), blocks });
+    const pebbles = this.addresses.pebbles?.map((first) => [...this.data.qpos.subarray(first, first + 2)]);
+    return moved(this.scene, { robot, fingers: this.#fingers(), blocks, pebbles });
   }
 
   /** What policies see now. */
@@ -54,19 +63,21 @@ export class Simulation {
     return [this.addresses.robot, ...this.addresses.blocks].map((first) => [values[first], values[first + 1], values[first + 2]]);
   }
 
+  /** Their angles; those of the scene, of a body without. */
   #fingers() {
-    return this.addresses.fingers.map((at) => this.data.qpos[at]);
+    const { fingers } = this.addresses;
+    return fingers.length ? fingers.map((at) => this.data.qpos[at]) : this.scene.robot.fingers;
   }
 
   /**
-   * What the model's <custom> says under a name.
+   * What the model's <custom> says under a name; nothing if it lacks that.
    * @param {string} name
    * @returns {Float64Array}
    */
   #numbers(name) {
     const { numeric_adr: first, numeric_size: size, numeric_data: data } = this.model;
     const id = this.mujoco.mj_name2id(this.model, this.mujoco.mjtObj.mjOBJ_NUMERIC.value, name);
-    return data.slice(first[id], first[id] + size[id]);
+    return id < 0 ? new Float64Array() : data.slice(first[id], first[id] + size[id]);
   }
 
   /** Frees the memory, which JavaScript does not do by itself. */
