@@ -23,6 +23,8 @@ from magical_mj.demos.learning import observations
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, check_name
 
+__all__ = ["FORMATS", "Format", "load", "make_env_and_datasets"]
+
 Format = Literal["npz", "minari", "lerobot", "webdataset"]
 FORMATS: Final = ("npz", "minari", "lerobot", "webdataset")
 VALIDATED: Final = 5

@@ -15,6 +15,8 @@ from magical_mj.engine.engine import Setup
 from magical_mj.scene.actions import ACTIONS, to_discrete, to_vector
 from magical_mj.utils.errors import InvalidActionError, SettingsError
 
+__all__ = ["ContinuousActions", "ScoreAtTheEnd"]
+
 
 def continuous_space() -> spaces.Space[NDArray[np.float32]]:
     """The space of the vectors (drive, turn, grip). A new one for each environment: spaces have random generators."""

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import Final
 
+__all__ = ["DEMONSTRATIONS", "MUJOCO", "PROTOCOL"]
+
 PROTOCOL: Final = 1
 """The protocol of the current environments; a test fails if they change without a new number."""
 
