@@ -9,7 +9,7 @@ run() {
     local policy=runs/ablation/$task-$1
     [ -f "$policy.trained" ] || {
       magical-mj train relational --tasks $task --preset State --set evaluations=0 --set relational.assumptions="$2" \
-        --out "$policy" && touch "$policy.trained"
+        --out "$policy"; touch "$policy.trained"
     }
     magical-mj evaluate --policy "$1=$policy" --tasks $task --variants Demo,Layout,All --preset State \
       --out "$policy-scores" --resume

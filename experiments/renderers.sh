@@ -6,7 +6,7 @@ set -euo pipefail
 for learnt in opengl software; do
   policy=runs/renderers/bc-$learnt
   [ -f "$policy.trained" ] ||
-    { magical-mj train bc --tasks MoveToRegion --quick --renderer $learnt --set evaluations=0 --out "$policy" && touch "$policy.trained"; }
+    { magical-mj train bc --tasks MoveToRegion --quick --renderer $learnt --set evaluations=0 --out "$policy"; touch "$policy.trained"; }
   for played in opengl software; do
     magical-mj evaluate --policy "$policy" --tasks MoveToRegion --variants Demo,Jitter,Layout,Colour \
       --renderer $played --out "$policy-$played" --resume

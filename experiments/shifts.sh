@@ -6,7 +6,7 @@ export MAGICAL_MJ_RENDERER=software
 # NAME TASK EPISODES SHIFTS PRESET METHOD [OPTIONS OF THE TRAINING]
 run() {
   local policy=runs/shifts/$1-$2
-  [ -f "$policy.trained" ] || { magical-mj train "$6" --tasks "$2" --preset "$5" --out "$policy" "${@:7}" && touch "$policy.trained"; }
+  [ -f "$policy.trained" ] || { magical-mj train "$6" --tasks "$2" --preset "$5" --out "$policy" "${@:7}"; touch "$policy.trained"; }
   magical-mj evaluate --policy "$1=$policy" --tasks "$2" --variants Demo --preset "$5" --episodes "$3" --shifts "$4" \
     --out "$policy-scores" --resume
 }
