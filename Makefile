@@ -11,7 +11,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test fast bench peers mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints notebooks release-check system site site-test site-test-firefox site-audit site-picture policies node chromium firefox xvfb
+.PHONY: demo test fast bench peers mujoco4-test leaderboard check format docs readme demonstrations lerobot lerobot-test constraints notebooks release-check system site site-test site-test-firefox site-audit site-picture site-looks policies node chromium firefox xvfb
 
 demo: $(VENV)/.installed-all  ## evaluate the expert, random and no-op agent in all environments; the report is out/demo/report.md
 	$(BIN)/magical-mj demo
@@ -89,13 +89,18 @@ site-test-firefox: site | firefox  ## the pages in Firefox: those around the sim
 	BROWSER=firefox LIBGL_ALWAYS_SOFTWARE=1 xvfb-run -a node --test --test-concurrency=1 --test-reporter=spec \
 		site/tests/pages.test.mjs site/tests/play.test.mjs site/tests/inspect.test.mjs
 
-site-audit: site | chromium  ## Lighthouse's figures of the site, a page of each kind
+site-audit: site | chromium  ## Lighthouse's figures of the site, a page of each kind, and how soon and smoothly one plays and inspects
 	npm install --silent --no-audit --no-fund --prefix out/audit lighthouse@13.5.0
 	node site/audit.mjs
+	node site/speed.mjs
 
 site-picture: site | chromium  ## docs/site.png, anew
 	$(BIN)/python site/fetch.py
 	$(BIN)/python site/screenshots.py
+
+site-looks: site | chromium  ## pictures of the site's pages in three widths, light and dark, in out/looks: to be looked at
+	$(BIN)/python site/fetch.py
+	node site/looks.mjs out/looks
 
 policies: $(VENV)/.installed-dev  ## the policies that act in the site: trained, exported to site/policies, and scored there
 	$(BIN)/python site/policies.py

@@ -58,7 +58,9 @@ def scenes(task: str, variant: str, shifts: list[str]) -> tuple[dict[str, Any], 
                 models.append(mjcf_text(engine))
                 entries.append({"seed": seed, "shifts": shift, **described(engine), "expert": _expert(engine, seed)})
     shipped = demos.load(task)[:DEMONSTRATIONS] if variant == "Demo" and task != SWEPT else []
-    return {"demonstrations": [letters_of(demo.actions) for demo in shipped], "scenes": entries}, models
+    horizon = task_spec(task).horizon("paper")  # of the gripper; entries say their own
+    demonstrations = [letters_of(demo.actions) for demo in shipped]
+    return {"horizon": horizon, "demonstrations": demonstrations, "scenes": entries}, models
 
 
 def described(engine: Engine) -> dict[str, Any]:

@@ -11,15 +11,22 @@ const FLAT = 10;  // the layer of what pictures from the task's own cameras show
 const DRAWN = [2, 4];  // the groups that they show
 const [PLANE, FIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH] = [0, 1, 2, 3, 4, 5, 6, 7];
 const [ARROW, ARROW1, ARROW2, LINE, LINEBOX] = [100, 101, 102, 103, 104];
+const ROUGH = 0.6;  // pixels for each of the screen while a slow machine shows movement
 const INSET = 0.24, INSET_MOST = 200;  // of the canvas's smaller side; pixels
 
 export class Stage {
   /** @param {HTMLCanvasElement} canvas @param {() => void} changed  called when it must be drawn anew */
   constructor(canvas, changed) {
     this.canvas = canvas;
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: false });
+    const isSoftware = drawsBySoftware();
+    /** Whether this machine is too slow for shadows and fine pixels while something moves. */
+    this.slow = isSoftware;
+    /** Pixels of a still picture for each of the screen: where edges are not smoothed, which software takes long for, more. */
+    this.fineness = isSoftware ? 1.5 : Math.min(devicePixelRatio, 2);
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !isSoftware });
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = THREE.PCFShadowMap;
+    this.renderer.shadowMap.autoUpdate = false;  // insets have none
     this.renderer.autoClear = false;
     this.camera = new THREE.PerspectiveCamera(35, 1, 0.01, 100);
     this.camera.up.set(0, 0, 1);
@@ -34,9 +41,6 @@ export class Stage {
     /** @type {any} */
     this.lamp = null;
     this.insets = true;
-    const gl = this.renderer.getContext(), about = gl.getExtension("WEBGL_debug_renderer_info");
-    /** Whether this machine is too slow for shadows and fine pixels while something moves. */
-    this.slow = /swiftshader|llvmpipe|software/i.test(about ? gl.getParameter(about.UNMASKED_RENDERER_WEBGL) : "");
   }
 
   /** Shows another world, from where its file says. @param {import("./world.js").World} world */
@@ -197,8 +201,8 @@ export class Stage {
   draw(isMoving = false) {
     const { world, renderer, canvas } = this, isRough = isMoving && this.slow;
     if (!world) return;
-    this.lamp.castShadow = !isRough;
-    const ratio = isRough ? 0.6 : Math.min(devicePixelRatio, 2), { clientWidth: width, clientHeight: height } = canvas;
+    this.lamp.castShadow = renderer.shadowMap.needsUpdate = !isRough;
+    const ratio = isRough ? ROUGH : this.fineness, { clientWidth: width, clientHeight: height } = canvas;
     if (canvas.width !== Math.floor(width * ratio) || canvas.height !== Math.floor(height * ratio)) {
       renderer.setPixelRatio(ratio);
       renderer.setSize(width, height, false);
@@ -316,6 +320,12 @@ const UNIT = {
 function arrow() {
   const profile = [[0, 0], [0.45, 0], [0.45, 0.8], [1, 0.8], [0, 1]].map(([x, y]) => new THREE.Vector2(x, y));
   return new THREE.LatheGeometry(profile, 16).rotateX(Math.PI / 2);
+}
+
+/** Whether WebGL is drawn without a graphics processor. */
+function drawsBySoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2"), about = gl?.getExtension("WEBGL_debug_renderer_info");
+  return /swiftshader|llvmpipe|software/i.test(about ? gl?.getParameter(about.UNMASKED_RENDERER_WEBGL) : "");
 }
 
 /** Gives a mesh the shape of one of MuJoCo's abstract geoms. @param {any} mesh @param {number} type @param {number[]} size */
