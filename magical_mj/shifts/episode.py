@@ -93,7 +93,13 @@ class EpisodeShifts:
     @property
     def delay(self) -> int:
         """How many steps before the next one the command is given that takes effect in it, by the first of them."""
-        return next((shift.delay(self.steps) for shift in self._acting.values()), 0)
+        for name, shift in self._acting.items():
+            with _errors_of(name, "delay"):
+                delay = as_integer(shift.delay(self.steps), 0, HISTORY - 1)
+            if delay is None:
+                raise ShiftError(f"{name}.delay must return a number of steps, 0 to {HISTORY - 1}")
+            return delay
+        return 0
 
     def revise(self, ago: int, action: int) -> None:
         """Makes `action` what was commanded so many steps before the next one: plans choose it when they need it."""

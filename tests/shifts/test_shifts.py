@@ -41,6 +41,9 @@ class Wrong(Shift):
     def action(self, commands: Any, step: int) -> Any:
         return 18 if self.values["strength"] == 2 else commands[-1]
 
+    def delay(self, step: int) -> Any:
+        return -1 if self.values["strength"] == 2 else 0
+
     def picture(self, picture: Any, frame: Any) -> Any:
         return picture[:-1] if self.values["strength"] == 3 else picture
 
@@ -177,6 +180,8 @@ def test_a_shift_of_ones_own_that_returns_something_else_is_named() -> None:
         engine({wrong: 1})
     with closing(engine({wrong: 2})) as env, pytest.raises(ShiftError, match=r"Wrong.action must return an action"):
         env.step(0)
+    with closing(engine({wrong: 2})) as env, pytest.raises(ShiftError, match=r"Wrong.delay must return a number"):
+        magical_mj.experts.Expert(env, "FindDupe")()
     with closing(engine({wrong: 3})) as env, pytest.raises(ShiftError, match=r"Wrong.picture must return an array"):
         env.render("ego", 48)
     with closing(engine({wrong: 4})) as env, pytest.raises(ShiftError, match=r"Wrong.instruction must return text"):
