@@ -16,10 +16,10 @@ run() {
   done
 }
 
-run all egocentric,mirror,rename,displace,detours
-run without-egocentric rename,displace,detours  # mirror is tried only with it
-run without-mirror egocentric,rename,displace,detours
-run without-rename egocentric,mirror,displace,detours
-run without-displace egocentric,mirror,rename,detours
-run without-detours egocentric,mirror,rename,displace
+run all egocentric,mirror,rename,hindsight,displace
+run without-egocentric rename,hindsight,displace  # mirror is tried only with it
+run without-mirror egocentric,rename,hindsight,displace
+run without-rename egocentric,mirror,hindsight,displace
+run without-hindsight egocentric,mirror,rename,displace
+run without-displace egocentric,mirror,rename,hindsight
 magical-mj report runs/ablation/*-scores --out runs/ablation/report

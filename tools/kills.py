@@ -84,7 +84,7 @@ GAIL: Final = (
     *("discriminator.steps=2", "discriminator.batch_size=8"),
 )
 AL: Final = (*GAIL[:-2], "features.batches=64", "features.batch_size=4", "features.samples=24")
-SMALL: Final = ("hidden=8", "trial=1", "batch_size=8", "rollouts=2", "detours=10")
+SMALL: Final = ("hidden=8", "trial=1", "batch_size=8", "rollouts=2", "ways=100", "plays=1")
 RELATIONAL: Final = tuple(f"relational.{setting}" for setting in SMALL)
 
 Found = Mapping[str, bytes]

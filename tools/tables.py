@@ -35,7 +35,7 @@ HEADLINES: Final = (
     "BC (ST, quick)",
     "BC (ST)",
     "GAIL (ST)",
-    "Relational (ST, State)",
+    "Relational with detours (ST, State)",
     "BC (ST, State)",
     "GAIL (ST, State)",
 )

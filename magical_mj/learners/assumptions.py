@@ -1,14 +1,15 @@
-"""What `relational` may assume about a task beyond its demonstrations: each assumption makes more samples of them.
+"""What `relational` may assume about a task beyond its demonstrations: each assumption changes samples, or adds some.
 
-- egocentric: where in the arena something happens does not matter, only how it looks from the robot. (No samples: the
-  network is not told where in the arena it is.)
+- egocentric: where in the arena something happens does not matter, only how it looks from the robot. (It changes no
+  sample: the network is not told where in the arena it is.)
 - mirror: the task is the same in a mirror.
 - rename: colours and shapes are names: what matters is which things share them. False for a task that names a colour.
+- hindsight: what the demonstrations pursue is to take a block, and to leave it: any way there that is not much too long
+  is as good as theirs. Such ways are played in the simulation of the demo scene (`magical_mj.learners.hindsight`).
 - displace: what a demonstration never involves does not matter: not where it is, nor whether it is there. On the way to
-  a block, everything else may be elsewhere, and so may blocks that come later. False where the mere place of a thing
-  counts.
-- detours: whoever has left a demonstration's way does well to come back to it. The robot drives away from the
-  demonstration in the simulation of the demo scene, and the reverse of what it did is what a sample shows.
+  a block, everything else may be elsewhere, and so may blocks that come later; where `egocentric` was kept, the robot
+  may be anywhere with that block, and turned with a block that it brings to a region. False where the mere place of a
+  thing counts.
 
 Each is false somewhere. `magical_mj.learners.relational` keeps those with which the demo scene does not suffer.
 """
@@ -16,193 +17,25 @@ Each is false somewhere. `magical_mj.learners.relational` keeps those with which
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from contextlib import closing
-from typing import Final, NamedTuple
+from typing import Final
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from magical_mj.demos import Demonstration
-from magical_mj.engine import Engine
 from magical_mj.learners.relational_network import COLOURS, SHAPES, blocks_of, regions_of
-from magical_mj.scene.actions import ACTIONS, NOOP, Drive, Gripper, Turn
-from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS, MAX_REGIONS
-from magical_mj.utils.errors import PhysicsError
+from magical_mj.learners.relational_samples import Freedom, Samples
+from magical_mj.scene.actions import ACTIONS, Turn
+from magical_mj.scene.state_vector import FINGERS, MAX_REGIONS
 
-MOVED: Final = 0.03
-"""Units that a block must move to count as moved."""
-GRIPPING: Final = 3
-"""Steps before a block moves, in which the robot counts as being there."""
 CLEAR: Final = 0.3
 """Units between the middles of a displaced thing and of others."""
 REACH: Final = 0.75
 """The greatest coordinate of a displaced thing."""
-BACK: Final = (0.2, 0.6, 0.08)
-"""How far at most the robot (units, rad) and the blocks (units) may be from where a detour began, at its end."""
-PIECES: Final = 3
-"""The greatest number of actions in a detour, each for up to LASTING steps."""
-LASTING: Final = 8
-_NEGATED: Final = {0: 0, 1: 2, 2: 1}
-_MIRRORED: Final = torch.tensor([a._replace(turn=Turn(_NEGATED[a.turn])).number for a in ACTIONS])
-
-
-class Samples(NamedTuple):
-    """States and what was done in them."""
-
-    states: Tensor
-    """Shape (n, names)."""
-    actions: Tensor
-    """Shape (n,)."""
-    groups: Tensor
-    """With what each block is displaced, shape (n, MAX_BLOCKS): the region that it is in, or MAX_REGIONS + its own
-    number; -1 if there is no such block."""
-    movable: Tensor
-    """Which of these groups may be displaced, shape (n, MAX_REGIONS + MAX_BLOCKS)."""
-    droppable: Tensor
-    """Which may be missing, likewise."""
-
-    def of(self, rows: Tensor) -> Samples:
-        """Some of them."""
-        return Samples(*(values[rows] for values in self))
-
-
-def demonstrated(demonstrations: Sequence[Demonstration], excursions: int, seed: int) -> tuple[Samples, Samples]:
-    """The samples of demonstrations without no-ops, and those of detours from them, which are played."""
-    rng = np.random.default_rng(seed)
-    with closing(Engine.of_scene(demonstrations[0].scene)) as engine:
-        ways = [Replay(engine, demonstration) for demonstration in demonstrations]
-        steps = [np.flatnonzero(way.actions != NOOP) for way in ways]
-        parts = [way.samples(number) for way, number in zip(ways, steps, strict=True)]
-        detours = []
-        for _ in range(excursions):
-            way = ways[rng.integers(len(ways))]
-            step = int(rng.integers(np.flatnonzero(way.actions != NOOP)[-1] + 1))
-            detours.append(_detour(engine, way, step, rng))
-    return _joined(parts), _joined([part for part in detours if part is not None] or parts)
-
-
-class Replay:
-    """A demonstration, replayed: its states before and after each action, and who moved when."""
-
-    def __init__(self, engine: Engine, demonstration: Demonstration) -> None:
-        engine.reset(scene=demonstration.scene)
-        self.actions = np.asarray(demonstration.actions, dtype=np.int64)
-        states, self.saved = [engine.state_vector()], [engine.get_state()]
-        for action in self.actions.tolist():
-            engine.step(action)
-            states.append(engine.state_vector())
-            self.saved.append(engine.get_state())
-        self.states = np.array(states)
-        tensor = torch.from_numpy(self.states)
-        places = blocks_of(tensor)[..., 1:3].numpy()
-        steps, never = len(places), len(places)
-        far = np.linalg.norm(places - places[:1], axis=2) > MOVED
-        self.begins = np.where(far.any(0), far.argmax(0), never)
-        """Step at which each block begins to move; `never` if it does not."""
-        changes = np.linalg.norm(np.diff(places, axis=0), axis=2) > MOVED / 10
-        changes = np.concatenate([changes, np.zeros_like(changes[:1])])
-        later = np.where(changes, np.arange(steps)[:, None], never)
-        self.next = np.minimum.accumulate(later[::-1], 0)[::-1]
-        """Step at which each block moves next, from each step on, shape (steps, MAX_BLOCKS)."""
-        regions, robot = regions_of(tensor[:1])[0].numpy(), self.states[:, :2]
-        within = np.stack([_inside(region, places) & (places[..., 0] != 0) for region in regions])
-        visited = np.stack([_inside(region, robot) for region in regions])
-        self.used = (within[:, -1] != within[:, 0]).any(1) | (visited[:, -1] != visited[:, 0])
-        """Which regions a block or the robot enters or leaves, shape (MAX_REGIONS,)."""
-        self.never = never
-
-    def samples(self, steps: NDArray[np.int64]) -> Samples:
-        """The states before some of its actions, with these actions."""
-        return Samples(torch.from_numpy(self.states[steps]), torch.from_numpy(self.actions[steps]), *self.loose(steps))
-
-    def loose(self, steps: NDArray[np.int64]) -> tuple[Tensor, Tensor, Tensor]:
-        """What belongs together at these steps, what of it may be displaced, and what may be missing."""
-        states = torch.from_numpy(self.states[steps])
-        groups, there = _groups(states), regions_of(states)[..., 0].numpy() > 0
-        coming, target = self.next[steps].min(1), self.next[steps].argmin(1)
-        on_its_way = (coming < self.never) & (coming > steps + GRIPPING)
-        movable, droppable = (np.zeros((len(steps), MAX_REGIONS + MAX_BLOCKS), bool) for _ in range(2))
-        for group in range(MAX_REGIONS + MAX_BLOCKS):
-            members = groups == group
-            exists = members.any(1) | (group < MAX_REGIONS and there[:, group])
-            begins = np.where(members, self.begins, self.never).min(1)
-            used = group < MAX_REGIONS and bool(self.used[group])
-            droppable[:, group] = exists & (begins == self.never) & (not used)
-            comes_next = members[np.arange(len(steps)), target] & (coming < self.never)
-            later = (steps < begins) & (group >= MAX_REGIONS)
-            movable[:, group] = droppable[:, group] | (exists & ~comes_next & (on_its_way | later))
-        return torch.from_numpy(groups), torch.from_numpy(movable), torch.from_numpy(droppable)
-
-
-def _inside(region: NDArray[np.float32], places: NDArray[np.float32]) -> NDArray[np.bool_]:
-    x, y = places[..., 0], places[..., 1]
-    return (region[0] > 0) & (x >= region[1]) & (x <= region[3]) & (y >= region[2]) & (y <= region[4])
-
-
-def _groups(states: Tensor) -> NDArray[np.int64]:
-    """See `Samples.groups`."""
-    blocks, regions = blocks_of(states).numpy(), regions_of(states).numpy()
-    groups = np.where(blocks[..., 0] > 0, MAX_REGIONS + np.arange(MAX_BLOCKS), -1)
-    for number in range(MAX_REGIONS):
-        low, high = regions[:, None, number, 1:3], regions[:, None, number, 3:5]
-        within = ((blocks[..., 1:3] >= low) & (blocks[..., 1:3] <= high)).all(2)
-        groups[within & (blocks[..., 0] > 0) & (regions[:, None, number, 0] > 0)] = number
-    return groups
-
-
-def _joined(parts: Sequence[Samples]) -> Samples:
-    return Samples(*(torch.cat(values) for values in zip(*parts, strict=True)))
-
-
-def _detour(engine: Engine, way: Replay, step: int, rng: np.random.Generator) -> Samples | None:
-    """The way back from a random excursion that begins at a step; None if it does not lead back."""
-    engine.set_state(way.saved[step])
-    start = way.states[step]
-    gripper = ACTIONS[int(way.actions[max(step - 1, 0)])].gripper if step else Gripper.OPEN
-    away: list[int] = []
-    for _ in range(rng.integers(1, PIECES + 1)):
-        drive, turn = Drive(int(rng.choice([2, 2, 2, 0, 1]))), Turn(int(rng.integers(3)))
-        if drive or turn:
-            away += [9 * gripper + 3 * turn + drive] * int(rng.integers(2, LASTING + 1))
-    played: list[int] = []
-    try:
-        for action in away:
-            before = engine.get_state()
-            engine.step(action)
-            if gripper == Gripper.OPEN and _shifted(engine.state_vector(), start) > BACK[2] / 4:
-                engine.set_state(before)  # a free robot moves nothing on its way
-                break
-            played.append(action)
-        if len(played) < 2:
-            return None
-        engine.step(9 * gripper)  # it comes to rest
-        back, states = [_reversed(action) for action in reversed(played)], []
-        for action in back:
-            states.append(engine.state_vector())
-            engine.step(action)
-    except PhysicsError:
-        return None
-    end = engine.state_vector()
-    turned = abs(math.remainder(float(end[2] - start[2]), math.tau))
-    if np.linalg.norm(end[:2] - start[:2]) > BACK[0] or turned > BACK[1] or _shifted(end, start) > BACK[2]:
-        return None
-    loose = (part.expand(len(back), -1) for part in way.loose(np.array([step])))
-    return Samples(torch.from_numpy(np.array(states)), torch.tensor(back), *loose)
-
-
-def _shifted(state: NDArray[np.float32], start: NDArray[np.float32]) -> float:
-    """How far the block that moved farthest is from where it was."""
-    now, before = (blocks_of(torch.from_numpy(values[None]))[0, :, 1:3] for values in (state, start))
-    return float((now - before).abs().max())
-
-
-def _reversed(action: int) -> int:
-    """The action that undoes another one."""
-    parts = ACTIONS[action]
-    return parts._replace(turn=Turn(_NEGATED[parts.turn]), drive=Drive(_NEGATED[parts.drive])).number
+ON_THE_WAY: Final = 0.36
+"""Units that a displaced block keeps from the way of the robot and of what it holds."""
+TRIES: Final = 6
+"""Places in which a robot with its block is tried."""
+_MIRRORED: Final = torch.tensor([a._replace(turn=Turn((0, 2, 1)[a.turn])).number for a in ACTIONS])
 
 
 def mirror(states: Tensor, actions: Tensor, generator: torch.Generator) -> Tensor:
@@ -232,13 +65,23 @@ def _colours(states: Tensor) -> tuple[Tensor, Tensor]:
     return blocks_of(states)[..., COLOURS], regions_of(states)[..., 5:]
 
 
-def displace(samples: Samples, generator: torch.Generator) -> None:
-    """Moves some things elsewhere, and removes some of those that may be missing, in place."""
+def displace(samples: Samples, generator: torch.Generator, *, pairs: bool) -> None:
+    """Moves some things elsewhere, and removes some of those that may be missing, in place.
+
+    With `pairs`, first the robot and the block that it is about to take, or holds, are turned and moved against all
+    else. It sees them as before only where it does not see the arena.
+    """
+    waiting = (samples.freedom > Freedom.NONE) & (torch.rand(len(samples.freedom), generator=generator) < 0.8)
+    for _ in range(TRIES if pairs else 0):
+        waiting &= ~_move_pairs(samples, waiting, generator)
     states, movable, droppable = samples.states, samples.movable, samples.droppable
     shape = movable.shape
     moving = movable & (torch.rand(shape, generator=generator) < torch.where(droppable, 0.85, 0.5))
     dropped = moving & droppable & (torch.rand(shape, generator=generator) < 0.35)
     blocks, regions = blocks_of(states), regions_of(states)
+    # Headings would tell which block is which, and how the arena is turned.
+    turned = moving.any(1)[:, None] & ~samples.pair
+    blocks[..., 3] += math.tau * torch.rand(turned.shape, generator=generator) * turned
     places = (torch.rand((*shape, 2), generator=generator) * 2 - 1) * REACH
     for group in movable.any(0).nonzero()[:, 0].tolist():
         mine = samples.groups == group
@@ -250,9 +93,47 @@ def displace(samples: Samples, generator: torch.Generator) -> None:
         new = places[:, group]
         apart = (blocks[..., 1:3] - new[:, None]).norm(dim=2) + 10.0 * (mine | (blocks[..., 0] < 0.5))
         free = (apart.amin(1) > CLEAR) & ((states[:, :2] - new).norm(dim=1) > CLEAR) & moving[:, group]
+        free &= ((samples.way - new[:, None]).norm(dim=2).amin(1) > ON_THE_WAY) | ~mine.any(1)
         shift = (new - old) * free[:, None]
         blocks[..., 1:3] += shift[:, None] * mine[..., None]
         blocks[..., 0] *= ~(mine & dropped[:, group, None])
         if group < MAX_REGIONS:
             regions[:, group, 1:5] += shift.repeat(1, 2)
             regions[:, group, 0] *= ~dropped[:, group]
+
+
+def _move_pairs(samples: Samples, waiting: Tensor, generator: torch.Generator) -> Tensor:
+    """Turns robots with their blocks and their ways ahead, about `pivot`, and takes the free ones elsewhere.
+
+    Returns:
+        Those of the waiting ones, of shape (n,), for which there was room.
+    """
+    states, pair, pivot = samples.states, samples.pair, samples.pivot
+    blocks, count = blocks_of(states), len(states)
+    angle = math.tau * torch.rand(count, generator=generator)
+    elsewhere = (torch.rand((count, 2), generator=generator) * 2 - 1) * REACH
+    goal = torch.where((samples.freedom == Freedom.ANYWHERE)[:, None], elsewhere, pivot)
+    sin, cos = angle.sin(), angle.cos()
+    turn = torch.stack([cos, sin, -sin, cos], 1).unflatten(1, (2, 2))
+
+    def moved(places: Tensor) -> Tensor:
+        return goal[:, None] + (places - pivot[:, None]) @ turn
+
+    robot, way, held = moved(states[:, None, :2])[:, 0], moved(samples.way), moved(blocks[..., 1:3])
+    absent = 10.0 * (pair | (blocks[..., 0] < 0.5))[:, None]
+
+    def gap(places: Tensor, least: float) -> Tensor:
+        """To the nearest other block, or `least` if that is less."""
+        return (torch.cdist(places, blocks[..., 1:3]) + absent).amin((1, 2)).clamp(max=least)
+
+    taken = pair.int().argmax(1)[:, None, None].expand(-1, 1, 2)
+    now, then = (places.gather(1, taken) for places in (blocks[..., 1:3], held))
+    fits = waiting & (robot.abs().amax(1) < 1.0)
+    fits &= (gap(way, ON_THE_WAY) >= gap(samples.way, ON_THE_WAY)) & (gap(then, CLEAR) >= gap(now, CLEAR))
+    states[:, :2] = torch.where(fits[:, None], robot, states[:, :2])
+    states[:, 2] += angle * fits
+    both = fits[:, None] & pair
+    blocks[..., 1:3] = torch.where(both[..., None], held, blocks[..., 1:3])
+    blocks[..., 3] += angle[:, None] * both
+    samples.way.copy_(torch.where(fits[:, None, None], way, samples.way))
+    return fits

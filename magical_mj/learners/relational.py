@@ -1,16 +1,17 @@
 """`relational`: behavioural cloning that assumes more about a task, as far as the demo scene bears it out.
 
 A network sees blocks and regions from the robot (`relational_network`). Assumptions (`assumptions`) are tried one
-after the other: the training goes on with one more of them for some batches, and the policy plays in the demo scene.
-The assumption is kept unless the mean score there falls by more than `relational.loss` below the best so far; if it
-does, the weights from before it are restored. `mirror` is tried only where `egocentric` was kept: whoever sees where in
+after the other: the training goes on with one more of them, and after each `relational.trial` updates the policy plays
+in the demo scene. The assumption is kept as soon as the mean score there is no more than `relational.loss` below the
+best so far. It takes time to catch up with a harder lesson; if it has not after `relational.patience` times, the
+weights from before the trial are restored. `mirror` is tried only where `egocentric` was kept: whoever sees where in
 the arena things are tells mirrored samples from the demo scene, which then cannot show whether they are wrong.
 
-After the last trial there is no more training: it would be memory of the demo scene. The rules are the same for all
-tasks, and `assumptions.json` in the run's folder says what came of them. No other scene is ever seen.
+The rules are the same for all tasks, and `assumptions.json` in the run's folder says what came of them. No other scene
+is ever seen.
 
 This needs more than the paper's methods have: the states of demonstrations, the simulation of the demo scene (for
-rollouts and detours), and its score.
+rollouts and hindsight), and its score.
 """
 
 from __future__ import annotations
@@ -24,18 +25,22 @@ import torch
 from torch import nn
 
 from magical_mj.evaluation.run import evaluate
-from magical_mj.learners.assumptions import Samples, demonstrated, displace, mirror, rename
+from magical_mj.learners.assumptions import displace, mirror, rename
 from magical_mj.learners.data import drawn, shipped
+from magical_mj.learners.hindsight import demonstrated
 from magical_mj.learners.learner import Learner, restore_optimizer, seeded
 from magical_mj.learners.relational_network import Ensemble, graph
+from magical_mj.learners.relational_samples import joined
 from magical_mj.learners.settings import PREMISES, STATE, TrainingSettings
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError
 
 REPORT: Final = "assumptions.json"
-"""In a run's folder: the score in the demo scene after each trial, and whether the assumption was kept."""
+"""In a run's folder: of each trial the scores in the demo scene, and whether the assumption was kept."""
 BATCHES: Final = 16
 """In an update: changing and describing many samples at once costs half of what it costs batch by batch."""
+FIRST: Final = 2
+"""Of the demonstrations alone, how many times `relational.trial` updates come before any assumption."""
 AVERAGED: Final = 0.2
 """The share of the latest weights, after each update, in the moving average that plays: it plays more evenly."""
 NOISE: Final = (0.01, 0.01, 0.02)
@@ -53,14 +58,16 @@ class Relational(Learner):
         self._assumptions = tuple(chosen.assumptions)
         shown = shipped(task)
         demonstrations = [shown[i] for i in drawn(task, settings.seed, settings.demonstrations, len(shown))]
-        excursions = chosen.detours if "detours" in self._assumptions else 0
-        self._samples, self._detours = demonstrated(demonstrations, excursions, settings.seed)
+        ways = chosen.ways if "hindsight" in self._assumptions else 0
+        self._shown, self._ways = demonstrated(demonstrations, ways, chosen.plays, settings.seed)
         self._draw = torch.Generator().manual_seed(settings.seed)
         with seeded(settings.seed):
             self._learning, self._actor = Ensemble(chosen).to(self.device), Ensemble(chosen).to(self.device)
         self._actor.load_state_dict(self._learning.state_dict())
-        self._count, self.updates = 0, (2 + len(self._assumptions)) * chosen.trial
+        self.updates = (FIRST + len(self._assumptions) * chosen.patience) * chosen.trial  # fewer, if trials end early
+        self._count, self._trial = 0, 0
         self._kept: list[str] = []
+        self._scores: list[float] = []
         self._report: list[dict[str, Any]] = []
         self._before = self._weights()
         self._restart()
@@ -80,7 +87,7 @@ class Relational(Learner):
     def update(self) -> Mapping[str, float]:
         """Trains each network on `BATCHES` batches of its own; judges an assumption when its trial ends."""
         chosen = self.settings.relational
-        assumed = [*self._kept, *self._tried]
+        assumed = [*self._kept, *self._assumptions[: self._trial][-1:]]
         losses, right = [], []
         for network, optimizer in zip(self._learning.members, self._optimizers, strict=True):
             states, actions = self._draw_samples(assumed, BATCHES * chosen.batch_size)
@@ -100,7 +107,7 @@ class Relational(Learner):
             for flag, latest in zip(self._actor.buffers(), self._learning.buffers(), strict=True):
                 flag.copy_(latest)
         self._count += 1
-        if self._count % chosen.trial == 0 and self._count > chosen.trial:
+        if self._count % chosen.trial == 0 and self._count >= FIRST * chosen.trial:
             self._judge()
         return {"loss": torch.stack(losses).mean().item(), "accuracy": torch.stack(right).mean().item()}
 
@@ -113,7 +120,10 @@ class Relational(Learner):
         """Weights, also of before a trial, optimizers, what was judged, and the generator."""
         return {
             "count": self._count,
+            "updates": self.updates,
+            "trial": self._trial,
             "kept": self._kept,
+            "scores": self._scores,
             "report": self._report,
             "actor": self._actor.state_dict(),
             "learning": self._learning.state_dict(),
@@ -124,7 +134,8 @@ class Relational(Learner):
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Goes back to a state that `get_state` returned."""
-        self._count, self._kept, self._report = state["count"], list(state["kept"]), list(state["report"])
+        self._count, self.updates, self._trial = state["count"], state["updates"], state["trial"]
+        self._kept, self._scores, self._report = list(state["kept"]), list(state["scores"]), list(state["report"])
         self._before = state["before"]
         self._actor.load_state_dict(state["actor"])
         self._learning.load_state_dict(state["learning"])
@@ -132,27 +143,17 @@ class Relational(Learner):
             restore_optimizer(optimizer, saved)
         self._draw.set_state(state["draw"])
 
-    @property
-    def _tried(self) -> tuple[str, ...]:
-        """The assumption on trial now, if one is: first comes twice the time of a trial without any."""
-        number = self._count // self.settings.relational.trial - 1
-        return tuple(filter(self._can_be_tried, self._assumptions[max(0, number - 1) : max(0, number)]))
-
-    def _can_be_tried(self, name: str) -> bool:
-        return name not in PREMISES or PREMISES[name] in self._kept
-
     def _draw_samples(self, assumed: list[str], size: int) -> tuple[torch.Tensor, torch.Tensor]:
         """States (size, names) and actions (size,), in random order, as changed by what is assumed."""
-        detours = size // 3 if "detours" in assumed else 0
+        ways = size // 2 if "hindsight" in assumed else 0
         parts = [
             source.of(torch.randint(len(source.actions), (count,), generator=self._draw))
-            for source, count in ((self._samples, size - detours), (self._detours, detours))
+            for source, count in ((self._shown, size - ways), (self._ways, ways))
         ]
-        samples = Samples(*(torch.cat(values) for values in zip(*parts, strict=True)))
-        samples = samples.of(torch.randperm(size, generator=self._draw))
+        samples = joined(parts).of(torch.randperm(size, generator=self._draw))
         states, actions = samples.states, samples.actions
         if "displace" in assumed:
-            displace(samples, self._draw)
+            displace(samples, self._draw, pairs="egocentric" in assumed)
         if "mirror" in assumed:
             actions = mirror(states, actions, self._draw)
         if "rename" in assumed:
@@ -161,26 +162,37 @@ class Relational(Learner):
         return states.to(self.device), actions.to(self.device)
 
     def _judge(self) -> None:
-        """Plays in the demo scene, and keeps what was on trial or restores the weights from before it."""
+        """Plays in the demo scene, and ends the trial if that is decided."""
         chosen = self.settings.relational
         asked = {"tasks": self.settings.tasks, "preset": self.settings.preset, "episodes": chosen.rollouts}
         frame = evaluate(self.policy(), variants="Demo", jobs=1, **asked)
-        score = float(frame["score"].mean())
-        kept = [trial["score"] for trial in self._report if trial["kept"]]
-        number = self._count // chosen.trial - 2
-        trial: dict[str, Any] = {"score": score, "kept": True}
-        if number:
-            name = self._assumptions[number - 1]
-            tried = self._can_be_tried(name)
-            trial = {"assumption": name, "tried": tried, **trial, "kept": tried and score >= max(kept) - chosen.loss}
-            if trial["kept"]:
-                self._kept.append(name)
-            elif tried:
-                self._learning.load_state_dict(self._before)
-                self._actor.load_state_dict(self._before)
-        self._report.append(trial)
+        self._scores.append(float(frame["score"].mean()))
+        best = max((trial["scores"][-1] for trial in self._report if trial["kept"]), default=0.0)
+        caught_up = self._scores[-1] >= best - chosen.loss
+        rest = chosen.patience - len(self._scores) if self._trial else 0
+        if caught_up or not rest:
+            self._end_trial(caught_up)
+            self.updates -= rest * chosen.trial
+
+    def _end_trial(self, keep: bool) -> None:
+        """Keeps what was on trial, or restores the weights from before it; goes on to the next trial."""
+        tried = self._assumptions[: self._trial][-1:]
+        if keep:
+            self._kept += tried
+        else:
+            self._learning.load_state_dict(self._before)
+            self._actor.load_state_dict(self._before)
+        self._report.append({"assumption": tried[0] if tried else None, "scores": self._scores, "kept": keep})
+        self._scores = []
         self._before = self._weights()
         self._restart()
+        self._trial += 1
+        for name in self._assumptions[self._trial - 1 :]:
+            if name not in PREMISES or PREMISES[name] in self._kept:
+                break
+            self._report.append({"assumption": name, "scores": [], "kept": False})
+            self.updates -= self.settings.relational.patience * self.settings.relational.trial
+            self._trial += 1
 
     def _weights(self) -> dict[str, torch.Tensor]:
         return {name: values.clone() for name, values in self._actor.state_dict().items()}

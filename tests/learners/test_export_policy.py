@@ -85,7 +85,7 @@ def test_pictures(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_relational(states: np.ndarray, tmp_path: Path) -> None:
-    small = {"hidden": 8, "trial": 1, "batch_size": 8, "rollouts": 2, "detours": 10}
+    small = {"hidden": 8, "trial": 1, "batch_size": 8, "rollouts": 2, "ways": 100, "plays": 1}
     settings = tiny("relational", preset="State", **{f"relational.{name}": value for name, value in small.items()})
     train(settings, tmp_path / "run")
     compare(tmp_path / "run", export_policy(tmp_path / "run", tmp_path / "policy.onnx"), states)

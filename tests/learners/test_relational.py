@@ -9,10 +9,12 @@ import torch
 from magical_mj.engine import Engine
 from magical_mj.evaluation import evaluate
 from magical_mj.learners import assumptions, load_policy, load_settings, train
-from magical_mj.learners.assumptions import Samples
 from magical_mj.learners.data import shipped
+from magical_mj.learners.hindsight import demonstrated
 from magical_mj.learners.relational import REPORT, Relational
 from magical_mj.learners.relational_network import Ensemble, blocks_of, graph, regions_of
+from magical_mj.learners.relational_samples import WAY, Freedom, Replay, Samples
+from magical_mj.learners.run_folder import RunFolder
 from magical_mj.learners.settings import RelationalSettings
 from magical_mj.scene import GoalRegion, Scene
 from magical_mj.utils.errors import SettingsError, UnknownNameError
@@ -27,13 +29,14 @@ SMALL = {
     "relational.trial": 1,
     "relational.batch_size": 8,
     "relational.rollouts": 2,
-    "relational.detours": 10,
+    "relational.ways": 100,
+    "relational.plays": 1,
 }
 
 
 def states_of(task: str, steps: int = 30) -> tuple[torch.Tensor, torch.Tensor]:
     demonstration = shipped(task)[0]
-    way = assumptions.Replay(Engine.of_scene(demonstration.scene), demonstration)
+    way = Replay(Engine.of_scene(demonstration.scene), demonstration)
     return torch.from_numpy(way.states[:steps].copy()), torch.from_numpy(way.actions[:steps].copy())
 
 
@@ -95,11 +98,16 @@ def test_names_are_exchanged_and_what_shares_them_is_not() -> None:
     assert torch.equal(states[:, :8], other[:, :8])
 
 
+def displaced(samples: Samples, *, pairs: bool) -> Samples:
+    other = Samples(*(part.clone() for part in samples))
+    assumptions.displace(other, torch.Generator().manual_seed(0), pairs=pairs)
+    return other
+
+
 def test_only_what_does_not_matter_now_is_displaced() -> None:
-    """Never the block that the robot is heading for, nor the robot; others are, and regions with what is in them."""
-    samples, _ = assumptions.demonstrated([shipped("FixColour")[0]], 0, 0)
-    other = Samples(samples.states.clone(), *samples[1:])
-    assumptions.displace(other, torch.Generator().manual_seed(0))
+    """Never the block that the robot is heading for; others are, and regions with what is in them."""
+    samples, _ = demonstrated([shipped("FixColour")[0]], 0, 0, 0)
+    other = displaced(samples, pairs=False)
     assert torch.equal(samples.states[:, :8], other.states[:, :8])
     shift = blocks_of(other.states)[..., 1:3] - blocks_of(samples.states)[..., 1:3]
     assert (shift != 0).any()
@@ -111,30 +119,53 @@ def test_only_what_does_not_matter_now_is_displaced() -> None:
         torch.testing.assert_close(middles[0] - middles[1], shift[inside, number])
 
 
-def test_detours_lead_back() -> None:
-    demonstration = shipped("MoveToRegion")[0]
-    shown, detours = assumptions.demonstrated([demonstration], 20, 0)
-    assert len(detours.actions) > 5
-    places = shown.states[:, :2]
-    ends = torch.cdist(detours.states[:, :2], places).amin(1)
-    assert ends.min() < assumptions.BACK[0]
+def test_a_robot_is_moved_with_the_block_that_it_takes_and_sees_it_as_before() -> None:
+    """Elsewhere on its way to the block, and with the block in it about a region's middle."""
+    samples, _ = demonstrated(shipped("MatchRegions")[:4], 0, 0, 0)
+    samples = samples._replace(movable=torch.zeros_like(samples.movable))
+    other = displaced(samples, pairs=True)
+    moved = (other.states[:, :2] != samples.states[:, :2]).any(1)
+    assert {Freedom.TURNS, Freedom.ANYWHERE} == set(samples.freedom[moved].tolist())
+    rest = ~samples.pair[moved]
+    assert torch.equal(blocks_of(other.states)[moved][rest], blocks_of(samples.states)[moved][rest])
+    views = []
+    for states in (samples.states[moved], other.states[moved]):
+        block, sin, cos = blocks_of(states)[~rest], states[:, 2].sin(), states[:, 2].cos()
+        x, y = (block[:, 1:3] - states[:, :2]).T
+        heading = block[:, 3] - states[:, 2]
+        views.append(torch.stack([cos * x + sin * y, cos * y - sin * x, heading.sin(), heading.cos()]))
+    torch.testing.assert_close(*views, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("task", ["MoveToRegion", "FixColour"])
+def test_ways_by_hindsight_end_where_a_demonstration_was(task: str) -> None:
+    shown, ways = demonstrated([shipped(task)[0]], 200, 2, 0)
+    assert len(ways.way) >= 200
+    ends = ways.way[:, WAY // 2 - 1]
+    assert torch.cdist(ends, shown.states[:, :2]).amin(1).max() < 0.03  # steps without action are not shown
+    assert (ways.states[:, :2] - ends).norm(dim=1).max() > 0.5
 
 
 def test_the_rule_keeps_what_the_demo_scene_bears(tmp_path) -> None:  # noqa: ANN001
-    """With a loss of 1 every assumption is kept; with one of 0, none that lowers the score."""
+    """With a loss of 1 every assumption is kept at once; with one of 0, none that lowers the score each time."""
     for loss in (1.0, 0.0):
-        settings = load_settings("relational", "MoveToRegion", **SMALL, **{"relational.loss": loss})
+        changes = {"relational.loss": loss, "relational.patience": 2}
+        settings = load_settings("relational", "MoveToRegion", **SMALL, **changes)
         folder = tmp_path / str(loss)
         train(settings, folder)
         start, *trials = json.loads((folder / REPORT).read_text())
         assert [trial["assumption"] for trial in trials] == list(settings.relational.assumptions)
-        best, kept = start["score"], {None}
+        best, kept = start["scores"][0], set()
         for trial in trials:
-            assert trial["tried"] == (trial["assumption"] != "mirror" or "egocentric" in kept)
-            assert trial["kept"] == (trial["tried"] and trial["score"] >= best - loss)
+            tried = trial["assumption"] != "mirror" or "egocentric" in kept
+            enough = [score >= best - loss for score in trial["scores"]]
+            assert enough in ([[True], [False, True], [False, False]] if tried else [[]])
+            assert trial["kept"] == any(enough)
             if trial["kept"]:
-                best = max(best, trial["score"])
+                best = max(best, trial["scores"][-1])
                 kept.add(trial["assumption"])
+        updates = 2 + sum(len(trial["scores"]) for trial in trials)
+        assert RunFolder(folder, settings, resume=True).last_checkpoint().update == updates
     frame = evaluate(folder, tasks="MoveToRegion", variants="Demo", preset="State", episodes=2, jobs=1)
     assert len(frame) == 2
     assert load_policy(folder).preset == "State"

@@ -20,12 +20,11 @@ from numpy.typing import NDArray
 
 from magical_mj.demos import Demonstration
 from magical_mj.engine import Engine
-from magical_mj.learners.assumptions import Samples
 from magical_mj.learners.relational_network import blocks_of
+from magical_mj.learners.relational_samples import WAY, Replay, Samples, front, joined
 from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.scene.state_vector import FINGERS
 from magical_mj.utils.errors import PhysicsError
-from research.hindsight.samples import WAY, FreeReplay, FreeSamples, front, joined
 
 Floats = NDArray[np.floating[Any]]
 
@@ -76,23 +75,22 @@ class _Moment(NamedTuple):
     held: int | None
 
 
-def demonstrated(
-    demonstrations: Sequence[Demonstration], count: int, plays: int, seed: int
-) -> tuple[FreeSamples, FreeSamples]:
+def demonstrated(demonstrations: Sequence[Demonstration], count: int, plays: int, seed: int) -> tuple[Samples, Samples]:
     """The samples of demonstrations without no-ops, and at least `count` by hindsight from so many plays of each kind.
 
     Without a way that can be laid anywhere, the second are the first.
     """
     rng = np.random.default_rng(seed)
     with closing(Engine.of_scene(demonstrations[0].scene)) as engine:
-        replays = [FreeReplay(engine, demonstration) for demonstration in demonstrations]
-        shown = joined([replay.free_samples(np.flatnonzero(replay.actions != NOOP)) for replay in replays])
-        return shown, _hindsight(engine, replays, count, plays, rng) if count else shown
+        replays = [Replay(engine, demonstration) for demonstration in demonstrations]
+        shown = joined([replay.samples(np.flatnonzero(replay.actions != NOOP)) for replay in replays])
+        parts = _hindsight(engine, replays, count, plays, rng)
+    return shown, joined(parts or [shown])
 
 
 def _hindsight(
-    engine: Engine, replays: list[FreeReplay], count: int, plays: int, rng: np.random.Generator
-) -> FreeSamples:
+    engine: Engine, replays: list[Replay], count: int, plays: int, rng: np.random.Generator
+) -> list[Samples]:
     moments = [_moments(replay) for replay in replays]
     library: dict[tuple[int, int | None], list[_Play]] = {}
     for number, replay in enumerate(replays):
@@ -102,8 +100,11 @@ def _hindsight(
                 play = _play(engine, replay, moment, rng)
                 if len(play.actions) > BACK:
                     library.setdefault(_kind(number, moment), []).append(play)
-    parts, found = [], 0
+    parts: list[Samples] = []
+    found = 0
     for _ in range(3 * count):
+        if found >= count:
+            break
         number = int(rng.integers(len(replays)))
         if not moments[number]:
             continue
@@ -114,11 +115,7 @@ def _hindsight(
         if part is not None:
             parts.append(part)
             found += len(part.way)
-        if found >= count:
-            break
-    return (
-        joined(parts) if parts else joined([replay.free_samples(np.arange(len(replay.actions))) for replay in replays])
-    )
+    return parts
 
 
 def _kind(number: int, moment: _Moment) -> tuple[int, int | None]:
@@ -126,7 +123,7 @@ def _kind(number: int, moment: _Moment) -> tuple[int, int | None]:
     return (-1, None) if moment.held is None else (number, moment.held)
 
 
-def _held(replay: FreeReplay) -> dict[int, list[_Moment]]:
+def _held(replay: Replay) -> dict[int, list[_Moment]]:
     """For each block, the moments at which it alone moves."""
     motions = replay.motions()
     moving: dict[int, set[int]] = {}
@@ -141,7 +138,7 @@ def _held(replay: FreeReplay) -> dict[int, list[_Moment]]:
     return found
 
 
-def _moments(replay: FreeReplay) -> list[list[_Moment]]:
+def _moments(replay: Replay) -> list[list[_Moment]]:
     """Those shortly before each grip, before each end of a motion, and, where no block moves, before the end."""
     held = {moment.step: moment for group in _held(replay).values() for moment in group}
     moving = {step for motion in replay.motions() for step in range(motion.begin, motion.end)}
@@ -157,7 +154,7 @@ def _moments(replay: FreeReplay) -> list[list[_Moment]]:
     return [group for group in found if group]
 
 
-def _free_steps(replay: FreeReplay) -> list[int]:
+def _free_steps(replay: Replay) -> list[int]:
     """Steps at which the robot is not near any block; the one at which it is farthest from all, if there are none."""
     there = blocks_of(torch.from_numpy(replay.states))[..., 0].numpy() > 0
     gaps = np.linalg.norm(replay.places - replay.states[:, None, :2], axis=2)
@@ -166,7 +163,7 @@ def _free_steps(replay: FreeReplay) -> list[int]:
     return np.flatnonzero(still & (gaps > ROOM)).tolist() or [int(gaps.argmax())]
 
 
-def _play(engine: Engine, replay: FreeReplay, moment: _Moment, rng: np.random.Generator) -> _Play:
+def _play(engine: Engine, replay: Replay, moment: _Moment, rng: np.random.Generator) -> _Play:
     """Random pieces of driving and turning from a moment on, which touch nothing but what is held."""
     engine.set_state(replay.saved[moment.step])
     gripper = Gripper.OPEN if moment.held is None else Gripper.CLOSE
@@ -221,7 +218,7 @@ def _turn(angle: Any) -> Floats:
     return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
 
 
-def _laid(play: _Play, replay: FreeReplay, moment: _Moment, rng: np.random.Generator) -> FreeSamples | None:
+def _laid(play: _Play, replay: Replay, moment: _Moment, rng: np.random.Generator) -> Samples | None:
     """A piece of a play from its start on, with its end laid on a moment: what of it is a good way there."""
     end = int(rng.integers(min(BACK + 1, len(play.actions)), len(play.actions) + 1))
     context, last = replay.states[moment.step], play.states[end]
@@ -253,10 +250,10 @@ def _laid(play: _Play, replay: FreeReplay, moment: _Moment, rng: np.random.Gener
         [part.expand(len(steps), *part.shape[1:]) for part in parts]
         for parts in (replay.loose(here), replay.freedoms(here))
     )
-    return FreeSamples(Samples(states, torch.from_numpy(play.actions[steps]), *loose), way, *freedoms)
+    return Samples._make([states, torch.from_numpy(play.actions[steps]), *loose, way, *freedoms])
 
 
-def _clear(poses: Floats, ahead: Floats, replay: FreeReplay, moment: _Moment) -> NDArray[np.bool_]:
+def _clear(poses: Floats, ahead: Floats, replay: Replay, moment: _Moment) -> NDArray[np.bool_]:
     """From which steps on the way keeps clear of other blocks, or as clear as the moment at its end does."""
     blocks = blocks_of(torch.from_numpy(replay.states[moment.step : moment.step + 1]))[0].numpy()
     others = blocks[:, 0] > 0

@@ -1,1 +1,0 @@
-"""`relational` with samples by hindsight instead of detours: `python -m research.hindsight`."""
