@@ -54,6 +54,10 @@ test("all scenes open", async () => {
     await untilOpen(name);
     assert.ok(await page.locator("#tree button", { hasText: "robot" }).count());
   }
+  await page.selectOption("#variant", "Demo");
+  await untilOpen("SweepToTop-Demo-0");
+  await page.goBack();
+  await untilOpen("SweepToTop-All-0");
   const shifted = "FindDupe-Demo-1?shifts=clutter:2";
   await page.evaluate((hash) => { location.hash = hash; }, shifted);
   await untilOpen(shifted);

@@ -171,6 +171,11 @@ test("a policy acts, and its scores are said", async () => {
   await untilStatus("Over");
   assert.equal(await page.evaluate("location.hash"), "#MoveToRegion-Demo-0@bc");
   assert.ok(await page.isDisabled("#save"));
+  await page.setInputFiles("#policy", `${OUT}site/play/policies/MoveToRegion.onnx`);
+  await untilStatus("Watching your policy");
+  await untilStatus("Over: score 1.00");
+  await page.setInputFiles("#policy", { name: "none.onnx", mimeType: "", buffer: Buffer.from("nothing") });
+  await untilStatus("The policy could not be loaded");
   assert.deepEqual(complaints, []);
 });
 

@@ -6,10 +6,11 @@ import { addressOf, parseAddress } from "./address.js";
 /** @param {string} id */
 const element = (id) => /** @type {any} */ (document.getElementById(id));
 
-/** @param {any} catalogue @param {Place} place */
-export function showChoice(catalogue, place) {
+/** @param {any} catalogue @param {Place} place @param {boolean} isNew  whether one can go back from it */
+export function showChoice(catalogue, place, isNew) {
   const { task, variant, seed } = place;
-  history.replaceState(null, "", `#${addressOf(place)}`);
+  const hash = `#${addressOf(place)}`;
+  if (hash !== location.hash) history[isNew ? "pushState" : "replaceState"](null, "", hash);
   const variants = catalogue.environments.filter((/** @type {Place} */ one) => one.task === task);
   element("variant").replaceChildren(...variants.map((/** @type {Place} */ one) => new Option(one.variant)));
   Object.assign(element("task"), { value: task });

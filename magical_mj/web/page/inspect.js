@@ -267,10 +267,10 @@ async function openFiles(files) {
 /** @type {any} */
 let catalogue = null;
 
-/** @param {import("./address.js").Place} place */
-async function openScene(place) {
+/** @param {import("./address.js").Place} place @param {boolean} [isNew]  whether one can go back from it */
+async function openScene(place, isNew = true) {
   const { task, variant, seed, shifts } = place, name = addressOf(place);
-  showChoice(catalogue, place);
+  showChoice(catalogue, place, isNew);
   await open(name, async () => {
     if (catalogue.simulation === "server") {
       const reply = await fetch(`models/${name}.xml`);
@@ -278,7 +278,7 @@ async function openScene(place) {
       return { text: await reply.text() };
     }
     const { scenes, elements = [] } = await loadEnvironment(task, variant, shifts);
-    const entry = scenes.find((one) => one.seed === seed);
+    const entry = scenes.length > 1 ? scenes.find((one) => one.seed === seed) : scenes[0];  // all seeds of Demo have one scene
     if (!entry) throw new Error(`Here are the seeds ${scenes[0].seed} to ${scenes[scenes.length - 1].seed}; magical-mj inspect shows all.`);
     return { text: (entry.mjcf ?? []).map((i) => elements[i]).join(""), expert: typeof entry.expert === "string" ? entry.expert : "" };
   });
@@ -297,7 +297,7 @@ async function openAddress() {
     });
   }
   const { unknown, ...place } = parseAddress(hash, catalogue);
-  await openScene(place);
+  await openScene(place, false);
   if (unknown) say(unknown, true);
 }
 

@@ -33,6 +33,9 @@ const seat = catalogue.simulation === "server" ? new Seat() : null;
 /** @type {Record<string, string>} the methods whose actions are stored, by the names of their entries */
 const methods = seat ? {} : await fetchJson("replays/index.json").catch(() => ({}));
 const BC = "bc";  // what addresses call the policies that act here
+const OWN = "own";  // and the visitor's
+/** @type {Uint8Array | null} the visitor's policy */
+let own = null;
 /** @type {Record<string, Record<string, number>>} the mean scores of these policies, by task and variant */
 const policies = seat ? {} : await fetchJson("policies/scores.json").catch(() => ({}));
 onProgress((share) => {
@@ -78,7 +81,7 @@ async function choose(task, variant, seed, { shifts = "", script = null, method 
   if (!environment) return stay(isAddress);
   const known = environment.scenes.find((entry) => entry.seed === seed);
   const entry = known ?? (seat ? { seed, expert: "", scene: null, horizon: environment.horizon } : environment.scenes[0]);
-  const acts = method === BC && task in policies;
+  const acts = method === OWN ? own !== null : method === BC && task in policies;
   const replay = !method || acts ? script : shifts ? null : await replayOf(method, task, variant, entry.seed);
   if (choice !== choices) return;
   const watched = acts || replay !== null ? method : "";
@@ -107,7 +110,7 @@ async function choose(task, variant, seed, { shifts = "", script = null, method 
   if (choice !== choices) return;
   const episode = await open(environment, entry, task, variant).catch(failed);
   if (!episode || choice !== choices) return episode?.close();
-  const policy = acts && await loadPolicy(task, () => /** @type {any} */ (episode).state()).catch(failed);
+  const policy = acts && await loadPolicy(method === OWN && own || new URL(`policies/${task}.onnx`, document.baseURI).href, () => /** @type {any} */ (episode).state()).catch(failed);
   if ((acts && !policy) || choice !== choices) return episode.close();
   controls.tapped.clear();  // what was pressed before the scene was there does not start it
   const game = new Game(episode, horizon, next, speed);
@@ -227,7 +230,7 @@ function show(initial, scene) {
   element("save").disabled = !game?.over || watching || sending || shown.shifts !== "";  // recordings do not say shifts
   if (game?.failure) say(game.failure);
   const status = shown.note ? shown.note : !game ? pending : game.over ? `Over: score ${now.toFixed(2)}`
-    : watching ? (shown.method ? `Watching ${methods[shown.method] ?? bcWords()}` : "Watching") : done ? "Playing" : "Press a key or button to start";
+    : watching ? (shown.method ? `Watching ${methods[shown.method] ?? (shown.method === OWN ? "your policy" : bcWords())}` : "Watching") : done ? "Playing" : "Press a key or button to start";
   if (element("status").textContent !== status) element("status").textContent = status;
 }
 
@@ -390,6 +393,11 @@ function changeSeed() {
 }
 
 element("shifts").onchange = () => choose(shown.task, shown.variant, shown.seed, { shifts: element("shifts").value, method: shown.method });
+element("own").onclick = () => element("policy").click();
+element("policy").onchange = async () => {
+  own = new Uint8Array(await element("policy").files[0].arrayBuffer());
+  play(shown.seed, { method: OWN });
+};
 element("method").onchange = () => play(shown.seed, { method: element("method").value });
 for (const [id, press] of Object.entries({ again, next, expert, demo, bc })) element(id).onclick = () => press();
 element("save").onclick = catalogue.collects ? send : () => save(recording(shown, catalogue.protocol));
@@ -404,7 +412,7 @@ addEventListener("hashchange", chooseByAddress);
 addEventListener("beforeunload", (event) => { if (unsent()) event.preventDefault(); });
 
 fitToScreen(["allo", "ego"].map(element), () => shown.again?.());
-element("bc").hidden = !Object.keys(policies).length;
+element("own").hidden = element("bc").hidden = !Object.keys(policies).length;
 element("methods").hidden = !Object.keys(methods).length;
 element("method").append(...Object.entries(methods).map(([name, text]) => new Option(text, name)));
 element("task").replaceChildren(...Object.keys(catalogue.tasks).map((name) => new Option(name)));

@@ -22,14 +22,17 @@ function loadRuntime() {
 }
 
 /**
- * The policy of a task, at the start of an episode.
- * @param {string} task
+ * A policy at the start of an episode.
+ * @param {string | Uint8Array} file  its address, or its content
  * @param {() => Float32Array} observe  the present state
  */
-export async function loadPolicy(task, observe) {
+export async function loadPolicy(file, observe) {
   try {
     const ort = await loadRuntime();
-    const session = await ort.InferenceSession.create(new URL(`policies/${task}.onnx`, document.baseURI).href);
+    const session = await ort.InferenceSession.create(file).catch(() => { throw new Error("it is no ONNX model, or did not arrive"); });
+    const { inputNames: [input], outputNames: [output], inputMetadata: [{ type, shape }] } = session;
+    if (input !== "observations" || output !== "logits") throw new Error("it is none that magical-mj export-policy wrote");
+    if (type !== "float32" || shape?.at(-1) !== SIZE) throw new Error("it acts from pictures, and here are states only");
     return new Policy(ort, session, observe);
   } catch (error) {
     throw new Error(`The policy could not be loaded (${error instanceof Error ? error.message : error}): try again`);

@@ -13,8 +13,8 @@ const begun = new AbortController();
 async function wait() {
   message.textContent = "";
   const catalogue = await fetchJson("catalogue.json");
-  const show = async (/** @type {Place} */ place, unknown = "") => {
-    showChoice(catalogue, place);
+  const show = async (/** @type {Place} */ place, isNew = true, unknown = "") => {
+    showChoice(catalogue, place, isNew);
     message.textContent = unknown;
     message.classList.toggle("wrong", unknown !== "");
     const { scenes } = await loadEnvironment(place.task, place.variant, place.shifts);
@@ -22,7 +22,7 @@ async function wait() {
   };
   const showAddress = () => {
     const { unknown, ...place } = parseAddress(location.hash, catalogue);
-    return show(place, unknown);
+    return show(place, false, unknown);
   };
   onChoice(catalogue, show);
   if (catalogue.model || location.hash === "#file") return;  // no scene
