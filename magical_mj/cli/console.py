@@ -25,7 +25,7 @@ from rich.progress import (
 )
 from rich.progress import Task as Work
 from rich.segment import Segment
-from rich.table import Column
+from rich.table import Column, Table
 from rich.text import Text
 
 from magical_mj import TASKS, VARIANTS
@@ -226,6 +226,10 @@ class Bars(Progress):
         """Take the bars away where an error follows: they would stand above its one line."""
         self.live.transient |= isinstance(error, MagicalError)
         super().__exit__(kind, error, trace)
+
+    def make_tasks_table(self, tasks: Iterable[Work]) -> Table:
+        """The bars, without those of no work or of work that is not known yet: a refusal may follow."""
+        return super().make_tasks_table([task for task in tasks if task.total != 0])
 
     def update(self, task_id: TaskID, **changes: Any) -> None:
         """As rich's, which moves the bar; prints a line if it is time for one."""

@@ -198,7 +198,7 @@ class UpdateColumn(ProgressColumn):
 
     def render(self, task: Task) -> Text:
         """As text."""
-        done = f"{task.completed}/{task.total or 0} {task.fields['unit']}"
+        done = f"{task.completed}/{task.total or '?'} {task.fields['unit']}"
         speed = f", {task.speed:.2f}/s" if task.speed and task.fields["unit"] == "updates" else ""
         return Text(f"{done}{speed} {task.fields['latest']}".rstrip())
 

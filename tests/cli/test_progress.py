@@ -43,3 +43,18 @@ def test_the_amount_may_be_unknown() -> None:
 def test_terminals_show_the_bar_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "xterm")
     assert short_repr(20, terminal=True) == []
+
+
+def test_no_bar_is_shown_of_no_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before the work is known, something may be refused; from then on there is a bar."""
+    monkeypatch.setenv("TERM", "xterm")
+    written = io.StringIO()
+    screen = Console(file=written, force_terminal=True)
+    with Bars(screen, MofNCompleteColumn(), auto_refresh=False, transient=True) as progress:
+        bar = progress.add_task("files", total=0)
+        progress.refresh()
+        assert "files" not in written.getvalue()
+        progress.update(bar, total=2)
+        progress.refresh()
+        assert "files" in written.getvalue()
+        assert "0/2" in written.getvalue()
