@@ -127,7 +127,7 @@ test("the robot is driven by keys, and helpers and plots follow", async () => {
     count();
   });
   const since = performance.now();
-  await page.waitForTimeout(2000);
+  await page.waitForFunction(() => Number.parseFloat(document.getElementById("time")?.textContent ?? "") > 1.5);
   const rate = Number(await page.evaluate("frames")) / (performance.now() - since) * 1000;
   await page.keyboard.up("ArrowUp");
   await page.keyboard.press("p");
