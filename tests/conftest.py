@@ -16,13 +16,15 @@ import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # PyTorch's: several tests run at once, and its threads wait busily
 
-from magical_mj.rendering.backend import chosen_backend
+from magical_mj.rendering.backend import chosen_backend, load_triton
 
 os.environ.setdefault("MUJOCO_GL", chosen_backend())
 
 import magical_mj
 from tests.helpers.commands import Shell
 from tests.helpers.entries import EPISODES
+
+load_triton()  # before test modules import dm_control, which loads a driver
 
 MAY_STAY = ("pytest-of-*", "torchinductor_*", ".ses")
 """What pytest keeps of failing tests, PyTorch makes at the first use of an optimiser, and ONNX Runtime at import."""
