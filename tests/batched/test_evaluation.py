@@ -23,7 +23,7 @@ from tests.helpers.entries import rewrite
 
 pytestmark = [pytest.mark.xdist_group("warp"), pytest.mark.filterwarnings("default")]
 
-BATCHED = {"simulator": "warp", "device": "cpu", "envs": 2, "preset": "State", "episodes": 2}
+BATCHED = {"simulator": "warp", "device": "cpu", "preset": "State", "episodes": 2}
 ONE = {"tasks": "MoveToRegion", "variants": "Demo"}
 
 
