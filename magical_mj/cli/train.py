@@ -37,7 +37,10 @@ PAUSE: Final = 10.0
 SETTINGS: Final = described(TrainingSettings)
 
 Method = Annotated[
-    str, typer.Argument(help="bc, gail, wgail-gp, al, iq-learn, relational, or another package's.", show_default=False)
+    str,
+    typer.Argument(
+        help="bc, gail, wgail-gp, al, iq-learn, relational, redraw, or another package's.", show_default=False
+    ),
 ]
 Tasks = Annotated[str, typer.Option(help="A task; with --multi-task several, separated by commas, or all.")]
 Out = Annotated[Path, typer.Option(help="The run's folder.", show_default=False)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import torch
 from torch import nn
@@ -33,7 +33,7 @@ class BehaviouralCloning(Learner):
     def __init__(self, settings: TrainingSettings, demonstrations: Demonstrations | None = None) -> None:
         super().__init__(settings)
         self.updates = settings.bc.batches
-        self._data = Dataset(settings, drop_noop=self.drop_noop, demonstrations=demonstrations)
+        self._data = self.dataset(demonstrations)
         self._draw = torch.Generator().manual_seed(settings.seed)
         self._noise = torch.Generator(self.device).manual_seed(settings.seed)
         self._augment = augmentation(settings)
@@ -61,6 +61,10 @@ class BehaviouralCloning(Learner):
     def actor(self) -> Actor:
         """The policy as it is now."""
         return self._actor
+
+    def dataset(self, demonstrations: Demonstrations | None) -> Any:
+        """What batches are drawn from, by its method `sample`."""
+        return Dataset(self.settings, drop_noop=self.drop_noop, demonstrations=demonstrations)
 
     def update(self) -> Mapping[str, float]:
         """Trains on one batch; returns its log loss, and the share of actions that the policy ranked first."""

@@ -23,14 +23,14 @@ GROUP: Final = "magical_mj.methods"
 """The entry-point group in which installed packages announce methods, such as ``mine = "package.module:Mine"``."""
 
 _USERS: Final[Mapping[str, tuple[str, ...]]] = {
-    "augment": ("bc", "gail", "wgail-gp", "iq-learn"),
-    "precision": ("bc",),
+    "augment": ("bc", "gail", "wgail-gp", "iq-learn", "redraw"),
+    "precision": ("bc", "redraw"),
     "discriminator.gradient_penalty": ("wgail-gp",),
 }
 """Setting -> the methods that use it, where these are not all that use its part."""
 _OF_PICTURES: Final = (
     "renderer",
-    *(f"network.{name}" for name in ("first_kernel", "first_stride", "first_channels", "channels")),
+    *(f"network.{name}" for name in ("first_kernel", "first_stride", "first_channels", "channels", "frames")),
 )
 _OF_STATES: Final = ("network.entity", "network.attention")
 
@@ -94,6 +94,16 @@ SHORT_AL: Final[Mapping[str, Any]] = {
 }
 """The paper's PPO in short trainings of AL, whose rewards change more than others' from one update to the next."""
 
+REDRAWN: Final[Mapping[str, Any]] = {
+    "augment": "none",
+    "network.frames": 1,
+    "bc.batch_size": 64,
+    "bc.optimizer": "adam",
+    "bc.final_learning_rate": 1e-5,
+    "bc.heads": "uniform",
+}
+"""The changes for `redraw`, which the paper does not have: what learns best from samples of which none comes twice."""
+
 
 def load_settings(
     method: str, tasks: str | tuple[str, ...], *, quick: bool = False, **changes: Any
@@ -118,6 +128,8 @@ def load_settings(
         short = STATE_TRACK
     if short and method == "al":
         short = {**short, **SHORT_AL}
+    if method == "redraw":
+        short = {**short, **REDRAWN, **({"bc.batches": 4_000} if quick else {})}
     return changed(settings, {**short, **changes})
 
 

@@ -76,8 +76,8 @@ class Torso(nn.Module):
     ) -> None:
         super().__init__()
         self.features = features or network.hidden
-        side, _, channels = SHAPE
-        parameters, units = 0, 0
+        side, self.channels = SHAPE[0], 3 * network.frames
+        channels, parameters, units = self.channels, 0, 0
         for outputs, kernel, stride in convolutions(network):
             parameters += channels * outputs * kernel**2
             channels, side = outputs, math.ceil(side / stride)
@@ -87,7 +87,7 @@ class Torso(nn.Module):
         check_size(parameters + (inputs + self.features) * network.hidden)
         check_size(units, "activations for each picture")
         layers: list[nn.Module] = []
-        channels = SHAPE[2]
+        channels = self.channels
         for outputs, kernel, stride in convolutions(network):
             layers.append(nn.Conv2d(channels, outputs, kernel, stride, padding=kernel // 2, bias=not batch_norm))
             layers += [nn.BatchNorm2d(outputs)] if batch_norm else []
@@ -98,7 +98,7 @@ class Torso(nn.Module):
 
     def forward(self, stacks: Tensor, actions: Tensor | None = None) -> Tensor:
         """Features, shape (n, features), of stacks (n, 3k, 96, 96) in [0, 1] and actions (n,), if it has any."""
-        flat = self.convolutions(stacks).flatten(1)
+        flat = self.convolutions(stacks[:, -self.channels :]).flatten(1)
         if actions is not None:
             flat = torch.cat([flat, nn.functional.one_hot(actions, ONE_HOT).to(flat.dtype)], dim=1)
         return self.linear(flat)

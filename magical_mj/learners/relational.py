@@ -60,7 +60,7 @@ class Relational(Learner):
         demonstrations = [shown[i] for i in drawn(task, settings.seed, settings.demonstrations, len(shown))]
         ways = chosen.ways if "hindsight" in self._assumptions else 0
         self._shown, self._ways = demonstrated(demonstrations, ways, chosen.plays, settings.seed)
-        self._draw = torch.Generator().manual_seed(settings.seed)
+        self.draw = torch.Generator().manual_seed(settings.seed)
         with seeded(settings.seed):
             self._learning, self._actor = Ensemble(chosen).to(self.device), Ensemble(chosen).to(self.device)
         self._actor.load_state_dict(self._learning.state_dict())
@@ -83,6 +83,15 @@ class Relational(Learner):
     def actor(self) -> Ensemble:
         """The policy as it is now."""
         return self._actor
+
+    @property
+    def finished(self) -> bool:
+        """Whether all trials have ended."""
+        return self._count == self.updates
+
+    def samples(self, size: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """States (size, names) and actions (size,) under the assumptions that were kept."""
+        return self._draw_samples(self._kept, size)
 
     def update(self) -> Mapping[str, float]:
         """Trains each network on `BATCHES` batches of its own; judges an assumption when its trial ends."""
@@ -114,6 +123,10 @@ class Relational(Learner):
     def save_policy(self, folder: Path) -> None:
         """Writes the networks, and what was assumed."""
         super().save_policy(folder)
+        self.write_report(folder)
+
+    def write_report(self, folder: Path) -> None:
+        """Writes what was assumed."""
         files.write(folder / REPORT, json.dumps(self._report, indent=1) + "\n", overwrite=True)
 
     def get_state(self) -> dict[str, Any]:
@@ -129,7 +142,7 @@ class Relational(Learner):
             "learning": self._learning.state_dict(),
             "before": self._before,
             "optimizers": [optimizer.state_dict() for optimizer in self._optimizers],
-            "draw": self._draw.get_state(),
+            "draw": self.draw.get_state(),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -141,24 +154,24 @@ class Relational(Learner):
         self._learning.load_state_dict(state["learning"])
         for optimizer, saved in zip(self._optimizers, state["optimizers"], strict=True):
             restore_optimizer(optimizer, saved)
-        self._draw.set_state(state["draw"])
+        self.draw.set_state(state["draw"])
 
     def _draw_samples(self, assumed: list[str], size: int) -> tuple[torch.Tensor, torch.Tensor]:
         """States (size, names) and actions (size,), in random order, as changed by what is assumed."""
         ways = size // 2 if "hindsight" in assumed else 0
         parts = [
-            source.of(torch.randint(len(source.actions), (count,), generator=self._draw))
+            source.of(torch.randint(len(source.actions), (count,), generator=self.draw))
             for source, count in ((self._shown, size - ways), (self._ways, ways))
         ]
-        samples = joined(parts).of(torch.randperm(size, generator=self._draw))
+        samples = joined(parts).of(torch.randperm(size, generator=self.draw))
         states, actions = samples.states, samples.actions
         if "displace" in assumed:
-            displace(samples, self._draw, pairs="egocentric" in assumed)
+            displace(samples, self.draw, pairs="egocentric" in assumed)
         if "mirror" in assumed:
-            actions = mirror(states, actions, self._draw)
+            actions = mirror(states, actions, self.draw)
         if "rename" in assumed:
-            rename(states, self._draw)
-        states[:, :3] += torch.randn((size, 3), generator=self._draw) * torch.tensor(NOISE)
+            rename(states, self.draw)
+        states[:, :3] += torch.randn((size, 3), generator=self.draw) * torch.tensor(NOISE)
         return states.to(self.device), actions.to(self.device)
 
     def _judge(self) -> None:

@@ -48,6 +48,7 @@ class NetworkSettings(Settings):
     first_stride: Count = 1
     first_channels: Count = 64
     channels: Annotated[Count, Meta(description="of each of the four 3 x 3 convolutions of stride 2 that follow")] = 128
+    frames: Annotated[int, Meta(ge=1, le=4, description="of pictures: how many of the latest are looked at")] = 4
     hidden: Annotated[Count, Meta(description="units of each of the two linear layers")] = 256
     entity: Annotated[Count, Meta(description="of states: units for the robot, each block and each region")] = 64
     attention: Annotated[int, Meta(ge=1, le=32, description="likewise: layers of attention between them")] = 1
@@ -301,5 +302,6 @@ PARTS: Final[Mapping[str, tuple[str, ...]]] = {
     "wgail-gp": ("network", "ppo", "discriminator"),
     "al": ("network", "ppo", "features"),
     "relational": ("relational",),
+    "redraw": ("network", "bc", "relational"),
 }
 """Method of this package -> the parts of the settings that it uses."""

@@ -23,6 +23,7 @@ from magical_mj.learners.config import announced_methods, load_method
 from magical_mj.learners.gail import GAIL, WGAILGP
 from magical_mj.learners.iq_learn import IQLearn
 from magical_mj.learners.learner import Method, device, threads_for
+from magical_mj.learners.redraw import Redraw
 from magical_mj.learners.relational import Relational
 from magical_mj.learners.run_folder import Metrics, RunFolder
 from magical_mj.learners.settings import TrainingSettings
@@ -43,6 +44,7 @@ class _Methods(Mapping[str, type[Method]]):
             "al": Apprenticeship,
             "iq-learn": IQLearn,
             "relational": Relational,
+            "redraw": Redraw,
         }
     )
 

@@ -1,0 +1,90 @@
+"""`redraw`: its pictures are those of the environments, and its two policies are trained one after the other."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from magical_mj import TASKS, Engine, demos
+from magical_mj.evaluation import evaluate
+from magical_mj.learners import load_settings, redraw, train
+from magical_mj.learners.data import shipped
+from magical_mj.learners.redraw import Redraw, Redrawer
+from magical_mj.learners.relational import REPORT
+from magical_mj.learners.relational_network import blocks_of, regions_of
+from magical_mj.utils.errors import SettingsError
+
+SMALL: dict[str, Any] = {
+    "device": "cpu",
+    "evaluations": 0,
+    "demonstrations": 2,
+    "relational.hidden": 8,
+    "relational.trial": 1,
+    "relational.batch_size": 8,
+    "relational.rollouts": 2,
+    "relational.ways": 100,
+    "relational.plays": 1,
+    "network.channels": 8,
+    "network.first_channels": 8,
+    "bc.batches": 3,
+    "bc.batch_size": 8,
+}
+
+
+def drawn(states: torch.Tensor, view: str = "ego") -> np.ndarray:
+    pictures = np.empty((len(states), 96, 96, 3), np.uint8)
+    Redrawer(view, "software").draw(states, pictures)
+    return pictures
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_what_was_seen_is_seen_again(task: str) -> None:
+    demonstration = shipped(task)[0]
+    states, _ = demos.transitions([demonstration], preset="State")
+    seen, _ = demos.transitions([demonstration], preset="LoRes4E", renderer="software")
+    steps = np.linspace(0, len(states) - 1, 5).astype(int)
+    again = drawn(torch.from_numpy(states[steps]))
+    assert (again != seen[steps][..., 9:]).mean() < 1e-3  # states are rounded to single precision
+
+
+def test_what_is_missing_is_not_seen() -> None:
+    scene = shipped("FixColour")[0].scene
+    states = torch.from_numpy(Engine.of_scene(scene).state_vector()[None].copy())
+    blocks_of(states)[0, 1, 0] = regions_of(states)[0, 0, 0] = 0
+    less = replace(scene, blocks=(scene.blocks[0], *scene.blocks[2:]), regions=scene.regions[1:])
+    expected = Engine.of_scene(less, renderer="software").render("allo", 96)
+    assert (drawn(states, "allo")[0] != expected).mean() < 1e-3
+
+
+def test_a_training_goes_on_as_if_it_had_not_been_interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(redraw, "POOL", 16)
+    monkeypatch.setattr(redraw, "BATCHES", 2)
+    settings = load_settings("redraw", "MoveToRegion", quick=True, **SMALL)
+    learner = Redraw(settings)
+    while not learner._teacher.finished:
+        learner.update()
+    learner.update()
+    other = Redraw(settings)
+    other.set_state(deepcopy(learner.get_state()))
+    assert [other.update() for _ in range(2)] == [learner.update() for _ in range(2)]
+    assert other.updates == learner.updates
+
+
+def test_a_policy_is_trained_kept_and_evaluated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(redraw, "POOL", 16)
+    train(load_settings("redraw", "MoveToRegion", quick=True, **SMALL), tmp_path / "run")
+    assert (tmp_path / "run" / REPORT).is_file()
+    played = evaluate(str(tmp_path / "run"), tasks="MoveToRegion", variants="Demo", episodes=1, renderer="software")
+    assert played["failure"].isna().all()
+
+
+@pytest.mark.parametrize("wrong", [{"preset": "State"}, {"preset": "LoRes3EA"}, {"tasks": "MoveToRegion,FixColour"}])
+def test_it_learns_one_task_from_one_view(wrong: dict[str, str]) -> None:
+    with pytest.raises(SettingsError, match="one task from one view"):
+        Redraw(load_settings("redraw", **{"tasks": "FixColour", **SMALL, **wrong}))
