@@ -129,7 +129,7 @@ def load_settings(
     if short and method == "al":
         short = {**short, **SHORT_AL}
     if method == "redraw":
-        short = {**short, **REDRAWN, **({"bc.batches": 4_000} if quick else {})}
+        short = {**short, **REDRAWN, **({"bc.batches": 3_000} if quick else {})}
     return changed(settings, {**short, **changes})
 
 

@@ -46,8 +46,8 @@ def drawn(states: torch.Tensor, view: str = "ego") -> np.ndarray:
 @pytest.mark.parametrize("task", TASKS)
 def test_what_was_seen_is_seen_again(task: str) -> None:
     demonstration = shipped(task)[0]
-    states, _ = demos.transitions([demonstration], preset="State")
-    seen, _ = demos.transitions([demonstration], preset="LoRes4E", renderer="software")
+    states = np.asarray(demos.transitions([demonstration], preset="State")[0])
+    seen = np.asarray(demos.transitions([demonstration], preset="LoRes4E", renderer="software")[0])
     steps = np.linspace(0, len(states) - 1, 5).astype(int)
     again = drawn(torch.from_numpy(states[steps]))
     assert (again != seen[steps][..., 9:]).mean() < 1e-3  # states are rounded to single precision
