@@ -281,7 +281,7 @@ def filled(text: str, tables: Mapping[str, str]) -> str:
         start, end = f"<!-- {name}: written by make docs -->", f"<!-- end of {name} -->"
         text, count = re.subn(f"{start}.*?{end}", f"{start}\n{body}\n{end}", text, flags=re.DOTALL)
         if count != 1:
-            raise ValueError(f"the page needs exactly standing pair of markers {start} and {end}")
+            raise ValueError(f"the page needs exactly one pair of markers {start} and {end}")
     return text
 
 
