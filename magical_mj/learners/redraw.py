@@ -3,7 +3,8 @@
 Two policies are trained, as in Learning by Cheating (Chen et al. 2020, arXiv:1912.12294). The first is that of
 `relational`: it learns from states, and the demo scene decides which assumptions it keeps. The second sees only
 pictures. It learns what the first does in states that the kept assumptions make of the demonstrations: each is drawn
-anew, so that a displaced block is seen elsewhere, and what has another colour is seen in it.
+anew, so that a displaced block is seen elsewhere, and what has another colour is seen in it. One picture in three is of a
+demonstration as it was.
 
 Besides what `relational` needs this takes the renderer, in training. The second policy looks at pictures alone.
 """
@@ -36,6 +37,8 @@ from magical_mj.utils.errors import SettingsError
 
 POOL: Final = 2048
 """Pictures from which batches are drawn, until others take their place."""
+SHOWN: Final = 3
+"""One in so many of them is of a demonstration as it was, with what was done there."""
 BATCHES: Final = 128
 """From each pool: with 64 samples in each, a picture is seen four times."""
 MISSING: Final = 50.0
@@ -43,7 +46,7 @@ MISSING: Final = 50.0
 
 
 class Redraw(BehaviouralCloning):
-    """Minimises -E log pi(a | picture of s), where a is what the policy of `relational` does in s."""
+    """Minimises -E log pi(a | picture of s), where a is what the policy of `relational` does in s, or was done in it."""
 
     def __init__(self, settings: TrainingSettings) -> None:
         self.check(settings)
@@ -122,11 +125,13 @@ class Pool:
     def renew(self) -> None:
         """Draws other samples."""
         self.begun = self._teacher.draw.get_state()
-        states, _ = self._teacher.samples(POOL)
+        shown, demonstrated = self._teacher.samples(POOL // SHOWN, changed=False)
+        states, _ = self._teacher.samples(POOL - len(shown))
         with torch.inference_mode():
-            logits = self._teacher.actor(states[:, None], torch.zeros(POOL, dtype=torch.int64))
-        self._actions = torch.multinomial(logits.softmax(1).cpu(), 1, generator=self._teacher.draw)[:, 0]
-        self._redrawer.draw(states.cpu(), self._pictures)
+            logits = self._teacher.actor(states[:, None], torch.zeros(len(states), dtype=torch.int64))
+        actions = torch.multinomial(logits.softmax(1).cpu(), 1, generator=self._teacher.draw)[:, 0]
+        self._actions = torch.cat([demonstrated.cpu(), actions])
+        self._redrawer.draw(torch.cat([shown, states]).cpu(), self._pictures)
 
     def sample(self, size: int, generator: torch.Generator) -> Batch:
         """Random ones of the present pictures; with one frame each."""

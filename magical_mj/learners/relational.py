@@ -89,9 +89,9 @@ class Relational(Learner):
         """Whether all trials have ended."""
         return self._count == self.updates
 
-    def samples(self, size: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """States (size, names) and actions (size,) under the assumptions that were kept."""
-        return self._draw_samples(self._kept, size)
+    def samples(self, size: int, *, changed: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
+        """States (size, names) and actions (size,) of demonstrations, changed as the assumptions that were kept allow."""
+        return self._draw_samples(self._kept if changed else [], size)
 
     def update(self) -> Mapping[str, float]:
         """Trains each network on `BATCHES` batches of its own; judges an assumption when its trial ends."""
