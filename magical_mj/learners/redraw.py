@@ -3,8 +3,8 @@
 Two policies are trained, as in Learning by Cheating (Chen et al. 2020, arXiv:1912.12294). The first is that of
 `relational`: it learns from states, and the demo scene decides which assumptions it keeps. The second sees only
 pictures. It learns what the first does in states that the kept assumptions make of the demonstrations: each is drawn
-anew, so that a displaced block is seen elsewhere, and what has another colour is seen in it. One picture in three is of a
-demonstration as it was.
+anew, so that a displaced block is seen elsewhere, and what has another colour is seen in it. One picture in three is of
+a demonstration as it was.
 
 Besides what `relational` needs this takes the renderer, in training. The second policy looks at pictures alone.
 """
@@ -46,7 +46,7 @@ MISSING: Final = 50.0
 
 
 class Redraw(BehaviouralCloning):
-    """Minimises -E log pi(a | picture of s), where a is what the policy of `relational` does in s, or was done in it."""
+    """Minimises -E log pi(a | picture of s); a is what the policy of `relational` does in s, or what was done there."""
 
     def __init__(self, settings: TrainingSettings) -> None:
         self.check(settings)

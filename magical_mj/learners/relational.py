@@ -90,7 +90,7 @@ class Relational(Learner):
         return self._count == self.updates
 
     def samples(self, size: int, *, changed: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
-        """States (size, names) and actions (size,) of demonstrations, changed as the assumptions that were kept allow."""
+        """States (size, names) and actions (size,) of demonstrations, changed under the assumptions that were kept."""
         return self._draw_samples(self._kept if changed else [], size)
 
     def update(self) -> Mapping[str, float]:
