@@ -53,7 +53,10 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
             ["train", "bc", "--tasks", "FindDupe", "--set", "network.entity=8"],
             "network.entity is for states, and of no",
         ),
-        (["train", "gail", "--tasks", "FindDupe", "--set", "precision=bfloat16"], "precision is for bc, and of no use"),
+        (
+            ["train", "gail", "--tasks", "FindDupe", "--set", "precision=bfloat16"],
+            "precision is for bc, redraw, and of no use",
+        ),
         (["train", "al", "--tasks", "FindDupe", "--augment", "none"], "--augment has an effect only with bc"),
         (["train", "bc", "--tasks", "FindDupe", "--simulator", "warp"], "bc learns without playing"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "seed=5"], "seed is given by itself"),
