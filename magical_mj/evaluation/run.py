@@ -164,10 +164,11 @@ class Evaluation:
     def _play_units(self) -> Iterator[list[EpisodeResult]]:
         """The results of all units in order of completion."""
         jobs, backend = self.settings.jobs, self.settings.backend
-        if backend == "local":
+        problem = None if backend == "local" and jobs == 1 else self._unsendable()
+        if backend == "local" and jobs is None:
             enough = max(1, sum(unit.steps for unit in self.units) // STEPS_PER_WORKER)
-            alone = self.settings.batched or self._unsendable() is not None  # an accelerator is not shared
-            jobs = jobs or (1 if alone else min(cores(), enough))
+            alone = self.settings.batched or problem is not None  # an accelerator is not shared
+            jobs = 1 if alone else min(cores(), enough)
         if backend == "local" and jobs == 1:
             with closing(Player()) as player:
                 for unit in self.units:
@@ -175,7 +176,7 @@ class Evaluation:
                         self._cause = player.cause
                         yield [result]
             return
-        if problem := self._unsendable():
+        if problem is not None:
             raise SettingsError(f"{problem}: give it as module:object, or jobs=1")
         try:
             for results, cause in map_unordered(play_unit, self.units, jobs, backend, self.settings.address):

@@ -31,7 +31,7 @@ from magical_mj.utils.imports import resolve, with_place
 T = TypeVar("T")
 
 SEEDS_PER_UNIT: Final = {"mujoco": 10, "warp": 100}
-"""The most episodes in a unit: a few seconds, so that killed runs lose little, and units cost little."""
+"""The most episodes in a unit: a few seconds, so that killed runs lose little, and units cost little; or one batch."""
 GRACE: Final = 1.0
 """Seconds that a call has to end after it was stopped."""
 

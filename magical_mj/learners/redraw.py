@@ -52,7 +52,7 @@ class Redraw(BehaviouralCloning):
         self.check(settings)
         self._teacher = Relational(replace(settings, preset=STATE))
         super().__init__(settings)
-        self._students, self.updates = self.updates, self.updates + self._teacher.updates
+        self._batches, self.updates = self.updates, self.updates + self._teacher.updates
         self._count = 0
 
     @classmethod
@@ -71,7 +71,7 @@ class Redraw(BehaviouralCloning):
         """Trains the first policy until it is done, then the second."""
         if not self._teacher.finished:
             metrics = self._teacher.update()
-            self.updates = self._teacher.updates + self._students
+            self.updates = self._teacher.updates + self._batches
             return metrics
         if self._count % BATCHES == 0:
             self._data.renew()
@@ -97,7 +97,7 @@ class Redraw(BehaviouralCloning):
         """Goes back to a state that `get_state` returned; draws the pool again."""
         super().set_state(state)
         self._teacher.set_state(state["teacher"])
-        self.updates = self._teacher.updates + self._students
+        self.updates = self._teacher.updates + self._batches
         self._count = state["count"]
         if self._count:
             self._teacher.draw.set_state(state["begun"])

@@ -30,6 +30,14 @@ def tiny(method: str = "bc", tasks: str = "MoveToRegion", **changes: Any) -> Tra
     return load_settings(method, tasks, quick=quick, **{**TINY, "bc.batches": 12, "bc.batch_size": 4, **changes})
 
 
+RELATIONAL = {
+    "relational.hidden": 8,
+    "relational.trial": 1,
+    "relational.batch_size": 8,
+    "relational.rollouts": 2,
+    "relational.ways": 100,
+    "relational.plays": 1,
+}
 PLAYING = {
     "ppo.environments": 4,
     "ppo.steps": 4,

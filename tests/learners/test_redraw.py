@@ -19,22 +19,9 @@ from magical_mj.learners.redraw import Redraw, Redrawer
 from magical_mj.learners.relational import REPORT
 from magical_mj.learners.relational_network import blocks_of, regions_of
 from magical_mj.utils.errors import SettingsError
+from tests.helpers.learners import RELATIONAL, TINY
 
-SMALL: dict[str, Any] = {
-    "device": "cpu",
-    "evaluations": 0,
-    "demonstrations": 2,
-    "relational.hidden": 8,
-    "relational.trial": 1,
-    "relational.batch_size": 8,
-    "relational.rollouts": 2,
-    "relational.ways": 100,
-    "relational.plays": 1,
-    "network.channels": 8,
-    "network.first_channels": 8,
-    "bc.batches": 3,
-    "bc.batch_size": 8,
-}
+SMALL: dict[str, Any] = {**TINY, **RELATIONAL, "network.channels": 8, "bc.batches": 3, "bc.batch_size": 8}
 
 
 def drawn(states: torch.Tensor, view: str = "ego") -> np.ndarray:

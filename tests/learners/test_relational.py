@@ -18,20 +18,10 @@ from magical_mj.learners.run_folder import RunFolder
 from magical_mj.learners.settings import RelationalSettings
 from magical_mj.scene import GoalRegion, Scene
 from magical_mj.utils.errors import SettingsError, UnknownNameError
+from tests.helpers.learners import RELATIONAL
 
 EGOCENTRIC, ARENA = torch.zeros(()), torch.ones(())
-SMALL = {
-    "preset": "State",
-    "device": "cpu",
-    "evaluations": 0,
-    "demonstrations": 2,
-    "relational.hidden": 8,
-    "relational.trial": 1,
-    "relational.batch_size": 8,
-    "relational.rollouts": 2,
-    "relational.ways": 100,
-    "relational.plays": 1,
-}
+SMALL = {"preset": "State", "device": "cpu", "evaluations": 0, "demonstrations": 2, **RELATIONAL}
 
 
 def states_of(task: str, steps: int = 30) -> tuple[torch.Tensor, torch.Tensor]:
