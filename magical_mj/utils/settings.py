@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -203,6 +204,9 @@ def _wanted(plain: Any, kind: Any, value: Any) -> str:
     known = _information(kind)
     words = _WORDS.get(type(known), "valid")
     least, above, most = (getattr(known, bound, None) for bound in ("ge", "gt", "le"))
+    if isinstance(value, str):  # from the command line
+        with suppress(ValueError):
+            value = float(value)
     if most is not None and type(value) in (int, float) and value > most:
         return f"{words} of at most {most}"
     bound = "" if least is None else f" of at least {least}"
