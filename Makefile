@@ -90,6 +90,7 @@ site-test-firefox: site | firefox  ## the pages in Firefox: those around the sim
 		site/tests/pages.test.mjs site/tests/play.test.mjs site/tests/inspect.test.mjs
 
 site-audit: site | chromium  ## Lighthouse's figures of the site, a page of each kind, and how soon and smoothly one plays and inspects
+	$(BIN)/python site/fetch.py
 	npm install --silent --no-audit --no-fund --prefix out/audit lighthouse@13.5.0
 	node site/audit.mjs
 	node site/speed.mjs
