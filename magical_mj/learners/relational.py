@@ -178,7 +178,7 @@ class Relational(Learner):
         """Plays in the demo scene, and ends the trial if that is decided."""
         chosen = self.settings.relational
         asked = {"tasks": self.settings.tasks, "preset": self.settings.preset, "episodes": chosen.rollouts}
-        frame = evaluate(self.policy(), variants="Demo", jobs=1, **asked)
+        frame = evaluate(self.policy(), variants="Demo", split="dev", jobs=1, **asked)
         self._scores.append(float(frame["score"].mean()))
         best = max((trial["scores"][-1] for trial in self._report if trial["kept"]), default=0.0)
         caught_up = self._scores[-1] >= best - chosen.loss
