@@ -1,30 +1,41 @@
-"""What the scores of the state track can be compared with: replaying a demonstration, and demonstrations of the test.
+"""What the scores of the state track can be compared with: memory, corrections, and demonstrations of the test.
 
 - `Replay` plays the actions of a demonstration, whatever happens: what memory alone does.
 - The oracle clones demonstrations that the expert makes in other scenes of a test variant (`split="dev"`): what the
   network of behavioural cloning can do with the right data. It uses scenes that no method of the benchmark may see.
+- `dagger` may ask the expert while it learns: in the demo scene, which is all that it sees, the policy acts up to a
+  random step, and from there the expert shows how the episode should have ended (Kelly et al. 2019, HG-DAgger,
+  arXiv:1810.02890, with a random step instead of a person's). What it shows is added to the ten demonstrations.
 
     $ magical-mj evaluate --policy Replay=tools.bounds:Replay --preset State --episodes 20 --out scores/replay
-    $ python tools/bounds.py MoveToRegion Layout --out scores/oracle
+    $ python tools/bounds.py oracle MoveToRegion Layout --out scores/oracle
+    $ python tools/bounds.py dagger MoveToRegion --out scores/dagger-MoveToRegion
 """
 
 from __future__ import annotations
 
 import argparse
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj import evaluate
+from magical_mj import Engine, evaluate
+from magical_mj.demos import Transitions
 from magical_mj.demos.recording import demonstrate
 from magical_mj.learners import clone, load_settings
 from magical_mj.learners.data import drawn, shipped
-from magical_mj.policies.interface import Episode
+from magical_mj.learners.policy import TrainedPolicy
+from magical_mj.policies.expert import Expert
+from magical_mj.policies.interface import Episode, begin
 from magical_mj.scene.actions import NOOP
-from magical_mj.tasks.registry import SPLITS
+from magical_mj.tasks.registry import SPLITS, task_spec
 
 DEMONSTRATIONS = 25
+ROUNDS, CORRECTIONS = 3, 20
+"""Of `dagger`: how often a policy is trained and corrected, and in how many episodes each time."""
 
 
 class Replay:
@@ -47,16 +58,52 @@ class Replay:
 def oracle(task: str, variant: str, out: Path) -> float:
     """The mean score in a variant of a policy that was cloned from demonstrations of other scenes of it."""
     shown = [demonstrate(task, variant, SPLITS["dev"] + number) for number in range(DEMONSTRATIONS)]
-    settings = load_settings("bc", task, preset="State", device="cpu", demonstrations=DEMONSTRATIONS)
-    policy = clone(settings, {task: shown})
+    policy = cloned(task, shown)
     frame = evaluate({"Oracle": policy}, tasks=task, variants=variant, preset="State", jobs=1, out=out)
     return float(frame["score"].mean())
 
 
+def cloned(task: str, shown: list[Any]) -> TrainedPolicy:
+    """A policy that was trained on all of these demonstrations."""
+    return clone(load_settings("bc", task, preset="State", device="cpu", demonstrations=len(shown)), {task: shown})
+
+
+def dagger(task: str, out: Path) -> float:
+    """The mean score in all variants of a policy that the expert has corrected in the demo scene."""
+    shown = shipped(task)
+    data: list[Any] = [shown[number] for number in drawn(task, 0, 10, len(shown))]
+    for number in range(ROUNDS):
+        policy, first = cloned(task, data), SPLITS["dev"] + number * CORRECTIONS
+        data += [corrected(task, policy, seed) for seed in range(first, first + CORRECTIONS)]
+    policy = cloned(task, data)
+    frame = evaluate({"DAgger": policy}, tasks=task, preset="State", episodes=50, jobs=1, out=out)
+    print(frame.groupby("variant", observed=True)["score"].mean().round(2).to_dict())
+    return float(frame["score"].mean())
+
+
+def corrected(task: str, policy: TrainedPolicy, seed: int) -> Transitions:
+    """An episode of the demo scene that the policy begins and the expert ends; what the policy did counts as no-ops."""
+    with closing(Engine(task, "Demo", seed=seed)) as engine:
+        begin(policy, episode := Episode(task, "Demo", seed))
+        taken_over = episode.rng().integers(task_spec(task).horizon())
+        states, actions, over, expert = [], [], False, Expert(engine, task, seed)
+        while not over:
+            states.append(engine.state_vector())
+            learning = len(actions) >= taken_over
+            action = expert() if learning else policy(states[-1])
+            actions.append(action if learning else NOOP)  # cloning leaves out no-ops
+            over = engine.step(action)
+    return Transitions(np.array(states), np.array(actions))
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("bound", choices=["oracle", "dagger"])
     parser.add_argument("task")
-    parser.add_argument("variant")
+    parser.add_argument("variant", nargs="?", default="Layout", help="of the oracle")
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
-    print(given.task, given.variant, f"{oracle(given.task, given.variant, given.out):.2f}")
+    if given.bound == "oracle":
+        print(given.task, given.variant, f"{oracle(given.task, given.variant, given.out):.2f}")
+    else:
+        print(given.task, f"{dagger(given.task, given.out):.2f}")
