@@ -2,7 +2,10 @@
 
 import sys
 
-from magical_mj.cli import main
-
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        from magical_mj.cli import main
+
+        sys.exit(main())
+    except KeyboardInterrupt:  # before `main` takes care of it
+        sys.exit(130)

@@ -13,7 +13,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code: 0, or 2 for wrong use, 1 for a failure, 130 after Ctrl-C.
 
     While modules are imported, Ctrl-C ends the process by the signal, which shells show as 130, too. Before that, in
-    Python's own start and in the first two milliseconds of this package's, it is a traceback.
+    Python's own start and in the first two milliseconds of this package's import, it is a traceback.
     """
     if arguments is None and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)

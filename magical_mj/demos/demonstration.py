@@ -15,7 +15,7 @@ import itertools
 import json
 import re
 import zipfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -308,13 +308,29 @@ def _check_arrays(demo: Demonstration) -> None:
         raise DemonstrationError(f"actions must be below {len(ACTIONS)}")
 
 
+def checked(demos: Iterable[Demonstration]) -> Iterator[Demonstration]:
+    """The demonstrations that a user gave.
+
+    Raises:
+        DemonstrationError: if they are something else, such as a single one or a path.
+    """
+    if not isinstance(demos, Iterable):
+        raise DemonstrationError(f"give demonstrations in a list, not {short_repr(demos)}")
+    for demo in demos:
+        if not isinstance(demo, Demonstration):
+            raise DemonstrationError(
+                f"{short_repr(demo)} is not a demonstration, such as those of magical_mj.demos.load"
+            )
+        yield demo
+
+
 def only_environment(demos: Sequence[Demonstration]) -> str:
     """The name of the environment of all these demonstrations, such as ``"FindDupe-Demo"``.
 
     Raises:
-        DemonstrationError: if they are of several environments, or there are none.
+        DemonstrationError: if they are of several environments, there are none, or they are something else.
     """
-    names = sorted({demo.name for demo in demos})
+    names = sorted({demo.name for demo in checked(demos)})
     if len(names) != 1:
         these = f"these are of {', '.join(names)}" if names else "there are none"
         raise DemonstrationError(f"a data set holds demonstrations of one environment, and {these}")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.assets.world import World
-from magical_mj.demos.demonstration import Demonstration
+from magical_mj.demos.demonstration import Demonstration, checked
 from magical_mj.demos.replay import render_demo
 from magical_mj.envs.presets import FrameStack, Preset, drawn, preset_named
 from magical_mj.scene.state_vector import StateEncoder
@@ -60,7 +60,7 @@ def stream(
             of all steps.
         renderer: what draws pictures, as in `magical_mj.Engine`.
     """
-    for demo in demos:
+    for demo in checked(demos):
         rows = observations(demo, preset, renderer)
         steps = np.flatnonzero(demo.acts) if drop_noop else np.arange(len(demo.actions))
         before = {view: stacks[steps] for view, stacks in rows.items()} if isinstance(rows, dict) else rows[steps]

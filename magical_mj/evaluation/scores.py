@@ -32,6 +32,8 @@ SCORE_TOLERANCE: Final = 1e-9
 """Scores that differ by less than this are equal."""
 SCORES: Final = "scores.jsonl"
 SETTINGS: Final = "run.json"
+MOST_SETTINGS: Final = 10_000_000
+"""The number of bytes of the largest file of settings that is read."""
 
 Natural = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 """Which tables of scores can hold."""
@@ -276,6 +278,8 @@ def prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[Episod
         SettingsError: if it was started with other settings.
     """
     path = folder / SCORES
+    if path.exists() and not path.is_file():
+        raise EvaluationError(f"{path} is not a plain file; choose another folder")
     if path.exists() and path.stat().st_size and not resume:
         raise EvaluationError(f"{folder} holds an evaluation already; --resume continues it (resume=True)")
     if (folder / SETTINGS).exists() and "policies" not in read_settings(folder):
@@ -363,7 +367,7 @@ def read_settings(folder: Path) -> dict[str, Any]:
         EvaluationError: if they cannot be read.
     """
     try:
-        known = dict(json.loads((folder / SETTINGS).read_text(encoding="utf-8")))
+        known = dict(json.loads(files.read_foreign(folder / SETTINGS, most=MOST_SETTINGS, error=EvaluationError)))
     except (OSError, ValueError, TypeError, RecursionError) as error:
         raise EvaluationError(f"{folder / SETTINGS} cannot be read ({error}); start again in another folder") from error
     return {**OLDER, **known}

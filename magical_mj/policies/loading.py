@@ -191,7 +191,7 @@ def _default_name(origin: str) -> str:
     if path.suffix in LOADERS:
         return path.stem
     if path.is_dir():
-        return path.resolve().name if path.name in ("", "..") else path.name
+        return (path.resolve().name if path.name in ("", "..") else path.name) or origin
     return origin.rpartition(":")[2]
 
 
@@ -219,7 +219,7 @@ def _imported(origin: str) -> Act:
     if inspect.isclass(policy):
         policy = _instantiate(policy, origin)
     if not callable(policy):
-        raise SettingsError(f"the policy {origin} is a {type(policy).__name__}, which cannot be called")
+        raise SettingsError(f"the policy {origin} is of the type {type(policy).__name__}, and cannot be called")
     return policy
 
 

@@ -20,6 +20,8 @@ from magical_mj.utils.errors import MagicalError, SettingsError, short_repr
 
 _UNFINISHED: Final = re.compile(r"\..*\.[0-9a-f]{8}-[0-9a-f]{8}\.(part(\.[^.]*)?|lock)|\.(.*\.)?lock")
 """The names of the temporary files and locks of this module."""
+_MOST_TOML: Final = 1_000_000
+"""The number of bytes of the largest TOML file that is read."""
 _LONGEST_STEM: Final = 30
 """The characters of a file's name in that of its temporary file: file systems take 255 bytes."""
 
@@ -65,13 +67,14 @@ def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
     Raises:
         FileExistsError, OSError: as `write`.
     """
-    path = to_path(path)
+    given = str(to_path(path))
+    path = Path(given).absolute()  # the block, or a thread, may go to another working folder
     if overwrite and path.is_symlink():
         path = Path(os.path.realpath(path))  # what it leads to is replaced, not the link
     if path.is_dir():
-        raise IsADirectoryError(errno.EISDIR, "is a folder", str(path))
+        raise IsADirectoryError(errno.EISDIR, "is a folder", given)
     if not path.parent.is_dir():  # which the lock would make
-        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), given)
     # Machines have temporary files of their own: file systems that they share may not share locks.
     host, name = (hashlib.sha256(os.fsencode(text)).hexdigest()[:8] for text in (platform.node(), path.name))
     lock = path.with_name(f".{path.stem[:_LONGEST_STEM]}.{host}-{name}.lock")
@@ -90,9 +93,9 @@ def new_file(path: Path | str, *, overwrite: bool = False) -> Iterator[Path]:
                 with suppress(OSError):
                     unfinished.unlink()
     except OSError as error:
-        if error.errno is None or error.filename not in (None, str(unfinished), str(lock)):
+        if error.errno is None or error.filename not in (None, *map(str, (unfinished, lock, path))):
             raise
-        raise OSError(error.errno, error.strerror, str(path)) from error  # a full disk's error has no file name
+        raise OSError(error.errno, error.strerror, given) from error  # a full disk's error has no file name
 
 
 @contextmanager
@@ -105,13 +108,14 @@ def new_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     Raises:
         FileExistsError: if the folder exists and `overwrite` is false.
     """
+    given, path = path, path.absolute()  # the block may go to another working folder
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished, replaced = (path.with_name(f".{path.name}.{what}") for what in ("part", "old"))
     with locked(path.parent):
         shutil.rmtree(unfinished, ignore_errors=True)  # what a process left that was killed
         _restore(replaced, path)
         if path.exists() and not overwrite:
-            raise _exists(path)
+            raise _exists(given)
         try:
             yield unfinished
             if path.exists():
@@ -144,6 +148,7 @@ def locked(path: Path, *, busy: Exception | None = None) -> Iterator[None]:
         path: the file or folder.
         busy: what is raised if another process is in it; None: this one waits.
     """
+    path = path.absolute()  # the block may go to another working folder
     lock = path / ".lock" if path.is_dir() else path.with_name(f".{path.name}.lock")
     try:
         with _held(lock, timeout=-1 if busy is None else 0):
@@ -181,7 +186,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         SettingsError: if it cannot be read as TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(read_foreign(path, most=_MOST_TOML, error=SettingsError).decode())
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise SettingsError(f"{path} cannot be read as TOML: {error}") from error
 

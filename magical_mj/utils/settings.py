@@ -43,7 +43,9 @@ _WORDS: Final[Mapping[type, str]] = {
     inspect.FloatType: "a number",
     inspect.StrType: "a text",
     inspect.CustomType: "a path",
+    inspect.DictType: "a table",
 }
+_LISTS: Final[Mapping[type, str]] = {inspect.IntType: "a list of integers", inspect.StrType: "a list of texts"}
 
 
 class Setting(NamedTuple):
@@ -203,6 +205,8 @@ def _wanted(plain: Any, kind: Any, value: Any) -> str:
         return "names, as a list or separated by commas"
     known = _information(kind)
     words = _WORDS.get(type(known), "valid")
+    if isinstance(known, inspect.VarTupleType):
+        words = _LISTS.get(type(known.item_type), "a list")
     least, above, most = (getattr(known, bound, None) for bound in ("ge", "gt", "le"))
     if isinstance(value, str):  # from the command line
         with suppress(ValueError):

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import gymnasium
+import mujoco
+import mujoco_warp
 import numpy as np
 import pytest
 import torch
@@ -276,3 +279,13 @@ def test_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(code, "batched.md", "exec"), {})
     printed = capsys.readouterr().out.splitlines()[-1]
     assert printed == f"{torch.zeros(4, dtype=torch.float64)} {torch.zeros(4, dtype=torch.bool)}"
+
+
+def test_mujoco_warp_loads_exported_models_without_the_flag_that_it_does_not_know(tmp_path: Path) -> None:
+    """As docs/exported-model.md says; the file keeps the flag, for without it states differ by rounding."""
+    with closing(magical_mj.Engine("FindDupe", "All", seed=0)) as engine:
+        model = mujoco.MjModel.from_xml_path(str(magical_mj.export_mjcf(engine, tmp_path / "a.xml")))
+    with pytest.raises(NotImplementedError, match="mjDSBL_MIDPHASE"):
+        mujoco_warp.put_model(model)
+    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
+    assert mujoco_warp.put_model(model).nv == model.nv

@@ -58,6 +58,20 @@ def test_wrong_use(shell: Shell, line: str, hint: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("line", "refusal"),
+    [
+        ("demos export --to hdf5", "'--to': 'hdf5' is not one of 'npz', 'minari', 'lerobot', "),
+        ("view FindDupe --renderer gl", "'--renderer': 'gl' is not one of 'opengl', 'software'; see "),
+        ("evaluate --policy noop --out s --rules old", "'--rules': 'old' is not one of 'paper', 'released'; see "),
+        ("experiment e.toml --out x --backend ray", "'--backend': 'ray' is not one of 'local', 'dask'; see "),
+    ],
+)
+def test_a_value_error_of_the_parser_is_not_shown_as_one(shell: Shell, line: str, refusal: str) -> None:
+    """Before the choices it puts "Value error, ", which says nothing to users; `Shell.fails` looks for it, too."""
+    assert shell.fails(2, *line.split()).startswith(f"magical-mj: Invalid value for {refusal}")
+
+
+@pytest.mark.parametrize(
     "line",
     [
         "view FindDupe --out {}/a.png",

@@ -86,15 +86,28 @@ try:
 except KeyboardInterrupt as error:
     raise ImportError("initialization failed") from error
 """
+AT_THE_COMMAND_LINE = f"""
+import sys
+class Finder:
+    def find_spec(self, name, *_):
+        if name == "magical_mj.cli":
+            {INTERRUPTED}
+sys.meta_path.insert(0, Finder())
+"""
 
 
 @pytest.mark.parametrize(
     ("module", "code", "text"),
-    [("typer", -2, INTERRUPTED), ("rich", 130, INTERRUPTED), ("rich", 130, AS_COMPILED)],
-    ids=["of all commands", "of this command", "compiled"],
+    [
+        ("sitecustomize", 130, AT_THE_COMMAND_LINE),
+        ("typer", -2, INTERRUPTED),
+        ("rich", 130, INTERRUPTED),
+        ("rich", 130, AS_COMPILED),
+    ],
+    ids=["the command line's own", "of all commands", "of this command", "compiled"],
 )
 def test_ctrl_c_while_modules_are_loaded_is_no_traceback(module: str, code: int, text: str, tmp_path: Path) -> None:
-    """In a module that all commands import, in one that this command does, and in a compiled one."""
+    """In the first module, in one that all commands import, in one that this command does, and in a compiled one."""
     (tmp_path / f"{module}.py").write_text(text)
     result = process("list", PYTHONPATH=f"{tmp_path}:{Path(__file__).parents[2]}")
     assert (result.returncode, result.stdout, result.stderr) == (code, "", "")

@@ -227,6 +227,61 @@ def test_exports_at_the_same_time_take_turns(demo: Demonstration, minari: Any, t
     assert sorted(path.name for path in sets.iterdir()) == ["both-v0", "namespace_metadata.json"]
 
 
+@pytest.mark.parametrize("later", [False, True])
+def test_after_a_kill_minari_has_the_older_set_or_one_made_later(
+    later: bool, demo: Demonstration, minari: Any, tmp_path: Path
+) -> None:
+    """Of a process that was killed while it replaced a data set: what it had put aside never replaces a later one."""
+    demos.to_minari([demo], "mine-v0")
+    program = (
+        "import os, pathlib; from magical_mj import demos\n"
+        "rename = pathlib.Path.rename\n"
+        "pathlib.Path.rename = lambda *paths: (rename(*paths), os.kill(os.getpid(), 9))\n"
+        "demos.to_minari(demos.load('FixColour')[:2], 'mine-v0', overwrite=True)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == -9
+    assert minari.list_local_datasets() == {}
+    if later:  # by Minari's own means
+        from minari.dataset.minari_storage import MinariStorage
+
+        (folder := tmp_path / "sets" / "mine-v0").mkdir()
+        storage = MinariStorage.new(folder / "data", *2 * [gymnasium.spaces.Discrete(2)])
+        storage.update_metadata({"dataset_id": "mine-v0", "minari_version": minari.__version__})
+    with pytest.raises(FileExistsError):
+        demos.to_minari([demo, demo], "mine-v0")
+    assert minari.load_dataset("mine-v0").total_episodes == (0 if later else 1)
+    assert [path.name for path in (tmp_path / "sets").iterdir()] == ["mine-v0"]
+
+
+@pytest.mark.parametrize(("preset", "settings"), [("LoRes4E", {"jpeg_encoding": False}), ("LoResCHW4E", {})])
+def test_what_minaris_collector_stores_are_the_pictures(
+    preset: str, settings: dict[str, Any], minari: Any, tmp_path: Path
+) -> None:
+    """Exactly, in a stack of frames, as docs/integrations.md says; by the collector's storage, since it needs jax."""
+    from minari.data_collector import EpisodeBuffer
+    from minari.dataset.minari_storage import MinariStorage
+
+    env = gymnasium.make(magical_mj.env_id("MoveToRegion", "Demo", preset), renderer="software")
+    spaces = (env.observation_space, env.action_space)
+    seen = [env.reset(seed=0)[0], *(env.step(action)[0] for action in (1, 2))]
+    storage = MinariStorage.new(tmp_path / "data", *spaces, env.spec, **settings)
+    flags: list[Any] = [False, False]
+    storage.update_episodes([EpisodeBuffer(0, 0, None, seen, [1, 2], [0.0, 0.0], flags, [False, True], {})])
+    (episode,) = storage.get_episodes([0])
+    assert np.array_equal(episode["observations"], seen)
+    env.close()
+
+
+@pytest.mark.parametrize("given", [None, "FixColour", [3]])
+def test_what_are_no_demonstrations_is_said(given: Any, demo: Demonstration, tmp_path: Path) -> None:
+    for one in (given, demo):
+        for call in (demos.to_npz, to_robomimic):
+            with pytest.raises(DemonstrationError, match=r"give demonstrations in a list|is not a demonstration"):
+                call(one, tmp_path / "set")
+        with pytest.raises(DemonstrationError, match=r"give demonstrations in a list|is not a demonstration"):
+            demos.transitions(one)
+
+
 @pytest.fixture(scope="module")
 def two() -> list[demos.Demonstration]:
     return demos.load("FixColour")[:2]

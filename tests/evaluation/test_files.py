@@ -40,6 +40,16 @@ def test_file_holds_everything(tmp_path: Path) -> None:
     assert entry["steps"] == len(entry["actions"]) == 40
 
 
+@pytest.mark.parametrize("name", [SCORES, SETTINGS])
+def test_a_pipe_in_the_place_of_a_file_is_refused(name: str, tmp_path: Path) -> None:
+    """Instead of waiting for what somebody writes into it."""
+    magical_mj.evaluate("random", out=tmp_path, **SMALL)
+    (tmp_path / name).unlink()
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(EvaluationError, match=f"{name} is not a plain file"):
+        magical_mj.evaluate("random", out=tmp_path, resume=True, **SMALL)
+
+
 def test_resume_does_only_what_is_left(tmp_path: Path) -> None:
     whole = magical_mj.evaluate("random", out=tmp_path / "whole", **SMALL)
     magical_mj.evaluate("random", out=tmp_path / "part", **SMALL)

@@ -247,7 +247,7 @@ class Holding:
         (Path("missing.zip"), {}, "no file missing.zip"),
         ("no_such_module:thing", {}, "no_such_module:thing cannot be imported"),
         ("tests.helpers.agents:nothing", {}, "no 'nothing' in tests.helpers.agents"),
-        ("tests.helpers.agents:NOT_CALLABLE", {}, "is a int, which cannot be called"),
+        ("tests.helpers.agents:NOT_CALLABLE", {}, "is of the type int, and cannot be called"),
         ("missing.zip", {}, "no file missing.zip"),
         ("noop", {"tasks": "FindDup"}, "Did you mean 'FindDupe'"),
         ("noop", {"tasks": ""}, "at least one of"),

@@ -48,6 +48,7 @@ class Shell:
         assert (actual, out) == (code, "")
         assert error.startswith("magical-mj: ")
         assert error.count("\n") == 1
+        assert "Value error" not in error
         return error
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -38,3 +40,12 @@ def test_extras_come_from_where_the_package_came_from(
     monkeypatch.syspath_prepend(tmp_path)
     assert importlib.metadata.version("magical-mj") == "9"
     assert remedy("web") == command
+
+
+def test_a_checkout_that_was_never_installed_names_itself() -> None:
+    """Seen by a Python without any installed packages."""
+    root = Path(__file__).parents[2]
+    start = f"import sys; sys.path.insert(0, {str(root)!r}); from magical_mj.utils.extras import remedy"
+    command = [sys.executable, "-I", "-S", "-c", f"{start}; print(remedy('web'))"]
+    run = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert run.stdout == f'pip install -e "{root}[web]"\n'

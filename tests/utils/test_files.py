@@ -187,6 +187,36 @@ def test_files_of_others_are_plain_and_of_bounded_size(tmp_path: Path) -> None:
         files.read_foreign(tmp_path / "nothing", most=5, error=SettingsError)
 
 
+def test_toml_of_others_is_a_plain_file_of_bounded_size(tmp_path: Path) -> None:
+    """A pipe would be waited for without end."""
+    os.mkfifo(tmp_path / "pipe.toml")
+    with pytest.raises(SettingsError, match="not a plain file"):
+        files.read_toml(tmp_path / "pipe.toml")
+    (tmp_path / "large.toml").write_bytes(b"#" * 1_000_001)
+    with pytest.raises(SettingsError, match="larger than 1,000,000 bytes"):
+        files.read_toml(tmp_path / "large.toml")
+
+
+def test_whoever_writes_may_go_to_another_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a policy that is played does; relative paths are those of the beginning, and errors name what was given."""
+    (tmp_path / "elsewhere").mkdir()
+    for name in ("a.txt", "set", "lock"):
+        monkeypatch.chdir(tmp_path)
+        if name == "lock":
+            with files.locked(Path()):
+                monkeypatch.chdir("elsewhere")
+            continue
+        with (files.new_file if name == "a.txt" else files.new_folder)(Path(name)) as unfinished:
+            monkeypatch.chdir("elsewhere")
+            unfinished.write_text("text")
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["a.txt", "elsewhere", "set"]
+    monkeypatch.chdir(tmp_path)
+    for make in (files.new_file, files.new_folder):
+        with pytest.raises(FileExistsError) as caught, make(Path("a.txt")):
+            pytest.fail("nothing is replaced unasked")
+        assert caught.value.filename == "a.txt"
+
+
 def test_a_folder_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path) -> None:
     path, text = tmp_path / "new" / "set", "one"
     for text in ("one", "two"):

@@ -28,6 +28,8 @@ class Cake(Settings):
     taste: Literal["sweet", "salty"] = "sweet"
     guests: Annotated[Names, Meta(description="Who eats it.")] = "all"
     recipe: Path | None = None
+    sizes: tuple[int, ...] = ()
+    notes: dict[str, Any] = field(default_factory=dict)
     oven: Oven = field(default_factory=Oven)
 
 
@@ -48,6 +50,8 @@ def test_values_become_pythons_own() -> None:
         ({"guests": 3}, "guests must be names, as a list or separated by commas, not 3"),
         ({"eggs": "\ud800"}, "eggs must be an integer of at least 1, not '\\ud800'"),
         ({"recipe": 3}, "recipe must be a path, not 3"),
+        ({"sizes": "3"}, "sizes must be a list of integers, not '3'"),
+        ({"notes": 3}, "notes must be a table, not 3"),
         ({"taste": "swet"}, "Did you mean 'sweet'"),
         ({"egs": 3}, "Did you mean 'eggs'"),
         ({"oven": 3}, "oven must be of the type Oven, not 3"),
@@ -73,7 +77,7 @@ def test_changes_may_be_text_and_reach_parts() -> None:
 
 def test_the_command_line_learns_types_bounds_and_meanings() -> None:
     known = described(Cake)
-    assert list(known) == ["eggs", "layers", "taste", "guests", "recipe", "oven.heat", "oven.fan"]
+    assert list(known) == ["eggs", "layers", "taste", "guests", "recipe", "sizes", "notes", "oven.heat", "oven.fan"]
     assert known["eggs"] == (int, 3, "How many.", 1)
     assert known["layers"] == (int | None, None, "None: as many as fit.", 1)
     assert known["recipe"].kind == Path | None

@@ -113,7 +113,9 @@ def main() -> int:
             numbers = f"{number}:{int(number) + 1}"
             command = [sys.executable, str(Path(__file__).parent / "cases.py"), kind, numbers, "0", name, "--loud"]
             return subprocess.run(command, check=False, env=_variables()).returncode
-        campaign, end = Campaign(Path(name)), time.monotonic() + 60 * arguments.minutes
+        folder = Path(name) / "deep" / "enough"  # for commands that are given ../..: what others keep is no case
+        folder.mkdir(parents=True)
+        campaign, end = Campaign(folder), time.monotonic() + 60 * arguments.minutes
         while time.monotonic() < end and any(campaign.tried[kind] < arguments.cases for kind in kinds):
             for kind in kinds:
                 campaign.go_on(kind, min(SLICE, end - time.monotonic()), arguments.cases)

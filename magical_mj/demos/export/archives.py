@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.demos.demonstration import Demonstration, check_seeds, only_environment
+from magical_mj.demos.demonstration import Demonstration, check_seeds, checked, only_environment
 from magical_mj.demos.export.lerobot import IMAGE_SIZE, VIEWS
 from magical_mj.demos.learning import observations, stream
 from magical_mj.demos.replay import render_demo
@@ -57,7 +57,7 @@ def to_npz(
             have different shapes, as those of different bodies do.
         FileExistsError: if the file exists.
     """
-    demos, path = list(demos), files.to_path(path)
+    demos, path = list(checked(demos)), files.to_path(path)
     if not demos:
         raise DemonstrationError("there are no demonstrations to write")
     check_seeds(demos)
