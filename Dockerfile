@@ -2,7 +2,8 @@
 #   docker build --tag magical-mj .                                   evaluations, figures, dask (videos: extra video, 165 MB)
 #   docker build --tag magical-mj --build-arg EXTRAS=eval,il .        and the learners, with PyTorch; for its index of CPU
 #                                                 builds, which are 4 GB smaller: --build-arg PIP_EXTRA_INDEX_URL=...
-#   docker run --rm --volume "$PWD/runs:/home/magical/runs" magical-mj evaluate --policy random --out runs/random
+#   mkdir -p runs     docker would make it as root, who alone could write there; --user is for those who are not number 1000
+#   docker run --rm --user "$(id -u)" --volume "$PWD/runs:/home/magical/runs" magical-mj evaluate --policy random --out runs/random
 FROM python:3.12-slim
 
 ARG EXTRAS=eval,dask
