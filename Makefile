@@ -119,7 +119,7 @@ demonstrations: $(VENV)/.installed-dev  ## after a change of the physics: the sh
 LEROBOT := .venv-lerobot
 LEROBOT_PYTHON ?= $(shell for p in python3.12 python3.13; do $$p -c '' 2>/dev/null && echo $$p && break; done)
 
-lerobot: $(LEROBOT)/.installed  ## an environment of its own (Python 3.12, 5 GB) in which LeRobot's commands know this package
+lerobot: $(LEROBOT)/.installed  ## an environment of its own (Python 3.12, 6.3 GB) in which LeRobot's commands know this package
 
 lerobot-test: $(LEROBOT)/.installed  ## the tests of that plug-in
 	HF_HUB_OFFLINE=1 OMP_NUM_THREADS=1 $(LEROBOT)/bin/python -m pytest -n auto -rP tests/integrations/test_lerobot*.py $(ARGS)
