@@ -86,7 +86,7 @@ def test_every_command_works(tmp_path: Path) -> None:
     result = subprocess.run(
         [sys.executable, "-I", "-c", program],
         cwd="/proc",
-        env=left | {"HOME": "/nonexistent", "TMPDIR": "/nonexistent", "LC_ALL": "C", "SDL_VIDEODRIVER": "dummy"},
+        env=left | {"HOME": "/dev/null/home", "TMPDIR": "/dev/null/tmp", "LC_ALL": "C", "SDL_VIDEODRIVER": "dummy"},
         capture_output=True,
         text=True,
         check=False,
