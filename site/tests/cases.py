@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -21,8 +23,11 @@ from shifted import SUITE, SWEPT, described, offered, scenes
 import magical_mj
 from magical_mj.engine import Engine
 from magical_mj.engine.export import mjcf_text
+from magical_mj.learners import load_settings, train
+from magical_mj.learners.export import export_policy
 from magical_mj.policies.history import histories
 from magical_mj.scene import Scene
+from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.bodies import BODIES, GRIPPER
 from magical_mj.web.inspection import model_files
 from magical_mj.web.page_data import drawing_style, scene_data
@@ -37,6 +42,13 @@ SEEN: Final = 25  # states of each task that are compared, and what policies do 
 POLICIES: Final = Path(__file__).parents[1] / "policies"
 PICTURES: Final = 192  # pixels
 EVERY: Final = 4  # environments from one whose pictures are compared to the next
+LOOKS: Final = 4  # moments of each environment at which policies' pictures are compared
+LOOK_SIZE: Final = 96  # pixels
+LOOKING: Final = {"LoRes4E": "FindDupe", "LoRes4A": "MakeLine", "LoRes3EA": "MatchRegions"}
+"""Presets of pictures, and the task on which a policy is trained that looks at them."""
+LOOKED: Final = 200  # pictures that such policies are given, of all presets together
+BRIEF: Final = {"augment": "none", "bc.batches": 60, "demonstrations": 1, "evaluations": 0, "checkpoints": 1}
+"""A training that is just long enough for a policy to prefer different actions."""
 
 
 def episodes() -> Iterator[dict[str, Any]]:
@@ -146,6 +158,38 @@ def policies() -> Iterator[dict[str, Any]]:
         yield {**played, "states": states.tolist(), "best": best}
 
 
+def looks() -> Iterator[dict[str, Any]]:
+    """Of every environment some states, and a hash of what the software renderer draws of each for both cameras."""
+    rng = np.random.default_rng(0)
+    shifted = [(*pair, shift) for pair in SUITE for shift in offered(*pair)["body"]]
+    for seed, (*pair, shift) in enumerate([*((*pair, "") for pair in (*magical_mj.ENVIRONMENTS, *SUITE)), *shifted]):
+        env = Engine(*pair, seed=seed, shifts=shift or None, renderer="software")
+        name, start = "-".join((*pair, str(seed), shift)), {"mjcf": mjcf_text(env), **described(env)}
+        moments = []
+        for action in rng.integers(len(ACTIONS), size=LOOKS).tolist():
+            for _ in range(5):
+                env.step(action)
+            hashes = {view: hashlib.sha256(env.render(view, LOOK_SIZE)).hexdigest() for view in ("ego", "allo")}
+            moments.append({"qpos": env.data.qpos.tolist(), **hashes})
+        env.close()
+        yield {"name": name, **start, "moments": moments}
+
+
+def looking(folder: Path) -> Iterator[dict[str, Any]]:
+    """What policies from pictures prefer along a demonstration; they are left in the folder."""
+    for preset, task in LOOKING.items():
+        demo, count = magical_mj.demos.load(task)[0], -(-LOOKED // len(LOOKING))
+        env = Engine(task, scene=demo.scene)
+        start = {"mjcf": mjcf_text(env), **described(env), "actions": demo.actions[:count].tolist()}
+        env.close()
+        with tempfile.TemporaryDirectory() as run:
+            train(load_settings("bc", task, quick=True, preset=preset, **BRIEF), run)
+            file = export_policy(run, folder / f"{preset}.onnx", overwrite=True)
+        seen = np.asarray(magical_mj.demos.observations(demo, preset, renderer="software"))[:count]
+        (logits,) = onnxruntime.InferenceSession(file).run(None, {"observations": seen})
+        yield {"preset": preset, **start, "best": np.asarray(logits).argmax(1).tolist()}
+
+
 def stepped() -> Iterator[dict[str, Any]]:
     """Models, some from elsewhere and with files beside them, and the state after 100 steps at full throttle."""
     for task, variant in magical_mj.ENVIRONMENTS[::7]:
@@ -209,6 +253,8 @@ if __name__ == "__main__":
         "policies": list(policies()),
         "scores": list(scores()),
         "pictures": list(pictures()),
+        "looks": list(looks()),
+        "looking": list(looking(folder)),
     }
     for name, content in {**cases, "look": drawing_style()}.items():
         (folder / f"{name}.json").write_text(json.dumps(content))

@@ -1,6 +1,7 @@
 // @ts-check
 /** The page's simulation and scores beside Python's, on the cases that cases.py wrote. */
 import assert from "node:assert/strict";
+import { createHash } from "node:crypto";
 import { readFile } from "node:fs/promises";
 import { test } from "node:test";
 import loadMujoco from "../../out/npm/node_modules/@mujoco/mujoco/mujoco.js";
@@ -67,7 +68,7 @@ test("policies see and prefer what they do in Python", async () => {
   for (const { task, scene, mjcf, actions, states, best } of cases) {
     const network = await readFile(new URL(`../policies/${task}.onnx`, import.meta.url));
     const simulation = new Simulation(mujoco, mjcf, scene);
-    const policy = new Policy(ort, await ort.InferenceSession.create(network), () => simulation.state());
+    const policy = await Policy.open(ort, network, simulation);
     for (const [i, state] of states.entries()) {
       const seen = simulation.state();
       worst = Math.max(worst, ...state.map((/** @type {number} */ value, /** @type {number} */ k) => Math.abs(value - seen[k])));
@@ -81,4 +82,43 @@ test("policies see and prefer what they do in Python", async () => {
   console.log(`${count} states: they differ by at most ${worst.toExponential(1)}, the preferred actions do not`);
   assert.equal(count, 200);
   assert.ok(worst < 1e-6);
+});
+
+test("pictures are those of Python's software renderer, byte for byte", async () => {
+  const [mujoco, cases] = await Promise.all([loadMujoco(), read("looks")]);
+  let count = 0, taken = 0;
+  for (const { name, scene, mjcf, moments } of cases) {
+    const simulation = new Simulation(mujoco, mjcf, scene), raster = simulation.raster();
+    for (const moment of moments) {
+      simulation.data.qpos.set(moment.qpos);
+      for (const camera of ["ego", "allo"]) {
+        const since = performance.now(), picture = raster.draw(simulation.data, camera, 96);
+        taken += performance.now() - since;
+        count += 1;
+        assert.equal(createHash("sha256").update(picture).digest("hex"), moment[camera], `${name}, ${camera}`);
+      }
+    }
+    simulation.close();
+  }
+  console.log(`${count} pictures of ${cases.length} scenes are equal; one takes ${(taken / count).toFixed(1)} ms`);
+});
+
+test("policies from pictures prefer what they do in Python, by what is drawn here", async () => {
+  const [mujoco, cases] = await Promise.all([loadMujoco(), read("looking")]);
+  ort.env.wasm.numThreads = 1;
+  let count = 0;
+  for (const { preset, scene, mjcf, actions, best } of cases) {
+    const network = await readFile(new URL(`../../out/site-test/${preset}.onnx`, import.meta.url));
+    const simulation = new Simulation(mujoco, mjcf, scene);
+    const policy = await Policy.open(ort, network, simulation);
+    for (const [i, right] of best.entries()) {
+      const values = await policy.think();
+      assert.equal(values.indexOf(Math.max(...values)), right, `${preset}, step ${i}`);
+      simulation.act(actions[i]);
+      count += 1;
+    }
+    simulation.close();
+  }
+  console.log(`${count} stacks of pictures: the preferred actions are Python's`);
+  assert.ok(count >= 200);
 });

@@ -2,8 +2,9 @@
 /**
  * An episode as it is played: actions at 8 Hz, and what to show at any moment in between.
  * @typedef {import("./scene.js").Scene} Scene
- * @typedef {{scene: Scene, act: (action: number | number[]) => Scene | Promise<Scene>, close: () => void, state?: () => Float32Array}} Episode
- *   the scene that it starts in, and what simulates it; state: what policies see, where the browser simulates
+ * @typedef {{scene: Scene, act: (action: number | number[]) => Scene | Promise<Scene>, close: () => void,
+ *   simulation?: import("./simulation.js").Simulation}} Episode
+ *   the scene that it starts in, and what happens in it; simulation: where the browser simulates
  */
 import { between } from "./scene.js";
 
@@ -48,11 +49,21 @@ export class Game {
   advance(time) {
     while (!this.busy && !this.over && !this.failure && time - this.since >= this.period) {
       this.before = this.now;
-      const action = this.choose();
+      const action = this.#chosen();
       if (action === null) return;
       const next = this.since + this.period;
       this.since = time - next > PAUSE ? time : next;
       this.#act(action);
+    }
+  }
+
+  /** What is chosen; null: wait. A policy may fail. */
+  #chosen() {
+    try {
+      return this.choose();
+    } catch (error) {
+      this.failure = /** @type {Error} */ (error);
+      return null;
     }
   }
 

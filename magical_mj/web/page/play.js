@@ -9,7 +9,7 @@ import { onProgress } from "./mujoco.js";
 import { asked } from "./patience.js";
 import { loadPolicy } from "./policy.js";
 import { recording, save } from "./recording.js";
-import { fetchJson, inBrowser, loadEnvironment } from "./scenes.js";
+import { fetchFile, fetchJson, inBrowser, loadEnvironment } from "./scenes.js";
 import { score } from "./score.js";
 import { remembered, Seat } from "./server.js";
 
@@ -110,7 +110,8 @@ async function choose(task, variant, seed, { shifts = "", script = null, method 
   if (choice !== choices) return;
   const episode = await open(environment, entry, task, variant).catch(failed);
   if (!episode || choice !== choices) return episode?.close();
-  const policy = acts && await loadPolicy(method === OWN && own || new URL(`policies/${task}.onnx`, document.baseURI).href, () => /** @type {any} */ (episode).state()).catch(failed);
+  const file = acts && await (method === OWN ? own : fetchFile(`policies/${task}.onnx`).catch(failed));
+  const policy = file && await loadPolicy(file, /** @type {any} */ (episode.simulation)).catch(failed);
   if ((acts && !policy) || choice !== choices) return episode.close();
   controls.tapped.clear();  // what was pressed before the scene was there does not start it
   const game = new Game(episode, horizon, next, speed);

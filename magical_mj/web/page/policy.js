@@ -1,8 +1,14 @@
 // @ts-check
-/** Policies that act here: ONNX networks from the last four states to a value for each action, in ONNX Runtime's WebAssembly build. */
+/** Policies that act here: ONNX networks from what was seen lately to a value for each action, in ONNX Runtime's WebAssembly build. */
 import { SIZE } from "./state.js";
 
+/** @typedef {{state: () => Float32Array, raster: () => import("./raster.js").Raster, data: any}} Seen  a simulation: of it, what policies see */
+/** @typedef {{type: string, dims: number[], look: () => Float32Array | Uint8Array}} Eye  look: takes in what is to be seen now; what was seen lately */
+
 const HISTORY = 4;
+const PIXELS = 96;
+/** Presets of pictures: the cameras in the order in which their pictures are stacked, and how many of the latest. */
+const PRESETS = { LoRes4E: { ego: 4 }, LoRes4A: { allo: 4 }, LoRes3EA: { allo: 1, ego: 3 } };
 /** @type {Promise<any> | null} */
 let runtime = null;
 
@@ -23,25 +29,20 @@ function loadRuntime() {
 
 /**
  * A policy at the start of an episode.
- * @param {string | Uint8Array} file  its address, or its content
- * @param {() => Float32Array} observe  the present state
+ * @param {Uint8Array} file  its content
+ * @param {Seen} simulation  at the start
  */
-export async function loadPolicy(file, observe) {
+export async function loadPolicy(file, simulation) {
+  const ort = await loadRuntime().catch(() => { throw new Error("What runs policies could not be loaded: try again"); });
   try {
-    const ort = await loadRuntime();
-    const session = await ort.InferenceSession.create(file).catch(() => { throw new Error("it is no ONNX model, or did not arrive"); });
-    const { inputNames: [input], outputNames: [output], inputMetadata: [{ type, shape }] } = session;
-    if (input !== "observations" || output !== "logits") throw new Error("it is none that magical-mj export-policy wrote");
-    if (type !== "float32" || shape?.at(-1) !== SIZE) throw new Error("it acts from pictures, and here are states only");
-    return new Policy(ort, session, observe);
+    return await Policy.open(ort, file, simulation);
   } catch (error) {
-    throw new Error(`The policy could not be loaded (${error instanceof Error ? error.message : error}): try again`);
+    throw new Error(`The policy cannot act here: ${error instanceof Error ? error.message : error}`);
   }
 }
 
 export class Policy {
-  #ort; #session; #observe; #random;
-  /** @type {Float32Array[]} the latest, oldest first */ #states = [];
+  #ort; #session; #eye; #random;
   #step = -1;  // for which an action is chosen
   /** @type {number | null} */ #action = null;
   /** @type {unknown} */ #failure = null;
@@ -49,14 +50,23 @@ export class Policy {
   /**
    * @param {any} ort  ONNX Runtime
    * @param {any} session  with the network
-   * @param {() => Float32Array} observe  the present state
+   * @param {Eye} eye
    * @param {() => number} random  a number in [0, 1)
    */
-  constructor(ort, session, observe, random = Math.random) {
+  constructor(ort, session, eye, random = Math.random) {
     this.#ort = ort;
     this.#session = session;
-    this.#observe = observe;
+    this.#eye = eye;
     this.#random = random;
+  }
+
+  /** @param {any} ort @param {Uint8Array} file @param {Seen} simulation */
+  static async open(ort, file, simulation) {
+    const { preset } = metadata(file);
+    if (!preset) throw new Error("it is no ONNX file that magical-mj export-policy wrote");
+    const eye = preset === "State" ? states(simulation) : pictures(simulation, preset);
+    const session = await ort.InferenceSession.create(file).catch(() => { throw new Error("its network cannot be run"); });
+    return new Policy(ort, session, eye);
   }
 
   /** The action for this step; null while the network computes. @param {number} step  which was reached: 0, 1, ... */
@@ -70,14 +80,77 @@ export class Policy {
     return this.#action;
   }
 
-  /** Takes in the present state; returns the value of each action. @returns {Promise<Float32Array>} */
+  /** Looks at the present state; returns the value of each action. @returns {Promise<Float32Array>} */
   async think() {
-    const state = this.#observe();
-    this.#states = this.#states.length ? [...this.#states.slice(1), state] : Array(HISTORY).fill(state);
-    const seen = new Float32Array(HISTORY * SIZE);
-    this.#states.forEach((one, i) => seen.set(one, i * SIZE));
-    const { logits } = await this.#session.run({ observations: new this.#ort.Tensor("float32", seen, [1, HISTORY, SIZE]) });
+    const { type, dims, look } = this.#eye;
+    const { logits } = await this.#session.run({ observations: new this.#ort.Tensor(type, look(), dims) });
     return logits.data;
+  }
+}
+
+/** The latest states, oldest first; the first one stands for those before it. @param {Seen} simulation @returns {Eye} */
+function states(simulation) {
+  const seen = new Float32Array(HISTORY * SIZE);
+  let begun = false;
+  const look = () => {
+    const state = simulation.state();
+    seen.copyWithin(0, SIZE);
+    for (let i = begun ? HISTORY - 1 : 0; i < HISTORY; i++) seen.set(state, i * SIZE);
+    begun = true;
+    return seen;
+  };
+  return { type: "float32", dims: [1, HISTORY, SIZE], look };
+}
+
+/** The latest pictures of some cameras, stacked along the channels, oldest first. @param {Seen} simulation @param {string} preset @returns {Eye} */
+function pictures(simulation, preset) {
+  const frames = Object.entries(PRESETS[/** @type {keyof typeof PRESETS} */ (preset)] ?? {});
+  if (!frames.length) throw new Error(`it acts from ${preset}, which is not seen here`);
+  const raster = simulation.raster(), depth = 3 * frames.reduce((sum, [, count]) => sum + count, 0);
+  /** @type {Record<string, Uint8Array[]>} */
+  const latest = {};
+  const look = () => {
+    for (const [camera, count] of frames) {
+      const picture = raster.draw(simulation.data, camera, PIXELS);
+      latest[camera] = latest[camera] ? [...latest[camera].slice(1), picture] : Array(count).fill(picture);
+    }
+    const stack = new Uint8Array(PIXELS * PIXELS * depth);
+    frames.flatMap(([camera]) => latest[camera]).forEach((picture, i) => {
+      for (let at = 3 * i, from = 0; from < picture.length; at += depth, from += 3) stack.set(picture.subarray(from, from + 3), at);
+    });
+    return stack;
+  };
+  return { type: "uint8", dims: [1, PIXELS, PIXELS, depth], look };
+}
+
+/**
+ * What an ONNX file says of itself: texts by their names, the entries 14 of its protocol buffer. Empty if it is no such file.
+ * @param {Uint8Array} file
+ * @returns {Record<string, string>}
+ */
+function metadata(file) {
+  try {
+    const texts = [...entries(file)].filter(([number]) => number === 14)
+      .map(([, content]) => [...entries(content)].map(([, text]) => new TextDecoder().decode(text)));
+    return Object.fromEntries(texts);
+  } catch {
+    return {};
+  }
+}
+
+/** Numbers and contents of what has a length; other values are passed over. @param {Uint8Array} bytes @returns {Generator<[number, Uint8Array]>} */
+function* entries(bytes) {
+  let at = 0;
+  const number = () => {
+    let value = 0, unit = 1;
+    for (; bytes[at] > 127; unit *= 128) value += unit * (bytes[at++] & 127);
+    return value + unit * bytes[at++];
+  };
+  while (at < bytes.length) {
+    const tag = number(), size = number();
+    if (tag % 8 === 0) continue;
+    if (tag % 8 !== 2 || !(at + size <= bytes.length)) throw new Error("this is no ONNX file");
+    yield [Math.floor(tag / 8), bytes.subarray(at, at += size)];
   }
 }
 

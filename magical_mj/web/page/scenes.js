@@ -28,10 +28,16 @@ export async function loadEnvironment(task, variant, shifts = "") {
 }
 
 /** @param {string} path  beside the page */
-export async function fetchJson(path) {
+export const fetchJson = async (path) => (await fetched(path)).json();
+
+/** @param {string} path  beside the page */
+export const fetchFile = async (path) => new Uint8Array(await (await fetched(path)).arrayBuffer());
+
+/** @param {string} path */
+async function fetched(path) {
   const reply = await fetch(path).catch(() => null);
   if (!reply?.ok) throw new Error(`${path} could not be loaded${reply ? ` (${reply.status})` : ""}: try again`);
-  return reply.json();
+  return reply;
 }
 
 /**
@@ -45,6 +51,6 @@ export function inBrowser(asked) {
     if (!scene) throw new Error("there is no such scene here");
     const simulation = new Simulation(await loadMujoco(), mjcf.map((i) => elements[i]).join(""), scene);
     const done = taken && taking(taken);
-    return { scene, act: (action) => simulation.act(done ? done(Number(action)) : action), close: () => simulation.close(), state: () => simulation.state() };
+    return { scene, act: (action) => simulation.act(done ? done(Number(action)) : action), close: () => simulation.close(), simulation };
   };
 }

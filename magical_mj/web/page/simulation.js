@@ -3,6 +3,7 @@
  * One world in MuJoCo's WebAssembly build, from a file that `magical_mj.export_mjcf` wrote: it says what an action does.
  * @typedef {import("./scene.js").Scene} Scene
  */
+import { Raster } from "./raster.js";
 import { moved } from "./scene.js";
 import { speedSignal, vector } from "./speeds.js";
 import { stateVector } from "./state.js";
@@ -15,6 +16,7 @@ export class Simulation {
    */
   constructor(mujoco, mjcf, scene) {
     this.mujoco = mujoco;
+    this.mjcf = mjcf;
     this.scene = scene;
     this.model = mujoco.MjModel.from_xml_string(mjcf);
     this.data = new mujoco.MjData(this.model);
@@ -56,6 +58,11 @@ export class Simulation {
   /** What policies see now. */
   state() {
     return stateVector(this.scene, this.#planar(this.data.qpos), this.#planar(this.data.qvel), this.#fingers());
+  }
+
+  /** What draws the pictures that policies see. */
+  raster() {
+    return new Raster(this.mujoco, this.model, this.mjcf, this.scene);
   }
 
   /** The coordinates, or velocities, of the robot and each block: x, y, angle. @param {Float64Array} values  all joints have one */
