@@ -144,6 +144,20 @@ test("the robot is driven by keys, and helpers and plots follow", async () => {
   assert.deepEqual(complaints, []);
 });
 
+test("where actions are speeds, keys and the expert act, too", async () => {
+  await page.evaluate(() => { location.hash = "#SweepToTop-Demo-0"; });
+  await untilOpen("SweepToTop-Demo-0");
+  const begun = await state();
+  await page.focus("#world");
+  await page.keyboard.press("ArrowUp");
+  await page.waitForFunction(() => Number.parseFloat(document.getElementById("time")?.textContent ?? "") > 0.2);
+  await page.keyboard.press("p");
+  assert.notDeepEqual((await state()).qpos, begun.qpos);
+  await page.click("#expert");
+  await page.waitForFunction(() => Number.parseFloat(document.getElementById("time")?.textContent ?? "") > 0.4);
+  assert.deepEqual(complaints, []);
+});
+
 test("what is wrong with a model is said, and the one before stays", async () => {
   await openFiles({ "bad.xml": "<mujoco>\n<worldbody>\n<geom type='blob'/>\n</worldbody></mujoco>" });
   await page.waitForFunction(() => document.getElementById("message")?.textContent);

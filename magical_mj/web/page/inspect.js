@@ -26,8 +26,8 @@ const controls = new Controls(element("world"), []);
 const shown = {
   /** @type {World | null} */ world: null,
   name: "", text: "", running: false, stale: true, behind: 0, last: 0, selected: -1,
-  /** @type {number[] | null} actions of the expert */ script: null,
-  /** @type {string} the expert's actions as letters, where they are known, and are no speeds */ expert: "",
+  /** @type {(number | number[])[] | null} actions of the expert */ script: null,
+  /** @type {string | number[][]} the same where they are known, as letters or speeds */ expert: "",
   done: 0, driven: false, turned: -Infinity, rough: false,
 };
 let choices = 0;  // the last one wins, whatever was loaded in between
@@ -42,7 +42,7 @@ function say(what, isWrong = false) {
 /**
  * Opens a model, and keeps the one before if that fails.
  * @param {string} name
- * @param {() => Promise<{text: string, files?: Map<string, Uint8Array>, expert?: string}>} read
+ * @param {() => Promise<{text: string, files?: Map<string, Uint8Array>, expert?: string | number[][]}>} read
  */
 async function open(name, read) {
   const choice = ++choices;
@@ -65,8 +65,8 @@ async function open(name, read) {
 /** @param {World} world */
 function showModel(world) {
   document.title = `${shown.name} · Inspect a model · MAGICAL`;
-  element("legend").hidden = !world.controls;
-  element("expert").hidden = !shown.expert;
+  element("legend").hidden = !world.acts;
+  element("expert").hidden = !shown.expert.length;
   element("model").href = `data:text/xml;charset=utf-8,${encodeURIComponent(shown.text)}`;
   element("model").download = shown.name.endsWith(".xml") ? shown.name : `${shown.name}.xml`;
   element("file-says").hidden = !world.comments.file;
@@ -94,12 +94,10 @@ function treeOf(world) {
 /** @param {World} world */
 function slidersOf(world) {
   const { model } = world;
-  const mostUsed = (/** @type {number} */ id) => world.controls
-    ? Math.max(...Array.from(/** @type {Float64Array} */ (world.controls)).filter((_, i) => i % model.nu === id).map(Math.abs)) : 1;
   return world.names("actuator", "actuator", model.nu).map((name, id) => {
     const label = document.createElement("label"), slider = document.createElement("input"), value = document.createElement("output");
     const range = model.actuator_ctrlrange.subarray(2 * id, 2 * id + 2);  // 0 0: unlimited; MuJoCo's build gives no flags
-    const [low, high] = range[0] < range[1] ? range : [-mostUsed(id), mostUsed(id)];
+    const [low, high] = range[0] < range[1] ? range : [-world.most[id], world.most[id]];
     Object.assign(slider, { type: "range", min: low, max: high, step: (high - low) / 200 || 1 });
     slider.oninput = () => {
       shown.driven = false;
@@ -183,7 +181,7 @@ function run(running) {
 function step() {
   const world = /** @type {World} */ (shown.world);
   shown.stale = true;
-  if (!world.controls) world.step();
+  if (!world.acts) world.step();
   else if (shown.script) world.act(shown.script[shown.done++] ?? 0);
   else if (controls.touched || shown.driven) {
     shown.driven = true;
@@ -198,9 +196,9 @@ let pace = 0;  // milliseconds from picture to picture while something moves
 function frame(time) {
   const { world } = shown;
   if (world) {
-    if (!shown.running && world.controls && controls.touched) run(true);
+    if (!shown.running && world.acts && controls.touched) run(true);
     if (shown.running) {
-      const period = world.controls ? 1 / RATE : world.model.opt.timestep, speed = Number(element("speed").value);
+      const period = world.acts ? 1 / RATE : world.model.opt.timestep, speed = Number(element("speed").value);
       shown.behind = Math.min(LATE, shown.behind + (time - shown.last) / 1000);
       for (const began = performance.now(); shown.behind * speed >= period && performance.now() - began < 30; shown.behind -= period / speed) step();
       if (shown.script && shown.done >= shown.script.length) run(false);
@@ -239,7 +237,7 @@ function reset() {
 /** Plays what the expert does here. */
 function expert() {
   reset();
-  shown.script = fromLetters(shown.expert);
+  shown.script = typeof shown.expert === "string" ? fromLetters(shown.expert) : shown.expert;
   run(true);
 }
 
@@ -280,7 +278,7 @@ async function openScene(place, isNew = true) {
     const { scenes, elements = [] } = await loadEnvironment(task, variant, shifts);
     const entry = scenes.length > 1 ? scenes.find((one) => one.seed === seed) : scenes[0];  // all seeds of Demo have one scene
     if (!entry) throw new Error(`Here are the seeds ${scenes[0].seed} to ${scenes[scenes.length - 1].seed}; magical-mj inspect shows all.`);
-    return { text: (entry.mjcf ?? []).map((i) => elements[i]).join(""), expert: typeof entry.expert === "string" ? entry.expert : "" };
+    return { text: (entry.mjcf ?? []).map((i) => elements[i]).join(""), expert: entry.expert };
   });
 }
 

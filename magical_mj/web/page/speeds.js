@@ -1,6 +1,8 @@
 // @ts-check
 /** Actions that are speeds, as in SweepToTop: what they are as values of MuJoCo's `ctrl`, as in `magical_mj.assets.robot.speed_signal`. */
 const FORWARD = 0.8, TURN = 2.5, FINGER = 1;  // the most: units/s, rad/s, rad/s
+/** The most that each actuator is told. */
+export const MOST = [FORWARD, FORWARD, TURN, TURN, FINGER, FINGER];
 const OPEN = Math.PI / 8, FINGER_GAIN = 10;
 
 /** One of the 18 actions as (speed, turn, grip): full speed, or none. @param {number} action */

@@ -5,6 +5,7 @@
  * @typedef {{name: string, about: string, facts: [string, string][], joints: string[][], geoms: string[][]}} Description
  */
 import { readComments } from "./comments.js";
+import { MOST, speedSignal, vector } from "./speeds.js";
 
 const JOINTS = ["free", "ball", "slide", "hinge"];
 const GEOMS = ["plane", "height field", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh", "SDF"];
@@ -33,8 +34,14 @@ export class World {
       return id < 0 ? null : values.slice(first[id], first[id] + size[id]);
     };
     const controls = custom("controls"), { nu } = this.model;
-    /** A row of ctrl for each action; null if the file is not of this benchmark. */
+    /** A row of ctrl for each action; null if the file has none. @type {Float64Array | null} */
     this.controls = controls?.length === 18 * nu && nu > 0 ? controls : null;
+    const actsBySpeeds = !controls && custom("protocol") !== null;
+    /** Whether the file is of this benchmark, with its actions. */
+    this.acts = this.controls !== null || actsBySpeeds;
+    const most = (/** @type {number} */ id) => this.controls ? Math.max(...this.controls.filter((_, i) => i % nu === id).map(Math.abs)) : 1;
+    /** The largest value of each actuator that an action has. @type {number[]} */
+    this.most = actsBySpeeds ? MOST.slice(0, nu) : Array.from({ length: nu }, (_, id) => most(id));
     this.substeps = custom("substeps")?.[0] ?? 1;
     this.horizon = custom("horizon")?.[0] ?? null;
     this.reset();
@@ -48,10 +55,15 @@ export class World {
     mujoco.mj_forward(model, data);
   }
 
-  /** Takes one action of the benchmark, which is several steps of MuJoCo. @param {number} action */
+  /** Takes one action of the benchmark, which is several steps of MuJoCo. @param {number | number[]} action  0 to 17; or, where actions are speeds, a vector of them */
   act(action) {
-    const { ctrl } = this.data;
-    ctrl.set(/** @type {Float64Array} */ (this.controls).subarray(action * ctrl.length, (action + 1) * ctrl.length));
+    const { ctrl, qpos } = this.data, { mujoco, model } = this;
+    if (this.controls) ctrl.set(this.controls.subarray(Number(action) * ctrl.length, (Number(action) + 1) * ctrl.length));
+    else {
+      const joints = ["left_finger", "right_finger"].map((name) => mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT.value, name));
+      const fingers = joints.filter((id) => id >= 0).map((id) => qpos[model.jnt_qposadr[id]]);  // sticks have none
+      ctrl.set(speedSignal(typeof action === "number" ? vector(action) : action, fingers, ctrl, this.substeps, model.opt.timestep));
+    }
     for (let i = 0; i < this.substeps; i++) this.step();
   }
 
