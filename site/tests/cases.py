@@ -47,7 +47,16 @@ LOOK_SIZE: Final = 96  # pixels
 LOOKING: Final = {"LoRes4E": "FindDupe", "LoRes4A": "MakeLine", "LoRes3EA": "MatchRegions"}
 """Presets of pictures, and the task on which a policy is trained that looks at them."""
 LOOKED: Final = 200  # pictures that such policies are given, of all presets together
-BRIEF: Final = {"augment": "none", "bc.batches": 60, "demonstrations": 1, "evaluations": 0, "checkpoints": 1}
+BRIEF: Final = {
+    "augment": "none",
+    "bc.batches": 80,
+    "demonstrations": 1,
+    "evaluations": 0,
+    "checkpoints": 1,
+    "network.first_channels": 8,
+    "network.channels": 16,
+    "network.hidden": 64,
+}
 """A training that is just long enough for a policy to prefer different actions."""
 
 
@@ -169,7 +178,9 @@ def looks() -> Iterator[dict[str, Any]]:
         for action in rng.integers(len(ACTIONS), size=LOOKS).tolist():
             for _ in range(5):
                 env.step(action)
-            hashes = {view: hashlib.sha256(env.render(view, LOOK_SIZE)).hexdigest() for view in ("ego", "allo")}
+            hashes = {
+                view: hashlib.sha256(env.render(view, LOOK_SIZE).tobytes()).hexdigest() for view in ("ego", "allo")
+            }
             moments.append({"qpos": env.data.qpos.tolist(), **hashes})
         env.close()
         yield {"name": name, **start, "moments": moments}
