@@ -63,7 +63,8 @@ def rehearse(folder: Path, kind: str, out: Path) -> int:
     out.mkdir(parents=True)
     server = ThreadingHTTPServer(("127.0.0.1", 0), type("Here", (StandIn,), {"out": out}))
     threading.Thread(target=server.serve_forever, daemon=True).start()
-    here = {"HF_ENDPOINT": f"http://127.0.0.1:{server.server_port}", "HF_TOKEN": "none", "NO_PROXY": "127.0.0.1"}
+    address = f"http://127.0.0.1:{server.server_port}"
+    here = {"HF_ENDPOINT": address, "HF_TOKEN": "none", "HF_HUB_OFFLINE": "0", "NO_PROXY": "127.0.0.1"}
     command = [Path(sys.executable).with_name("hf"), "upload", REPOSITORY, folder, ".", "--repo-type", kind]
     subprocess.run(command, env=os.environ | here, check=True)
     server.shutdown()
