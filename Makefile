@@ -95,7 +95,7 @@ site-audit: site | chromium  ## Lighthouse's figures of the site, a page of each
 	node site/audit.mjs
 	node site/speed.mjs
 
-site-picture: site | chromium  ## docs/site.png, anew
+site-picture: site | chromium  ## docs/site.png and docs/inspect.png, anew
 	$(BIN)/python site/fetch.py
 	$(BIN)/python site/screenshots.py
 

@@ -7,12 +7,20 @@ const site = await serve(fileURLToPath(new URL("../out/site", import.meta.url)))
 const browser = await launch();
 const page = await browser.context.newPage();
 const shots = { home: ["index.html", 1000, 700], task: ["FindDupe.html", 1000, 700], play: ["play/#FindDupe-All-8", 1000, 700],
-  phone: ["play/#FindDupe-All-8", 390, 700] };
+  phone: ["play/#FindDupe-All-8", 390, 700], inspect: ["play/inspect.html#FindDupe-All-3", 1280, 800] };
 for (const [name, [path, width, height]] of Object.entries(shots)) {
   await page.setViewportSize({ width: Number(width), height: Number(height) });
   await page.goto("about:blank");
   await page.goto(`${site.address}${path}`);
-  if (String(path).startsWith("play")) {
+  if (name === "inspect") {
+    await page.waitForFunction(() => document.title.startsWith("FindDupe-All-3 ") && !document.getElementById("poster"));
+    for (const shown of ["contacts", "joints"]) await page.check(`[name=${shown}]`);
+    await page.locator("#tree button", { hasText: "robot" }).first().click();
+    await page.click("#expert");
+    await page.waitForFunction(() => Number.parseFloat(document.getElementById("time")?.textContent ?? "") > 4);
+    await page.keyboard.press("p");
+    await page.waitForTimeout(2000);  // until it is drawn as well as it can be
+  } else if (String(path).startsWith("play")) {
     await page.waitForFunction(() => document.getElementById("status")?.textContent?.startsWith("Press"));
     await page.keyboard.press("h");
     await page.waitForTimeout(4000);

@@ -1,4 +1,4 @@
-"""One small picture of the built site, docs/site.png: home, a task's page, and playing on a desktop and a phone."""
+"""Pictures of the built site: docs/site.png (home, a task, play on a desktop and a phone) and docs/inspect.png."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from PIL import Image
 
 ROOT = Path(__file__).parent.parent
 HEIGHT, GAP = 420, 10  # pixels
+INSPECT = 960, 600
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run(["node", str(ROOT / "site" / "screenshots.mjs"), folder], check=True)
         shots = [Image.open(Path(folder) / f"{name}.png") for name in ("home", "task", "play", "phone")]
+        inspect = Image.open(Path(folder) / "inspect.png").convert("RGB").resize(INSPECT, 1)
         small = [shot.convert("RGB").resize((shot.width * HEIGHT // shot.height, HEIGHT), 1) for shot in shots]
     rows = [small[:2], small[2:]]
     width = max(sum(shot.width + GAP for shot in row) for row in rows) + GAP
@@ -25,3 +27,4 @@ if __name__ == "__main__":
             sheet.paste(shot, (x, GAP + line * (HEIGHT + GAP)))
             x += shot.width + GAP
     sheet.quantize(256).save(ROOT / "docs" / "site.png", optimize=True)
+    inspect.quantize(256).save(ROOT / "docs" / "inspect.png", optimize=True)
