@@ -140,8 +140,8 @@ function describe() {
   }
   const { name, about: words, facts, joints, geoms } = world.describe(shown.selected);
   about.replaceChildren(tag("h2", name), ...words ? [tag("p", words)] : [], table("facts", [], facts),
-    ...joints.length ? [tag("h3", `${joints.length} joints`), table("list", ["Name", "Type", "Position", "Velocity", "Range", "Damping", "Dry friction"], joints)] : [],
-    ...geoms.length ? [tag("h3", `${geoms.length} geoms`), table("list", ["Name", "Type", "Size", "Group", "Friction", "Contype / affinity", "What it is"], geoms)] : []);
+    ...joints.length ? [tag("h3", `Joints: ${joints.length}`), table("list", ["Name", "Type", "Position", "Velocity", "Range", "Damping", "Dry friction"], joints)] : [],
+    ...geoms.length ? [tag("h3", `Geoms: ${geoms.length}`), table("list", ["Name", "Type", "Size", "Group", "Friction", "Contype / affinity", "What it is"], geoms)] : []);
 }
 
 /** @param {string} name @param {string} text */

@@ -221,7 +221,7 @@ function show(initial, scene) {
   const done = game?.actions.length ?? 0, now = score(task, initial, game?.now ?? scene);
   for (const view of /** @type {const} */ (["allo", "ego"])) {
     const canvas = element(view);
-    const words = `${view === "allo" ? "From above" : "As the robot sees it"}: ${scene.blocks.length} blocks, ${scene.regions.length} goal regions`;
+    const words = `${view === "allo" ? "From above" : "As the robot sees it"}; blocks: ${scene.blocks.length}, goal regions: ${scene.regions.length}`;
     if (canvas.ariaLabel !== words) canvas.ariaLabel = words;
     draw(canvas, catalogue.look, scene, view);
   }
