@@ -154,7 +154,7 @@ def test_every_public_name_is_in_the_api_reference() -> None:
     """By an entry of its own, or among the members of its module."""
     page = (ROOT / "site/pages/api.md").read_text()
     shown = []
-    for entry in re.finditer(r"\.\. auto(function|class|data|module):: (\S+)(?:\n   :members:(.*))?", page):
+    for entry in re.finditer(r"\.\. (?:auto|py:)(function|class|data|module):: (\S+)(?:\n   :members:(.*))?", page):
         kind, name, members = entry.groups()
         place, _, last = name.rpartition(".")
         thing = pkgutil.resolve_name(name) if kind == "module" else getattr(pkgutil.resolve_name(place), last)
