@@ -144,7 +144,7 @@ def demonstrate(
 ) -> Demonstration:
     """A demonstration by the expert with this body: `number` is the seed of the scene and of the expert.
 
-    Shifts are physical ones. If it does not reach `least_score`, experts with other seeds try.
+    If the expert does not reach `least_score`, experts with other seeds try. Shifts are physical ones.
 
     Raises:
         InvalidSeedError: if `number` is not an integer, or negative.
