@@ -15,7 +15,7 @@ import torch
 
 import magical_mj
 from magical_mj.learners import load_policy, load_settings, train
-from magical_mj.learners.export import export_policy
+from magical_mj.learners.policy import export_policy
 from magical_mj.policies.history import histories
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS
 

@@ -156,7 +156,7 @@ def export(run: Run, out: OnnxFile = Path("policy.onnx"), task: OneTask = "", fo
     It takes the most likely action; `magical-mj evaluate --policy RUN` draws by the probabilities.
     """
     check_extra("learners", "eval", "il")
-    from magical_mj.learners.export import export_policy
+    from magical_mj.learners.policy import export_policy
 
     console().print(export_policy(run, check_writable(out, force), task, overwrite=force), soft_wrap=True)
 

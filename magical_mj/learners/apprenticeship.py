@@ -60,7 +60,7 @@ class Apprenticeship(RewardLearner):
             self._metrics["reconstruction"] = self._reconstruct()
             self._batches += 1
         else:
-            self._metrics.update(self.play())
+            self._metrics.update(super().update())
         return dict(self._metrics)
 
     def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
@@ -127,11 +127,6 @@ class Autoencoder(nn.Module):
     not say otherwise. The decoder of pictures mirrors the encoder, with transposed convolutions and a final sigmoid, as
     pixels are in [0, 1]; the decoder of states has two linear layers. As in the paper, actions are not reconstructed.
     If they are, features are mostly about actions, and matching these leads nowhere (docs/state-track.md).
-
-    Args:
-        network: the layers' sizes.
-        size: the number of features.
-        states: reconstruct histories of states, not pictures.
     """
 
     def __init__(self, network: NetworkSettings, size: int, *, states: bool = False) -> None:

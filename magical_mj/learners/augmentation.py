@@ -17,8 +17,8 @@ import torch
 from kornia.geometry.transform import get_affine_matrix2d, warp_affine
 from torch import Tensor
 
+from magical_mj.learners.networks import pose_mask
 from magical_mj.learners.settings import AUGMENTATIONS, TrainingSettings
-from magical_mj.learners.state_features import pose_mask
 from magical_mj.policies.history import HISTORY
 
 TRANSLATION: Final = 0.05  # the bounds of the uniform draws: of the picture's width and height

@@ -1,4 +1,4 @@
-"""Behavioural cloning: classification of the demonstrator's action, given the observation (section 4.1)."""
+"""Methods that learn from demonstrations alone: behavioural cloning (section 4.1), and IQ-Learn, from states."""
 
 from __future__ import annotations
 
@@ -6,15 +6,17 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Final
 
 import torch
-from torch import nn
+from numpy.typing import NDArray
+from torch import Tensor, nn
 
 from magical_mj.learners.augmentation import augmentation
-from magical_mj.learners.data import Dataset, Demonstrations
+from magical_mj.learners.data import Dataset, Demonstrations, shares
 from magical_mj.learners.learner import Learner, seeded, threads_for
 from magical_mj.learners.networks import Actor, as_input
 from magical_mj.learners.policy import TrainedPolicy
-from magical_mj.learners.settings import CloningSettings, TrainingSettings
+from magical_mj.learners.settings import STATE, CloningSettings, InverseSettings, TrainingSettings
 from magical_mj.policies.models import torch_settings
+from magical_mj.scene.actions import NOOP
 from magical_mj.utils.errors import SettingsError
 
 CALIBRATION: Final = 20
@@ -67,19 +69,25 @@ class BehaviouralCloning(Learner):
         return Dataset(self.settings, drop_noop=self.drop_noop, demonstrations=demonstrations)
 
     def update(self) -> Mapping[str, float]:
-        """Trains on one batch; returns its log loss, and the share of actions that the policy ranked first."""
-        observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._draw)
-        actions, tasks = actions.to(self.device), tasks.to(self.device)
-        inputs = self._augment(as_input(observations, self.device), self._noise)
+        """Trains on one batch; returns its loss, and the share of actions that the policy ranked first."""
         self._actor.train()
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.settings.precision == "bfloat16"):
-            logits = self._actor(inputs, tasks)
-        loss = nn.functional.cross_entropy(logits.float(), actions)
+        loss, logits, actions, others = self.loss()
         self._optimizer.zero_grad()
         loss.backward()
         self._optimizer.step()
         self._rate.step()
-        return {"loss": loss.item(), "accuracy": (logits.argmax(1) == actions).float().mean().item()}
+        return {"loss": loss.item(), "accuracy": (logits.argmax(1) == actions).float().mean().item(), **others}
+
+    def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
+        """Of a new batch: the loss, the logits (n, 18), the demonstrator's actions (n,), and other metrics."""
+        observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._draw)
+        actions, inputs = actions.to(self.device), self._augmented(observations, self._noise)
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.settings.precision == "bfloat16"):
+            logits = self._actor(inputs, tasks.to(self.device))
+        return nn.functional.cross_entropy(logits.float(), actions), logits, actions, {}
+
+    def _augmented(self, observations: NDArray[Any], noise: torch.Generator) -> Tensor:
+        return self._augment(as_input(observations, self.device), noise)
 
     def recalibrate(self) -> None:
         """Recomputes batch norm's running averages over new batches, since those of training lag behind the weights."""
@@ -93,7 +101,7 @@ class BehaviouralCloning(Learner):
         for _ in range(CALIBRATION if norms else 0):
             observations, _, tasks = self._data.sample(self.settings.bc.batch_size, draw)
             with torch.no_grad():
-                self._actor(self._augment(as_input(observations, self.device), noise), tasks.to(self.device))
+                self._actor(self._augmented(observations, noise), tasks.to(self.device))
         for norm in norms:
             norm.momentum = 0.1  # PyTorch's
 
@@ -123,3 +131,76 @@ def _optimizer(bc: CloningSettings, actor: Actor) -> torch.optim.Optimizer:
     if bc.optimizer == "sgd":
         return torch.optim.SGD(actor.parameters(), bc.learning_rate, bc.momentum)
     return torch.optim.Adam(actor.parameters(), bc.learning_rate, fused=True)
+
+
+class IQLearn(BehaviouralCloning):
+    """Inverse soft Q-learning (Garg et al. 2021, arXiv:2106.12142), in its offline form: cloning with another loss.
+
+    One network holds a soft Q function. With it come a policy, pi(a | s) = exp((Q(s, a) - V(s)) / temperature), where V
+    is the temperature times the log of the sum of exp(Q / temperature) over actions, and a reward, r(s, a) = Q(s, a) -
+    discount V(s'). With its regulariser chi^2, the paper maximises, over the demonstrations,
+
+        E[r - r^2 / (4 alpha)] - E[V(s) - discount V(s')].
+
+    Without the square this is behavioural cloning. The square adds that the rewards that explain the demonstrator must
+    be small, so that the values of successive states have to agree. Nothing is played. The actor's logits are Q /
+    temperature, so that it draws from pi.
+
+    As in behavioural cloning, steps with the no-op are left out, but not as successors; so is the last step of each
+    demonstration, which has none.
+    """
+
+    drop_noop = False
+
+    def __init__(self, settings: TrainingSettings) -> None:
+        self.check(settings)
+        super().__init__(settings)
+        self._usable = [usable(self._data, task) for task in range(len(settings.tasks))]
+
+    @classmethod
+    def check(cls, settings: TrainingSettings) -> None:
+        """Checks what a training needs; raises the errors with which it would begin."""
+        if not settings.states:
+            raise SettingsError(f"iq-learn learns from states: give the preset {STATE}")
+        super().check(settings)
+
+    def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
+        """Also the mean reward in the batch."""
+        counts = shares(self.settings.bc.batch_size, len(self._usable), self._draw)
+        rows = [
+            numbers[torch.randint(len(numbers), (count,), generator=self._draw)]
+            for numbers, count in zip(self._usable, counts, strict=True)
+        ]
+        observations, actions, tasks = self._data.rows(rows)
+        following, _, _ = self._data.rows([numbers + 1 for numbers in rows])
+        actions, tasks = actions.to(self.device), tasks.to(self.device)
+        logits, next_logits = (
+            self._actor(self._augmented(states, self._noise), tasks) for states in (observations, following)
+        )
+        loss, rewards = iq_loss(logits, next_logits, actions, self.settings.iq)
+        return loss, logits, actions, {"reward": rewards.mean().item()}
+
+
+def usable(data: Dataset, task: int) -> Tensor:
+    """The numbers of a task's rows that have a successor, and no no-op."""
+    actions, lengths = data.actions(task), torch.tensor(data.lengths[task])
+    last = torch.zeros(len(actions), dtype=torch.bool)
+    last[lengths.cumsum(0) - 1] = True
+    return (~last & (actions != NOOP)).nonzero()[:, 0]
+
+
+def iq_loss(logits: Tensor, next_logits: Tensor, actions: Tensor, settings: InverseSettings) -> tuple[Tensor, Tensor]:
+    """What is minimised, divided by the temperature, so that it compares with behavioural cloning's; and rewards (n,).
+
+    Args:
+        logits: Q / temperature, shape (n, 18).
+        next_logits: the same of the successors.
+        actions: the demonstrator's, shape (n,).
+        settings: of the method.
+    """
+    rewards = settings.temperature * (
+        logits.gather(1, actions[:, None])[:, 0] - settings.discount * next_logits.logsumexp(1)
+    )
+    # E[r] - E[V(s) - discount V(s')] = E[Q(s, a) - V(s)] = temperature E[log pi(a | s)]
+    cloning = nn.functional.cross_entropy(logits, actions)
+    return cloning + rewards.square().mean() / (4 * settings.alpha * settings.temperature), rewards.detach()

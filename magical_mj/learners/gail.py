@@ -52,10 +52,6 @@ class Adversarial(RewardLearner):
         self.stateful |= {"discriminator": self._discriminator, "discriminator optimizer": self._optimizer}
         self.stateful |= {"noise": self._noise}
 
-    def update(self) -> Mapping[str, float]:
-        """A rollout, the discriminator's steps, and PPO's update on the new discriminator's rewards."""
-        return self.play()
-
     def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
         """The discriminator's steps; returns the means of their metrics."""
         steps = self.settings.discriminator.steps

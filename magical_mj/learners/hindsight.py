@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from magical_mj.demos import Demonstration
 from magical_mj.engine import Engine
-from magical_mj.learners.relational_network import blocks_of
+from magical_mj.learners.networks import blocks_of
 from magical_mj.learners.relational_samples import WAY, Replay, Samples, front, joined
 from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.scene.state_vector import FINGERS

@@ -31,6 +31,7 @@ class Method(ABC):
 
     Attributes:
         settings: what it was made with.
+        device: where its networks are.
         updates: how many make a training.
     """
 
@@ -40,6 +41,7 @@ class Method(ABC):
 
     def __init__(self, settings: TrainingSettings) -> None:
         self.settings = settings
+        self.device = device(settings.device)
 
     @classmethod
     def check(cls, settings: TrainingSettings) -> None:
@@ -57,7 +59,7 @@ class Method(ABC):
 
     @abstractmethod
     def policy(self) -> Policy:
-        """The current policy; updated in place."""
+        """The current policy."""
 
     @abstractmethod
     def save_policy(self, folder: Path) -> None:
@@ -86,13 +88,11 @@ class Learner(Method):
     """A method whose policy is a network.
 
     Attributes:
-        device: where its networks are.
         stateful: all on which later updates depend, by name: modules, optimizers, generators and the like.
     """
 
     def __init__(self, settings: TrainingSettings) -> None:
         super().__init__(settings)
-        self.device = device(settings.device)
         self.stateful: dict[str, Any] = {}
 
     @property

@@ -1,7 +1,9 @@
-"""Trained policies: what the evaluation plays, and the file they are kept in."""
+"""Trained policies: what the evaluation plays, the file they are kept in, and their export as ONNX files."""
 
 from __future__ import annotations
 
+import logging
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -10,38 +12,39 @@ from typing import Any, Final
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor, nn
 
 from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import SHAPE, Actor, as_input
 from magical_mj.learners.relational_network import Ensemble
 from magical_mj.learners.settings import LEARNABLE, STATE, NetworkSettings, RelationalSettings, TrainingSettings
-from magical_mj.policies.history import History
+from magical_mj.policies.history import HISTORY, History
 from magical_mj.policies.interface import Episode
 from magical_mj.policies.models import torch_settings
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, TrainingError, check_name, short_repr
+from magical_mj.utils.extras import check_extra
 from magical_mj.utils.settings import changed
 
 POLICY: Final = "policy.safetensors"
 """In a run's folder."""
+OPSET: Final = 18
+EXAMPLES: Final = 2
+"""The batch by which the network is traced; one of 1 would be taken for a constant."""
 
 
 class TrainedPolicy:
     """A trained policy: samples actions from the network's probabilities with the episode's generator.
 
-    Args:
-        actor: the network.
-        tasks: the tasks on which it was trained, in the order of its heads.
-        preset: the preset of the observations on which it was trained.
-
     Attributes:
         actor: the network.
+        tasks: those on which it was trained, in the order of its heads.
+        preset: of the observations on which it was trained.
     """
 
     def __init__(self, actor: Actor | Ensemble, tasks: Sequence[str], preset: str) -> None:
-        self.tasks, self.preset = tuple(tasks), preset
-        self.actor = actor
+        self.actor, self.tasks, self.preset = actor, tuple(tasks), preset
         self._device = next(actor.parameters()).device
 
     def reset_batch(self, episodes: Sequence[Episode]) -> None:
@@ -82,24 +85,13 @@ class TrainedPolicy:
 
 
 def save_policy(folder: Path, actor: Actor | Ensemble, settings: TrainingSettings) -> None:
-    """Writes the policy into a run's folder, with everything that is needed to use it.
-
-    Args:
-        folder: the run's folder.
-        actor: the network.
-        settings: the settings of the run.
-    """
+    """Writes the policy into a run's folder, with everything that is needed to use it."""
     if isinstance(actor, Ensemble):
         kind = {"relational": asdict(settings.relational)}
     else:
         kind = {"batch_norm": actor.batch_norm, "network": asdict(settings.network)}
-    contents = {
-        "weights": actor.state_dict(),
-        **kind,
-        "tasks": list(settings.tasks),
-        "preset": settings.preset,
-    }
-    checkpoint.write(folder / POLICY, contents)
+    of = {"tasks": list(settings.tasks), "preset": settings.preset}
+    checkpoint.write(folder / POLICY, {"weights": actor.state_dict(), **kind, **of})
 
 
 @torch_settings()
@@ -125,3 +117,77 @@ def load_policy(folder: Path | str) -> TrainedPolicy:
     except Exception as error:
         raise TrainingError(f"{path} holds something else than a policy: {error}") from error
     return TrainedPolicy(actor, tasks, preset)
+
+
+class _Logits(nn.Module):
+    """From observations as environments give them to the logits of a task's head."""
+
+    def __init__(self, actor: nn.Module, head: int) -> None:
+        super().__init__()
+        self.actor, self.head = actor, head
+
+    def forward(self, observations: Tensor) -> Tensor:
+        tasks = torch.full((observations.shape[0],), self.head)
+        return self.actor(as_input(observations, torch.device("cpu")), tasks)
+
+
+@torch_settings()
+def export_policy(folder: Path | str, out: Path | str, task: str = "", *, overwrite: bool = False) -> Path:
+    """Writes the policy of a training as an ONNX file, whose metadata name the task and the preset.
+
+    Its input `observations` are stacks of pictures, (n, 96, 96, 12) uint8, or the last four states, (n, 4, names)
+    float32, oldest first, where the first state of an episode stands for those before it. Its output `logits` has a
+    value for each action, (n, 18): a trained policy draws by their softmax, `magical-mj evaluate --policy FILE` takes
+    the largest.
+
+    Args:
+        folder: of `magical-mj train`.
+        out: the file, which ends in .onnx.
+        task: which of a multi-task policy's tasks; may be left out if there is one.
+        overwrite: replace an existing file.
+
+    Raises:
+        SettingsError: if the folder has no policy of ours, or the task is not one of its.
+        TrainingError: if the policy is damaged.
+        MissingExtraError: without the extra `onnx`.
+    """
+    folder, out = files.to_path(folder), files.to_path(out)
+    check_extra("exported policies", "onnx")
+    if not (folder / POLICY).is_file():
+        raise SettingsError(
+            f"{folder} has no {POLICY}: only what magical-mj train left, of its own methods, can be exported"
+        )
+    if out.suffix != ".onnx":
+        raise SettingsError(f"the file must end in .onnx, not {out.name!r}")
+    policy = load_policy(folder)
+    if not task:
+        task, *others = policy.tasks
+        if others:
+            raise SettingsError(f"this policy is for several tasks: choose one of {', '.join(policy.tasks)} (--task)")
+    check_name("task", task, policy.tasks)
+    network = _Logits(policy.actor, policy.tasks.index(task)).eval()
+    example = torch.zeros(EXAMPLES, *SHAPE, dtype=torch.uint8)
+    if policy.preset == STATE:
+        example = torch.zeros(EXAMPLES, HISTORY, len(STATE_NAMES))
+    with files.new_file(out, overwrite=overwrite) as unfinished:
+        program = _traced(network, example)
+        for part in (program.model.graph, *program.model.graph.all_nodes()):
+            part.metadata_props.clear()  # as large as the weights, and full of this machine's paths
+        program.model.metadata_props.update(task=task, preset=policy.preset)
+        program.save(unfinished, external_data=False)
+    return out
+
+
+def _traced(network: nn.Module, example: Tensor) -> Any:
+    """The network as an ONNX program that takes any number of such observations."""
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    with warnings.catch_warnings(action="ignore"):  # both are about PyTorch's own internals
+        return torch.onnx.export(
+            network,
+            (example,),
+            input_names=["observations"],
+            output_names=["logits"],
+            opset_version=OPSET,
+            dynamic_shapes={"observations": {0: torch.export.Dim.DYNAMIC}},
+            verbose=False,
+        )

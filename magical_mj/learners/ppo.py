@@ -34,16 +34,7 @@ Samples = tuple[Tensor, Tensor, Tensor]
 
 
 class ActorCritic(BasePolicy):
-    """An `Actor` and a critic as stable-baselines3 wants them: they share all but the last layer (appendix).
-
-    Args:
-        observation_space: the space of the environments.
-        action_space: the space of the environments.
-        lr_schedule: remaining share of the training -> learning rate.
-        actor: the policy.
-        critic: the heads that estimate values.
-        others: further arguments of stable-baselines3, which are not used.
-    """
+    """An `Actor` and a critic as stable-baselines3 wants them: they share all but the last layer (appendix)."""
 
     def __init__(
         self,
@@ -141,15 +132,7 @@ class ExternalRewardPPO(PPO):
     Where the paper does not say otherwise, this follows its library rlpyt: advantages are not normalised, the clipping
     range falls with the learning rate, Adam's eps is 1e-8, values are not clipped, and their loss is half the squared
     error. Unlike there, the horizon is treated as truncation, not termination: returns are bootstrapped with the value
-    of the last state.
-
-    Args:
-        settings: the settings of the run.
-        environments: the environments.
-        actor: the policy.
-        critic: heads for the actor's torso that estimate values.
-        generator: draws minibatches.
-        device: the device of the networks.
+    of the last state. The critic's heads are for the actor's torso; the generator draws minibatches.
     """
 
     def __init__(
@@ -274,7 +257,7 @@ class RewardLearner(Learner):
         """The average of the policies so far, of which the latest weigh most; with `ppo.averaging` 0, the latest."""
         return cast("Actor", self._average.module)
 
-    def play(self) -> Mapping[str, float]:
+    def update(self) -> Mapping[str, float]:
         """One rollout, its rewards and PPO's step; stable-baselines3's draws from global generators stay in here."""
         with seeded(int(torch.randint(2**62, (), generator=self._draw))):
             rollout = self._ppo.collect()

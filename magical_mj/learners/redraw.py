@@ -26,9 +26,8 @@ from magical_mj.engine.simulation import Simulation
 from magical_mj.envs.presets import PRESETS
 from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.data import Batch
-from magical_mj.learners.networks import SHAPE
+from magical_mj.learners.networks import COLOURS, SHAPE, SHAPES, blocks_of, regions_of
 from magical_mj.learners.relational import Relational
-from magical_mj.learners.relational_network import COLOURS, SHAPES, blocks_of, regions_of
 from magical_mj.learners.settings import STATE, TrainingSettings
 from magical_mj.rendering.canvas import Picture
 from magical_mj.scene import Block, GoalRegion, Robot, Scene, constants

@@ -25,12 +25,11 @@ import torch
 from torch import nn
 
 from magical_mj.evaluation.run import evaluate
-from magical_mj.learners.assumptions import displace, mirror, rename
 from magical_mj.learners.data import drawn, shipped
 from magical_mj.learners.hindsight import demonstrated
 from magical_mj.learners.learner import Learner, restore_optimizer, seeded
 from magical_mj.learners.relational_network import Ensemble, graph
-from magical_mj.learners.relational_samples import joined
+from magical_mj.learners.relational_samples import displace, joined, mirror, rename
 from magical_mj.learners.settings import PREMISES, STATE, TrainingSettings
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError

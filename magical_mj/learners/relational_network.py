@@ -12,34 +12,15 @@ from typing import Final
 import torch
 from torch import Tensor, nn
 
-from magical_mj.learners.networks import ONE_HOT, check_size
+from magical_mj.learners.networks import COLOURS, ONE_HOT, SHAPES, blocks_of, check_size, maxima, regions_of
 from magical_mj.learners.settings import RelationalSettings
-from magical_mj.learners.state_features import maxima
-from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
+from magical_mj.scene.state_vector import FINGERS
 
-BLOCKS: Final = slice(STATE_NAMES.index("block0.present"), STATE_NAMES.index("region0.present"))
-"""Columns of all blocks: for each present, x, y, angle, three velocities, four shapes, four colours."""
-REGIONS: Final = slice(STATE_NAMES.index("region0.present"), len(STATE_NAMES))
-"""Columns of all regions: for each present, x_min, y_min, x_max, y_max, four colours."""
-SHAPES: Final = slice(7, 11)
-"""Of a block's columns."""
-COLOURS: Final = slice(11, 15)
-"""Likewise; of a region's, the last four."""
 ARENA: Final = 4 + 4
 """Features of a node that tell where in the arena it and the robot are, and how the robot is turned there."""
 NODE: Final = 5 + 2 + 4 + 4 + 6 + 1 + 2 + ARENA
 _FINGERS: Final = slice(NODE - ARENA - 2, NODE - ARENA)
 EDGE: Final = 6
-
-
-def blocks_of(states: Tensor) -> Tensor:
-    """The blocks' columns, a view of shape (n, MAX_BLOCKS, columns)."""
-    return states[:, BLOCKS].unflatten(1, (MAX_BLOCKS, -1))
-
-
-def regions_of(states: Tensor) -> Tensor:
-    """The regions' columns, a view of shape (n, MAX_REGIONS, columns)."""
-    return states[:, REGIONS].unflatten(1, (MAX_REGIONS, -1))
 
 
 class RelationalNetwork(nn.Module):

@@ -5,25 +5,25 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 import platform
 import shlex
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Annotated, Any, Final, cast
 
 import msgspec
 import torch
+from msgspec import Meta
 from torch.utils.tensorboard.writer import SummaryWriter
 
 from magical_mj._version import __version__
 from magical_mj.evaluation.settings import MUJOCO_VERSION
 from magical_mj.learners import checkpoint
 from magical_mj.learners.config import START, from_toml, recorded, to_toml, toml_value
+from magical_mj.learners.learner import threads_for
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import Policy
 from magical_mj.policies.loading import loader_in, sources
@@ -43,44 +43,25 @@ FIRST_COLUMNS: Final = ["update", "seconds"]
 """Of metrics.csv."""
 
 
-@dataclass(frozen=True)
-class Checkpoint:
-    """What a training goes on from, in the order of the file.
+class Checkpoint(msgspec.Struct):
+    """What a training goes on from, in the order of the file."""
 
-    Attributes:
-        update: the number of updates so far.
-        updates: the number of updates of the whole training.
-        seconds: how long they took.
-        device: the type of device on which they were made.
-        settings: of the training, as JSON.
-        learner: the learner's state.
-    """
-
-    update: int
+    update: Annotated[int, Meta(ge=0)]
+    """The number of updates so far."""
     updates: int
+    """That of the whole training."""
     seconds: float
+    """How long the updates took."""
     device: str
+    """The type of device on which they were made."""
     settings: str
+    """Of the training, as JSON."""
     learner: dict[str, Any]
-
-    def __post_init__(self) -> None:
-        """Raises a `ValueError` for numbers that cannot be."""
-        if not (0 <= self.update <= self.updates and 0 <= self.seconds < math.inf):
-            raise ValueError(f"update {self.update} of {self.updates}, after {self.seconds} seconds")
-
-    @property
-    def finished(self) -> bool:
-        """Whether its update was the last one."""
-        return self.update == self.updates
+    """The learner's state."""
 
 
 class RunFolder:
-    """The folder of a training: new, or with a training that shall go on.
-
-    Args:
-        path: the folder.
-        settings: the settings of the training.
-        resume: go on with what is in the folder.
+    """The folder of a training: new, or with `resume` one with a training that shall go on.
 
     Raises:
         SettingsError: if the training in it has other settings.
@@ -88,31 +69,32 @@ class RunFolder:
 
     Attributes:
         path: the folder.
-        threads: the number of threads with which the training was begun; None if it is new, or does not say.
+        threads: the number of PyTorch's threads for the training.
+        finished: the policy of a training that has come to its end; None if there is none, or it was lost or damaged,
+            so that the checkpoint must make it again.
     """
 
     def __init__(self, path: Path, settings: TrainingSettings, *, resume: bool) -> None:
         self.path, self._settings = path, settings
-        self.threads = None
+        begun = None
         if (path / CONFIG).exists():
             if not resume:
                 raise TrainingError(f"{path} holds a training already; --resume continues it (resume=True)")
-            self.threads = self._check_config()
+            begun = self._check_config()
         elif path.exists() and not (path.is_dir() and all(map(files.is_unfinished, path.iterdir()))):
             raise TrainingError(f"{path} holds something else than a training; give a new folder")
+        self.threads = threads_for(settings, begun)
         policy = loader_in(path)
         if policy is not None and not (path / CHECKPOINT).exists():
             raise TrainingError(
                 f"{path} holds a policy ({policy.name}), and {CHECKPOINT} is missing, from which its training would go "
                 f"on: put it back; or delete {policy.name} and {METRICS}, and the training begins anew"
             )
+        last = self.last_checkpoint()
+        self.finished = self._policy() if last is not None and last.update == last.updates else None
 
-    def policy(self) -> Policy | None:
-        """The policy in it; None if it was lost or damaged, so that the checkpoint must make it again.
-
-        Raises:
-            TrainingError: if it is of other tasks, or of another preset.
-        """
+    def _policy(self) -> Policy | None:
+        """The policy in it, if it can be read; raises a `TrainingError` if it is of other tasks, or another preset."""
         try:
             policy = cast("Policy", sources(self.path.resolve())[0].load())
         except (SettingsError, TrainingError):
@@ -174,7 +156,8 @@ class RunFolder:
             TrainingError: if it cannot be written; the last one is kept.
         """
         settings = json.dumps(recorded(self._settings))
-        checkpoint.write(self.path / CHECKPOINT, vars(Checkpoint(update, updates, seconds, device, settings, learner)))
+        contents = msgspec.structs.asdict(Checkpoint(update, updates, seconds, device, settings, learner))
+        checkpoint.write(self.path / CHECKPOINT, contents)
 
     def unusable_checkpoint(self, error: Exception) -> TrainingError:
         """The error for a checkpoint with which this version can do nothing."""
@@ -279,8 +262,6 @@ def read_metrics(folder: Path) -> list[dict[str, str]]:
         if columns[:2] != FIRST_COLUMNS:
             raise ValueError(f"its first columns are not {' and '.join(FIRST_COLUMNS)}, as a training writes them")
         for row in rows:
-            if None in row or None in row.values():  # which stands for fields without a column, or the reverse
-                raise ValueError(f"the row of update {row['update']} has another number of fields than the first line")
             int(row["update"])
     except FileNotFoundError:
         return []

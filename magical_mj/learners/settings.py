@@ -27,7 +27,7 @@ AUGMENTATIONS: Final[Mapping[str, tuple[str, ...]]] = {
 HEADS: Final = 4
 """Of the attention between blocks and regions, which share the units of `NetworkSettings.entity`."""
 ASSUMPTIONS: Final = ("egocentric", "mirror", "rename", "hindsight", "displace")
-"""What `relational` tries to assume about a task, in this order: see `magical_mj.learners.assumptions`."""
+"""What `relational` tries to assume about a task, in this order: see `magical_mj.learners.relational_samples`."""
 PREMISES: Final = {"mirror": "egocentric"}
 """Assumptions that are tried only where another one was kept."""
 

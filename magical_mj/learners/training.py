@@ -18,11 +18,10 @@ import torch
 
 from magical_mj.evaluation.run import evaluate
 from magical_mj.learners.apprenticeship import Apprenticeship
-from magical_mj.learners.bc import BehaviouralCloning
+from magical_mj.learners.bc import BehaviouralCloning, IQLearn
 from magical_mj.learners.config import announced_methods, load_method
 from magical_mj.learners.gail import GAIL, WGAILGP
-from magical_mj.learners.iq_learn import IQLearn
-from magical_mj.learners.learner import Method, device, threads_for
+from magical_mj.learners.learner import Method
 from magical_mj.learners.redraw import Redraw
 from magical_mj.learners.relational import Relational
 from magical_mj.learners.run_folder import Metrics, RunFolder
@@ -110,11 +109,10 @@ def train(
     if learner is None:
         check_name("method", settings.method, METHODS)
     folder = RunFolder(files.to_path(out), settings, resume=resume)
-    last = folder.last_checkpoint()
-    if last is not None and last.finished and (policy := folder.policy()) is not None:
-        return policy
+    if folder.finished is not None:
+        return folder.finished
     with (
-        torch_settings(threads_for(settings, folder.threads)),
+        torch_settings(folder.threads),
         _enough_memory(folder.path),
         closing((learner or METHODS[settings.method])(settings)) as method,
         folder.locked(),
@@ -169,13 +167,12 @@ class _Training:
     def __init__(self, folder: RunFolder, settings: TrainingSettings, learner: Method) -> None:
         self._folder, self._settings, self._learner = folder, settings, learner
         self._update, self._seconds = 0, 0.0
-        self._device = device(settings.device).type
         last = folder.last_checkpoint()  # again, for another process may have gone on meanwhile
         if last is not None:
-            if last.device != self._device:  # here, it would go on otherwise
+            if last.device != learner.device.type:  # here, it would go on otherwise
                 raise TrainingError(
-                    f"{folder.path} was trained on {last.device}, and this is {self._device}: continue where there is "
-                    f"{last.device} or train anew in another folder; magical-mj evaluate --policy "
+                    f"{folder.path} was trained on {last.device}, and this is {learner.device}: continue where there "
+                    f"is {last.device} or train anew in another folder; magical-mj evaluate --policy "
                     f"{shlex.quote(str(folder.path))} plays what it has learnt so far"
                 )
             self._update, self._seconds = last.update, last.seconds
@@ -189,8 +186,7 @@ class _Training:
 
     def run(self, watch: Callable[[Progress], None]) -> Policy:
         """Trains to the end, and returns the policy."""
-        policy = self._learner.policy()
-        if self._update == self._learner.updates and self._folder.policy() is None:
+        if self._update == self._learner.updates:  # and its policy was lost
             self._learner.save_policy(self._folder.path)
         self._started = time.monotonic() - self._seconds
         with closing(Metrics(self._folder.path, self._update)) as table:
@@ -201,7 +197,7 @@ class _Training:
                         whole = False
                         table.add(self._improve())
                         whole = True
-                    watch(self._report(table, policy))
+                    watch(self._report(table))
             except KeyboardInterrupt:
                 if whole and self._update > self._saved:
                     self._recalibrate()
@@ -209,7 +205,7 @@ class _Training:
                         self._row(table, {})
                     self._save()
                 raise
-        return policy
+        return self._learner.policy()
 
     def _improve(self) -> Mapping[str, float]:
         metrics = self._learner.update()
@@ -219,14 +215,14 @@ class _Training:
                 self._give_up(f"{name} is {value}")
         return metrics
 
-    def _report(self, table: Metrics, policy: Policy) -> Progress:
+    def _report(self, table: Metrics) -> Progress:
         """Evaluates, writes a row, and saves, if it is time for that."""
         updates, settings = self._learner.updates, self._settings
         save = _due(self._update, updates, settings.checkpoints)
         evaluation = _due(self._update, updates, settings.evaluations)
         if evaluation or save:
             self._recalibrate()
-        scores = self._scores(policy) if evaluation else {}
+        scores = self._scores() if evaluation else {}
         row = save or scores or _due(self._update, updates, ROWS)
         means = self._row(table, scores) if row else {}
         if save:
@@ -239,12 +235,12 @@ class _Training:
         if fault is not None:
             self._give_up(fault)
 
-    def _scores(self, policy: Policy) -> dict[str, float]:
+    def _scores(self) -> dict[str, float]:
         """Mean scores in the demo variant by task."""
         settings = self._settings
         asked = {"tasks": settings.tasks, "preset": settings.preset, "episodes": settings.episodes}
         asked["renderer"] = settings.renderer
-        frame = evaluate(policy, variants="Demo", split="dev", jobs=1, **asked)
+        frame = evaluate(self._learner.policy(), variants="Demo", split="dev", jobs=1, **asked)
         return {str(task): float(score) for task, score in frame.groupby("task")["score"].mean().items()}
 
     def _row(self, table: Metrics, scores: Mapping[str, float]) -> Mapping[str, float]:
@@ -255,7 +251,7 @@ class _Training:
         learner, path = self._learner, self._folder.path
         if self._saved:  # before the checkpoint, since a run with the last checkpoint is finished
             learner.save_policy(path)
-        self._folder.save(self._update, learner.updates, self._seconds, self._device, learner.get_state())
+        self._folder.save(self._update, learner.updates, self._seconds, learner.device.type, learner.get_state())
         if not self._saved:  # after the checkpoint: where there is a policy, there is one
             learner.save_policy(path)
         self._saved = self._update

@@ -45,12 +45,21 @@ class TrainingEnvs(VecEnv):
     render_mode: str | None = None
 
     def __init__(self, settings: TrainingSettings, single: tuple[spaces.Space[Any], spaces.Space[Any]]) -> None:
-        self.tasks = task_numbers(settings)
-        self._one_hot = np.eye(len(settings.tasks), dtype=np.float32)[self.tasks]
-        self._random_starts = np.array([random_start(settings, number) for number in range(len(self.tasks))])
+        tasks, siblings = len(settings.tasks), settings.ppo.environments // len(settings.tasks)
+        self.tasks = np.repeat(np.arange(tasks), siblings)
+        self._one_hot = np.eye(tasks, dtype=np.float32)[self.tasks]
+        # The number of random actions with which the first episode of each world starts. If all started together, they
+        # would always be at the same step of their episodes, and each batch would contain only one phase of the task.
+        # So they are spread over the horizon, as rlpyt, the paper's library, does by default.
+        horizons = np.array([task_spec(task).horizon() for task in settings.tasks])[self.tasks]
+        self._random_starts = np.arange(len(self.tasks)) % siblings * horizons // siblings
         self._seed, self._states = settings.seed, settings.states
         self._history: History | None = None
-        super().__init__(len(self.tasks), space(settings, single[0]), single[1])
+        seen, actions = single
+        if settings.states:
+            seen = spaces.Box(-np.inf, np.inf, (HISTORY, *(seen.shape or ())), np.float32)
+        space = spaces.Dict({OBSERVATION: seen, TASK: spaces.Box(0, 1, (tasks,), np.float32)})
+        super().__init__(len(self.tasks), space, actions)
 
     @abstractmethod
     def get_state(self) -> Any:
@@ -105,21 +114,17 @@ class LocalEnvs(TrainingEnvs):
     """Worlds that are the single environments to the bit, on all cores; they can be taken up in mid-episode.
 
     The seed of a world's episode is a function of the run's seed, the number of the world and that of the episode.
-
-    Args:
-        settings: of the run.
     """
 
     def __init__(self, settings: TrainingSettings) -> None:
-        tasks = [settings.tasks[task] for task in task_numbers(settings)]
-        worlds = [MagicalEnv(task, "Demo", settings.preset, renderer=settings.renderer) for task in tasks]
+        worlds = [MagicalEnv(task, "Demo", settings.preset, renderer=settings.renderer) for task in tasks_of(settings)]
         self._envs = VectorEnv(worlds, autoreset_mode=AutoresetMode.DISABLED)
         super().__init__(settings, (self._envs.single_observation_space, self._envs.single_action_space))
         self._episodes = np.full(self.num_envs, -1)
         self._taken = [list[int]() for _ in worlds]
 
     def reset(self) -> Observations:
-        """Begins the next episodes, the first ones with random actions; see `random_start`."""
+        """Begins the next episodes, the first ones with random actions."""
         self._episodes += 1
         counts = self._random_starts if not self._episodes.any() else np.zeros_like(self._random_starts)
         rngs = map(self._rng, range(self.num_envs))
@@ -185,13 +190,6 @@ class BatchedEnvs(TrainingEnvs):
     """All environments of a run as worlds of one batch, on the learner's device.
 
     Observations are copied to the host, where stable-baselines3 keeps rollouts.
-
-    Args:
-        settings: of the run.
-
-    Raises:
-        MissingExtraError: if the extra `gpu` is not installed.
-        SettingsError: if Warp has no such device.
     """
 
     def __init__(self, settings: TrainingSettings) -> None:
@@ -199,7 +197,7 @@ class BatchedEnvs(TrainingEnvs):
         from magical_mj.batched.environment import Arrays, BatchedEnv
 
         self._batch = BatchedEnv(
-            [(settings.tasks[task], "Demo") for task in task_numbers(settings)],
+            [(task, "Demo") for task in tasks_of(settings)],
             preset=settings.preset,
             device=str(device(settings.device)),
             seed=settings.seed,
@@ -248,24 +246,6 @@ def training_envs(settings: TrainingSettings) -> TrainingEnvs:
     return BatchedEnvs(settings) if settings.ppo.simulator == "warp" else LocalEnvs(settings)
 
 
-def task_numbers(settings: TrainingSettings) -> NDArray[np.int64]:
-    """The number of the task of each environment, ascending; all tasks have the same number of environments."""
-    return np.repeat(np.arange(len(settings.tasks)), settings.ppo.environments // len(settings.tasks))
-
-
-def space(settings: TrainingSettings, single: spaces.Space[Any]) -> spaces.Dict:
-    """The space of PPO's observations, for environments with the observation space `single`."""
-    if settings.states:
-        single = spaces.Box(-np.inf, np.inf, (HISTORY, *(single.shape or ())), np.float32)
-    return spaces.Dict({OBSERVATION: single, TASK: spaces.Box(0, 1, (len(settings.tasks),), np.float32)})
-
-
-def random_start(settings: TrainingSettings, number: int) -> int:
-    """The number of random actions with which the first episode of an environment starts.
-
-    If all environments started together, they would always be at the same step of their episodes, and each batch would
-    contain only one phase of the task. So they are spread over the horizon, as rlpyt, the paper's library, does by
-    default.
-    """
-    siblings = settings.ppo.environments // len(settings.tasks)
-    return number % siblings * task_spec(settings.tasks[number // siblings]).horizon() // siblings
+def tasks_of(settings: TrainingSettings) -> list[str]:
+    """The task of each environment; all tasks have the same number of environments, side by side."""
+    return [task for task in settings.tasks for _ in range(settings.ppo.environments // len(settings.tasks))]

@@ -12,8 +12,8 @@ import torch
 import magical_mj
 from magical_mj import demos
 from magical_mj.learners import load_policy, train
-from magical_mj.learners.export import export_policy
 from magical_mj.learners.networks import as_input
+from magical_mj.learners.policy import export_policy
 from magical_mj.policies.history import histories
 from magical_mj.policies.interface import Episode
 from magical_mj.policies.models import load_onnx

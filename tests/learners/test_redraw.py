@@ -15,9 +15,9 @@ from magical_mj import TASKS, Engine, demos
 from magical_mj.evaluation import evaluate
 from magical_mj.learners import load_settings, redraw, train
 from magical_mj.learners.data import shipped
+from magical_mj.learners.networks import blocks_of, regions_of
 from magical_mj.learners.redraw import Redraw, Redrawer
 from magical_mj.learners.relational import REPORT
-from magical_mj.learners.relational_network import blocks_of, regions_of
 from magical_mj.utils.errors import SettingsError
 from tests.helpers.learners import RELATIONAL, TINY
 

@@ -8,15 +8,17 @@ import torch
 
 from magical_mj.engine import Engine
 from magical_mj.evaluation import evaluate
-from magical_mj.learners import assumptions, load_policy, load_settings, train
+from magical_mj.learners import load_policy, load_settings, train
 from magical_mj.learners.data import shipped
 from magical_mj.learners.hindsight import demonstrated
+from magical_mj.learners.networks import blocks_of, regions_of
 from magical_mj.learners.relational import REPORT, Relational
-from magical_mj.learners.relational_network import Ensemble, blocks_of, graph, regions_of
-from magical_mj.learners.relational_samples import WAY, Freedom, Replay, Samples
+from magical_mj.learners.relational_network import Ensemble, graph
+from magical_mj.learners.relational_samples import WAY, Freedom, Replay, Samples, displace, mirror, rename
 from magical_mj.learners.run_folder import RunFolder
 from magical_mj.learners.settings import RelationalSettings
 from magical_mj.scene import GoalRegion, Scene
+from magical_mj.scene.state_vector import MAX_REGIONS
 from magical_mj.utils.errors import SettingsError, UnknownNameError
 from tests.helpers.learners import RELATIONAL
 
@@ -69,7 +71,7 @@ def test_a_mirrored_world_answers_mirrored_actions_alike() -> None:
     always = torch.Generator().manual_seed(2)
     for action in demonstration.actions[:25].tolist():
         states = torch.from_numpy(engines[0].state_vector()).repeat(20, 1)
-        actions = assumptions.mirror(states, torch.full((20,), action), always)
+        actions = mirror(states, torch.full((20,), action), always)
         mirrored = states[:, 0] != engines[0].state_vector()[0]
         assert 0 < mirrored.sum() < 20
         expected = torch.from_numpy(engines[1].state_vector())
@@ -82,7 +84,7 @@ def test_a_mirrored_world_answers_mirrored_actions_alike() -> None:
 def test_names_are_exchanged_and_what_shares_them_is_not() -> None:
     states, _ = states_of("FindDupe")
     other = states.clone()
-    assumptions.rename(other, torch.Generator().manual_seed(0))
+    rename(other, torch.Generator().manual_seed(0))
     assert not torch.equal(blocks_of(states), blocks_of(other))
     torch.testing.assert_close(graph(states, ARENA)[1], graph(other, ARENA)[1])
     assert torch.equal(states[:, :8], other[:, :8])
@@ -90,7 +92,7 @@ def test_names_are_exchanged_and_what_shares_them_is_not() -> None:
 
 def displaced(samples: Samples, *, pairs: bool) -> Samples:
     other = Samples(*(part.clone() for part in samples))
-    assumptions.displace(other, torch.Generator().manual_seed(0), pairs=pairs)
+    displace(other, torch.Generator().manual_seed(0), pairs=pairs)
     return other
 
 
@@ -104,7 +106,7 @@ def test_only_what_does_not_matter_now_is_displaced() -> None:
     for number, (group, moved) in enumerate(zip(samples.groups.T, shift.norm(dim=2).T, strict=True)):
         rows = (moved > 0).nonzero()[:, 0]
         assert samples.movable[rows, group[rows]].all()
-        inside = rows[group[rows] < assumptions.MAX_REGIONS]
+        inside = rows[group[rows] < MAX_REGIONS]
         middles = [regions_of(states)[inside, group[inside], 1:3] for states in (other.states, samples.states)]
         torch.testing.assert_close(middles[0] - middles[1], shift[inside, number])
 
