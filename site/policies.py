@@ -16,7 +16,7 @@ import torch
 import magical_mj
 from magical_mj.learners import load_policy, load_settings, train
 from magical_mj.learners.policy import export_policy
-from magical_mj.policies.history import histories
+from magical_mj.policies.interface import histories
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS
 
 ROOT: Final = Path(__file__).parent.parent

@@ -7,21 +7,25 @@ off by 2e-4 of its distance to 1 in single precision; and the mid-phase, a flag 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
-from typing import Any, Final
+from functools import cache
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import torch
 import warp as wp
+from numpy.typing import NDArray
 from torch import Tensor
 
-from magical_mj.assets.contacts import SETTINGS, SUBSTEPS
-from magical_mj.assets.robot import controls
-from magical_mj.assets.world import planar
-from magical_mj.batched.scenes import WorldScenes
-from magical_mj.batched.slots import FIELDS, Slots, slotted_model
+from magical_mj.assets.contacts import SETTINGS, SUBSTEPS, foot_friction
+from magical_mj.assets.robot import controls, torque_caps, wheel_caps
+from magical_mj.assets.world import planar, world_mjcf
+from magical_mj.batched.scenes import ABSENT, WorldScenes
+from magical_mj.scene import Block, Robot, Scene
+from magical_mj.scene.constants import SHAPES, Shape
 from magical_mj.scene.scene import MAX_NUMBER
 from magical_mj.utils.errors import SettingsError
 
@@ -44,6 +48,26 @@ DROPPED: Final = int(
 STATE: Final = ("qpos", "qvel", "act", "ctrl", "qacc_warmstart")
 """The arrays of the simulation that the next step depends on, by their names."""
 
+GEOM_FIELDS: Final = ("geom_size", "geom_pos", "geom_quat", "geom_rbound", "geom_aabb")
+BODY_FIELDS: Final = ("body_inertia", "body_invweight0")
+FIELDS: Final = (
+    *GEOM_FIELDS,
+    *BODY_FIELDS,
+    "dof_invweight0",
+    "dof_frictionloss",
+    "pair_friction",
+    "tendon_frictionloss",
+)
+"""What differs between the worlds of a batch, by the names of MuJoCo's model."""
+
+PARKED: Final = 1000.0  # world units above the plane; each geom at a height of its own, or they would meet there
+OUTSIDE: Final = 10.0  # world units from the centre, where slots without a block wait, two apart
+
+Kind = tuple[int, int, int]
+"""Type, contype and conaffinity of a geom."""
+Fields = dict[str, NDArray[np.float64]]
+"""Arrays by the names of MuJoCo's model."""
+
 
 def check_device(name: str) -> str:
     """Warp's name of a device, if it is there.
@@ -59,11 +83,7 @@ def check_device(name: str) -> str:
 
 
 class Physics:
-    """Steps all worlds of a batch at once.
-
-    Args:
-        scenes: the first scenes; all later ones must have room in as many slots.
-        device: Warp's name of the device.
+    """Steps all worlds of a batch at once; all later scenes must have room in as many slots as the first ones.
 
     Attributes:
         worlds: how many.
@@ -78,7 +98,7 @@ class Physics:
         self.model = slotted_model(self.blocks)
         self.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
         self.model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)  # takes twice as long there
-        self._slots = Slots(self.model, self.blocks)
+        self._slots = [Slot.of(self.model, number) for number in range(self.blocks)]
         with wp.ScopedDevice(device):
             self._warp = mjw.put_model(self.model, batch_sizes=dict.fromkeys(FIELDS, self.worlds))
             self.data = mjw.make_data(self.model, nworld=self.worlds, nconmax=CONTACTS, njmax=ROWS)
@@ -87,20 +107,17 @@ class Physics:
         self._fields = {name: wp.to_torch(getattr(self._warp, name)) for name in FIELDS}
         self._state = {name: wp.to_torch(getattr(self.data, name)) for name in STATE}
         self._overflow = wp.to_torch(self.data.overflow)
+        self._lasting = {**self._state, "overflow": self._overflow}
         self._controls = torch.tensor(controls(), dtype=torch.float32, device=device)
         self._planar = torch.from_numpy(planar(self.blocks)).to(device)
-        self._fingers = torch.tensor(self._slots.fingers, device=device)
+        self._columns = [int(self.model.joint(name).qposadr[0]) for name in ("left_finger", "right_finger")]
+        self._fingers = torch.tensor(self._columns, device=device)
         self._graph: Any = None
         self.reset(scenes, torch.arange(self.worlds, device=device))
 
     def reset(self, scenes: WorldScenes, worlds: Tensor) -> None:
-        """Puts scenes, at rest, into these worlds.
-
-        Args:
-            scenes: a row for each of the worlds.
-            worlds: their numbers. Shape (n,), int64.
-        """
-        fields = self._slots.fields(scenes)
+        """Puts scenes, at rest, into the worlds of these numbers, shape (n,), int64; there is a row for each."""
+        fields = self._fields_of(scenes)
         impedance = self.model.pair_solimp[:, 0]  # feet press with a force in proportion to 1 / (1 - impedance)
         error = (1 - impedance.astype(np.float32).astype(np.float64)) / (1 - impedance)
         fields["pair_friction"][..., :2] *= error[:, None]
@@ -108,17 +125,66 @@ class Physics:
             place = self._fields[name]
             place[worlds] = torch.from_numpy(values).to(place).reshape(len(worlds), *place.shape[1:])
         for name, place in self._state.items():
-            start = self._slots.positions(scenes) if name == "qpos" else np.zeros((len(worlds), *place.shape[1:]))
+            start = self._positions(scenes) if name == "qpos" else np.zeros((len(worlds), *place.shape[1:]))
             place[worlds] = torch.from_numpy(start).to(place)
         self._overflow[worlds] = 0
 
+    def _fields_of(self, scenes: WorldScenes) -> Fields:
+        """The values of all `FIELDS`, a row for each world."""
+        worlds = len(scenes.shapes)
+        fields = {name: np.repeat(getattr(self.model, name)[None], worlds, axis=0) for name in FIELDS}
+        for number, slot in enumerate(self._slots):
+            heights = PARKED + 7.0 * slot.geoms
+            fields["geom_pos"][:, slot.geoms] = np.stack([0 * heights, 0 * heights, heights], axis=-1)
+            for index, shape in enumerate(SHAPES):
+                where = np.flatnonzero(scenes.shapes[:, number] == index)
+                if len(where):
+                    self._write_block(fields, where, slot, block_parts(shape))
+        self._write_dynamics(fields, scenes.dynamics)
+        return fields
+
+    def _write_block(self, fields: Fields, worlds: NDArray[np.int64], slot: Slot, block: BlockParts) -> None:
+        """In these worlds, the slot holds this block."""
+        free: dict[Kind, list[int]] = {}
+        for geom in slot.geoms.tolist():
+            free.setdefault(_kind(self.model, geom), []).append(geom)
+        geoms = np.array([free[kind].pop(0) for kind in block.kinds])
+        rows = worlds[:, None]
+        for name, values in block.geoms.items():
+            fields[name][rows, geoms] = values.reshape(len(geoms), *fields[name].shape[2:])
+        for name, values in block.bodies.items():
+            fields[name][rows, slot.bodies] = values
+        fields["dof_invweight0"][rows, slot.joints] = block.dof_invweight0
+
+    def _write_dynamics(self, fields: Fields, dynamics: NDArray[np.float64]) -> None:
+        """The force caps of each world."""
+        drive, turn, finger, force, torque = dynamics.T
+        feet = {f"block{number}_foot": force for number in range(len(self._slots))}
+        for name, forces in (wheel_caps(drive) | feet).items():
+            fields["pair_friction"][:, self.model.pair(name).id, :2] = foot_friction(forces)[:, None]
+        for name, torques in torque_caps(turn, finger).items():
+            fields["tendon_frictionloss"][:, self.model.tendon(name).id] = torques
+        for slot in self._slots:
+            fields["dof_frictionloss"][:, slot.joints[2]] = torque
+
+    def _positions(self, scenes: WorldScenes) -> NDArray[np.float64]:
+        """MuJoCo's `qpos` of the scenes, a row for each world."""
+        numbers = np.arange(len(self._slots))
+        qpos = np.repeat(self.model.qpos0[None], len(scenes.shapes), axis=0)
+        waiting = np.stack([OUTSIDE + 2.0 * numbers, np.full(len(numbers), OUTSIDE), 0.0 * numbers], axis=-1)
+        poses = scenes.poses.copy()
+        poses[:, 1:] = np.where((scenes.shapes == ABSENT)[..., None], waiting, poses[:, 1:])
+        qpos[:, planar(len(numbers))] = poses
+        qpos[:, self._columns] = scenes.fingers
+        return qpos
+
     def get_state(self) -> dict[str, Tensor]:
         """All that the steps to come depend on, scenes aside; copies."""
-        return {name: values.clone() for name, values in (*self._state.items(), ("overflow", self._overflow))}
+        return {name: values.clone() for name, values in self._lasting.items()}
 
     def set_state(self, state: Mapping[str, Tensor]) -> None:
         """Goes back to a state of worlds that hold the same scenes."""
-        for name, values in (*self._state.items(), ("overflow", self._overflow)):
+        for name, values in self._lasting.items():
             values[:] = state[name].to(values)
 
     def step(self, actions: Tensor, *, graph: bool = True) -> None:
@@ -184,3 +250,87 @@ class Physics:
         Shape (worlds,), bool.
         """
         return (self._overflow & DROPPED) != 0
+
+
+class BlockParts(NamedTuple):
+    """What MuJoCo makes of a block of one shape."""
+
+    classes: list[tuple[str, int]]
+    """Default class and type of each of its collision geoms."""
+    kinds: list[Kind]
+    """Of each collision geom."""
+    geoms: Fields
+    """A row for each collision geom."""
+    bodies: Fields
+    """Rows for the block's body and for the body of its geoms."""
+    dof_invweight0: NDArray[np.float64]
+
+
+class Slot(NamedTuple):
+    """Where a block is in a model."""
+
+    bodies: list[int]
+    """The block's body, and the body that holds its collision geoms."""
+    geoms: NDArray[np.int64]
+    """The collision geoms."""
+    joints: NDArray[np.int64]
+    """The degrees of freedom x, y and angle."""
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, number: int) -> Slot:
+        """Where this block is."""
+        body = model.body(f"block{number}").id
+        solid = body + 1
+        geoms = model.body_geomadr[solid] + np.arange(model.body_geomnum[solid])
+        return cls([body, solid], geoms, model.body_dofadr[body] + np.arange(3))
+
+
+@cache
+def block_parts(shape: Shape) -> BlockParts:
+    """What MuJoCo makes of a block of this shape."""
+    scene = Scene(Robot(0.0, -0.5, 0.0), (Block(shape, "red", 0.0, 0.5, 0.0),))
+    spec = mujoco.MjSpec.from_string(world_mjcf(scene, regions=""))
+    model = spec.compile()
+    slot = Slot.of(model, 0)
+    solid = spec.body("block0").first_body()
+    return BlockParts(
+        classes=[(geom.classname.name, int(geom.type)) for geom in solid.geoms],
+        kinds=[_kind(model, geom) for geom in slot.geoms],
+        geoms={name: getattr(model, name)[slot.geoms].copy() for name in GEOM_FIELDS},
+        bodies={name: getattr(model, name)[slot.bodies].copy() for name in BODY_FIELDS},
+        dof_invweight0=model.dof_invweight0[slot.joints].copy(),
+    )
+
+
+def _kind(model: mujoco.MjModel, geom: int) -> Kind:
+    return int(model.geom_type[geom]), int(model.geom_contype[geom]), int(model.geom_conaffinity[geom])
+
+
+def slotted_model(blocks: int) -> mujoco.MjModel:
+    """One model for many scenes: slots for blocks, each with the collision geoms of every shape it may take.
+
+    MuJoCo Warp gives worlds their own sizes and poses of geoms, but not their own types. So a slot holds as many geoms
+    of each kind as the shape with most of them needs; those that a world's shape does not use are parked far above the
+    plane, and slots without a block far outside the arena. What a block or a force cap is in a model,
+    `magical_mj.assets` says: blocks are copied from models with one block of each shape.
+    """
+    apart = tuple(Block("circle", "red", 2.0 * index, 0.0, 0.0) for index in range(blocks))
+    spec = mujoco.MjSpec.from_string(world_mjcf(Scene(Robot(0.0, 0.0, 0.0), apart), regions=""))
+    needed: Counter[tuple[str, int]] = Counter()
+    for shape in SHAPES:
+        needed |= Counter(block_parts(shape).classes)  # the greater number of each
+    drawn = [geom for geom in spec.geoms if geom.classname.name == "visual"]
+    for element in (*drawn, *spec.lights, *spec.cameras):  # each kind would cost a launch in every substep
+        spec.delete(element)
+    for index in range(blocks):
+        body = spec.body(f"block{index}").first_body()
+        for geom in body.geoms:
+            spec.delete(geom)
+        for (name, kind), count in sorted(needed.items()):
+            for _ in range(count):
+                geom = body.add_geom(spec.find_default(name))
+                geom.type, geom.size = mujoco.mjtGeom(kind), [0.01, 0.01, 0.01]
+    model = spec.compile()
+    frictionless = (model.geom_contype | model.geom_conaffinity) == 0
+    model.geom_friction[frictionless] = 1.0  # theirs is that of named pairs; Warp warns of zeros
+    return model

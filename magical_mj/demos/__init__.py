@@ -13,8 +13,19 @@ from magical_mj.demos.demonstration import Demonstration, files_in, keep, read, 
 from magical_mj.demos.export.archives import to_npz
 from magical_mj.demos.export.minari import to_minari
 from magical_mj.demos.learning import Transitions, observations, stream, transitions
-from magical_mj.demos.recording import MAX_BYTES, Imported, Recorder, demonstrate, from_recording, recorded
-from magical_mj.demos.replay import Diversity, Verdict, diversity, render_demo, verify
+from magical_mj.demos.recording import (
+    MAX_BYTES,
+    Diversity,
+    Imported,
+    Recorder,
+    Verdict,
+    demonstrate,
+    diversity,
+    from_recording,
+    recorded,
+    render_demo,
+    verify,
+)
 from magical_mj.demos.shipped import load_shipped
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.registry import task_name, task_spec

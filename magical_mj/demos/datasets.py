@@ -71,7 +71,7 @@ def load(task: str, to: Format = "npz", folder: Path | str = "datasets", *, pres
 
             return LeRobotDataset(target, root=target)
         case _:
-            from magical_mj.demos.export.webdataset import ARCHIVE
+            from magical_mj.demos.export.folders import ARCHIVE
 
             return Path(target) / ARCHIVE
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration, checked
-from magical_mj.demos.replay import render_demo
+from magical_mj.demos.recording import render_demo
 from magical_mj.envs.presets import FrameStack, Preset, drawn, preset_named
 from magical_mj.scene.state_vector import StateEncoder
 from magical_mj.tasks.registry import task_spec

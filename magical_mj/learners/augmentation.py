@@ -19,7 +19,7 @@ from torch import Tensor
 
 from magical_mj.learners.networks import pose_mask
 from magical_mj.learners.settings import AUGMENTATIONS, TrainingSettings
-from magical_mj.policies.history import HISTORY
+from magical_mj.policies.interface import HISTORY
 
 TRANSLATION: Final = 0.05  # the bounds of the uniform draws: of the picture's width and height
 ROTATION: Final = 5.0  # degrees

@@ -15,7 +15,7 @@ from magical_mj import demos
 from magical_mj.demos import Demonstration, Transitions
 from magical_mj.learners.networks import SHAPE
 from magical_mj.learners.settings import TrainingSettings
-from magical_mj.policies.history import histories
+from magical_mj.policies.interface import histories
 from magical_mj.scene.actions import ACTIONS, NOOP
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.state_vector import STATE_NAMES

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from magical_mj.learners.settings import HEADS, NetworkSettings
-from magical_mj.policies.history import HISTORY
+from magical_mj.policies.interface import HISTORY
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS, MAX_REGIONS, STATE_NAMES
 from magical_mj.utils.errors import SettingsError

@@ -18,8 +18,7 @@ from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import SHAPE, Actor, as_input
 from magical_mj.learners.relational_network import Ensemble
 from magical_mj.learners.settings import LEARNABLE, STATE, NetworkSettings, RelationalSettings, TrainingSettings
-from magical_mj.policies.history import HISTORY, History
-from magical_mj.policies.interface import Episode
+from magical_mj.policies.interface import HISTORY, Episode, History
 from magical_mj.policies.models import torch_settings
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils import files

@@ -16,7 +16,7 @@ from magical_mj.envs.gymnasium_env import MagicalEnv
 from magical_mj.envs.vector import VectorEnv
 from magical_mj.learners.learner import device
 from magical_mj.learners.settings import TrainingSettings
-from magical_mj.policies.history import HISTORY, History
+from magical_mj.policies.interface import HISTORY, History
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.extras import check_extra

@@ -1,4 +1,4 @@
-"""What policies are, what they are told of an episode, how one is played, and which errors are a policy's."""
+"""What policies are, what they are told of an episode and remember, how one is played, and whose errors are whose."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import InvalidActionError, RenderingError, SettingsError, ShiftError, TaskError, short_repr
@@ -25,6 +26,8 @@ REASON_LENGTH: Final = 300
 """The number of characters of an error that results show."""
 LETTERS: Final = "abcdefghijklmnopqr"
 """One letter for each of the 18 actions: the actions of an episode are stored as a string."""
+HISTORY: Final = 4
+"""States in an observation, as many as there are frames in the paper's pictures."""
 
 
 @dataclass(frozen=True)
@@ -174,3 +177,27 @@ def reason(error: BaseException, where: str = "") -> str:
         message = "an error without a message"
     line = " ".join(f"{type(error).__name__}: {message}{where}".split())
     return line.encode(errors="backslashreplace").decode()[:REASON_LENGTH]
+
+
+def histories(states: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The latest states at each step, (steps, HISTORY, names), of states (steps, names); the first one is repeated."""
+    steps = np.arange(len(states))[:, None] + np.arange(1 - HISTORY, 1)
+    return states[np.maximum(steps, 0)]
+
+
+class History:
+    """Keeps the latest HISTORY states of one or several episodes."""
+
+    def __init__(self, states: NDArray[np.float32]) -> None:
+        """Episodes begin with `states`, which are repeated."""
+        self.states = np.repeat(states[..., None, :], HISTORY, axis=-2)
+        """Shape (..., HISTORY, names), oldest first; a new array after each change."""
+
+    def add(self, states: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Takes in what came next, shape (..., names); returns `states`."""
+        self.states = np.concatenate([self.states[..., 1:, :], states[..., None, :]], axis=-2)
+        return self.states
+
+    def restart(self, which: NDArray[np.bool_], states: NDArray[np.float32]) -> None:
+        """Other episodes begin in some rows, `which` (n,), with their rows of `states` (n, names)."""
+        self.states = np.where(which[:, None, None], states[:, None], self.states)

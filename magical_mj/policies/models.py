@@ -25,8 +25,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from magical_mj.policies.history import HISTORY, History
-from magical_mj.policies.interface import Episode, reason
+from magical_mj.policies.interface import HISTORY, Episode, History, reason
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils.errors import MissingExtraError, SettingsError

@@ -25,7 +25,7 @@ from magical_mj.engine import Engine
 from magical_mj.engine.export import mjcf_text
 from magical_mj.learners import load_settings, train
 from magical_mj.learners.policy import export_policy
-from magical_mj.policies.history import histories
+from magical_mj.policies.interface import histories
 from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.bodies import BODIES, GRIPPER

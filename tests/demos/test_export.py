@@ -62,7 +62,7 @@ def test_npz_export(demo: Demonstration, tmp_path: Path) -> None:
 
 def test_webdataset_export(demo: Demonstration, tmp_path: Path) -> None:
     """In the order in which a stream reads it, with a card that says what it is."""
-    archive = demos.export.webdataset.to_webdataset([demo, demo], tmp_path / "set", "State")
+    archive = demos.export.folders.to_webdataset([demo, demo], tmp_path / "set", "State")
     assert archive.read_bytes()[4:8] == bytes(4)  # no time: it is the same whenever it is made
     with tarfile.open(archive, "r|gz") as stream:
         parts = {member.name: stream.extractfile(member).read() for member in stream}  # pyright: ignore[reportOptionalMemberAccess]
@@ -81,7 +81,7 @@ def test_webdataset_export(demo: Demonstration, tmp_path: Path) -> None:
     assert card.startswith("---\nlicense: apache-2.0")
     assert "scores 1.00 to 1.00" in card
     with pytest.raises(FileExistsError):
-        demos.export.webdataset.to_webdataset([demo], tmp_path / "set")
+        demos.export.folders.to_webdataset([demo], tmp_path / "set")
 
 
 def test_data_sets_in_one_call(tmp_path: Path, minari: Any) -> None:

@@ -17,7 +17,7 @@ from gymnasium.utils.env_checker import check_env
 import magical_mj
 from magical_mj.cli.film import in_words
 from magical_mj.demos.export.archives import to_npz, to_robomimic
-from magical_mj.demos.export.xirl import to_xirl
+from magical_mj.demos.export.folders import to_xirl
 from magical_mj.envs.xmagical import XMagicalEnv
 from magical_mj.scene.bodies import BODIES, Body, body_named
 from magical_mj.scene.geometry import check_scene

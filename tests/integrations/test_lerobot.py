@@ -16,8 +16,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import magical_mj
+from magical_mj.demos.export.folders import to_webdataset
 from magical_mj.demos.export.lerobot import to_lerobot
-from magical_mj.demos.export.webdataset import to_webdataset
 from magical_mj.utils.errors import (
     DemonstrationError,
     InvalidActionError,
@@ -126,7 +126,7 @@ ENDING = """
 import os, sys
 from magical_mj.demos import load
 from magical_mj.demos.export.lerobot import to_lerobot
-from magical_mj.demos.export.webdataset import to_webdataset
+from magical_mj.demos.export.folders import to_webdataset
 
 class Ending(list):
     passes = 0

@@ -14,8 +14,7 @@ from magical_mj import demos
 from magical_mj.learners import load_policy, train
 from magical_mj.learners.networks import as_input
 from magical_mj.learners.policy import export_policy
-from magical_mj.policies.history import histories
-from magical_mj.policies.interface import Episode
+from magical_mj.policies.interface import Episode, histories
 from magical_mj.policies.models import load_onnx
 from magical_mj.utils.errors import SettingsError, UnknownNameError
 from tests.helpers.commands import Shell

@@ -25,7 +25,7 @@ from magical_mj.learners.bc import clone
 from magical_mj.learners.gail import GAIL
 from magical_mj.learners.networks import StateTorso, features_of
 from magical_mj.learners.settings import NetworkSettings
-from magical_mj.policies.history import HISTORY, History, histories
+from magical_mj.policies.interface import HISTORY, History, histories
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.scene.state_vector import MAX_BLOCKS, STATE_NAMES
 from magical_mj.utils.errors import DemonstrationError, SettingsError

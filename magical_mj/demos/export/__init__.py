@@ -7,10 +7,9 @@ from typing import Final
 
 from magical_mj.demos.demonstration import SUFFIX, Demonstration
 from magical_mj.demos.export.archives import to_npz, to_robomimic
+from magical_mj.demos.export.folders import to_webdataset, to_xirl
 from magical_mj.demos.export.lerobot import PRESETS, to_lerobot
 from magical_mj.demos.export.minari import minari_name, to_minari
-from magical_mj.demos.export.webdataset import to_webdataset
-from magical_mj.demos.export.xirl import to_xirl
 from magical_mj.utils.errors import SettingsError
 
 SUFFIXES: Final = {"npz": SUFFIX, "robomimic": ".hdf5"}

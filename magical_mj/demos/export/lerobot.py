@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration, demonstrators, only_environment
-from magical_mj.demos.export.webdataset import CARD, card
+from magical_mj.demos.export.folders import CARD, card
 from magical_mj.demos.learning import observations
-from magical_mj.demos.replay import render_demo
+from magical_mj.demos.recording import render_demo
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import to_vector
 from magical_mj.scene.state_vector import STATE_NAMES

@@ -1,4 +1,4 @@
-"""Demonstrations as WebDataset archives, which stream; and the data card in folders of this format and of LeRobot's.
+"""Demonstrations as folders: WebDataset archives, which stream, with a data card as in LeRobot's; and XIRL's pictures.
 
 An archive needs no library to be written, and holds no pickles. What learners of representations read is there: the
 observation before and after each action.
@@ -15,14 +15,17 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from PIL import Image
 
 from magical_mj.demos.demonstration import Demonstration, demonstrators, only_environment
 from magical_mj.demos.learning import observations
+from magical_mj.demos.recording import render_demo
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.scene.constants import CONTROL_RATE
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils import files
+from magical_mj.utils.errors import DemonstrationError
 
 ARCHIVE: Final = "data-000000.tar.gz"
 CARD: Final = "README.md"
@@ -39,6 +42,10 @@ MAKERS: Final[Mapping[str, str]] = {
     "policy": "by a policy that somebody gave",
 }
 """Demonstrator -> how the episodes were made."""
+XIRL_SIZE: Final = 384
+"""Pixels per side, as x-magical draws them."""
+XIRL_VALID: Final = 10
+"""The last of so many videos of a body are for validation."""
 
 
 def to_webdataset(
@@ -152,3 +159,42 @@ def _add(archive: tarfile.TarFile, name: str, content: bytes) -> None:
     member = tarfile.TarInfo(name)
     member.size = len(content)
     archive.addfile(member, io.BytesIO(content))
+
+
+def to_xirl(demos: Sequence[Demonstration], folder: Path | str, *, overwrite: bool = False) -> None:
+    """Draws demonstrations of one task, by any bodies, into a new folder on which XIRL (Zakka et al. 2021) trains.
+
+    Its loader reads ``ROOT/train/BODY/VIDEO/FRAME.png`` and ``ROOT/valid/...``, all numbered from 0, and learns across
+    the bodies. Pictures are of the whole workspace, before the first action and after each; XIRL scales them down to
+    112 px.
+
+    Args:
+        demos: the demonstrations. Each body's first nine of ten are for training.
+        folder: the root, which is made.
+        overwrite: replace an existing folder.
+
+    Raises:
+        DemonstrationError: if they are of several tasks, or a body has a single one.
+        FileExistsError: if the folder exists already.
+    """
+    tasks = sorted({demo.task for demo in demos})
+    if len(tasks) != 1:
+        raise DemonstrationError(f"a data set for XIRL holds one task, and these are of {', '.join(tasks) or 'none'}")
+    groups: dict[str, list[Demonstration]] = {}
+    for demo in demos:
+        groups.setdefault(demo.scene.robot.body.rpartition(":")[2], []).append(demo)
+    for body, group in groups.items():
+        if len(group) < 2:
+            raise DemonstrationError(f"there is one demonstration by the {body}: training and validation need one each")
+    with files.new_folder(files.to_path(folder), overwrite=overwrite) as unfinished:
+        for body, group in groups.items():
+            trained = len(group) - max(1, len(group) // XIRL_VALID)
+            for number, demo in enumerate(group):
+                split, video = ("train", number) if number < trained else ("valid", number - trained)
+                _draw(demo, unfinished / split / body / str(video))
+
+
+def _draw(demo: Demonstration, folder: Path) -> None:
+    folder.mkdir(parents=True)
+    for frame, pictures in enumerate(render_demo(demo, size=XIRL_SIZE, renderer="software")):
+        Image.fromarray(pictures["allo"]).save(folder / f"{frame}.png")
