@@ -13,14 +13,14 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from functools import cache
 from itertools import chain
-from operator import attrgetter, index
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import msgspec
 from msgspec import Meta, Struct
 
-from magical_mj.evaluation.scores import EpisodeResult, folders_of, read, read_settings
+from magical_mj.evaluation.scores import EpisodeResult, folders_of, read, recorded_policies, recorded_settings
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts import expand_shifts, shift_label
@@ -38,6 +38,13 @@ SHARED: Final = ("observations", "rules", "protocol")
 """What all files of an entry must agree in."""
 MOST_OF_CARD: Final = 20_000
 """The largest size of such a card in bytes."""
+PLAIN: Final = {
+    "split": ("test", "on the split {}, and entries are of test"),
+    "body": (GRIPPER, "with the body {}, and entries are of the gripper"),
+    "wrap": ("", "in {}, and entries are of plain worlds"),
+    "worlds": ("single", f"in {{}} worlds, and cannot be an entry: {UNOFFICIAL}"),
+}
+"""What all episodes of an entry are like, and what is said of others."""
 SEEDS: Final = 100
 """The number of episodes in each environment that the protocol requires."""
 SHIFT_SEEDS: Final = 50
@@ -142,13 +149,8 @@ class Content(Struct, forbid_unknown_fields=True):
 class Entry(Struct, frozen=True):
     """The results of one method.
 
-    Attributes:
-        card: the description of the method.
-        observations: the preset of the observations; None if it used none.
-        rules: the rules by which it was scored.
-        protocol: the protocol's number; None if it was not recorded.
-        versions: what it was played with.
-        episodes: all episodes. Those from a file have no duration, and no versions of their own.
+    `observations` is None if it used none, and `protocol` if no number was recorded. Episodes from a file have no
+    duration, and no versions of their own.
     """
 
     card: Card
@@ -265,14 +267,9 @@ def _check_trainings(folders: Sequence[Path], method: str) -> None:
 def _combined(card: Card, sources: Sequence[tuple[EpisodeResult, Path]], folders: Sequence[Path]) -> Entry:
     """The entry of one method's episodes, each given with its folder; they must be of one kind."""
     for episode, folder in sources:
-        if episode.split != "test":
-            raise EvaluationError(f"{folder} was played on the split {episode.split}, and entries are of test")
-        if episode.body != GRIPPER:
-            raise EvaluationError(f"{folder} was played with the body {episode.body}, and entries are of the gripper")
-        if episode.wrap:
-            raise EvaluationError(f"{folder} was played in {episode.wrap}, and entries are of plain worlds")
-        if episode.worlds != "single":
-            raise EvaluationError(f"{folder} was played in batched worlds, and cannot be an entry: {UNOFFICIAL}")
+        for name, (usual, problem) in PLAIN.items():
+            if (value := getattr(episode, name)) != usual:
+                raise EvaluationError(f"{folder} was played {problem.format(value)}")
     episodes = [episode for episode, _ in sources]
     return Entry(
         card,
@@ -292,22 +289,6 @@ def _common(setting: str, values: Iterable[tuple[Any, object]]) -> Any:
             pair = f"{first or 'none'} in {folder}, {value or 'none'} in {other}"
             raise EvaluationError(f"different {setting}: {pair}; an entry is of one kind")
     return first
-
-
-def recorded_settings(folder: Path) -> dict[str, Any]:
-    """The settings that an evaluation recorded in ``run.json``; empty if there are none."""
-    try:
-        return read_settings(folder)
-    except EvaluationError:
-        return {}
-
-
-def recorded_policies(settings: dict[str, Any]) -> list[tuple[str, int, str]]:
-    """Name, run and SHA-256 (empty without a file) of an evaluation's policies; none if its settings are no such."""
-    try:
-        return [(str(row["name"]), index(row["run"]), str(row.get("sha256", ""))) for row in settings["policies"]]
-    except (KeyError, TypeError, AttributeError):
-        return []
 
 
 def entry_files(folder: Path | str) -> list[Path]:
@@ -394,12 +375,7 @@ def _card_in(folder: Path) -> Card:
 
 
 def unpacked(data: bytes, name: object = "the entry") -> Entry:
-    """The entry in a file's bytes; see `read_entry`.
-
-    Args:
-        data: the file's content.
-        name: the name of the entry in errors.
-    """
+    """The entry in a file's bytes, which errors call by this name; see `read_entry`."""
     text = _decompressed(data, name)
     try:
         content = msgspec.json.decode(text, type=Content)

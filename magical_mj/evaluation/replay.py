@@ -102,12 +102,7 @@ def _played(episode: EpisodeResult, engine: Engine, rules: Rules | None) -> tupl
 
 
 def inconsistency(episode: EpisodeResult, horizon: int | None) -> str | None:
-    """What is wrong with an episode without playing it; None if nothing is.
-
-    Args:
-        episode: the episode.
-        horizon: the number of steps of its task.
-    """
+    """What is wrong with an episode, whose task has that many steps, without playing it; None if nothing is."""
     if episode.failure is not None:
         return None if episode.score == 0 else f"the policy failed, and its score is {episode.score:g} instead of 0"
     if set(episode.actions) - set(LETTERS):

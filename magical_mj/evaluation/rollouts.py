@@ -148,10 +148,7 @@ def engine_of(env: Env) -> Engine:
 def play(env: Env, policy: Act, episode: Episode) -> Outcome:
     """Plays one episode. If the policy raises an error, or makes the simulation unstable, its score is 0.
 
-    Args:
-        env: one of the package's environments, with or without wrappers.
-        policy: the agent. One that uses the simulation gets it in the episode.
-        episode: the episode.
+    A policy that uses the simulation gets it in the episode.
 
     Raises:
         RenderingError, TaskError: if no pictures can be drawn on this machine, or the task has no scene for the seed

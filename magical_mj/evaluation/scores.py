@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import IO, Annotated, Any, Final, NamedTuple
+from typing import IO, Annotated, Any, Final, NamedTuple, NotRequired, TypedDict
 
 import msgspec
 
@@ -52,6 +52,25 @@ OLDER: Final = {
     "body": GRIPPER,
 }
 """Settings of which older versions write nothing."""
+
+
+class PlayedPolicy(TypedDict):
+    """What settings say of a policy."""
+
+    name: str
+    run: Natural
+    sha256: NotRequired[str]
+    code: NotRequired[str]
+
+
+class Played(TypedDict):
+    """What the settings of every evaluation say: of what it consists, where `OLDER` fills in the rest."""
+
+    policies: list[PlayedPolicy]
+    environments: list[str]
+    shifts: list[str]
+    first_seed: Natural
+    episodes: Natural
 
 
 class Outcome(NamedTuple):
@@ -282,8 +301,8 @@ def prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[Episod
         raise EvaluationError(f"{path} is not a plain file; choose another folder")
     if path.exists() and path.stat().st_size and not resume:
         raise EvaluationError(f"{folder} holds an evaluation already; --resume continues it (resume=True)")
-    if (folder / SETTINGS).exists() and "policies" not in read_settings(folder):
-        raise EvaluationError(f"{folder / SETTINGS} is not of an evaluation; choose another folder")
+    if (folder / SETTINGS).exists():
+        read_settings(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with open_scores(folder):
@@ -314,63 +333,69 @@ def write_settings(folder: Path, settings: dict[str, Any]) -> None:
 
 def check_continues(folder: Path, settings: dict[str, Any]) -> None:
     """Raises a `SettingsError` unless an evaluation with these settings continues, or adds to, the one in a folder."""
-    before, now = (_without_paths(known) for known in (read_settings(folder), settings))
-    played, asked = _scenes(before), _scenes(now)
-    if not played or not all(isinstance(before.get(name), list) for name in GROWING):
-        raise SettingsError(f"{folder / SETTINGS} does not say what was played; start again in another folder")
-    for name in (name for name in GROWING if name in now):
-        if absent := [item for item in before[name] if item not in now[name]]:
+    before = read_settings(folder)
+    for name in (name for name in GROWING if name in settings):
+        now = [_identity(item) for item in settings[name]]
+        if absent := [item for item in before[name] if _identity(item) not in now]:
             listed = ", ".join(map(_named, absent))
             raise SettingsError(
                 f"{folder} holds {name} that are left out here, or have changed: {listed}. An evaluation that is "
                 "resumed may have more, but not less"
             )
-    if not (played[0] in asked and played[-1] in asked):
+    (first, last), (least, most) = (
+        (known["first_seed"], known["first_seed"] + known["episodes"] - 1) for known in (before, settings)
+    )
+    if not (least <= first and last <= most):
         raise SettingsError(
-            f"{folder} holds the scenes {played[0]} to {played[-1]} of its split, and {asked[0]} to {asked[-1]} are "
-            "asked for: an evaluation that is resumed may have more, but not less"
+            f"{folder} holds the scenes {first} to {last} of its split, and {least} to {most} are asked for: an "
+            "evaluation that is resumed may have more, but not less"
         )
     free = (*GROWING, "episodes", "first_seed")
-    new = {name for name in now if name.startswith("code of ") and name not in before}
-    check_unchanged(folder, before, {name: now[name] for name in now if name not in free and name not in new})
+    new = {name for name in settings if name.startswith("code of ") and name not in before}
+    others = settings.keys() - new - set(free)
+    check_unchanged(folder, before, {name: value for name, value in settings.items() if name in others})
 
 
 def _named(item: Any) -> str:
     """What is left out, in words: a policy with its hash, by which it may have changed."""
     if not isinstance(item, dict):
         return str(item)
-    hashes = [f"{name} {item[name][:12]}..." for name in ("sha256", "code") if isinstance(item.get(name), str)]
-    return f"{item.get('name')} ({hashes[0]})" if hashes else str(item.get("name"))
+    hashes = [f"{name} {item[name][:12]}..." for name in ("sha256", "code") if name in item]
+    return f"{item['name']} ({hashes[0]})" if hashes else item["name"]
 
 
-def _scenes(settings: dict[str, Any]) -> range:
-    """The numbers of an evaluation's scenes in their split; none if the settings do not say them."""
-    try:
-        return range(settings["first_seed"], settings["first_seed"] + settings["episodes"])
-    except (KeyError, TypeError):
-        return range(0)
-
-
-def _without_paths(settings: dict[str, Any]) -> dict[str, Any]:
-    """The settings without the paths of policies that a hash identifies: folders may be moved, or written otherwise."""
-    policies = settings.get("policies")
-    if not isinstance(policies, list):
-        return settings
-    known = [dict(policy) for policy in policies if isinstance(policy, dict)]
-    return {**settings, "policies": [{**policy, "origin": None} if "sha256" in policy else policy for policy in known]}
+def _identity(item: Any) -> Any:
+    """The item without the path of a policy that a hash identifies: folders may be moved, or written otherwise."""
+    return {**item, "origin": None} if isinstance(item, dict) and "sha256" in item else item
 
 
 def read_settings(folder: Path) -> dict[str, Any]:
     """The settings with which the evaluation in a folder was started.
 
     Raises:
-        EvaluationError: if they cannot be read.
+        EvaluationError: if they cannot be read, or do not say what `Played` asks for.
     """
+    path = folder / SETTINGS
     try:
-        known = dict(json.loads(files.read_foreign(folder / SETTINGS, most=MOST_SETTINGS, error=EvaluationError)))
-    except (OSError, ValueError, TypeError, RecursionError) as error:
-        raise EvaluationError(f"{folder / SETTINGS} cannot be read ({error}); start again in another folder") from error
-    return {**OLDER, **known}
+        content = files.read_foreign(path, most=MOST_SETTINGS, error=EvaluationError)
+        known = {**OLDER, **msgspec.json.decode(content, type=dict[str, Any])}
+        msgspec.convert(known, Played)
+    except (OSError, msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+        raise EvaluationError(f"{path} is not of an evaluation ({error}); choose another folder") from error
+    return known
+
+
+def recorded_settings(folder: Path) -> dict[str, Any]:
+    """The settings that an evaluation recorded in ``run.json``; empty if there are none."""
+    try:
+        return read_settings(folder)
+    except EvaluationError:
+        return {}
+
+
+def recorded_policies(settings: dict[str, Any]) -> list[tuple[str, int, str]]:
+    """Name, run and SHA-256 (empty without a file) of an evaluation's policies."""
+    return [(row["name"], row["run"], row.get("sha256", "")) for row in settings.get("policies", ())]
 
 
 def folders_of(folders: Iterable[Path | str]) -> list[Path]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -117,12 +118,12 @@ class EvaluationSettings(Settings):
                 "batched worlds have neither shifts nor wrappers nor other bodies: leave them out, or --simulator warp"
             )
 
-    @property
+    @cached_property
     def batched(self) -> bool:
         """Whether MuJoCo Warp plays the episodes, in batches."""
         return self.simulator == "warp"
 
-    @property
+    @cached_property
     def environments(self) -> list[Pair]:
         """The pairs of tasks and variants that are played."""
         return environments(self.tasks, self.variants)
@@ -132,7 +133,7 @@ class EvaluationSettings(Settings):
         labels = dict.fromkeys(["", *map(shift_label, expand_shifts(self.shifts, task))])
         return [label for label in labels if label != shift_label({BODY: self.body})]
 
-    @property
+    @cached_property
     def seeds(self) -> range:
         """The seeds of the scenes."""
         first = SPLITS[self.split] + self.first_seed

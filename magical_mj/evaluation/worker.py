@@ -40,14 +40,7 @@ GRACE: Final = 1.0
 class Unit:
     """Some episodes of one environment with one policy: independent of all other units, and repeatable.
 
-    Attributes:
-        source: where the policy comes from.
-        task: the task's name.
-        variant: the variant's name.
-        seeds: the seeds of the scenes.
-        settings: the settings of the evaluation.
-        evaluation: identifies the evaluation. A policy that was loaded for another one may have changed since.
-        shift: what is shifted, such as "camera:3".
+    `evaluation` identifies the evaluation: a policy that was loaded for another one may have changed since.
     """
 
     source: Source
@@ -125,15 +118,12 @@ class Player:
         task, policy = told(unit.task, settings.like), self._policy(unit)
         episodes = [Episode(task, unit.variant, seed, source.run) for seed in unit.seeds]
         facts = {
+            **{name: getattr(settings, name) for name in ("rules", "split", "wrap", "body")},
             "policy": source.name,
-            "rules": settings.rules,
             "preset": getattr(policy, "preset", None) if uses_simulation(policy) else settings.preset,
             "worlds": WORLDS[settings.simulator],
             "gl": drawn_by(settings.renderer),
-            "split": settings.split,
             "shift": unit.shift,
-            "wrap": settings.wrap,
-            "body": settings.body,
         }
         for episode, outcome in zip(episodes, self._outcomes(unit, episodes), strict=True):
             self.cause = outcome.cause
@@ -150,25 +140,23 @@ class Player:
         policy, settings = self._policy(unit), unit.settings
         batches = settings.batched or (isinstance(policy, BatchPolicy) and not settings.wrap)
         if batches and len(episodes) > 1 and not uses_simulation(policy):
-            outcomes = self._in_time(unit, episodes, lambda: play_side_by_side(self._vector(unit), policy, episodes))
+            outcomes = self._play(unit, episodes, in_vector=True)
             if not any(outcome.failure for outcome in outcomes):
                 yield from outcomes
                 return
         for episode in episodes:  # one by one also finds out which of a batch fail
-            yield self._single(unit, episode)
+            yield from self._play(unit, [episode], in_vector=settings.batched)
 
-    def _single(self, unit: Unit, episode: Episode) -> Outcome:
-        policy, key = self._policy(unit), (unit.task, unit.variant, unit.shift)  # a new one, after a time limit
-        if unit.settings.batched:
-            playing = lambda: play_side_by_side(self._vector(unit), policy, [episode])  # noqa: E731
+    def _play(self, unit: Unit, episodes: list[Episode], *, in_vector: bool) -> list[Outcome]:
+        """The outcomes of the episodes, which all failed if playing them takes too long."""
+        policy, place = self._policy(unit), (unit.task, unit.variant, unit.shift)  # a new one, after a time limit
+        if in_vector:
+            envs = lambda: self._keep("vector", (*place, len(unit.seeds)), lambda: _vector_env(unit))  # noqa: E731
+            playing = lambda: play_side_by_side(envs(), policy, episodes)  # noqa: E731
         else:
             observed = bool(unit.settings.wrap) or not uses_simulation(policy)
-            env = self._keep("environment", (*key, observed), lambda: single_env(unit, observed))
-            playing = lambda: [play(env, policy, episode)]  # noqa: E731
-        return self._in_time(unit, [episode], playing)[0]
-
-    def _in_time(self, unit: Unit, episodes: list[Episode], playing: Callable[[], list[Outcome]]) -> list[Outcome]:
-        """The outcomes of the episodes, which all failed if playing them takes too long."""
+            env = self._keep("environment", (*place, observed), lambda: single_env(unit, observed))
+            playing = lambda: [play(env, policy, episode) for episode in episodes]  # noqa: E731
         seconds = unit.settings.time_limit * len(episodes)
         try:
             return self._caller.call(playing, seconds)
@@ -179,10 +167,6 @@ class Player:
     def _policy(self, unit: Unit) -> Act:
         key = unit.source.name, unit.source.run
         return self._keep("policy", key, lambda: self._caller.call(unit.source.load, None))
-
-    def _vector(self, unit: Unit) -> Envs:
-        key = unit.task, unit.variant, unit.shift, len(unit.seeds)
-        return self._keep("vector", key, lambda: _vector_env(unit))
 
     def _keep(self, what: str, key: Any, make: Callable[[], T]) -> T:
         """The object made for this key; one that was kept for another key is replaced."""
@@ -257,23 +241,17 @@ def _wrapped(env: gymnasium.Env[Any, Any], wrap: str) -> gymnasium.Env[Any, Any]
 
 
 def _vector_env(unit: Unit) -> Envs:
-    settings, mode = unit.settings, gymnasium.vector.AutoresetMode.DISABLED
+    settings, number = unit.settings, len(unit.seeds)
+    how: dict[str, Any] = {"preset": settings.preset, "autoreset_mode": gymnasium.vector.AutoresetMode.DISABLED}
     if not settings.batched:
-        name, how = env_id(unit.task, unit.variant, settings.preset), arguments(unit)
         from magical_mj.envs.vector import make_vec  # imported late: it loads the simulator
 
         threads = None if settings.jobs == 1 else 1  # other processes have the other cores
-        return make_vec(name, len(unit.seeds), autoreset_mode=mode, threads=threads, **how)
+        return make_vec(unit.task, number, variant=unit.variant, threads=threads, **how, **arguments(unit))
     from magical_mj import batched  # these need PyTorch
     from magical_mj.batched.environment import Arrays
 
-    envs = batched.make(
-        *(unit.task, unit.variant, len(unit.seeds)),
-        preset=settings.preset,
-        device=settings.device,
-        rules=settings.rules,
-        autoreset_mode=mode,
-    )
+    envs = batched.make(unit.task, unit.variant, number, device=settings.device, rules=settings.rules, **how)
     return Arrays(envs)
 
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from magical_mj.evaluation.entry import SEEDS, Entry, recorded_policies, recorded_settings
+from magical_mj.evaluation.entry import SEEDS, Entry
 from magical_mj.evaluation.replay import Recorded, inconsistency, replay
-from magical_mj.evaluation.scores import SETTINGS, EpisodeResult, read
+from magical_mj.evaluation.scores import SETTINGS, EpisodeResult, read, recorded_policies, recorded_settings
 from magical_mj.evaluation.settings import UNOFFICIAL
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, task_spec
@@ -84,8 +84,7 @@ def verify(folder: Path | str, *, jobs: int | None = None, watch: Callable[[], o
         recorded = f"{settings[name]!r} is recorded" if name in settings else "nothing is recorded"
         others = sorted(value for value in values if value != settings.get(name))
         findings.unfit += [f"{name}: {recorded}, and it must be {value!r}" for value in others]
-    names = settings.get("environments")
-    environments = {pair for pair in ENVIRONMENTS if isinstance(names, list) and "-".join(pair) in names}
+    environments = {pair for pair in ENVIRONMENTS if "-".join(pair) in settings.get("environments", ())}
     runs: dict[str, set[int]] = defaultdict(set)
     for policy, run, _ in recorded_policies(settings):
         runs[policy].add(run)

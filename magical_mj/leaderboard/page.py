@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from magical_mj.evaluation.entry import SHIFT_SEEDS, Card, track
-from magical_mj.evaluation.reports.shifts import area, half_lost
+from magical_mj.evaluation.reports.statistics import area, half_lost
 from magical_mj.evaluation.reports.tables import DAGGER, NONE, Group, Table, markdown
 from magical_mj.leaderboard.standings import (
     BLOCKS,

@@ -187,7 +187,7 @@ def test_a_damaged_file_of_settings_is_no_evaluation_that_can_go_on(tmp_path: Pa
     magical_mj.evaluate("noop", out=tmp_path, **SMALL)
     damaged = json.dumps(read_settings(tmp_path) | {name: value})
     (tmp_path / SETTINGS).write_text(damaged)
-    with pytest.raises(SettingsError, match="does not say what was played"):
+    with pytest.raises(EvaluationError, match=rf"not of an evaluation.*\.{name}"):
         magical_mj.evaluate("noop", out=tmp_path, resume=True, **SMALL)
     assert (tmp_path / SETTINGS).read_text() == damaged
 

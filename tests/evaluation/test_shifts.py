@@ -12,7 +12,7 @@ import pytest
 
 from magical_mj.evaluation.reports.report import report
 from magical_mj.evaluation.reports.results import compare, gather
-from magical_mj.evaluation.reports.shifts import area, by_shift, curve, half_lost
+from magical_mj.evaluation.reports.statistics import area, by_shift, curve, half_lost
 from magical_mj.evaluation.scores import EpisodeResult, read, read_settings
 from magical_mj.leaderboard import verify
 from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError, UntrustedNameError

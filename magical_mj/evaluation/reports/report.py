@@ -14,7 +14,7 @@ from urllib.parse import quote
 import numpy as np
 
 from magical_mj.evaluation.reports.results import Results, results
-from magical_mj.evaluation.reports.shifts import by_shift, panels_of, shift_curves, shift_tables
+from magical_mj.evaluation.reports.statistics import by_shift, curve
 from magical_mj.evaluation.reports.tables import (
     APPROXIMATE,
     DAGGER,
@@ -23,8 +23,10 @@ from magical_mj.evaluation.reports.tables import (
     marked,
     result_tables,
     share,
+    shift_tables,
 )
 from magical_mj.evaluation.scores import EpisodeResult, folders_of
+from magical_mj.shifts.shift import STRENGTHS
 from magical_mj.tasks.registry import ENVIRONMENTS, VARIANTS
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils import escape, files
@@ -32,6 +34,7 @@ from magical_mj.utils.errors import EvaluationError, counted
 from magical_mj.utils.extras import check_extra
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -50,6 +53,8 @@ FILES: Final = {
 PANELS_PER_ROW: Final = 3
 PANEL: Final = (4.6, 3.5)  # inches
 ONE_TASK: Final = 1.5  # inches
+CURVES_PER_ROW: Final = 4
+CURVES: Final = (2.6, 2.2)  # inches
 BARS_PER_ROW: Final = 7
 DARK: Final = 0.55  # scores above this are written in white
 DEMO_COLOUR: Final = "#1b2a41"
@@ -59,12 +64,8 @@ NO_ENVIRONMENT: Final = "#e4e4e4"
 def check_free(out: Path, others: Sequence[str] = ()) -> bool:
     """Whether a folder, which need not exist, holds an earlier report.
 
-    Args:
-        out: the folder.
-        others: the names of files that will be made beside those of every report.
-
     Raises:
-        EvaluationError: if there is none, but files that have names of ours.
+        EvaluationError: if there is none, but files with the names of ours, or of `others` that will be made beside.
     """
     page = out / PAGE
     if page.is_file() and page.read_bytes().startswith(f"{TITLE}\n\n".encode()):
@@ -277,3 +278,41 @@ def _bar_row(axes: Axes, results: Results, policies: list[str], columns: int) ->
     axes.set_yticks(np.linspace(0, 1, 6))
     axes.set_ylabel("mean score over tasks")
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def panels_of(count: int, per_row: int, size: tuple[float, float], legend: float = 0.0) -> Any:
+    """A figure, and the array of its axes, of which the first `count` are shown. `size` and `legend` are in inches."""
+    from matplotlib.figure import Figure
+
+    columns = min(per_row, count)
+    rows = math.ceil(count / columns)
+    figure = Figure((max(4.0, size[0] * columns), legend + size[1] * rows), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    for axes in panels.flat[count:]:
+        axes.set_axis_off()
+    return figure, panels
+
+
+def shift_curves(shifts: pd.DataFrame) -> Figure:
+    """The score of each method over the strength of each shift, with the interval of its difference from strength 0."""
+    single = shifts[shifts["strength"].notna()]
+    axes_of_shifts = list(dict.fromkeys(single["axis"]))
+    figure, panels = panels_of(len(axes_of_shifts), CURVES_PER_ROW, CURVES, legend=0.5)
+    for axes, axis in zip(panels.flat, axes_of_shifts, strict=False):
+        for number, policy in enumerate(dict.fromkeys(single["policy"])):
+            group = single[(single["axis"] == axis) & (single["policy"] == policy)].sort_values("strength")
+            if len(group):
+                points, colour = curve(group), f"C{number % 10}"
+                axes.plot(list(points), list(points.values()), "o-", ms=3, lw=1.2, color=colour, label=policy)
+                low, high = (group["without"] + group[end] for end in ("low", "high"))
+                axes.fill_between(group["strength"], low.clip(0, 1), high.clip(0, 1), color=colour, alpha=0.15, lw=0)
+        axes.set_title(escape.mathtext(str(axis)), fontsize=10)
+        axes.set_ylim(-0.02, 1.05)
+        axes.set_xticks(range(STRENGTHS + 1))
+        axes.spines[["top", "right"]].set_visible(False)
+    lines = {line.get_label(): line for axes in panels.flat for line in axes.get_lines()}
+    names = [escape.mathtext(str(name)) for name in lines]
+    figure.legend(list(lines.values()), names, loc="outside upper center", ncols=4, frameon=False, fontsize=9)
+    figure.supxlabel("strength of the shift", fontsize=9)
+    figure.supylabel("mean score", fontsize=9)
+    return figure

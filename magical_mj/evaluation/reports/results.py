@@ -36,6 +36,12 @@ NAMES: Final = ("policy", "task", "variant", "shift", *KINDS, "version", "mujoco
 SAME: Final = [*KEY, *KINDS, "score", "actions"]
 """What two records of one episode must agree in."""
 
+ALIKE: Final = {
+    "rules": "their scores do not compare; report --rules scores all by the same again",
+    "worlds": "scores of batched worlds are approximate, and reported by themselves",
+    "split": "results are those on test, and dev stands by itself",
+}
+"""What scores must have in common, and why."""
 PUBLISHED_RULES: Final = "released"
 """The paper's results were scored by the authors' code, in its simulator: AL scores 0.00 on ClusterShape's demo, where
 by the paper's formula an agent that does nothing has 0.25."""
@@ -93,9 +99,7 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False, rules: Rules | 
     if not folders:
         raise EvaluationError("give at least one folder of an evaluation")
     scores = _read(folders, rules)
-    check_same(scores, "rules", "their scores cannot be compared; --rules scores all by the same again")
-    check_same(scores, "worlds", "scores of batched worlds are approximate, and reported by themselves")
-    check_same(scores, "split", "results are those on test; report dev by itself")
+    check_alike(scores)
     scores = scores.drop_duplicates(SAME)  # a folder that was copied, or added to, agrees with the other
     twice = scores[scores.duplicated(KEY, keep=False)]
     if len(twice):
@@ -107,7 +111,6 @@ def gather(folders: Sequence[Path], mixed_presets: bool = False, rules: Rules | 
         )
     if not mixed_presets:
         check_same(scores, "preset", "--mixed-presets (mixed_presets=True) reports them together anyway")
-    check_scenes(scores)
     return scores.reset_index(drop=True)
 
 
@@ -163,12 +166,9 @@ def _read(folders: Sequence[Path], rules: Rules | None = None) -> pd.DataFrame:
 
 
 def check_same(scores: pd.DataFrame, what: str, consequence: str) -> None:
-    """Raises an `EvaluationError` unless this column is the same for all scores; None matches anything.
+    """Raises an `EvaluationError`, which ends in the consequence, unless a column is the same for all scores.
 
-    Args:
-        scores: a row for each episode, with its `folder`.
-        what: the column's name.
-        consequence: the end of the message: what a difference means.
+    None matches anything.
     """
     kinds = scores.dropna(subset=[what]).drop_duplicates(what)
     if len(kinds) > 1:
@@ -176,11 +176,13 @@ def check_same(scores: pd.DataFrame, what: str, consequence: str) -> None:
         raise EvaluationError(f"different {what}: {listed}; {consequence}")
 
 
-def check_scenes(scores: pd.DataFrame) -> None:
-    """Raises an `EvaluationError` if a seed's scene has two digests: of other worlds, scores do not compare.
+def check_alike(scores: pd.DataFrame) -> None:
+    """Raises an `EvaluationError` for `ALIKE`, and if a seed's scene has two digests: such scores do not compare.
 
     Scenes whose digest was not recorded match any.
     """
+    for what, consequence in ALIKE.items():
+        check_same(scores, what, consequence)
     scene = ["task", "variant", "shift", "seed"]
     digests = scores.dropna(subset=["scene"]).drop_duplicates([*scene, "scene"])
     differing = digests[digests.duplicated(scene, keep=False)].sort_values([*scene, "folder"], kind="stable")
@@ -340,10 +342,7 @@ def compare(first: Path | str, second: Path | str) -> pd.DataFrame:
 
     (name, ours), (other, others) = choose(first), choose(second)
     played = pd.concat([side.astype(dict.fromkeys(NAMES, object)) for side in (ours, others)], ignore_index=True)
-    check_same(played, "rules", "they cannot be compared")
-    check_same(played, "worlds", "scores of batched worlds are approximate, and compared among themselves")
-    check_same(played, "split", "they have no scenes in common")
-    check_scenes(played)
+    check_alike(played)
     keys = ["variant", "shift", "task", "seed"]
     sides = [side.astype(dict.fromkeys(keys[:-1], str)).groupby(keys)["score"].mean() for side in (ours, others)]
     both = pd.concat(sides, axis=1, keys=["first", "second"])

@@ -9,15 +9,22 @@ task has only one run, its episodes are resampled instead; that interval covers 
 that of training.
 
 All tasks have equal weight. If some have more runs than others, the interquartile mean is taken of the tasks' means.
+
+Shifts are compared with strength 0, the distractor-free control: the same policies in the same scenes without them.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from magical_mj.evaluation.scores import SCORE_TOLERANCE
+from magical_mj.shifts import SHIFTS
+from magical_mj.shifts.shift import STRENGTHS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -146,12 +153,8 @@ def _iqm_of_values(*strata: Floats, axis: int = -1) -> Any:
 def rank_correlation(first: Mapping[Any, Any], second: Mapping[Any, Any]) -> float:
     """Spearman's rank correlation of two methods' mean scores, over the environments that both have.
 
-    Args:
-        first: environment -> a mean score, or the mean scores of several runs.
-        second: the same for the other method.
-
-    Returns:
-        In [-1, 1]; NaN if one of the methods has the same score everywhere, or there are fewer than two environments.
+    Environment -> a mean score, or the mean scores of several runs, of either. In [-1, 1]; NaN if one of the methods
+    has the same score everywhere, or there are fewer than two environments.
     """
     from scipy.stats import spearmanr
 
@@ -163,11 +166,7 @@ def rank_correlation(first: Mapping[Any, Any], second: Mapping[Any, Any]) -> flo
 
 
 def by_environment(scores: pd.DataFrame) -> pd.DataFrame:
-    """The statistics of each policy in each environment, one row each: over runs.
-
-    Args:
-        scores: a row for each episode.
-    """
+    """The statistics of each policy in each environment, one row each: over runs. `scores` has a row per episode."""
     return _by(["policy", "task", "variant"], scores).drop(columns="tasks")
 
 
@@ -192,3 +191,62 @@ def _by(keys: list[str], scores: pd.DataFrame) -> pd.DataFrame:
             {**dict(zip(keys, values, strict=True)), **summarise(tasks)._asdict(), **counts, "failures": failures}
         )
     return pd.DataFrame(rows)
+
+
+def by_shift(scores: pd.DataFrame) -> pd.DataFrame:
+    """How each policy does under each shift, and without it in the same scenes.
+
+    Args:
+        scores: a row for each episode; see `magical_mj.evaluation.reports.results.gather`.
+
+    Returns:
+        A row for each policy and shift: the `axis` and its `strength` (NaN of several, and of bodies), the mean score
+        with the shift (`mean`) and without it (`without`), the `difference` and its 95 % interval (`low`, `high`), and
+        the numbers of `scenes` and `environments`. The interval resamples the scenes of each environment. Scores of
+        several runs in one scene are averaged first; all environments have equal weight.
+    """
+    import pandas as pd
+
+    played = scores.astype(dict.fromkeys(["policy", "task", "variant", "shift"], str)).set_index(
+        ["policy", "run", "task", "variant", "seed"]
+    )
+    without = played[played["shift"] == ""]["score"]
+    rows: list[dict[str, Any]] = []
+    for (policy, shift), group in played[played["shift"] != ""].groupby(["policy", "shift"]):
+        both = pd.concat([without, group["score"]], axis=1, join="inner", keys=["without", "mean"])
+        both = both.groupby(["task", "variant", "seed"]).mean()
+        if both.empty:
+            continue
+        axis, _, strength = str(shift).rpartition(":")
+        graded = "+" not in str(shift) and strength.isdigit()
+        rows.append(
+            {
+                "policy": policy,
+                "shift": shift,
+                "axis": axis if graded else shift,
+                "strength": int(strength) if graded else math.nan,
+                **paired_means(both, "mean", "without"),
+            }
+        )
+    order = list(SHIFTS)
+    rows.sort(key=lambda row: order.index(row["axis"]) if row["axis"] in order else len(order))
+    return pd.DataFrame(rows)
+
+
+def curve(rows: pd.DataFrame) -> dict[int, float]:
+    """The mean score at each strength that was played, from the rows of one policy and axis; 0 is without the shift."""
+    points = {int(row.strength): float(row.mean) for row in rows.itertuples()}
+    return {0: float(rows["without"].iloc[0]), **dict(sorted(points.items()))}
+
+
+def area(points: dict[int, float]) -> float:
+    """The area under a curve over strengths 0 to 5, divided by 5: a mean score. NaN if a strength is missing."""
+    if set(points) != set(range(STRENGTHS + 1)):
+        return math.nan
+    return (sum(points.values()) - (points[0] + points[STRENGTHS]) / 2) / STRENGTHS
+
+
+def half_lost(points: dict[int, float]) -> int | None:
+    """The first strength at which at most half of the score at strength 0 is left; None if there is none."""
+    lost = [strength for strength, score in points.items() if strength and score <= points[0] / 2 + SCORE_TOLERANCE]
+    return min(lost) if lost and points[0] > SCORE_TOLERANCE else None

@@ -15,7 +15,9 @@ from magical_mj.evaluation.reports.results import (
     Results,
     counted_tasks,
 )
+from magical_mj.evaluation.reports.statistics import area, curve, half_lost
 from magical_mj.evaluation.settings import UNOFFICIAL
+from magical_mj.shifts.shift import STRENGTHS
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, VARIANTS
 from magical_mj.utils import escape
 from magical_mj.utils.errors import counted
@@ -204,3 +206,53 @@ def _failures(scores: pd.DataFrame) -> Iterator[str]:
     failed = scores[scores["failure"].notna()]
     for policy, group in failed.groupby("policy", sort=False, observed=True):
         yield f"{policy}: failed episodes, which count as 0: {len(group)}; the first reason: {group['failure'].iloc[0]}"
+
+
+def shift_tables(shifts: pd.DataFrame) -> Iterator[Table]:
+    """The tables of a report from what `by_shift` returns."""
+    strengths = tuple(map(str, range(STRENGTHS + 1)))
+    single, combined = shifts[shifts["strength"].notna()], shifts[shifts["strength"].isna()]
+    scores, differences = [], []
+    for axis, of_axis in single.groupby("axis", sort=False):
+        means, losses = [], []
+        for policy, rows in of_axis.groupby("policy", sort=False):
+            points, half = curve(rows), half_lost(curve(rows))
+            cells = [f"{points[strength]:.2f}" if strength in points else NONE for strength in range(STRENGTHS + 1)]
+            under = area(points)
+            means.append((str(policy), *cells, NONE if math.isnan(under) else f"{under:.2f}", str(half or NONE)))
+            of_strength = {int(row.strength): _difference(row) for row in rows.itertuples()}
+            losses.append((str(policy), *(of_strength.get(strength, NONE) for strength in range(1, STRENGTHS + 1))))
+        scores.append((str(axis), tuple(means)))
+        differences.append((str(axis), tuple(losses)))
+    if scores:
+        yield Table(
+            "shifts",
+            "Mean score by the strength of each shift, the area under the curve (as a mean score), "
+            "and the first strength at which at most half of the score at strength 0 is left",
+            ("Method", *strengths, "area", "half lost at"),
+            tuple(scores),
+        )
+        yield Table(
+            "differences",
+            "Difference of the mean score from that at strength 0 in the same scenes, with its 95 % interval "
+            "(bootstrap of the scenes within each environment)",
+            ("Method", *strengths[1:]),
+            tuple(differences),
+        )
+    if len(combined):
+        rows = tuple(
+            (str(row.policy), str(row.shift), f"{row.without:.2f}", f"{row.mean:.2f}", _difference(row))
+            for row in combined.itertuples()
+        )
+        header = ("Method", "shifts", "without", "with", "difference")
+        yield Table(
+            "combined",
+            "Several shifts at once in the same scenes, and other bodies with the same seeds, beside none",
+            header,
+            (("", rows),),
+        )
+
+
+def _difference(row: Any) -> str:
+    interval = "" if math.isnan(row.low) else f" [{row.low:+.2f}, {row.high:+.2f}]"
+    return f"{row.difference:+.2f}{interval}"
