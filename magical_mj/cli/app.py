@@ -131,12 +131,9 @@ def start(
 
 
 def run(arguments: Sequence[str] | None = None, commands: typer.Typer = app, name: str = "magical-mj") -> int:
-    """Run the application; an expected error becomes one line on stderr and an exit code.
+    """Runs an application, called `name`; an expected error becomes one line on stderr and an exit code.
 
-    Args:
-        arguments: the words of the command line; None: those of this process.
-        commands: the application.
-        name: how it was called.
+    The arguments are the words of the command line; None: those of this process.
     """
     warnings.filterwarnings("ignore", module="glfw")  # our own error explains a missing display better
     for stream in (sys.stdout, sys.stderr):

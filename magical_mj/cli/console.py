@@ -86,12 +86,12 @@ Trust = Annotated[bool, typer.Option("--trust", help="Use tasks whose code the f
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there already.")]
 
 
-def add_options(command: Callable[..., None], settings: type) -> None:
-    """Adds options to a command that takes `**options`: one for each setting that it does not name itself."""
+def add_options(command: Callable[..., None], settings: type, *names: str) -> None:
+    """Adds options to a command that takes `**options`: one for each of these settings, or for all it does not name."""
     *named, _ = inspect.signature(command, eval_str=True).parameters.values()
     parameters = {parameter.name: parameter for parameter in named}
     for name, setting in described(settings).items():
-        if name not in parameters:
+        if name not in parameters and (not names or name in names):
             declared = [f"--{name.replace('_', '-')}"] if setting.kind is bool else []
             kind = str if setting.kind == Names else setting.kind  # lists are separated by commas
             option = typer.Option(
@@ -106,11 +106,7 @@ def add_options(command: Callable[..., None], settings: type) -> None:
 def check_fits(context: typer.Context, fits: bool, condition: str, *options: str) -> None:
     """Raise `BadParameter` if one of these options was given, by the names of their parameters, and has no effect.
 
-    Args:
-        context: of the command.
-        fits: whether the options have an effect here.
-        condition: when they have one, for the message, such as "in a window".
-        options: the names of the command's parameters.
+    They have one only if `fits`, which `condition` says in words, such as "in a window".
     """
     for name in options:
         source = context.get_parameter_source(name)
@@ -171,11 +167,7 @@ def check_suffix(path: Path | None, suffix: str) -> None:
 
 
 def check_writable(path: Path, force: bool) -> Path:
-    """Returns `path` if a file can be written there; called before the work is done.
-
-    Raises:
-        OSError: if it exists and `force` is not given, or if its folder cannot be written to.
-    """
+    """Returns `path` if a file can be written there, and none is replaced without `force`; before the work is done."""
     if path.is_dir():
         raise IsADirectoryError(f"{path} is a folder; give the name of a file")
     if path.exists() and not force:
@@ -208,10 +200,7 @@ class Left(TimeRemainingColumn):
 class Bars(Progress):
     """Progress bars, which `update` moves; where none can be shown, a line after some seconds, then one a minute.
 
-    Args:
-        screen: where they are shown.
-        columns: what is shown between the bar and the time that is left.
-        settings: of rich's `Progress`.
+    The columns stand between the bar and the time that is left; the settings are those of rich's `Progress`.
     """
 
     def __init__(self, screen: Console, *columns: ProgressColumn, **settings: Any) -> None:

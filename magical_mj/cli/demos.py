@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -151,11 +152,7 @@ def rollouts(
 
 
 def roll_out(source: Source, settings: EvaluationSettings, task: str, variant: str, seed: int) -> Demonstration:
-    """The episode of a policy in the scene of a seed.
-
-    Raises:
-        DemonstrationError: if the policy failed.
-    """
+    """The episode of a policy in the scene of a seed; a `DemonstrationError` if the policy failed."""
     from magical_mj.evaluation.worker import Unit, play_unit
     from magical_mj.policies.interface import actions_of
 
@@ -169,14 +166,9 @@ def roll_out(source: Source, settings: EvaluationSettings, task: str, variant: s
 def make_missing(
     paths: Mapping[Key, Path], make: Callable[..., Demonstration], out: Path, jobs: int | None, doing: str
 ) -> list[str]:
-    """Writes those demonstrations that are not there yet, the longest first; returns why some cannot be made.
+    """Writes those demonstrations of `paths` that are not there yet, the longest first, as `make` makes them.
 
-    Args:
-        paths: task, variant and number -> the file.
-        make: makes the demonstration of a task, variant and number.
-        out: the folder.
-        jobs: how many processes.
-        doing: what the bar says.
+    Returns why some cannot be made. `doing` is what the bar says.
     """
     if len(set(paths.values())) < len(paths):
         raise SettingsError("two of these tasks have the same name, and so would their files: use two folders")
@@ -217,7 +209,13 @@ def write_one(make: Callable[..., Demonstration], work: tuple[Key, Path]) -> str
 @app.command(name="import")
 def import_recordings(recordings: Recordings, out: Folder) -> None:
     """Import episodes that were saved in the browser: they are replayed and scored here."""
-    episodes = [(file, _replayed(file)) for file in recordings]  # replay all before anything is written
+    episodes: list[tuple[Path, Imported]] = []
+    for file in recordings:  # all are replayed before anything is written
+        text = files.read_foreign(file, most=magical_mj.demos.MAX_BYTES, error=DemonstrationError)
+        try:
+            episodes.append((file, magical_mj.demos.from_recording(text)))
+        except MagicalError as error:
+            raise DemonstrationError(f"{file}: {error}") from None
     make_writable_folder(out)
     screen = console()
     for file, (demo, deviation, suspect) in episodes:
@@ -227,14 +225,6 @@ def import_recordings(recordings: Recordings, out: Folder) -> None:
             continue
         warning = f", but ends {deviation:.3f} from what the player saw" if suspect else ""
         screen.print(f"{path}: score {demo.score:.2f}{warning}", soft_wrap=True)
-
-
-def _replayed(file: Path) -> Imported:
-    text = files.read_foreign(file, most=magical_mj.demos.MAX_BYTES, error=DemonstrationError)
-    try:
-        return magical_mj.demos.from_recording(text)
-    except MagicalError as error:
-        raise DemonstrationError(f"{file}: {error}") from None
 
 
 @app.command()
@@ -249,9 +239,9 @@ def describe(demos: Sequence[Demonstration]) -> None:
     table.add_column("environment", no_wrap=True)
     for column in ("by", "demos", "score", "steps", "actions", "orders", "strategies", "ways apart"):
         table.add_column(column, overflow="fold")
-    groups: dict[tuple[str, str], list[Demonstration]] = {}
+    groups: dict[tuple[str, str], list[Demonstration]] = defaultdict(list)
     for demo in demos:
-        groups.setdefault((demo.name, demo.demonstrator), []).append(demo)
+        groups[demo.name, demo.demonstrator].append(demo)
     for names, group in groups.items():
         orders, strategies, ways = magical_mj.demos.diversity(group)
         score = fmean(demo.score for demo in group)
@@ -364,9 +354,9 @@ def export(
     demos = read_chosen(paths, tasks, variants)
     if preset is None:
         preset = "State" if to == "minari" else "LoRes4E"
-    groups: dict[str, list[Demonstration]] = {}
+    groups: dict[str, list[Demonstration]] = defaultdict(list)
     for demo in demos:
-        groups.setdefault(demo.name, []).append(demo)
+        groups[demo.name].append(demo)
     if to in ("npz", "xirl"):  # which hold demonstrations of several environments
         groups = {next(iter(groups)) if len(groups) == 1 else "demonstrations": demos}
     elif out is not None and len(groups) > 1:
@@ -445,22 +435,14 @@ def asked_for(tasks: str, variants: str) -> list[Pair] | None:
 def read_asked(source: Path | Demonstration, wanted: Collection[Pair] | None) -> Demonstration | str:
     """The demonstration, read if it is a file; the name of its environment or task if others were asked for.
 
-    Args:
-        source: a file, or a demonstration that came with a task.
-        wanted: as `asked_for` returns it; only the code of these tasks may run.
-
-    Raises:
-        DemonstrationError: if the file is damaged.
-        UntrustedNameError: if reading it runs the code of a task, and nothing in particular was asked for.
+    Only the code of the wanted tasks may run; if nothing in particular is wanted, a file that needs any is an error.
     """
-    try:
-        demo = (
-            magical_mj.demos.read(source, trusted=[task for task, _ in wanted or ()])
-            if isinstance(source, Path)
-            else source
-        )
-    except UntrustedNameError as error:
-        if wanted is None:
-            raise
-        return error.reference
+    demo = source
+    if isinstance(demo, Path):
+        try:
+            demo = magical_mj.demos.read(demo, trusted=[task for task, _ in wanted or ()])
+        except UntrustedNameError as error:
+            if wanted is None:
+                raise
+            return error.reference
     return demo if wanted is None or (demo.task, demo.variant) in wanted else demo.name

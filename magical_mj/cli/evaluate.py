@@ -18,13 +18,10 @@ from rich.progress import TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from magical_mj.cli.console import (
-    COMPLETIONS,
     Bars,
-    Body,
     Cameras,
     Force,
     Jobs,
-    Renderer,
     Seed,
     Shifts,
     Size,
@@ -44,10 +41,9 @@ from magical_mj.cli.film import film, film_episodes, replay, views_of
 from magical_mj.evaluation.reports.report import extremes, report
 from magical_mj.evaluation.run import Evaluation
 from magical_mj.evaluation.scores import SCORES, EpisodeResult, frame, open_scores, read_settings
-from magical_mj.evaluation.settings import EvaluationSettings, Split
+from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.evaluation.worker import Player, Unit
 from magical_mj.policies.loading import playable, sources
-from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts.registry import parse_shifts, shift_label
 from magical_mj.tasks.registry import SPLITS, VARIANTS, task_name, task_spec, variant_name
 from magical_mj.utils import files
@@ -75,10 +71,6 @@ Policies = Annotated[
 ]
 AnyPolicy = Annotated[str, typer.Option(help=_POLICIES)]
 Out = Annotated[Path, typer.Option(help="The folder for the scores.", show_default=False)]
-Preset = Annotated[
-    str,
-    typer.Option(help="The observations: a preset's name, or an empty one.", autocompletion=COMPLETIONS["preset"]),
-]
 Number = Annotated[
     int,
     typer.Option(
@@ -87,7 +79,6 @@ Number = Annotated[
 ]
 Video = Annotated[Path | None, typer.Option(help="Write an MP4 video of the episodes.", show_default=False)]
 As = Annotated[str, typer.Option("--as", help="The task that policies are told instead of their own.")]
-Trust = Annotated[bool, typer.Option("--trust", help="Load model files that contain code, and run it.")]
 Tour = Annotated[Path, typer.Option("--out", help="The folder for all results; those of the same tour are replaced.")]
 Each = Annotated[int, typer.Option("--episodes", min=1, help="Of each agent in each environment.")]
 
@@ -117,33 +108,22 @@ def rollout(
     policy: AnyPolicy = "expert",
     episodes: Number = 1,
     seed: Seed = 0,
-    split: Split = "test",
-    preset: Preset = "LoRes4E",
     shifts: Shifts = "",
-    body: Body = GRIPPER,
-    renderer: Renderer = None,
     video: Video = None,
     size: Size = 384,
     camera: Cameras = "allo,ego",
-    trust: Trust = False,
     force: Force = False,
+    **options: Any,
 ) -> None:
     """Play some episodes with a policy, print the scores, and make a video. For whole benchmarks, use `evaluate`."""
     check_fits(context, video is not None, "with --video", "size", "camera", "force")
     check_suffix(video, ".mp4")
     views = views_of(camera)
     pair = task_name(task), variant_name(variant)  # not lists of names, nor "all"
-    settings = EvaluationSettings(
-        tasks=(pair[0],),
-        variants=(pair[1],),
-        split=split,
-        preset=preset,
-        body=body,
-        renderer=renderer,
-        trust=trust,
-    )
+    settings = EvaluationSettings(tasks=(pair[0],), variants=(pair[1],), **options)
+    first = SPLITS[settings.split] + seed
     shift = shift_label(parse_shifts(shifts, pair[0]))
-    listed = playable(policy, [pair], preset, trust=trust)
+    listed = playable(policy, [pair], settings.preset, trust=settings.trust)
     if video is not None:
         check_writable(video, force)
     screen, failed, played = console(), False, 0
@@ -151,15 +131,13 @@ def rollout(
     try:
         with showing as movie, closing(Player()) as player:
             for source in listed:
-                units = [
-                    Unit(source, *pair, (SPLITS[split] + seed + k,), settings, shift=shift) for k in range(episodes)
-                ]
+                units = [Unit(source, *pair, (first + k,), settings, shift=shift) for k in range(episodes)]
                 scores = []
                 for unit in with_bar(screen, f"playing {source.name}", units, episodes):
                     scores += player.play(unit)
                     screen.print(_line(scores[-1]), soft_wrap=True)
                     if movie is not None:
-                        replay(movie, scores[-1], renderer)
+                        replay(movie, scores[-1], settings.renderer)
                     played += 1
                 screen.print(f"{source.name}: mean of {episodes} {fmean(score.score for score in scores):.3f}")
                 failed |= all(score.failure is not None for score in scores)
@@ -171,6 +149,9 @@ def rollout(
         screen.print(video, soft_wrap=True)
     if failed:  # a policy has not finished a single episode
         raise typer.Exit(1)
+
+
+add_options(rollout, EvaluationSettings, "split", "preset", "body", "renderer", "trust")
 
 
 def _line(score: EpisodeResult) -> str:

@@ -104,18 +104,13 @@ class Film:
 def film(
     path: Path, size: int, speed: int = 1, views: Sequence[str] = SIDE_BY_SIDE, *, overwrite: bool
 ) -> Iterator[Film]:
-    """A video of episodes; it is removed if the block raises.
+    """A video of episodes at `speed` times real time, with views of `size` pixels side by side, from left to right.
 
-    Args:
-        path: the MP4 file.
-        size: side of each view in pixels.
-        speed: 1 is real time.
-        views: the views, from left to right.
-        overwrite: replace an existing file.
+    It is removed if the block raises.
 
     Raises:
         MissingExtraError: if imageio-ffmpeg is not installed.
-        OSError: if the file cannot be written, or exists.
+        OSError: if the file cannot be written, or exists and `overwrite` is false.
     """
     check_extra("videos", "video")
     import imageio_ffmpeg
@@ -148,11 +143,7 @@ def film(
 
 
 def replay(movie: Film, score: EpisodeResult, renderer: str | None = None) -> None:
-    """Replays the actions of an evaluated episode, and adds it to a video, drawn by `renderer`.
-
-    Raises:
-        EvaluationError: if the replay ends with another score, because versions have changed.
-    """
+    """Replays the actions of an evaluated episode, and adds it to a video, drawn by `renderer`."""
     rules = check_rules(score.rules)
     how: dict[str, Any] = {"rules": rules, "renderer": renderer, "shifts": score.shift, "body": score.body}
     with closing(magical_mj.Engine(score.task, score.variant, seed=score.seed, **how)) as env:
@@ -171,11 +162,7 @@ def replay(movie: Film, score: EpisodeResult, renderer: str | None = None) -> No
 
 
 def views_of(cameras: str) -> list[str]:
-    """The views of an option "--camera".
-
-    Raises:
-        UnknownNameError: if there is no such view.
-    """
+    """The views of an option "--camera"."""
     views = listed(cameras, CAMERAS)
     for view in views:
         check_name("view", view, CAMERAS)

@@ -126,14 +126,8 @@ def play(
 class Game:
     """Episodes one after another, each from the start of its scene, whose clock starts with the first key, to its end.
 
-    Finished episodes are reported and, if there is a folder, saved at once, so that nothing is lost if the window is
-    closed; unwanted ones can be deleted afterwards.
-
-    Args:
-        env: plays them.
-        task: the task.
-        seed: of the first scene.
-        folder: where they are saved.
+    Finished episodes are reported and, if there is a folder, saved there at once, so that nothing is lost if the window
+    is closed; unwanted ones can be deleted afterwards.
     """
 
     def __init__(self, env: Engine, task: str, seed: int, folder: Path | None) -> None:
@@ -199,13 +193,9 @@ def play_in(window: Window, game: Game, size: int) -> None:
 
 
 class Window:
-    """A window as wide as two pictures, with two lines of text below them.
+    """A window as wide as two pictures of `size` pixels, with two lines of text below them.
 
-    Args:
-        title: the window's title.
-        size: side of a picture in pixels.
-        speed: 1 is real time; 0 is as fast as possible.
-        advice: what to do without a display, for the error.
+    A speed of 1 is real time; 0 is as fast as possible. `advice` says what to do without a display, for the error.
 
     Raises:
         MagicalError: if pygame-ce is not installed, or there is no display.

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 from rich.console import Console
@@ -17,7 +17,7 @@ from rich.table import Column
 from rich.text import Text
 
 from magical_mj import learners
-from magical_mj.cli.console import Bars, Force, Renderer, Trust, check_fits, check_writable, console
+from magical_mj.cli.console import Bars, Force, Renderer, Trust, add_options, check_fits, check_writable, console
 from magical_mj.learners.config import check_changes, users, uses
 from magical_mj.learners.settings import PPOSettings, TrainingSettings
 from magical_mj.policies.agents import AGENTS
@@ -34,8 +34,6 @@ DAY: Final = 86400.0
 PAUSE: Final = 10.0
 """Seconds between two looks at what other processes have done."""
 
-SETTINGS: Final = described(TrainingSettings)
-
 Method = Annotated[
     str,
     typer.Argument(
@@ -44,12 +42,8 @@ Method = Annotated[
 ]
 Tasks = Annotated[str, typer.Option(help="A task; with --multi-task several, separated by commas, or all.")]
 Out = Annotated[Path, typer.Option(help="The run's folder.", show_default=False)]
-Seed = Annotated[int, typer.Option(min=0, help=SETTINGS["seed"].description)]
 MultiTask = Annotated[bool, typer.Option("--multi-task", help="One policy for all the tasks.")]
-Augment = Annotated[str, typer.Option(help=SETTINGS["augment"].description)]
-Preset = Annotated[str, typer.Option(help=SETTINGS["preset"].description)]
-Device = Annotated[str, typer.Option(help=SETTINGS["device"].description)]
-Simulator = Annotated[str, typer.Option(help=SETTINGS["ppo.simulator"].description)]
+Simulator = Annotated[str, typer.Option(help=described(PPOSettings)["simulator"].description)]
 Quick = Annotated[bool, typer.Option("--quick", help="Use a smaller network and a shorter training, for two cores.")]
 Change = Annotated[
     list[str] | None, typer.Option("--set", help="Any setting, such as ppo.clip=0.02.", show_default=False)
@@ -110,16 +104,13 @@ def train(
     method: Method,
     tasks: Tasks,
     out: Out,
-    seed: Seed = TrainingSettings.seed,
     multi_task: MultiTask = False,
-    augment: Augment = TrainingSettings.augment,
-    preset: Preset = TrainingSettings.preset,
-    device: Device = TrainingSettings.device,
     simulator: Simulator = PPOSettings.simulator,
     renderer: Renderer = None,
     quick: Quick = False,
     change: Change = None,
     resume: Resume = False,
+    **options: Any,
 ) -> None:
     """Train a policy. OUT then holds the policy, for `magical-mj evaluate --policy OUT`, with settings and metrics."""
     check_extra("learners", "eval", "il")
@@ -127,14 +118,14 @@ def train(
     from magical_mj.learners.training import METHODS
 
     check_name("method", method, METHODS)
-    options = {"seed": seed, "augment": augment, "preset": preset, "device": device, "ppo.simulator": simulator}
+    options["ppo.simulator"] = simulator
     options |= {} if renderer is None else {"renderer": renderer}  # quick trainings have their own
     others = {}
     for text in change or []:
         name, equals, others[name] = text.partition("=")
         if not equals:
             raise SettingsError(f"--set wants NAME=VALUE, such as ppo.clip=0.02, not {text!r}")
-    check_changes(others, [method], preset, elsewhere=("method", "tasks", "quick", *options))
+    check_changes(others, [method], options["preset"], elsewhere=("method", "tasks", "quick", *options))
     check_fits(context, uses(method, "augment"), f"with {', '.join(users('augment'))}", "augment")
     settings = learners.load_settings(method, tasks, quick=quick, **options, **others)
     if len(settings.tasks) > 1 and not multi_task:
@@ -148,6 +139,9 @@ def train(
     folder = shlex.quote(f"./{out}" if str(out) in AGENTS else str(out))
     again = f"magical-mj evaluate --policy {folder} --tasks {','.join(settings.tasks)} --preset {settings.preset}"
     screen.print(f"the policy is in {out}; to evaluate it: {again} --out ...", soft_wrap=True)
+
+
+add_options(train, TrainingSettings, "seed", "augment", "preset", "device")
 
 
 def export(run: Run, out: OnnxFile = Path("policy.onnx"), task: OneTask = "", force: Force = False) -> None:
@@ -207,11 +201,7 @@ class UpdateColumn(ProgressColumn):
 
 
 class TrainingView:
-    """Shows a training: a progress bar with the latest metrics, and a line per evaluation.
-
-    Attributes:
-        bar: the number of its progress bar.
-    """
+    """Shows a training: a progress bar with the latest metrics, and a line per evaluation."""
 
     def __init__(self, progress: Bars, name: str) -> None:
         self._progress, self._name = progress, name

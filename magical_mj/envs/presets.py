@@ -80,12 +80,9 @@ def preset_named(name: str) -> Preset:
 def observation_space(
     preset: Preset, shapes: Mapping[str, tuple[int, ...]], *, instruction: bool = False
 ) -> spaces.Space[Any]:
-    """The space of a preset's observations.
+    """The space of a preset's observations, whose stacks have these shapes by name (ignored for the state).
 
-    Args:
-        preset: the preset.
-        shapes: of the stacks of frames by name; ignored if the preset observes the state.
-        instruction: whether dicts hold the sentence that says what is to be done.
+    With `instruction`, dicts hold the sentence that says what is to be done.
     """
     if preset.layout == "state":
         return spaces.Box(-STATE_BOUND, STATE_BOUND, (len(STATE_NAMES),), np.float32)
@@ -167,10 +164,7 @@ class Stacks:
     """All stacks of a preset by name: one for each view in the layout "dict", none for the state vector, else one.
 
     The name of that one says what it holds, such as "allo1+ego3", since stacks of other presets may have its shape.
-
-    Args:
-        preset: the preset.
-        size: side of the frames in pixels.
+    Frames have `size` pixels a side.
     """
 
     def __init__(self, preset: Preset, size: int) -> None:

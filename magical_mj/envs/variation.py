@@ -69,11 +69,7 @@ class VariationSpace(spaces.Dict):
         )
 
     def values_of(self, scene: Scene, draws: Draws, seed: int) -> Variation:
-        """The values of an episode.
-
-        Raises:
-            InvalidSceneError: if the scene has more blocks, regions or pebbles than there are places.
-        """
+        """The values of an episode; an `InvalidSceneError` if its scene holds more things than there are places."""
         values: Variation = {"seed": seed, "scene": _scene_values(scene)}
         for name in self.spaces.keys() - values.keys():
             drawn = draws.get(name, {})
@@ -116,11 +112,7 @@ class VariationSpace(spaces.Dict):
         return self.values_of(EpisodeShifts(draws).scene(setup.sample(seed), str(setup.task)), draws, seed)
 
     def episode(self, values: Mapping[str, Any], scene: Scene) -> tuple[Scene, Draws]:
-        """The scene and the draws of these values; what they do not tell is that of `scene`.
-
-        Raises:
-            SettingsError: if they are not in this space.
-        """
+        """The scene and the draws of these values, which must be in this space; the rest is that of `scene`."""
         values = {name: _cast(self.spaces.get(name), value) for name, value in values.items()}
         if not self.contains(values):
             wrong = [name for name, value in values.items() if name not in self.spaces or value not in self[name]]

@@ -289,12 +289,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
 
 def world_seeds(seed: Any, worlds: int) -> list[int | None]:
-    """A seed for each world: from `seed` up, or those of a sequence.
-
-    Raises:
-        InvalidSeedError: if one is not an integer, or negative.
-        SettingsError: if there is not one for each world.
-    """
+    """A seed for each world: from `seed` up, or those of a sequence."""
     if seed is None:
         return [None] * worlds
     if isinstance(seed, list | tuple | range) or (isinstance(seed, np.ndarray) and seed.ndim > 0):
@@ -306,11 +301,7 @@ def world_seeds(seed: Any, worlds: int) -> list[int | None]:
 
 
 def masked(mask: Any, worlds: int) -> NDArray[np.bool_]:
-    """For which worlds the mask is true; without a mask all of them.
-
-    Raises:
-        SettingsError: if it does not hold a bool for each world.
-    """
+    """For which worlds the mask of bools is true; without a mask all of them."""
     if mask is None:
         return np.ones(worlds, np.bool_)
     entries = np.asarray(mask)

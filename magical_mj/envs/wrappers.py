@@ -95,11 +95,7 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
 
 
 def check_limit(limit: int, setup: Setup) -> int:
-    """The number of steps of a task's episodes if they may end after `limit` steps.
-
-    Raises:
-        SettingsError: if the limit is longer than the task's own horizon, and not that of its id.
-    """
+    """The number of steps of a task's episodes if they may end after `limit` steps, which is not beyond the horizon."""
     horizon = setup.horizon or 0
     if limit > horizon and limit != Setup(setup.task, setup.variant, body=setup.body).horizon:  # of the id
         raise SettingsError(

@@ -292,11 +292,7 @@ def _common(setting: str, values: Iterable[tuple[Any, object]]) -> Any:
 
 
 def entry_files(folder: Path | str) -> list[Path]:
-    """The entries in a folder, sorted by name: files, and folders with a card; or the one that is given instead.
-
-    Raises:
-        EvaluationError: if there are none.
-    """
+    """The entries in a folder, sorted by name: files, and folders with a card; or the one that is given instead."""
     folder = files.to_path(folder)
     if folder.is_file() or (folder / CARD).is_file():
         return [folder]

@@ -34,13 +34,8 @@ Replayed = tuple[Any, EpisodeResult, str | None]
 def replay(recorded: Iterable[Recorded], *, rules: Rules | None = None, jobs: int | None = None) -> Iterator[Replayed]:
     """Replays episodes in the scenes of their seeds, and compares scenes and scores, in worker processes.
 
-    Args:
-        recorded: the episodes, of environments that may be used.
-        rules: by which they are scored again, after the steps that an episode has by these rules; None: as they are.
-        jobs: the number of processes; None: one per core.
-
-    Yields:
-        Each episode, as they come.
+    With `rules`, they are scored again, after the steps that an episode has by these rules; None: as they are. Yields
+    each episode, as they come. `jobs` is the number of processes; None: one per core.
     """
     alike: dict[tuple[str, ...], list[Recorded]] = defaultdict(list)
     for source, episode in recorded:

@@ -174,12 +174,7 @@ def play(env: Env, policy: Act, episode: Episode) -> Outcome:
 
 
 def play_side_by_side(envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode]) -> list[Outcome]:
-    """Plays at most one episode per environment. All of them have failed if one would have in `play`.
-
-    Raises:
-        SettingsError: if the policy acts for single observations and cannot be copied.
-        Exception: as `play`.
-    """
+    """Plays at most one episode per environment. All of them have failed if one would have in `play`."""
     start, count = time.perf_counter(), len(episodes)
     batch = policy if isinstance(policy, BatchPolicy) else PolicyCopies(policy, envs)
     episodes = [*episodes, *[episodes[-1]] * (envs.num_envs - count)]

@@ -136,10 +136,8 @@ class Evaluation:
     def _trusted_results(self) -> Iterator[list[EpisodeResult]]:
         """All results; those of a policy are held back until one of its first episodes succeeds or fails differently.
 
-        The first planned episodes decide, not the first finished ones, which depend on the number of workers.
-
-        Raises:
-            EvaluationError: if all first episodes of a policy fail with the same type of error. None are yielded.
+        The first planned episodes decide, not the first finished ones, which depend on the number of workers. If all
+        fail with the same type of error, it is raised, and none are yielded.
         """
         planned: dict[tuple[str, int], list[Key]] = defaultdict(list)
         for unit in self.units:

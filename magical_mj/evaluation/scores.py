@@ -140,10 +140,7 @@ class EpisodeResult:
     def of(cls, episode: Episode, outcome: Outcome, **facts: Any) -> EpisodeResult:
         """The result of an episode that was played here and now.
 
-        Args:
-            episode: the episode.
-            outcome: what came of it.
-            facts: the fields `policy`, `rules`, `preset`, `scene` and those after it; `gl`, if a renderer was chosen.
+        The facts are `policy`, `rules`, `preset`, `scene` and the fields after it; `gl`, if a renderer was chosen.
         """
         return cls(
             run=episode.run,
@@ -264,11 +261,7 @@ def frame(results: Sequence[EpisodeResult]) -> Any:
 
 @contextmanager
 def open_scores(folder: Path) -> Iterator[IO[bytes]]:
-    """The file of scores in a folder, open for `append`, and locked so that only one process writes.
-
-    Raises:
-        EvaluationError: if another process has opened it.
-    """
+    """The file of scores in a folder, open for `append`, and locked so that only one process writes."""
     path = folder / SCORES
     busy = EvaluationError(f"another evaluation is writing to {path}")
     with path.open("ab", buffering=0) as file, files.locked(path, busy=busy):
@@ -370,11 +363,7 @@ def _identity(item: Any) -> Any:
 
 
 def read_settings(folder: Path) -> dict[str, Any]:
-    """The settings with which the evaluation in a folder was started.
-
-    Raises:
-        EvaluationError: if they cannot be read, or do not say what `Played` asks for.
-    """
+    """The settings with which the evaluation in a folder was started; an `EvaluationError` unless they are `Played`."""
     path = folder / SETTINGS
     try:
         content = files.read_foreign(path, most=MOST_SETTINGS, error=EvaluationError)

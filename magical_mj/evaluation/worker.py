@@ -108,12 +108,7 @@ class Player:
         self._forget()
 
     def play(self, unit: Unit) -> Iterator[EpisodeResult]:
-        """Plays the unit's episodes: side by side if the policy acts in batches, else one after another.
-
-        Raises:
-            SettingsError: if the policy cannot be loaded.
-            RenderingError: if no pictures can be drawn here.
-        """
+        """Plays the unit's episodes: side by side if the policy acts in batches, else one after another."""
         settings, source = unit.settings, unit.source
         task, policy = told(unit.task, settings.like), self._policy(unit)
         episodes = [Episode(task, unit.variant, seed, source.run) for seed in unit.seeds]
@@ -197,9 +192,6 @@ def single_env(unit: Unit, observed: bool) -> Env:
     """The environment for a policy: Gymnasium's with the preset's observations, or the bare engine.
 
     The former has no wrappers of `gymnasium.make`, whose checks at each step would only take time, but the user's.
-
-    Raises:
-        SettingsError: if there is no such wrapper, or what it returns is no environment of ours with our actions.
     """
     settings, how = unit.settings, arguments(unit)
     if observed:
@@ -282,11 +274,7 @@ class TimeLimitedCaller:
         weakref.finalize(self, self._calls.put, None)  # nobody will call any more
 
     def call(self, function: Callable[[], T], seconds: float | None) -> T:
-        """Returns or raises what the function returns or raises.
-
-        Raises:
-            TimeLimitError: if it takes longer than `seconds`; None means no limit.
-        """
+        """Returns or raises what the function does, or a `TimeLimitError` after this time; None means no limit."""
         result: Future[T] = Future()
         self._calls.put((function, result))
         try:

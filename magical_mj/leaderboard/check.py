@@ -133,10 +133,7 @@ def _contradictions(
 def missing(episodes: Iterable[EpisodeResult], tasks: Collection[str], runs: Iterable[int] = ()) -> list[str]:
     """Which episodes that the protocol requires are missing: a sentence for each run and environment.
 
-    Args:
-        episodes: the existing episodes.
-        tasks: the tasks in all of whose environments each run must have played.
-        runs: the numbers of runs of which there may be no episodes at all.
+    Each run must have played in all environments of these tasks; of `runs` there may be no episodes at all.
     """
     seeds: dict[tuple[int, str, str], set[int]] = defaultdict(set)
     for episode in (episode for episode in episodes if not episode.shift):

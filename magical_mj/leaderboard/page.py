@@ -71,11 +71,7 @@ def check_free(out: Path) -> None:
 
 
 def write_pages(methods: Sequence[Standing], out: Path) -> list[Path]:
-    """Writes both pages into a folder, replacing earlier ones, and returns their paths.
-
-    Raises:
-        EvaluationError: if somebody else's file has the name of a page.
-    """
+    """Writes both pages into a folder, replacing earlier ones but no others, and returns their paths."""
     check_free(out)
     contents = tables(methods)
     sections = [f"## {HEADINGS[table.name]}\n\n{markdown(table)}" for table in contents]

@@ -175,11 +175,7 @@ def standing(entry: Entry) -> Standing:
 
 
 def own_standings(folder: Path) -> dict[str, Standing]:
-    """File name -> standing, for the entries in a folder. They are not replayed; `check_entries` does that.
-
-    Raises:
-        EvaluationError: if there are none, or a file is not an entry.
-    """
+    """File name -> standing, for the entries in a folder. They are not replayed; `check_entries` does that."""
     return {path.name.removesuffix(SUFFIX): standing(read_entry(path)) for path in entry_files(folder)}
 
 

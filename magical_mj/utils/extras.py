@@ -30,9 +30,7 @@ MODULES: Final = {
 def check_extra(what: str, *extras: str) -> None:
     """Raises a `MissingExtraError` that says what to install, unless all packages of the extras are installed.
 
-    Args:
-        what: the feature that needs them, in the plural, for the message.
-        extras: the names of the extras.
+    `what` is the feature that needs them, in the plural, for the message.
     """
     missing = {extra: [name for name in MODULES[extra] if find_spec(name) is None] for extra in extras}
     names = list(dict.fromkeys(name for modules in missing.values() for name in modules))

@@ -27,11 +27,7 @@ _LONGEST_STEM: Final = 30
 
 
 def to_path(path: str | os.PathLike[str]) -> Path:
-    """`path` as a `Path`; for public functions, whose users may give something else.
-
-    Raises:
-        SettingsError: if it is of another type, such as bytes.
-    """
+    """`path` as a `Path`, for public functions, whose users may give something else: then a `SettingsError`."""
     if not isinstance(path, str | os.PathLike):
         raise SettingsError(f"a path must be a text or a pathlib.Path, not {short_repr(path)}")
     return Path(path)
@@ -142,11 +138,8 @@ def is_unfinished(path: Path) -> bool:
 def locked(path: Path, *, busy: Exception | None = None) -> Iterator[None]:
     """A context that one process at a time enters for a file or folder, which must exist.
 
-    A hidden file lies in the folder, or beside the file, as long as somebody is in it.
-
-    Args:
-        path: the file or folder.
-        busy: what is raised if another process is in it; None: this one waits.
+    A hidden file lies in the folder, or beside the file, as long as somebody is in it. If another process is in it,
+    this one waits, or raises `busy`.
     """
     path = path.absolute()  # the block may go to another working folder
     lock = path / ".lock" if path.is_dir() else path.with_name(f".{path.name}.lock")
@@ -162,13 +155,10 @@ def locked(path: Path, *, busy: Exception | None = None) -> Iterator[None]:
 def read_foreign(path: Path, *, most: int, error: type[MagicalError]) -> bytes:
     """The content of a file that somebody else may have made.
 
-    Args:
-        path: the file.
-        most: the largest number of bytes that is read.
-        error: what is raised if it is larger, or not a plain file: a pipe could be waited for without end.
-
     Raises:
         OSError: if there is no such file, or it cannot be read.
+        MagicalError: the given type, if it has more bytes than `most`, or is no plain file: a pipe could be waited for
+            without end.
     """
     if path.exists() and not path.is_file():
         raise error(f"{path} is not a plain file, but a folder, a pipe or a device")
@@ -180,11 +170,7 @@ def read_foreign(path: Path, *, most: int, error: type[MagicalError]) -> bytes:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The content of a TOML file.
-
-    Raises:
-        SettingsError: if it cannot be read as TOML.
-    """
+    """The content of a TOML file; a `SettingsError` if it cannot be read as TOML."""
     try:
         return tomllib.loads(read_foreign(path, most=_MOST_TOML, error=SettingsError).decode())
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:

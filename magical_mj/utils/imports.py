@@ -65,11 +65,9 @@ def trust(*references: str) -> None:
 
 
 def check_named(reference: object, origin: object) -> None:
-    """Checks a name from a file that may be somebody else's; to be called before it is resolved.
+    """Checks a name from a file (`origin`) that may be somebody else's; to be called before it is resolved.
 
-    Args:
-        reference: the name. All but references are accepted: a name that is announced is the benchmark's or installed.
-        origin: the file, for the message.
+    All but references are accepted: a name that is announced is the benchmark's or installed.
 
     Raises:
         UntrustedNameError: if it is a reference that the user has not named.
@@ -112,11 +110,7 @@ def resolve(reference: str) -> Any:
 
 
 def resolve_installed(reference: str) -> Any:
-    """The object that an installed package has announced as ``"package.module:NAME"``.
-
-    Raises:
-        ImportError: if there is no such module or object. Errors raised by the module itself pass through.
-    """
+    """The object that an installed package has announced as ``"package.module:NAME"``; errors as `resolve`."""
     module, _, name = reference.partition(":")
     value: Any = importlib.import_module(module)
     for part in name.split("."):
@@ -161,9 +155,7 @@ def with_place(error: BaseException) -> str:
 def place(error: BaseException, *, full: bool = True) -> str:
     """The last place from which the error came in the user's code, or else in another package than this, if any.
 
-    Args:
-        error: the error.
-        full: whether the file's folder is named, too.
+    With `full`, the file's folder is named, too.
     """
     frames = [frame for frame in extract_tb(error.__traceback__) if _is_theirs(frame.filename)]
     if not frames:

@@ -131,12 +131,9 @@ def _map_on_dask(
 
 
 class Pool:
-    """Worker processes, each of which is started when there is work for it, and does one piece after another.
+    """At most so many worker processes, each of which is started when there is work for it, and does piece after piece.
 
     A pool that is no longer used by anyone is closed.
-
-    Args:
-        workers: how many at most.
     """
 
     def __init__(self, workers: int) -> None:

@@ -138,9 +138,7 @@ def with_values(settings: Callable[..., T], values: Mapping[str, Any]) -> T:
 def changed(settings: T, changes: Mapping[str, Any]) -> T:
     """Settings with other values, which may be given as text; those of parts by names with dots, as in "ppo.clip".
 
-    Raises:
-        UnknownNameError: if there is no such setting; the closest name is suggested.
-        SettingsError: if a value does not fit.
+    Errors are those of `with_values`.
     """
     known = described(type(settings))
     for name in changes:

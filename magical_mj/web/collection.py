@@ -80,11 +80,7 @@ class Study(Struct, forbid_unknown_fields=True):
 
 
 def read_study(path: Path) -> Study:
-    """The content of a study file.
-
-    Raises:
-        OSError, SettingsError: if it cannot be read, or holds something else.
-    """
+    """The content of a study file; a `SettingsError` if it cannot be read, or holds something else."""
     try:
         study = msgspec.convert(files.read_toml(path), Study)
     except msgspec.ValidationError as error:

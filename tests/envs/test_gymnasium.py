@@ -166,13 +166,6 @@ def test_episodes_are_truncated_at_the_horizon(task: str) -> None:
         env.step(1)
 
 
-def test_score_as_reward() -> None:
-    env = gymnasium.make("magical_mj/ClusterShape-Demo-State-v0", reward="score")
-    env.reset(seed=0)
-    rewards = [env.step(0)[1] for _ in range(320)]
-    assert rewards == [0.0] * 319 + [0.25]  # the demo scores 0.25 before anyone moves
-
-
 def test_seeds_and_options_pin_the_scene() -> None:
     env = gymnasium.make("magical_mj/FindDupe-TestAll-State-v0").unwrapped
     for seed in (7, 2**70):
@@ -208,31 +201,3 @@ def test_bad_input_is_explained() -> None:
     env.reset(seed=0)
     with pytest.raises(InvalidActionError):
         env.step(18)
-
-
-def test_rendering_shows_the_whole_workspace() -> None:
-    env = gymnasium.make("magical_mj/MoveToRegion-Demo-State-v0", render_mode="rgb_array")
-    env.reset(seed=0)
-    picture = env.render()
-    single = magical_mj.Engine("MoveToRegion")
-    np.testing.assert_array_equal(picture, single.render("allo", 384))
-
-
-@pytest.mark.parametrize(
-    "name", ["magical_mj/MatchRegions-TestAll-LoRes4E-v0", "magical_mj/MoveToRegion-Demo-State-v0"]
-)
-def test_vector_environments_agree_bit_for_bit(name: str) -> None:
-    actions = np.random.default_rng(0).integers(18, size=(45, 2))
-
-    def trace(mode: str) -> list[np.ndarray]:
-        kwargs = {"context": "spawn"} if mode == "async" else {}
-        envs = gymnasium.make_vec(f"magical_mj:{name}", num_envs=2, vectorization_mode=mode, vector_kwargs=kwargs)
-        frames_so_far = [envs.reset(seed=[3, 4])[0]]
-        for action in actions:
-            observation, _, _, truncated, info = envs.step(action)
-            frames_so_far += [observation.copy(), truncated.copy(), info["eval_score"].copy()]
-        envs.close()
-        return frames_so_far
-
-    for one, other in zip(trace("sync"), trace("async"), strict=True):
-        np.testing.assert_array_equal(one, other)

@@ -148,15 +148,6 @@ def test_policies_that_can_be_closed_are_left_open() -> None:
     assert evaluate(policies, preset="State")["failure"].isna().all()
 
 
-def test_letters_are_the_actions() -> None:
-    assert len(set(LETTERS)) == len(LETTERS) == len(magical_mj.scene.actions.ACTIONS)
-
-
-def test_expert_plays() -> None:
-    frame = evaluate("expert", variants="Demo", episodes=1)
-    assert frame["failure"].isna().all()
-
-
 # failures
 
 
@@ -254,23 +245,14 @@ class Holding:
         ("noop", {"variants": "Color"}, "Did you mean 'Colour'"),
         ("noop", {"tasks": "MoveToRegion", "variants": "Shape"}, "It has: Demo"),
         ("noop", {"episodes": 0}, "episodes must be an integer of at least 1, not 0"),
-        ("noop", {"time_limit": -1}, "time_limit must be a number of at least 0.1, not -1"),
         ("noop", {"preset": "LoRes5E"}, "LoRes4E"),
-        ("noop", {"rules": "mine"}, "paper"),
         ("noop", {"jobs": np.int64(0)}, "jobs must be an integer of at least 1"),
-        ("noop", {"episodes": 2.5}, "episodes must be an integer of at least 1, not 2.5"),
-        ("noop", {"run": "1"}, "run must be an integer of at least 0, not '1'"),
-        ("noop", {"time_limit": "long"}, "time_limit must be a number of at least 0.1, not 'long'"),
         ("noop", {"time_limit": 10**400}, "time_limit must be a number of at most 1000000, not 1000"),
-        ("noop", {"episodes": 10**10}, "episodes must be an integer of at most 1000000"),
         ("noop", {"trust": "no"}, "trust must be true or false, not 'no'"),
-        ("noop", {"address": 8786}, "address must be a text, not 8786"),
         ("noop", {"backend": "slurm"}, "local, dask"),
         ("noop", {"backend": "dask"}, "needs the scheduler's address"),
         ("noop", {"address": "tcp://there:1"}, "choose the dask backend"),
-        ("noop", {"simulator": "wrap"}, "Did you mean 'warp'"),
         ("noop", {"device": "cpu"}, "give --simulator warp"),
-        ("noop", {"tasks": 3}, "tasks must be names, as a list or separated by commas, not 3"),
         ("noop", {"episods": 3}, "Did you mean 'episodes'"),
         ("tests.helpers.agents:Needy", {}, "is a class, and calling it fails: TypeError"),
         (agents.Needy, {}, "is a class, and calling it fails: TypeError"),

@@ -32,14 +32,7 @@ class Thing(composer.Entity):
     """A planar body: the robot, or a block. Its joints are in the frame by which it is attached to the arena."""
 
     def _build(self, name: str, mjcf_of: Callable[[Scene], str], scene: Scene, more: str = "") -> None:
-        """Parses the tree.
-
-        Args:
-            name: the tree's name.
-            mjcf_of: the thing's MJCF in a scene: its body, and its tendons.
-            scene: the first scene.
-            more: further MJCF, the same in all scenes.
-        """
+        """Parses the tree of this name, from the thing's MJCF in a scene (its body, and its tendons) and some more."""
         self._mjcf_of = mjcf_of
         body, others = self._elements(scene)
         content = "".join(tostring(part, "unicode") for part in body if part.tag in ("geom", "body", "camera"))
@@ -90,12 +83,8 @@ class Thing(composer.Entity):
 class Arena(composer.Entity):
     """The root entity: ground, walls, lights, the camera "allo", and the goal regions. Robot and blocks are attached.
 
-    What users add to the trees stays there. A block has a tree of its own for each shape that it has had.
-
-    Attributes:
-        robot: the robot.
-        blocks: the blocks in the order of the scene.
-        pebbles: likewise.
+    What users add to the trees stays there. A block has a tree of its own for each shape that it has had. The
+    attributes `robot`, `blocks` and `pebbles` are in the order of the scene.
     """
 
     def _build(self, scene: Scene) -> None:

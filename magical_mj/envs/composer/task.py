@@ -55,13 +55,11 @@ class SceneTask(composer.Task):
     Args:
         setup: what is played.
         strengths: the strengths of the shifts by name.
-        scene: the first scene.
-        shifts: the shifts of the first episode.
+        scene, shifts: of the first episode.
         observations, image_size, reward, renderer: as `load`.
 
     Attributes:
-        world: the world of this episode's scene.
-        shifts: the shifts of this episode.
+        world, shifts: of this episode.
         steps: the number of actions since the start of the episode.
     """
 

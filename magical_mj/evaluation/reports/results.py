@@ -201,11 +201,7 @@ def results(
     mixed_presets: bool = False,
     rules: Rules | None = None,
 ) -> Results:
-    """The data of a report on these folders.
-
-    Raises:
-        EvaluationError: as `gather`, or if a method has the name of a published one, and these are shown as well.
-    """
+    """The data of a report on these folders, as `gather`. Published methods must not have the names of others."""
     import pandas as pd
 
     scores = gather(folders, mixed_presets, rules)
@@ -299,12 +295,7 @@ def _completed(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def choose(which: Path | str) -> tuple[str, pd.DataFrame]:
-    """The name and the scores of a policy given as ``DIR``, or as ``DIR:POLICY`` if the folder holds several.
-
-    Raises:
-        SettingsError: if the folder holds several policies and none is named, or the named one is not there.
-        EvaluationError: if the folder is not an evaluation.
-    """
+    """The name and the scores of a policy given as ``DIR``, or as ``DIR:POLICY`` if the folder holds several."""
     parts = str(which).split(":")  # names of folders and of policies may hold colons
     splits = [(":".join(parts[:count]), ":".join(parts[count:])) for count in range(len(parts), 0, -1)]
     folder, policy = next((split for split in splits if split[0] and Path(split[0]).is_dir()), splits[0])

@@ -57,11 +57,7 @@ def interquartile_mean(values: Floats, axis: int = -1) -> Any:
 
 
 def summarise(tasks: Sequence[Sequence[Floats]]) -> Summary:
-    """The statistics over tasks, all of equal weight.
-
-    Args:
-        tasks: for each task, for each run, the scores of its episodes.
-    """
+    """The statistics over tasks, all of equal weight: for each task, for each run, the scores of its episodes."""
     means, strata = _means_and_strata(tasks)
     mean = float(_mean_of_means(*means))
     variance = np.mean([np.square(values - mean).mean() for values in means])
@@ -86,10 +82,7 @@ def _means_and_strata(tasks: Sequence[Sequence[Floats]]) -> tuple[list[Floats], 
 def bootstrap(strata: Sequence[Floats], statistic: Any, resamples: int = RESAMPLES) -> tuple[float, float]:
     """The percentile interval of a statistic; each stratum is resampled separately. NaN if one has a single value.
 
-    Args:
-        strata: the values of each stratum.
-        statistic: a function of the strata along an axis: ``statistic(*strata, axis=-1)``.
-        resamples: the number of resamples.
+    The statistic is a function of the strata along an axis: ``statistic(*strata, axis=-1)``.
     """
     from scipy.stats import bootstrap as scipy_bootstrap
 

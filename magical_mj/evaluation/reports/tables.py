@@ -37,14 +37,9 @@ Group = tuple[str, Rows]
 
 @dataclass(frozen=True)
 class Table:
-    """A table of strings.
+    """A table of strings with a caption, and notes below it.
 
-    Attributes:
-        name: by which it is known.
-        caption: what it shows.
-        header: the columns' names.
-        groups: pairs of heading and rows; a heading of "" for a table without headings.
-        notes: sentences below the table.
+    Its groups are pairs of heading and rows; the heading is "" in a table without headings.
     """
 
     name: str
