@@ -176,14 +176,13 @@ class EpisodeResult:
 
     def line(self) -> str:
         """As a line of the file, which leaves out what is as usual and older versions did not write."""
-        values = dataclasses.asdict(self)
-        usual = [name for name, value in _USUAL.items() if values[name] == value]
-        return json.dumps({name: values[name] for name in values if name not in usual}, ensure_ascii=False) + "\n"
+        values = {name: value for name, value in dataclasses.asdict(self).items() if (name, value) not in _USUAL}
+        return json.dumps(values, ensure_ascii=False) + "\n"
 
 
 _FIELDS: Final = tuple(field.name for field in dataclasses.fields(EpisodeResult))
 _KNOWN: Final = frozenset(_FIELDS)
-_USUAL: Final = {"split": "test", "shift": "", "wrap": "", "body": GRIPPER}
+_USUAL: Final = (("split", "test"), ("shift", ""), ("wrap", ""), ("body", GRIPPER))
 _BEGINNING: Final = b'{"policy": '
 """Of each line."""
 

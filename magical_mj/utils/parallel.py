@@ -80,14 +80,12 @@ def map_unordered(
         pieces: the pieces of work, the longest first.
         jobs: the number of processes; None: one per core, or all of the cluster.
         backend: "local" or "dask".
-        address: the address of the cluster's scheduler.
+        address: the address of the cluster's scheduler; see `check_backend`.
 
     Raises:
-        SettingsError, UnknownNameError: if backend and address are invalid; see `check_backend`.
         WorkerError: if several workers died of the same piece, or the cluster does not respond.
         MissingExtraError: if the packages for the cluster are not installed.
     """
-    check_backend(backend, address)
     if backend == "local":
         return _map_locally(function, pieces, jobs or cores())
     return _map_on_dask(function, pieces, jobs, address)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import magical_mj
-from magical_mj.evaluation import Episode
 from magical_mj.evaluation.replay import replay
 from magical_mj.evaluation.reports.report import report
 from magical_mj.evaluation.reports.results import compare
@@ -18,6 +17,7 @@ from magical_mj.evaluation.scores import read
 from magical_mj.leaderboard import submit
 from magical_mj.scene.actions import action_number
 from magical_mj.utils.errors import EvaluationError, InvalidActionError, SettingsError
+from tests.helpers.agents import Acting
 from tests.helpers.commands import Shell
 from tests.helpers.evaluations import SMALL
 
@@ -91,27 +91,13 @@ def test_what_is_no_wrapper_is_refused(wrap: str, problem: str) -> None:
         magical_mj.evaluate("noop", wrap=wrap, **SMALL)
 
 
-class Knowing:
-    """Plays FindDupe only."""
-
-    tasks = ("FindDupe",)
-
-    def __init__(self) -> None:
-        self.told: set[str] = set()
-
-    def reset(self, episode: Episode) -> None:
-        self.told.add(episode.task)
-
-    def __call__(self, observation: Any) -> int:
-        return 0
-
-
 def test_policies_play_a_task_that_is_like_theirs(shell: Shell) -> None:
     """By the task's definition, or by --as; the expert takes the plan of the task that it is like."""
     settings: dict[str, Any] = {"variants": "Demo", "episodes": 1, "preset": "State", "jobs": 1}
-    policy = Knowing()
+    told: list[str] = []
+    policy = Acting(reset=lambda episode: told.append(episode.task), tasks=("FindDupe",))
     frame = magical_mj.evaluate(policy, tasks="mine:SPEC", **settings)
-    assert (policy.told, frame["task"].item(), frame["steps"].item()) == ({"FindDupe"}, "mine:SPEC", 50)
+    assert (told, frame["task"].item(), frame["steps"].item()) == (["FindDupe"], "mine:SPEC", 50)
     magical_mj.evaluate("expert", tasks="mine:SPEC", **settings)
     with pytest.raises(SettingsError, match=r"cannot act in mine:FAR: give --tasks FindDupe, or --as"):
         magical_mj.evaluate(policy, tasks="mine:FAR", **settings)

@@ -90,21 +90,14 @@ def test_a_task_whose_code_has_changed_is_another_one(tmp_path: Path, monkeypatc
         magical_mj.evaluate("noop", resume=True, **chosen)
 
 
-class Misnamed:
-    """Misses a file in the scene of seed 1, whose name is not UTF-8: so Python shows the bytes of such names."""
-
-    uses_simulation = True
-
-    def reset(self, episode: Episode) -> None:
-        if episode.seed == 1:
-            raise FileNotFoundError("weights-\udce9.npy")
-
-    def __call__(self, observation: Any) -> int:
-        return 0
+def miss_a_file(episode: Episode) -> None:
+    """In the scene of seed 1, whose name is not UTF-8: so Python shows the bytes of such names."""
+    if episode.seed == 1:
+        raise FileNotFoundError("weights-\udce9.npy")
 
 
 def test_reasons_that_cannot_be_encoded_are_kept(tmp_path: Path) -> None:
-    magical_mj.evaluate(Misnamed(), out=tmp_path, **SMALL)
+    magical_mj.evaluate(agents.Acting(reset=miss_a_file), out=tmp_path, **SMALL)
     reasons = {score.failure for score in read(tmp_path)} - {None}
     assert all(reason.startswith(r"FileNotFoundError: weights-\udce9.npy (") for reason in reasons if reason)
     assert len(reasons) == 1

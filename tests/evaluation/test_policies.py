@@ -22,6 +22,7 @@ from magical_mj.evaluation.scores import SCORES
 from magical_mj.evaluation.worker import plan
 from magical_mj.policies.loading import sources
 from magical_mj.utils.errors import ClosedError, EvaluationError, InvalidActionError, SettingsError, TaskError
+from tests.helpers.agents import Acting
 from tests.helpers.evaluations import SMALL, TEMPLATE, evaluate
 
 STATE: dict[str, Any] = {"preset": "State"}
@@ -52,35 +53,6 @@ class Linear:
         return int(self.weights.sum())
 
 
-class MuteError(Exception):
-    """Cannot be shown."""
-
-    def __str__(self) -> str:
-        raise AttributeError("message")
-
-
-class Failing:
-    """Raises an error that cannot be shown in the scene of seed 1."""
-
-    def reset(self, episode: Episode) -> None:
-        if episode.seed == 1:
-            raise MuteError
-
-    def __call__(self, observation: Any) -> int:
-        return 0
-
-
-class Hopeless:
-    """Fails in the tasks of the longest episodes."""
-
-    def reset(self, episode: Episode) -> None:
-        if episode.task == "ClusterShape":
-            raise RuntimeError("lost")
-
-    def __call__(self, observation: Any) -> int:
-        return 0
-
-
 class Forking:
     """Starts a process that lives on."""
 
@@ -91,15 +63,6 @@ class Forking:
         if self.helper is None:
             self.helper = multiprocessing.get_context("fork").Process(target=time.sleep, args=(60,), daemon=True)
             self.helper.start()
-        return 0
-
-
-class OneTask:
-    """Says its task in a word instead of a list."""
-
-    tasks = "MoveToCorner"
-
-    def __call__(self, observation: Any) -> int:
         return 0
 
 
@@ -114,17 +77,34 @@ def test_policies_need_not_be_comparable() -> None:
     assert len(played) == 6
 
 
+class MuteError(Exception):
+    """Cannot be shown."""
+
+    def __str__(self) -> str:
+        raise AttributeError("message")
+
+
+def fail_in_seed_1(episode: Episode) -> None:
+    if episode.seed == 1:
+        raise MuteError
+
+
 def test_an_error_that_cannot_be_shown_costs_one_episode() -> None:
-    played = evaluate(Failing(), **STATE)
-    assert (
-        played["failure"].dropna().tolist() == ["MuteError: an error without a message (test_policies.py, line 67)"] * 2
-    )
+    failures = evaluate(Acting(reset=fail_in_seed_1), **STATE)["failure"].dropna()
+    assert len(failures) == 2
+    assert failures.str.startswith("MuteError: an error without a message (test_policies.py, line ").all()
+
+
+def get_lost(episode: Episode) -> None:
+    """In the tasks of the longest episodes."""
+    if episode.task == "ClusterShape":
+        raise RuntimeError("lost")
 
 
 def test_the_first_planned_episodes_decide_whether_a_policy_works(tmp_path: Path) -> None:
     kind: dict[str, Any] = {"tasks": "MoveToRegion,ClusterShape", "variants": "Demo", "episodes": 10, **STATE}
     with pytest.raises(EvaluationError, match=r"the first 10 episodes of pair, run 1, failed.*RuntimeError: lost"):
-        magical_mj.evaluate({"pair": ["noop", Hopeless()]}, jobs=2, out=tmp_path, **kind)
+        magical_mj.evaluate({"pair": ["noop", Acting(reset=get_lost)]}, jobs=2, out=tmp_path, **kind)
     assert '"run": 1' not in (tmp_path / SCORES).read_text()
 
 
@@ -225,22 +205,15 @@ def test_infos_that_a_wrapper_has_made_a_list_are_explained() -> None:
         list(rollouts(listed, Remembering(), [Episode("MoveToRegion", "Demo", 0)]))
 
 
-class Exploding:
-    """Makes the simulation unstable in its first episode."""
-
-    uses_simulation = True
-
-    def reset(self, episode: Episode) -> None:
-        assert episode.env is not None
-        if episode.seed == 0:
-            episode.env.data.qvel[:] = 1e30
-
-    def __call__(self, observation: Any) -> int:
-        return 0
+def explode(episode: Episode) -> None:
+    """Makes the simulation of the first scene unstable."""
+    assert episode.env is not None
+    if episode.seed == 0:
+        episode.env.data.qvel[:] = 1e30
 
 
 def test_an_unstable_simulation_costs_one_episode() -> None:
-    failures = evaluate(Exploding(), variants="Demo", **STATE)["failure"]
+    failures = evaluate(Acting(reset=explode, uses_simulation=True), variants="Demo", **STATE)["failure"]
     assert failures[0].startswith("PhysicsError: ")
     assert failures[1:].isna().all()
 
@@ -266,7 +239,7 @@ def test_an_action_is_needed_for_each_environment() -> None:
 
 def test_tasks_may_be_a_word_and_an_iterator() -> None:
     with pytest.raises(SettingsError, match="cannot act in MoveToRegion: give --tasks MoveToCorner"):
-        evaluate(OneTask(), **STATE)
+        evaluate(Acting(tasks="MoveToCorner"), **STATE)
     settings = EvaluationSettings(tasks=(task for task in ("FindDupe", "MakeLine")), variants=iter(["Demo"]))
     assert settings.environments == settings.environments == [("MakeLine", "Demo"), ("FindDupe", "Demo")]
 

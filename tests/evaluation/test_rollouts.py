@@ -12,16 +12,17 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from magical_mj.evaluation import Episode, rollouts
 from magical_mj.utils.errors import EvaluationError
 from tests.helpers import agents
+from tests.helpers.agents import Acting
 
 
 def test_episodes_may_come_one_by_one_and_must_be_of_the_environment() -> None:
     name = "magical_mj/MoveToRegion-Demo-State-v0"
     several = SyncVectorEnv([lambda: gymnasium.make(name)], autoreset_mode=AutoresetMode.DISABLED)
     for env in (gymnasium.make(name), several):
-        outcomes = list(rollouts(env, agents.Constant(1), (Episode("MoveToRegion", "Demo", seed) for seed in (0, 1))))
+        outcomes = list(rollouts(env, Acting(lambda _: 1), (Episode("MoveToRegion", "Demo", seed) for seed in (0, 1))))
         assert [len(outcome.actions) for outcome in outcomes] == [40, 40]
         with pytest.raises(EvaluationError, match="the environment is MoveToRegion Demo, and an episode MoveToCorner"):
-            list(rollouts(env, agents.Constant(1), [Episode("MoveToCorner", "Demo", 0)]))
+            list(rollouts(env, Acting(lambda _: 1), [Episode("MoveToCorner", "Demo", 0)]))
         env.close()
 
 

@@ -21,6 +21,7 @@ from magical_mj.evaluation.scores import read
 from magical_mj.policies.interface import LETTERS, actions_of
 from magical_mj.utils.errors import SettingsError, UnknownNameError
 from tests.helpers import agents
+from tests.helpers.agents import Acting
 from tests.helpers.evaluations import evaluate
 
 # equal scores
@@ -28,7 +29,7 @@ from tests.helpers.evaluations import evaluate
 
 def test_evaluations_that_take_turns_keep_their_policies() -> None:
     settings = EvaluationSettings(tasks="MoveToRegion", variants="Demo", episodes=3, preset="State", jobs=1)
-    first, second = (Evaluation({"mine": agents.Constant(action)}, settings).play() for action in (1, 2))
+    first, second = (Evaluation({"mine": agents.Stubborn(action)}, settings).play() for action in (1, 2))
     letters = [score.actions[0] for pair in zip(first, second, strict=True) for score in pair]
     assert letters == [LETTERS[1], LETTERS[2]] * 3
 
@@ -36,7 +37,7 @@ def test_evaluations_that_take_turns_keep_their_policies() -> None:
 def test_threads_that_have_evaluated_leave_none_behind() -> None:
     def play() -> None:
         magical_mj.evaluate(
-            agents.Constant(1), tasks="MoveToRegion", variants="Demo", episodes=1, preset="State", jobs=1
+            Acting(lambda _: 1), tasks="MoveToRegion", variants="Demo", episodes=1, preset="State", jobs=1
         )
 
     before = {thread.ident for thread in threading.enumerate()}
@@ -218,16 +219,6 @@ def test_after_an_interruption_nothing_is_mixed_up() -> None:
 # what is asked for
 
 
-class Holding:
-    """Holds something that belongs to this process."""
-
-    def __init__(self, thing: Any) -> None:
-        self.thing = thing
-
-    def __call__(self, observation: Any) -> int:
-        return 0
-
-
 @pytest.mark.parametrize(
     ("policy", "settings", "hint"),
     [
@@ -257,11 +248,19 @@ class Holding:
         ("tests.helpers.agents:Needy", {}, "is a class, and calling it fails: TypeError"),
         (agents.Needy, {}, "is a class, and calling it fails: TypeError"),
         ("leaving:act", {}, "cannot be imported: SystemExit: 3"),
-        (Holding(threading.Lock()), {"jobs": 2}, "cannot be sent to other processes (TypeError"),
-        (Holding(ctypes.pointer(ctypes.c_int())), {"jobs": 2}, "cannot be sent to other processes (ValueError"),
-        (agents.Seeing((97,)), {}, "observations of shape (97,), and State gives"),
-        (agents.Seeing((None, 96, 12)), {"preset": "State"}, "give --preset LoRes4E or LoRes4A or LoRes3EA"),
-        (agents.Seeing((96, 96, 12)), {"preset": ""}, "gives a dict: give --preset LoRes4E"),
+        (Acting(thing=threading.Lock()), {"jobs": 2}, "cannot be sent to other processes (TypeError"),
+        (
+            Acting(thing=ctypes.pointer(ctypes.c_int())),
+            {"jobs": 2},
+            "cannot be sent to other processes (ValueError",
+        ),
+        (Acting(observation_shapes=[(97,)]), {}, "observations of shape (97,), and State gives"),
+        (
+            Acting(observation_shapes=[(None, 96, 12)]),
+            {"preset": "State"},
+            "give --preset LoRes4E or LoRes4A or LoRes3EA",
+        ),
+        (Acting(observation_shapes=[(96, 96, 12)]), {"preset": ""}, "gives a dict: give --preset LoRes4E"),
     ],
 )
 def test_bad_settings_are_explained(

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,19 @@ from magical_mj.evaluation import Episode
 def look(observation: Any) -> int:
     """An action that depends on every bit of the observation."""
     return zlib.crc32(np.ascontiguousarray(observation).tobytes()) % 18
+
+
+class Acting:
+    """Acts as a function says, or does nothing; calls another one before each episode; and says things of itself."""
+
+    def __init__(
+        self, act: Callable[[Any], Any] = lambda _: 0, reset: Callable[[Episode], object] = repr, **facts: Any
+    ) -> None:
+        self._act, self.reset = act, reset
+        vars(self).update(facts)
+
+    def __call__(self, observation: Any) -> Any:
+        return self._act(observation)
 
 
 class Counting:
@@ -123,16 +136,6 @@ class Needy:
         return 0
 
 
-class Seeing:
-    """Says what it looks at."""
-
-    def __init__(self, shape: tuple[int | None, ...]) -> None:
-        self.observation_shapes = [shape]
-
-    def __call__(self, observation: Any) -> int:
-        return 0
-
-
 class Fatal:
     """Ends its process in the scene of seed 1, unless a file says that this was done before."""
 
@@ -150,15 +153,3 @@ class Fatal:
 
 
 NOT_CALLABLE = 3
-
-
-class Constant:
-    """Always the same action."""
-
-    preset = "State"
-
-    def __init__(self, action: int) -> None:
-        self.action = action
-
-    def __call__(self, _: object) -> int:
-        return self.action
