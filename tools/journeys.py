@@ -26,7 +26,7 @@ SIMULATION: Final = ("engine.simulation", "act")
 
 def evaluation() -> tuple[Callable[[], Any], str, tuple[str, str]]:
     """An evaluation of the random agent."""
-    import magical_mj.engine  # else it is imported on the way
+    import magical_mj.engine  # noqa: F401  else it is imported on the way
     from magical_mj.evaluation.run import evaluate
 
     return lambda: evaluate("random", tasks="MoveToRegion", variants="Demo", episodes=1), "evaluation.run", SIMULATION
