@@ -3,7 +3,6 @@
 Times are wall clock, since the work is an accelerator's. What a step consists of are its kernel launches: how long each
 takes and how much memory it is given. On an accelerator, events on the stream are timed; on the CPU device, where a
 launch returns when it is done, the wall clock. Launches from a captured graph, and those of PyTorch, are not counted.
-How fast an accelerator should be by that is a model, which docs/batched.md states.
 """
 
 from __future__ import annotations
@@ -23,10 +22,8 @@ from torch import Tensor
 
 from benchmarks.single import plans
 from magical_mj import batched
-from magical_mj.assets.contacts import SUBSTEPS
 from magical_mj.batched.environment import BatchedEnv
 from magical_mj.envs.gymnasium_env import MagicalEnv
-from magical_mj.envs.presets import Preset, preset_named
 from magical_mj.scene.actions import ACTIONS
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.parallel import cores, map_unordered
@@ -35,8 +32,6 @@ WARM_UP: Final = 3
 """Steps before the clock starts: kernels are compiled, the graph is captured."""
 WATCHED: Final = 20
 """Steps of an episode whose launches are recorded; how many the solver needs differs from step to step."""
-PIXEL_OPERATIONS: Final = 1200
-"""Of painting a pixel, by a rough count: four samples, each held against some thirty edges by ten operations."""
 SINGLE_EPISODES: Final = 3
 """Episodes of the single environment on each core."""
 
@@ -130,57 +125,6 @@ def by_part(kernels: Iterable[Kernel]) -> list[Kernel]:
 
 
 @dataclass(frozen=True)
-class Accelerator:
-    """What a card does, and how much of it kernels like these get.
-
-    Attributes:
-        launch: seconds from one small kernel of a graph to the next.
-        bandwidth: bytes per second, from and to its memory.
-        arithmetic: single-precision operations per second.
-    """
-
-    launch: float
-    bandwidth: float
-    arithmetic: float
-
-
-H200: Final = Accelerator(launch=2.5e-6, bandwidth=0.5 * 4.8e12, arithmetic=0.05 * 67e12)
-"""NVIDIA's data sheet; assumed: half of the bandwidth, a twentieth of the arithmetic, 2.5 microseconds a launch."""
-
-
-@dataclass(frozen=True)
-class Work:
-    """What a control step consists of.
-
-    Attributes:
-        launches: of kernels, one after another, each for all worlds. The solver makes some in each of its iterations,
-            and goes on until the last world is done: so there are a few more of them with more worlds.
-        bytes: that one world's share of them reads and writes.
-        operations: of one world's share, in single precision.
-    """
-
-    launches: float
-    bytes: float
-    operations: float
-
-
-def step_seconds(work: Work, worlds: int, card: Accelerator = H200) -> float:
-    """Seconds of a control step: launches, memory and arithmetic one after another, as if nothing overlapped."""
-    return work.launches * card.launch + worlds * (work.bytes / card.bandwidth + work.operations / card.arithmetic)
-
-
-def newton_operations(dofs: int, rows: float, iterations: float) -> float:
-    """Of the constraint solver in one substep: in each iteration the Hessian J' D J and its Cholesky factorisation.
-
-    Args:
-        dofs: degrees of freedom.
-        rows: constraints that are there.
-        iterations: of Newton's method.
-    """
-    return (iterations + 1) * (2 * rows * dofs**2 + dofs**3 / 3)
-
-
-@dataclass(frozen=True)
 class BatchedMeasurement:
     """The measurement of one environment with one number of worlds. Times are wall clock, in seconds.
 
@@ -190,7 +134,7 @@ class BatchedMeasurement:
         observation_seconds: time of their observations.
         reset_seconds: time of a reset of all worlds.
         kernels: of one control step with its observations, launched one by one: the mean of some steps; see `launches`.
-        work: what they amount to.
+        bytes: of all arrays that they are given, a world's share.
         world_bytes: memory of one world's simulation.
     """
 
@@ -203,12 +147,8 @@ class BatchedMeasurement:
     observation_seconds: float
     reset_seconds: float
     kernels: list[Kernel]
-    work: Work
+    bytes: float
     world_bytes: int
-
-    def expected(self, worlds: int) -> float:
-        """Steps per second that the model of `roofline` expects of an H200 with so many worlds, resets aside."""
-        return worlds / step_seconds(self.work, worlds)
 
 
 def measure_batched(task: str, variant: str, worlds: int, preset: str, device: str) -> BatchedMeasurement:
@@ -219,7 +159,7 @@ def measure_batched(task: str, variant: str, worlds: int, preset: str, device: s
         env.reset(seed=0)
         for step in range(WARM_UP):
             env.step(actions[step])
-        kernels, work = _work(env, preset_named(preset), actions[WARM_UP : WARM_UP + WATCHED])
+        kernels = _kernels(env, actions[WARM_UP : WARM_UP + WATCHED])
         env.reset()
 
         def play() -> None:
@@ -237,28 +177,22 @@ def measure_batched(task: str, variant: str, worlds: int, preset: str, device: s
             observation_seconds=_seconds(device, lambda: env.observer.look(env.physics)),
             reset_seconds=_seconds(device, lambda: env.reset(seed=0)),
             kernels=kernels,
-            work=work,
+            bytes=sum(kernel.bytes for kernel in kernels) / worlds,
             world_bytes=sum(map(size, vars(env.physics.data).values())) // worlds,
         )
 
 
-def _work(env: BatchedEnv, shown: Preset, actions: Tensor) -> tuple[list[Kernel], Work]:
-    """The launches of a control step with its observations, on average over these actions, and what they amount to."""
-    solver = 0.0
+def _kernels(env: BatchedEnv, actions: Tensor) -> list[Kernel]:
+    """The launches of a control step with its observations, on average over these actions."""
     with recorded_launches(env.device) as recorded:
         for row in actions:
             env.physics.step(row, graph=False)
             env.observer.look(env.physics)
-            rows, iterations = (float(values.double().mean()) for values in env.physics.solved)
-            solver += SUBSTEPS * newton_operations(env.physics.model.nv, rows, iterations)
     count = len(actions)
-    kernels = [
+    return [
         Kernel(kernel.part, kernel.name, kernel.launches / count, kernel.seconds / count, kernel.bytes / count)
         for kernel in recorded
     ]
-    painting = PIXEL_OPERATIONS * len(shown.frames) * shown.image_size**2
-    total = sum(kernel.bytes for kernel in kernels) / env.num_envs
-    return kernels, Work(sum(kernel.launches for kernel in kernels), total, solver / count + painting)
 
 
 def _workers(worlds: int) -> int:

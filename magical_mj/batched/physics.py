@@ -239,11 +239,6 @@ class Physics:
         return ~(state.abs() <= MAX_NUMBER).all(-1)
 
     @property
-    def solved(self) -> tuple[Tensor, Tensor]:
-        """Of the last substep: how many constraints there were, and the solver's iterations. Shape (worlds,) each."""
-        return wp.to_torch(self.data.nefc), wp.to_torch(self.data.solver_niter)
-
-    @property
     def overflowed(self) -> Tensor:
         """Worlds that had, since their reset, more contacts or constraints than there is room for: some were dropped.
 
