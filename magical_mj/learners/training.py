@@ -18,9 +18,10 @@ import torch
 
 from magical_mj.evaluation.run import evaluate
 from magical_mj.learners.apprenticeship import Apprenticeship
-from magical_mj.learners.bc import BehaviouralCloning, IQLearn
+from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.config import announced_methods, load_method
 from magical_mj.learners.gail import GAIL, WGAILGP
+from magical_mj.learners.iq_learn import IQLearn
 from magical_mj.learners.learner import Method
 from magical_mj.learners.redraw import Redraw
 from magical_mj.learners.relational import Relational

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from magical_mj.learners import load_settings
-from magical_mj.learners.bc import IQLearn, iq_loss, usable
 from magical_mj.learners.data import Dataset
+from magical_mj.learners.iq_learn import IQLearn, iq_loss, usable
 from magical_mj.learners.settings import InverseSettings
 from magical_mj.scene.actions import NOOP
 from magical_mj.utils.errors import SettingsError
