@@ -69,8 +69,7 @@ def home(methods: Mapping[str, Standing], cards: str, media: Path) -> str:
 
 def _side(method: Standing, variant: str, media: Path) -> str:
     """The policy in one variant, moving, and what it scores there."""
-    episodes = [] if method.entry is None else method.entry.counted
-    played = [episode for episode in episodes if (episode.task, episode.variant) == (TASK, variant)]
+    played = [episode for episode in method.entry.counted if (episode.task, episode.variant) == (TASK, variant)]
     episode = VARIANTS[variant](played, key=lambda episode: episode.score)
     env, actions = Engine(TASK, variant, seed=episode.seed), actions_of(episode.actions or "")
     still, moving = film(env, actions, media / f"home-{variant}", size=448, frames=2 * len(actions))

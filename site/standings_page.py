@@ -69,7 +69,7 @@ def _table(heading: str, rows: Sequence[tuple[str, Standing]]) -> str:
 def _row(name: str, method: Standing, columns: Sequence[str]) -> str:
     """A body of a table: the method's figures, and below them what opens."""
     cells = "".join(_cell(method.scores.get(column)) for column in columns)
-    runs = len(method.entry.runs) if method.entry else ""
+    runs = len(method.entry.runs) or ""
     title = f'<button class="opens" aria-expanded="false">{escape(label(method))}</button>'
     details = f'<tr class="details" hidden><td colspan="{len(columns) + 3}">{_details(name, method)}</td></tr>'
     figures = f"<td>{runs}</td><td>{len(method.means)}/{len(ENVIRONMENTS)}</td>{cells}"
@@ -98,10 +98,10 @@ def _details(name: str, method: Standing) -> str:
             cells.append(f'<td class="figure" style="--share: {round(100 * means.mean())}%">{text}</td>')
         rows.append(f'<tr><th scope="row">{task}</th>{"".join(cells)}</tr>')
     head = "".join(f'<th scope="col">{variant}</th>' for variant in ("Task", *VARIANTS))
-    about = "" if method.entry is None else f"<p>{escape(method.entry.card.description or '')}</p>"
+    about = "" if method.kind == "published" else f"<p>{escape(method.entry.card.description or '')}</p>"
     command = _command(name)
     repeat = f"<p>Repeat it:</p><div class='highlight'><pre>{escape(command)}</pre></div>" if command else ""
-    watch = f"<p>Mean scores{'; each opens the first episode there' if method.entry else ''}.</p>"
+    watch = f"<p>Mean scores{'; each opens the first episode there' if method.entry.episodes else ''}.</p>"
     table = f'<table class="heat"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
     return f"{about}{watch}{table}{repeat}"
 
@@ -118,7 +118,7 @@ def _command(name: str) -> str:
 def _stored(method: Standing) -> dict[tuple[str, str], dict[int, str]]:
     """The actions of the first run in the scenes that the page to play on has, as letters, by environment and seed."""
     episodes: dict[tuple[str, str], dict[int, str]] = defaultdict(dict)
-    if method.entry is not None:
+    if method.entry.episodes:
         first = method.entry.runs[0]
         for episode in method.entry.counted:
             if episode.run == first and episode.seed < SCENES and episode.failure is None:
@@ -131,7 +131,7 @@ def write_replays(methods: Mapping[str, Standing], folder: Path) -> None:
     folder.mkdir(parents=True)
     index = {}
     for name, method in methods.items():
-        if method.entry is None:
+        if method.kind == "published":
             continue
         episodes = _stored(method)
         content = {

@@ -114,7 +114,7 @@ def overview(standings: Sequence[Standing], *, intervals: bool = False) -> str:
         rows += [(f"**{heading}**", *[""] * (2 + len(VARIANTS)))] if group else []
         for standing in group:
             name = AGENTS.get(standing.name, label(standing))
-            runs = "5" if standing.entry is None else str(len(standing.entry.runs))
+            runs = "5" if standing.kind == "published" else str(len(standing.entry.runs))
             scores = (_over_tasks(standing, variant, intervals) for variant in VARIANTS)
             rows.append((name, ", ".join(standing.privileges), runs, *scores))
     return table(("Method", "May also use", "Runs", *VARIANTS), rows)
@@ -134,7 +134,7 @@ def costs(learnt: Iterable[Standing]) -> str:
     """Of each of our learners what a training cost, for one task and for all tasks that it learnt."""
     rows = []
     for standing in learnt:
-        if standing.entry is None:
+        if standing.kind == "published":
             continue
         tasks = len({task for task, _ in standing.means})
         hours, steps = standing.entry.card.training.hours, standing.entry.card.training.steps
@@ -223,7 +223,7 @@ def results_from_pictures() -> dict[str, str]:
 
 
 def _sees_states(standing: Standing) -> bool:
-    return standing.entry is not None and standing.entry.observations == "State"
+    return standing.entry.observations == "State"
 
 
 def shifts() -> dict[str, str]:

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from magical_mj.evaluation.entry import SHIFT_SEEDS, Card, track
+from magical_mj.evaluation.entry import SHIFT_SEEDS, track
 from magical_mj.evaluation.reports.statistics import area, half_lost
 from magical_mj.evaluation.reports.tables import DAGGER, NONE, Group, Table, markdown
 from magical_mj.leaderboard.standings import (
@@ -22,7 +22,6 @@ from magical_mj.leaderboard.standings import (
     Estimate,
     Standing,
     improvement,
-    rules_of,
 )
 from magical_mj.shifts import SHIFTS
 from magical_mj.shifts.shift import STRENGTHS
@@ -87,7 +86,7 @@ def write_pages(methods: Sequence[Standing], out: Path) -> list[Path]:
 def _html(methods: Sequence[Standing], contents: Sequence[Table]) -> str:
     contents_of = {table.name: _table(table) for table in contents}
     contents_of["scores"] = intervals(methods) + contents_of["scores"]
-    contents_of["entries"] = "".join(map(_card, methods))
+    contents_of["entries"] = "".join(map(_card, _entered(methods)))
     sections = "\n".join(
         f'<section id="{name}"><h2>{HEADINGS[name]}</h2>{content}</section>' for name, content in contents_of.items()
     )
@@ -130,9 +129,7 @@ def _cell(text: str, shaded: bool) -> str:
 
 
 def _card(method: Standing) -> str:
-    """What an entry says of itself; nothing for published methods."""
-    if method.entry is None:
-        return ""
+    """What an entry says of itself."""
     entry, card = method.entry, method.entry.card
     links = " ".join(f'<a href="{html(link)}">{html(link)}</a>' for link in card.links or ())
     facts = {
@@ -159,7 +156,9 @@ def intervals(methods: Sequence[Standing]) -> str:
         if not math.isnan(score.low):
             rows += f'<line class="{method.kind}" x1="{_x(score.low)}" x2="{_x(score.high)}" y1="{y}" y2="{y}"/>'
         rows += f'<circle class="{method.kind}" cx="{_x(score.value)}" cy="{y}" r="5"/>'
-    return _svg(height, rows, "Interquartile means over all environments, with 95 % intervals")
+    title = "Interquartile means over all environments, with 95 % intervals"
+    picture = f'<svg viewBox="0 0 {WIDTH} {height}" role="img" aria-label="{title}">{rows}</svg>'
+    return f'<div class="wide" tabindex="0" role="region" aria-label="Chart: {title}">{picture}</div>'
 
 
 def _name(name: str, right: float, y: float) -> str:
@@ -183,11 +182,6 @@ def _x(share: float) -> float:
     return round(NAMES + share * (WIDTH - NAMES - 20), 1)
 
 
-def _svg(height: float, content: str, title: str) -> str:
-    picture = f'<svg viewBox="0 0 {WIDTH} {height}" role="img" aria-label="{title}">{content}</svg>'
-    return f'<div class="wide" tabindex="0" role="region" aria-label="Chart: {title}">{picture}</div>'
-
-
 def tables(methods: Sequence[Standing]) -> list[Table]:
     """The tables: scores, drops by variant, probabilities of improvement, shifts if there are any, and costs."""
     shifts = [_shifts(methods)] if any(method.curves for method in methods) else []
@@ -203,7 +197,9 @@ def _scores(methods: Sequence[Standing]) -> Table:
     columns = (OVERALL, *VARIANTS)
 
     def cells(method: Standing) -> tuple[str, ...]:
-        return rules_of(method), _looks_at(method), *(_score(method, name) for name in columns)
+        sees = method.entry.observations
+        looks_at = "no observations" if sees is None else sees or "both views"
+        return method.entry.rules, looks_at, *(_score(method, name) for name in columns)
 
     return Table(
         "scores",
@@ -227,12 +223,6 @@ def share(method: Standing, variant: str = OVERALL) -> str:
     return f"({count}/{len(every)})" if 0 < count < len(every) else ""
 
 
-def _looks_at(method: Standing) -> str:
-    if method.entry is None:
-        return "pictures"
-    return "no observations" if method.entry.observations is None else method.entry.observations or "both views"
-
-
 def _drops(methods: Sequence[Standing]) -> Table:
     def cells(method: Standing) -> tuple[str, ...]:
         means = [values.mean() for (_, variant), values in method.means.items() if variant == "Demo"]
@@ -250,7 +240,7 @@ def _drops(methods: Sequence[Standing]) -> Table:
 
 
 def _improvements(methods: Sequence[Standing]) -> Table:
-    entered = [method for method in methods if method.kind != "published"]
+    entered = _entered(methods)
     chances: dict[tuple[int, int], Estimate] = {}
     for a, b in combinations(range(len(entered)), 2):
         chance = chances[a, b] = improvement(entered[a], entered[b])
@@ -293,7 +283,7 @@ def _shifts(methods: Sequence[Standing]) -> Table:
 
 def _costs(methods: Sequence[Standing]) -> Table:
     def cells(method: Standing) -> tuple[str, ...]:
-        card = method.entry.card if method.entry is not None else Card(method.name)
+        card = method.entry.card
         training, data = card.training, card.demonstrations
         facts = (data.per_task, data.set, training.hours, training.device, training.steps, card.hardware)
         texts = (NONE if fact is None else " ".join(str(fact).split()) for fact in facts)
@@ -303,8 +293,12 @@ def _costs(methods: Sequence[Standing]) -> Table:
         "costs",
         f"What a run cost ({NONE} where the entry does not say), and what else the method may use",
         ("Method", OVERALL, "may use", "demonstrations per task", "of set", "hours", "device", "steps", "hardware"),
-        _grouped([method for method in methods if method.entry is not None], cells),
+        _grouped(_entered(methods), cells),
     )
+
+
+def _entered(methods: Sequence[Standing]) -> list[Standing]:
+    return [method for method in methods if method.kind != "published"]
 
 
 def _grouped(methods: Sequence[Standing], cells: Callable[[Standing], tuple[str, ...]]) -> tuple[Group, ...]:

@@ -11,7 +11,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from magical_mj.evaluation.entry import SEEDS, SHIFT_SEEDS, SUFFIX, Entry, entry_files, read_entry
+from magical_mj.evaluation.entry import SEEDS, SHIFT_SEEDS, SUFFIX, Card, Entry, Versions, entry_files, read_entry
 from magical_mj.evaluation.reports.results import PUBLISHED_RULES, published_results
 from magical_mj.evaluation.reports.statistics import (
     Floats,
@@ -56,33 +56,32 @@ class Standing:
     """One method on the leaderboard.
 
     Attributes:
-        name: of the method.
         kind: official entries are complete; published ones are the paper's.
-        entry: the entry; None for published ones.
+        entry: the entry; of published ones it has no episodes.
         gaps: what keeps a partial entry from being official.
         means: mean score of each run in each environment; of published ones, the mean of five runs alone.
         episodes: score of each episode of each run in each environment; empty for published ones.
     """
 
-    name: str
     kind: Kind
-    entry: Entry | None
+    entry: Entry
     gaps: tuple[str, ...]
     means: Mapping[Pair, Floats]
     episodes: Mapping[Pair, Mapping[int, Floats]]
 
     @property
+    def name(self) -> str:
+        """The method's name."""
+        return self.entry.method
+
+    @property
     def privileges(self) -> tuple[str, ...]:
-        """What it may use, as its card declares; the paper's methods play while they learn, or need nothing."""
-        if self.entry is None:
-            return () if self.name.startswith("BC") else ("simulator in training",)
+        """What it may use, as its card declares."""
         return tuple(self.entry.card.privileges or ())
 
     @property
     def block(self) -> Block:
         """The block of tables in which it stands."""
-        if self.entry is None:
-            return "pictures"
         if self.entry.card.privileges is None:
             return "undeclared"
         if "simulator at test" in self.privileges:
@@ -143,7 +142,7 @@ class Standing:
 
         Strength 0 is Demo, in the same scenes.
         """
-        if self.entry is None or not self.entry.shifted:
+        if not self.entry.shifted:
             return {}
         scores: dict[tuple[str, str], list[float]] = defaultdict(list)
         demo = [row for row in self.entry.counted if row.variant == "Demo" and row.seed < SHIFT_SEEDS]
@@ -171,7 +170,7 @@ def standing(entry: Entry) -> Standing:
     }
     means = {pair: np.array([values.mean() for values in runs.values()]) for pair, runs in episodes.items()}
     missing = tuple(gaps(entry))
-    return Standing(entry.method, "partial" if missing else "official", entry, missing, means, episodes)
+    return Standing("partial" if missing else "official", entry, missing, means, episodes)
 
 
 def own_standings(folder: Path) -> dict[str, Standing]:
@@ -197,11 +196,16 @@ def gaps(entry: Entry) -> list[str]:
 
 
 def published() -> list[Standing]:
-    """The paper's own results: only the mean of each method in each environment is published."""
+    """The paper's own results: only the mean of each method in each environment is published.
+
+    Its methods look at pictures, and play while they learn, or need nothing else.
+    """
     methods = []
     for policy, group in published_results().groupby("policy", sort=False):
         means = {(row.task, row.variant): np.array([row.mean]) for row in group.itertuples()}
-        methods.append(Standing(str(policy), "published", None, (), means, {}))
+        card = Card(str(policy), privileges=[] if str(policy).startswith("BC") else ["simulator in training"])
+        entry = Entry(card, "pictures", PUBLISHED_RULES, None, Versions([], [], []), [])
+        methods.append(Standing("published", entry, (), means, {}))
     return methods
 
 
@@ -212,7 +216,7 @@ def improvement(first: Standing, second: Standing) -> Estimate:
     none, or if they were scored by different rules.
     """
     pairs = [pair for pair in first.means if pair in second.means]
-    if not pairs or rules_of(first) != rules_of(second):
+    if not pairs or first.entry.rules != second.entry.rules:
         return Estimate(np.nan)
     strata = [values for pair in pairs for values in (first.means[pair], second.means[pair])]
 
@@ -245,8 +249,3 @@ def standings(entries: Sequence[Entry]) -> list[Standing]:
             method.name,
         ),
     )
-
-
-def rules_of(method: Standing) -> str:
-    """By which a method was scored."""
-    return PUBLISHED_RULES if method.entry is None else method.entry.rules

@@ -18,7 +18,7 @@ from magical_mj.evaluation.reports.tables import NONE
 from magical_mj.evaluation.scores import EpisodeResult
 from magical_mj.leaderboard import Entry
 from magical_mj.leaderboard.page import tables, write_pages
-from magical_mj.leaderboard.standings import improvement, rules_of, standing, standings
+from magical_mj.leaderboard.standings import improvement, standing, standings
 from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.utils.errors import EvaluationError
 from tests.helpers.entries import whole
@@ -188,7 +188,7 @@ def test_published_results_stand_under_their_own_rules() -> None:
     assert [method.kind for method in methods] == ["official", *["published"] * 11]
     gail = next(method for method in methods if method.name == "GAIL (ST)")
     assert gail.scores["Demo"].value == pytest.approx(0.84, abs=0.005)
-    assert {rules_of(method) for method in methods if method.kind == "published"} == {"released"}
+    assert {method.entry.rules for method in methods if method.kind == "published"} == {"released"}
 
 
 def test_pages_need_nothing_from_elsewhere_and_trust_no_text(tmp_path: Path) -> None:
