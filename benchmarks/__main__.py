@@ -19,7 +19,8 @@ from rich.table import Table
 
 from magical_mj._version import __version__
 from magical_mj.cli.app import run
-from magical_mj.cli.console import Output, Renderer, Tasks, Variants, check_fits, console, some_of, with_bar
+from magical_mj.cli.console import Output, check_fits, console, with_bar
+from magical_mj.cli.option import Renderer, Tasks, Variants, some_of
 from magical_mj.envs.presets import PRESETS, preset_named
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.tasks.registry import environments, listed

@@ -15,13 +15,8 @@ import typer
 from rich.table import Table
 
 import magical_mj
+from magical_mj.cli import option
 from magical_mj.cli.console import (
-    Force,
-    Jobs,
-    Renderer,
-    Size,
-    Tasks,
-    Variants,
     check_fits,
     check_suffix,
     check_writable,
@@ -74,7 +69,6 @@ Name = Annotated[
     str | None,
     typer.Option("--out", help="The file, the data set's id, or the folder.", show_default="by environment and preset"),
 ]
-BodyName = Annotated[str, typer.Option("--body", help="The robot's body; see docs/bodies.md.")]
 ExportPreset = Annotated[str | None, typer.Option(help="The observations.", show_default="LoRes4E; State for Minari")]
 Shifts = Annotated[str, typer.Option(help="Physical shifts, such as clutter:3; see docs/shifts.md.")]
 DropNoop = Annotated[bool, typer.Option(help="For npz: leave out the steps with the no-op action.")]
@@ -94,13 +88,13 @@ def start(context: typer.Context) -> None:
 @app.command()
 def generate(
     out: Folder,
-    tasks: Tasks = "all",
-    variants: Variants = "Demo",
+    tasks: option.Tasks = "all",
+    variants: option.Variants = "Demo",
     count: Count = 25,
     least_score: Least = 1.0,
-    body: BodyName = GRIPPER,
+    body: option.Body = GRIPPER,
     shifts: Shifts = "",
-    jobs: Jobs = None,
+    jobs: option.Jobs = None,
 ) -> None:
     """Make demonstrations by the expert. Called again, it continues; nothing is overwritten."""
     from magical_mj.demos.demonstration import check_physical  # imported late: it loads the simulator
@@ -124,11 +118,11 @@ def generate(
 def rollouts(
     out: Folder,
     policy: Policy = "random",
-    tasks: Tasks = "all",
-    variants: Variants = "Demo,All",
+    tasks: option.Tasks = "all",
+    variants: option.Variants = "Demo,All",
     steps: Steps = 10_000,
     preset: Preset = "LoRes4E",
-    jobs: Jobs = None,
+    jobs: option.Jobs = None,
 ) -> None:
     """Record episodes of a policy, as data without labels. Called again, it continues; nothing is overwritten.
 
@@ -228,7 +222,7 @@ def import_recordings(recordings: Recordings, out: Folder) -> None:
 
 
 @app.command()
-def info(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "all") -> None:
+def info(paths: Paths = None, tasks: option.Tasks = "all", variants: option.Variants = "all") -> None:
     """Summarise demonstrations: scores, lengths, and how much they differ from each other."""
     describe(read_chosen(paths, tasks, variants))
 
@@ -259,7 +253,9 @@ def describe(demos: Sequence[Demonstration]) -> None:
 
 
 @app.command(name="verify")
-def verify_all(paths: Paths = None, tasks: Tasks = "all", variants: Variants = "all", jobs: Jobs = None) -> None:
+def verify_all(
+    paths: Paths = None, tasks: option.Tasks = "all", variants: option.Variants = "all", jobs: option.Jobs = None
+) -> None:
     """Check digests, replay all actions, and say how many pass through the same states, with the same pictures.
 
     The exit code is 1 if a file is damaged, does not begin in its scene, or does not replay to its score. States can
@@ -304,13 +300,13 @@ def check(wanted: Collection[Pair] | None, source: Path | Demonstration) -> tupl
 def video(
     out: Movie,
     paths: Paths = None,
-    tasks: Tasks = "all",
-    variants: Variants = "all",
+    tasks: option.Tasks = "all",
+    variants: option.Variants = "all",
     count: Filmed = 1,
-    size: Size = 384,
+    size: option.Size = 384,
     speed: Speed = 1,
-    renderer: Renderer = None,
-    force: Force = False,
+    renderer: option.Renderer = None,
+    force: option.Force = False,
 ) -> None:
     """Make a video of demonstrations, with both views side by side."""
     check_suffix(out, ".mp4")
@@ -335,15 +331,15 @@ def video(
 def export(
     context: typer.Context,
     paths: Paths = None,
-    tasks: Tasks = "all",
-    variants: Variants = "all",
+    tasks: option.Tasks = "all",
+    variants: option.Variants = "all",
     to: Target = "npz",
     out: Name = None,
     preset: ExportPreset = None,
     drop_noop: DropNoop = True,
     video: AsVideo = False,
     fingers: Fingers = False,
-    force: Force = False,
+    force: option.Force = False,
 ) -> None:
     """Export demonstrations for other tools."""
     from magical_mj.demos.export import default_target, make_data_set

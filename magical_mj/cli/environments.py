@@ -12,23 +12,8 @@ from rich.table import Table
 
 import magical_mj
 from magical_mj import ENVIRONMENTS, TASKS, VARIANTS, env_id
-from magical_mj.cli.console import (
-    Body,
-    Cameras,
-    Force,
-    OptionalTask,
-    Renderer,
-    Seed,
-    Shifts,
-    Task,
-    Variant,
-    check_fits,
-    check_suffix,
-    check_writable,
-    complain,
-    console,
-    file_name,
-)
+from magical_mj.cli import option
+from magical_mj.cli.console import check_fits, check_suffix, check_writable, complain, console, file_name
 from magical_mj.cli.film import INK, PAPER, side_by_side, views_of
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.tasks.plugins import task_plugins
@@ -73,17 +58,17 @@ def list_environments(ids: Ids = False) -> None:
 
 def view(
     context: typer.Context,
-    task: OptionalTask = None,
-    variant: Variant = "Demo",
-    seed: Seed = 0,
+    task: option.OptionalTask = None,
+    variant: option.Variant = "Demo",
+    seed: option.Seed = 0,
     grid: Grid = False,
     out: Picture = None,
     size: Size = None,
-    camera: Cameras = "allo,ego",
-    shifts: Shifts = "",
-    body: Body = GRIPPER,
-    renderer: Renderer = None,
-    force: Force = False,
+    camera: option.Cameras = "allo,ego",
+    shifts: option.Shifts = "",
+    body: option.Body = GRIPPER,
+    renderer: option.Renderer = None,
+    force: option.Force = False,
 ) -> None:
     """Draw the initial scene of an environment from above and from the robot's view, or those of all environments."""
     check_suffix(out, ".png")
@@ -106,13 +91,13 @@ def view(
 
 
 def export(
-    task: Task,
+    task: option.Task,
     out: Folder,
-    variant: Variant = "Demo",
-    seed: Seed = 0,
-    shifts: Shifts = "",
-    body: Body = GRIPPER,
-    force: Force = False,
+    variant: option.Variant = "Demo",
+    seed: option.Seed = 0,
+    shifts: option.Shifts = "",
+    body: option.Body = GRIPPER,
+    force: option.Force = False,
 ) -> None:
     """Write a scene as a self-contained MJCF model. It has the shifts of scene and dynamics, not those of pictures."""
     with closing(magical_mj.Engine(task, variant, seed=seed, shifts=shifts, body=body)) as env:

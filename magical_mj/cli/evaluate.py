@@ -17,18 +17,9 @@ from rich.console import Console
 from rich.progress import TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from magical_mj.cli import option
 from magical_mj.cli.console import (
     Bars,
-    Cameras,
-    Force,
-    Jobs,
-    Seed,
-    Shifts,
-    Size,
-    Task,
-    Tasks,
-    Variant,
-    add_options,
     check_fits,
     check_suffix,
     check_writable,
@@ -98,21 +89,21 @@ def evaluate(policy: Policies, out: Out, like: As = "", **options: Any) -> None:
     screen.print(f"{out / SCORES}; tables and figures: magical-mj report {shlex.quote(str(out))}", soft_wrap=True)
 
 
-add_options(evaluate, EvaluationSettings)
+option.add_options(evaluate, EvaluationSettings)
 
 
 def rollout(
     context: typer.Context,
-    task: Task,
-    variant: Variant = "Demo",
+    task: option.Task,
+    variant: option.Variant = "Demo",
     policy: AnyPolicy = "expert",
     episodes: Number = 1,
-    seed: Seed = 0,
-    shifts: Shifts = "",
+    seed: option.Seed = 0,
+    shifts: option.Shifts = "",
     video: Video = None,
-    size: Size = 384,
-    camera: Cameras = "allo,ego",
-    force: Force = False,
+    size: option.Size = 384,
+    camera: option.Cameras = "allo,ego",
+    force: option.Force = False,
     **options: Any,
 ) -> None:
     """Play some episodes with a policy, print the scores, and make a video. For whole benchmarks, use `evaluate`."""
@@ -151,7 +142,7 @@ def rollout(
         raise typer.Exit(1)
 
 
-add_options(rollout, EvaluationSettings, "split", "preset", "body", "renderer", "trust")
+option.add_options(rollout, EvaluationSettings, "split", "preset", "body", "renderer", "trust")
 
 
 def _line(score: EpisodeResult) -> str:
@@ -197,7 +188,9 @@ def _summarise(screen: Console, scores: Sequence[EpisodeResult]) -> None:
             screen.print(f"{method}: {counted(count, 'episode')} failed: {reasons.dropna().iloc[0]}", soft_wrap=True)
 
 
-def demo(out: Tour = Path("out/demo"), tasks: Tasks = "all", episodes: Each = 3, jobs: Jobs = None) -> None:
+def demo(
+    out: Tour = Path("out/demo"), tasks: option.Tasks = "all", episodes: Each = 3, jobs: option.Jobs = None
+) -> None:
     """Evaluate the expert, the random and the no-op agent in all environments, and write the report."""
     settings = EvaluationSettings(tasks=tasks, episodes=episodes, jobs=jobs, out=out, renderer="software")
     check_extra("the tour's figures and videos", "eval", "video")

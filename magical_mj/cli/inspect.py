@@ -9,8 +9,9 @@ from typing import Annotated
 import typer
 
 import magical_mj
-from magical_mj.cli.console import Seed, Variant, check_fits
-from magical_mj.cli.play import Host, Port, check_seed_in_browser, serve_until_interrupted
+from magical_mj.cli import option
+from magical_mj.cli.console import check_fits
+from magical_mj.cli.play import check_seed_in_browser, serve_until_interrupted
 from magical_mj.engine.export import mjcf_text
 from magical_mj.tasks.registry import ENVIRONMENTS, task_spec, variant_name
 from magical_mj.utils.errors import SettingsError
@@ -24,10 +25,10 @@ Model = Annotated[
 def inspect(
     context: typer.Context,
     model: Model,
-    variant: Variant = "Demo",
-    seed: Seed = 0,
-    host: Host = "127.0.0.1",
-    port: Port = 8008,
+    variant: option.Variant = "Demo",
+    seed: option.Seed = 0,
+    host: option.Host = "127.0.0.1",
+    port: option.Port = 8008,
 ) -> None:
     """Open a page that shows a model in 3-D and runs it: bodies, joints, contacts, sensors, actuators.
 

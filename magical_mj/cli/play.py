@@ -15,16 +15,8 @@ import numpy as np
 import typer
 
 import magical_mj
-from magical_mj.cli.console import (
-    OptionalTask,
-    Renderer,
-    Seed,
-    Size,
-    Variant,
-    check_fits,
-    console,
-    make_writable_folder,
-)
+from magical_mj.cli import option
+from magical_mj.cli.console import check_fits, console, make_writable_folder
 from magical_mj.cli.film import INK, PAPER, side_by_side
 from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
 from magical_mj.scene.constants import CONTROL_RATE
@@ -43,8 +35,6 @@ AFTER: Final = "R again, N next scene, Esc quits"
 Record = Annotated[Path | None, typer.Option(help="Save each finished episode in this folder.", show_default=False)]
 Speed = Annotated[float, typer.Option(min=0.1, max=4.0, help="Times real time.")]
 Web = Annotated[bool, typer.Option("--web", help="Play in a browser instead of a window.")]
-Tasks = Annotated[str, typer.Option(help="Names with commas between.")]
-Variants = Annotated[str, typer.Option(help="Names with commas between.")]
 Collect = Annotated[
     Path | None,
     typer.Option(help="Keep what people send in this folder.", show_default=False),
@@ -57,8 +47,6 @@ StudyFile = Annotated[
     Path | None,
     typer.Option("--study", help="A file (.toml) that says what is collected, and how.", show_default=False),
 ]
-Host = Annotated[str, typer.Option(help="Address to listen at.")]
-Port = Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")]
 Origin = Annotated[
     str | None,
     typer.Option(
@@ -81,21 +69,21 @@ LARGEST_SEED: Final = 2**53 - 1
 
 def play(
     context: typer.Context,
-    task: OptionalTask = None,
-    variant: Variant = "Demo",
-    seed: Seed = 0,
+    task: option.OptionalTask = None,
+    variant: option.Variant = "Demo",
+    seed: option.Seed = 0,
     record: Record = None,
-    size: Size = 480,
+    size: option.Size = 480,
     speed: Speed = 1.0,
-    renderer: Renderer = None,
+    renderer: option.Renderer = None,
     web: Web = False,
-    tasks: Tasks = "all",
-    variants: Variants = "all",
+    tasks: option.Tasks = "all",
+    variants: option.Variants = "all",
     collect: Collect = None,
     wanted: Wanted = None,
     study: StudyFile = None,
-    host: Host = "127.0.0.1",
-    port: Port = 8008,
+    host: option.Host = "127.0.0.1",
+    port: option.Port = 8008,
     origin: Origin = None,
 ) -> None:
     """Drive the robot yourself: arrows, space to grip, R to start again, N for the next scene, Esc to quit.

@@ -11,7 +11,8 @@ import typer
 from rich.progress import MofNCompleteColumn
 from rich.table import Table
 
-from magical_mj.cli.console import Bars, Jobs, Trust, check_fits, complain, console, make_writable_folder
+from magical_mj.cli import option
+from magical_mj.cli.console import Bars, check_fits, complain, console, make_writable_folder
 from magical_mj.cli.film import file_names, film_episodes
 from magical_mj.evaluation.entry import entry_files, is_entry
 from magical_mj.evaluation.reports.report import begin, extremes, write_report
@@ -76,7 +77,7 @@ def make_report(
     mixed_presets: Mixed = False,
     videos: Videos = False,
     rules: Rescored = None,
-    trust: Trust = False,
+    trust: option.Trust = False,
 ) -> None:
     """Write a report of one or several evaluations: tables (Markdown, CSV), figures and videos."""
     del trust  # see magical_mj.utils.imports.command_line
@@ -118,7 +119,7 @@ def make_comparison(a: Side, b: Side) -> None:
         screen.print(f"without {counted(unpaired, 'scene')} that only one of them has played")
 
 
-def verify_folder(folder: Folder, jobs: Jobs = None) -> None:
+def verify_folder(folder: Folder, jobs: option.Jobs = None) -> None:
     """Replay the episodes of an evaluation, compare scenes and scores, and check that it is complete."""
     screen = console()
     with Bars(screen, MofNCompleteColumn(), transient=True) as progress:
@@ -156,7 +157,7 @@ def make_leaderboard(
     replay: Replay = MOST_REPLAYED,
     everything: All = False,
     seed: Sample = None,
-    jobs: Jobs = None,
+    jobs: option.Jobs = None,
 ) -> None:
     """Check all entries in a folder, and write the leaderboard: leaderboard.html and leaderboard.md."""
     check_extra("leaderboards", "eval")

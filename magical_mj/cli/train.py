@@ -17,7 +17,8 @@ from rich.table import Column
 from rich.text import Text
 
 from magical_mj import learners
-from magical_mj.cli.console import Bars, Force, Renderer, Trust, add_options, check_fits, check_writable, console
+from magical_mj.cli import option
+from magical_mj.cli.console import Bars, check_fits, check_writable, console
 from magical_mj.learners.config import check_changes, users, uses
 from magical_mj.learners.settings import PPOSettings, TrainingSettings
 from magical_mj.policies.agents import AGENTS
@@ -69,7 +70,12 @@ Address = Annotated[str | None, typer.Option(help="Of the cluster, such as tcp:/
 
 
 def experiment(
-    file: File, out: Folder, jobs: Jobs = None, backend: Where = "local", address: Address = None, trust: Trust = False
+    file: File,
+    out: Folder,
+    jobs: Jobs = None,
+    backend: Where = "local",
+    address: Address = None,
+    trust: option.Trust = False,
 ) -> None:
     """Train and evaluate methods x tasks x seeds. Called again, it continues."""
     del trust  # see magical_mj.utils.imports.command_line
@@ -106,7 +112,7 @@ def train(
     out: Out,
     multi_task: MultiTask = False,
     simulator: Simulator = PPOSettings.simulator,
-    renderer: Renderer = None,
+    renderer: option.Renderer = None,
     quick: Quick = False,
     change: Change = None,
     resume: Resume = False,
@@ -141,10 +147,10 @@ def train(
     screen.print(f"the policy is in {out}; to evaluate it: {again} --out ...", soft_wrap=True)
 
 
-add_options(train, TrainingSettings, "seed", "augment", "preset", "device")
+option.add_options(train, TrainingSettings, "seed", "augment", "preset", "device")
 
 
-def export(run: Run, out: OnnxFile = Path("policy.onnx"), task: OneTask = "", force: Force = False) -> None:
+def export(run: Run, out: OnnxFile = Path("policy.onnx"), task: OneTask = "", force: option.Force = False) -> None:
     """Write the policy of a training as an ONNX file, which `evaluate --policy` and any ONNX runtime can play.
 
     It takes the most likely action; `magical-mj evaluate --policy RUN` draws by the probabilities.

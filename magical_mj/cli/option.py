@@ -1,0 +1,75 @@
+"""Options and arguments that subcommands share, and options made of settings."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable
+from typing import Annotated
+
+import typer
+
+from magical_mj import TASKS, VARIANTS
+from magical_mj.envs.presets import PRESETS
+from magical_mj.rendering.backend import RendererName
+from magical_mj.utils.settings import Names, described
+
+
+def one_of(names: Iterable[str]) -> Callable[[str], list[str]]:
+    """For shell completion: the names that begin with the typed text."""
+    return lambda incomplete: [name for name in names if name.startswith(incomplete)]
+
+
+def some_of(names: Iterable[str]) -> Callable[[str], list[str]]:
+    """The same for lists separated by commas: the last name is completed."""
+
+    def complete(incomplete: str) -> list[str]:
+        done, comma, last = incomplete.rpartition(",")
+        return [f"{done}{comma}{name}" for name in ("all", *names) if name.startswith(last)]
+
+    return complete
+
+
+TASK_HELP = f"One of {', '.join(TASKS)}, a task that a package announces, or package.module:SPEC."
+VARIANT_HELP = f"One of {', '.join(VARIANTS)}."
+
+COMPLETIONS = {"tasks": some_of(TASKS), "variants": some_of(VARIANTS), "preset": one_of(PRESETS)}
+
+Task = Annotated[str, typer.Argument(help=TASK_HELP, show_default=False, autocompletion=one_of(TASKS))]
+OptionalTask = Annotated[str | None, typer.Argument(help=TASK_HELP, show_default=False, autocompletion=one_of(TASKS))]
+Variant = Annotated[str, typer.Argument(help=VARIANT_HELP, autocompletion=one_of(VARIANTS))]
+Tasks = Annotated[str, typer.Option(help="Tasks, separated by commas; or all.", autocompletion=COMPLETIONS["tasks"])]
+Variants = Annotated[
+    str, typer.Option(help="Variants, separated by commas; or all.", autocompletion=COMPLETIONS["variants"])
+]
+Seed = Annotated[int, typer.Option(min=0, help="Which of the variant's scenes.")]
+Size = Annotated[int, typer.Option(min=16, max=2048, help="Side of each picture in pixels.")]
+Cameras = Annotated[
+    str, typer.Option("--camera", help="Views side by side, separated by commas: allo, ego; scene: solid, for people.")
+]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Worker processes.", show_default="one per core")]
+Renderer = Annotated[
+    RendererName | None, typer.Option(help="What draws flat views.", show_default="opengl where it works")
+]
+Shifts = Annotated[str, typer.Option(help="What is shifted, and how much, such as camera:3,latency:1; docs/shifts.md.")]
+Body = Annotated[str, typer.Option(help="The robot's body, one that the task offers; docs/bodies.md.")]
+Trust = Annotated[bool, typer.Option("--trust", help="Use tasks whose code the files name, and run it.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace what is there already.")]
+Host = Annotated[str, typer.Option(help="Address to listen at.")]
+Port = Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")]
+
+
+def add_options(command: Callable[..., None], settings: type, *names: str) -> None:
+    """Adds options to a command that takes `**options`: one for each of these settings, or for all it does not name."""
+    *named, _ = inspect.signature(command, eval_str=True).parameters.values()
+    parameters = {parameter.name: parameter for parameter in named}
+    for name, setting in described(settings).items():
+        if name not in parameters and (not names or name in names):
+            declared = [f"--{name.replace('_', '-')}"] if setting.kind is bool else []
+            kind = str if setting.kind == Names else setting.kind  # lists are separated by commas
+            option = typer.Option(
+                *declared, help=setting.description, min=setting.least, autocompletion=COMPLETIONS.get(name)
+            )
+            parameters[name] = inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=setting.default, annotation=Annotated[kind, option]
+            )
+    command.__signature__ = inspect.Signature(list(parameters.values()))
