@@ -168,14 +168,15 @@ class Stacks:
     """
 
     def __init__(self, preset: Preset, size: int) -> None:
-        self._stacks: dict[str, FrameStack] = {}
+        first = preset.layout == "chw"
         if preset.layout == "dict":
-            self._stacks = {view: FrameStack(((view, count),), size, preset.depth) for view, count in preset.frames}
-        elif preset.layout != "state":
-            name = "+".join(f"{view}{count}" for view, count in preset.frames) + (
-                "-chw" if preset.layout == "chw" else ""
-            )
-            self._stacks = {name: FrameStack(preset.frames, size, preset.depth, channels_first=preset.layout == "chw")}
+            groups = {view: ((view, count),) for view, count in preset.frames}
+        else:
+            name = "+".join(f"{view}{count}" for view, count in preset.frames) + "-chw" * first
+            groups = {name: preset.frames} if preset.frames else {}
+        self._stacks = {
+            name: FrameStack(frames, size, preset.depth, channels_first=first) for name, frames in groups.items()
+        }
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:

@@ -11,7 +11,7 @@ import copy
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import gymnasium
@@ -156,10 +156,8 @@ def play(env: Env, policy: Act, episode: Episode) -> Outcome:
         EvaluationError: if it is no environment of this package.
         Exception: whatever else the environment raises.
     """
-    start, engine = time.perf_counter(), engine_of(env)
-    actions: list[int] = []
-    score, over = 0.0, False
-    with _attempt() as attempt:
+    engine, over = engine_of(env), False
+    with _attempt() as outcome:
         observation = _observation(_reset(env, episode.seed))
         with policy_errors():
             begin(policy, replace(episode, env=engine) if uses_simulation(policy) else episode)
@@ -167,20 +165,19 @@ def play(env: Env, policy: Act, episode: Episode) -> Outcome:
             with policy_errors():
                 action = action_number(policy(observation))
             result = env.step(action)
-            actions.append(action)
+            outcome.actions.append(action)
             observation, over = _observation(result), is_over(result)
-        score = engine.score()
-    return Outcome(actions, score, attempt.failure, time.perf_counter() - start, attempt.cause)
+        outcome.score = engine.score()
+    return outcome
 
 
 def play_side_by_side(envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[Episode]) -> list[Outcome]:
     """Plays at most one episode per environment. All of them have failed if one would have in `play`."""
-    start, count = time.perf_counter(), len(episodes)
+    count = len(episodes)
     batch = policy if isinstance(policy, BatchPolicy) else PolicyCopies(policy, envs)
     episodes = [*episodes, *[episodes[-1]] * (envs.num_envs - count)]
-    history: list[NDArray[np.int64]] = []
     scores, over = np.zeros(count), False
-    with _attempt() as attempt:
+    with _attempt() as whole:
         observations, _ = _reset(envs, [episode.seed for episode in episodes])
         with policy_errors():
             batch.reset_batch(episodes)
@@ -190,38 +187,28 @@ def play_side_by_side(envs: Envs, policy: Act | BatchPolicy, episodes: Sequence[
                 if len(actions) != envs.num_envs:
                     raise InvalidActionError(f"{len(actions)} actions for {envs.num_envs} environments")
             result = envs.step(actions)
-            history.append(actions)
+            whole.actions.append(actions)
             observations, over = result[0], is_over(result)
             scores = _scores(*result[3:])
-    seconds = (time.perf_counter() - start) / count
-    return [
-        Outcome([actions[place] for actions in history], scores[place], attempt.failure, seconds, attempt.cause)
-        for place in range(count)
-    ]
-
-
-@dataclass
-class _Attempt:
-    failure: str | None = None
-    """Why the policy failed."""
-    cause: Exception | None = None
-    """The error by which it did."""
+    whole.seconds /= count
+    return [replace(whole, actions=[row[i] for row in whole.actions], score=scores[i]) for i in range(count)]
 
 
 @contextmanager
-def _attempt() -> Iterator[_Attempt]:
+def _attempt() -> Iterator[Outcome]:
     """A context that ends without an error if the policy fails, or makes the simulation unstable.
 
     In it numpy has its own settings: results depend on no ``np.seterr`` of the caller.
     """
-    attempt = _Attempt()
+    outcome, start = Outcome(), time.perf_counter()
     with np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"):
         try:
-            yield attempt
+            yield outcome
         except PolicyError as error:
-            attempt.failure, attempt.cause = str(error), error
+            outcome.failure, outcome.cause = str(error), error
         except PhysicsError as error:
-            attempt.failure = reason(error)
+            outcome.failure = reason(error)
+    outcome.seconds = time.perf_counter() - start
 
 
 def _scores(ended: NDArray[np.bool_], info: Any) -> Any:

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import IO, Annotated, Any, Final, NamedTuple, NotRequired, TypedDict
+from typing import IO, Annotated, Any, Final, NotRequired, TypedDict
 
 import msgspec
 
@@ -73,15 +73,16 @@ class Played(TypedDict):
     episodes: Natural
 
 
-class Outcome(NamedTuple):
+@dataclass
+class Outcome:
     """What came of playing an episode."""
 
-    actions: Sequence[int]
-    score: float
+    actions: list[Any] = dataclasses.field(default_factory=list)
+    score: float = 0.0
     """In [0, 1]; of no meaning if the policy failed."""
-    failure: str | None
+    failure: str | None = None
     """Why the policy failed; None if it did not."""
-    seconds: float
+    seconds: float = 0.0
     cause: Exception | None = None
     """The error by which the policy failed, if it was one."""
 

@@ -157,7 +157,7 @@ class Player:
             return self._caller.call(playing, seconds)
         except TimeLimitError as error:
             self._forget()
-            return [Outcome((), 0.0, reason(error), seconds)] * len(episodes)
+            return [Outcome(failure=reason(error), seconds=seconds)] * len(episodes)
 
     def _policy(self, unit: Unit) -> Act:
         key = unit.source.name, unit.source.run
