@@ -1,25 +1,37 @@
-"""The Gymnasium environments: checkers, ids, presets, vector environments, seeding and errors."""
+"""The Gymnasium environments: checkers, ids, presets, seeding, errors; who ends episodes and what they score."""
 
 from __future__ import annotations
 
+import dataclasses
 import pickle
+import re
 import subprocess
 import sys
 import warnings
 from dataclasses import replace
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium import wrappers
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
 import magical_mj
 from magical_mj.envs.presets import PRESETS
+from magical_mj.envs.wrappers import ScoreAtTheEnd
 from magical_mj.scene.state_vector import SEGMENTATIONS, VIEWS
 from magical_mj.tasks.registry import task_spec
-from magical_mj.utils.errors import InvalidActionError, InvalidSceneError, UnknownNameError
+from magical_mj.utils.errors import (
+    InvalidActionError,
+    InvalidSceneError,
+    InvalidSeedError,
+    SettingsError,
+    StateError,
+    UnknownNameError,
+)
 
 IDS = [magical_mj.env_id(*pair, preset) for pair in magical_mj.ENVIRONMENTS for preset in PRESETS]
 PRESET_IDS = [magical_mj.env_id("FindDupe", "All", preset) for preset in PRESETS]
@@ -201,3 +213,193 @@ def test_bad_input_is_explained() -> None:
     env.reset(seed=0)
     with pytest.raises(InvalidActionError):
         env.step(18)
+
+
+CLUSTER = "magical_mj/ClusterShape-Demo-State-v0"  # scores 0.25 before anyone moves
+
+
+def played(env: gymnasium.Env[Any, Any], most: int = 400) -> list[tuple[float, bool, dict[str, Any]]]:
+    """Reward, truncation and info of each step of an episode of the action that does nothing."""
+    env.reset(seed=0)
+    steps = []
+    for _ in range(most):
+        _, reward, terminated, truncated, info = env.step(0)
+        assert not terminated
+        steps.append((float(reward), truncated, info))
+        if truncated:
+            break
+    return steps
+
+
+@pytest.mark.parametrize("rules", ["paper", "released"])
+@pytest.mark.parametrize("task", magical_mj.TASKS)
+def test_the_spec_names_the_horizon(task: str, rules: Any) -> None:
+    name = magical_mj.env_id(task, "Demo", "State")
+    horizon = task_spec(task).horizon(rules)
+    env = gymnasium.make(name, rules=rules)
+    assert env.spec.max_episode_steps == horizon
+    assert gymnasium.spec(name).max_episode_steps == task_spec(task).horizon()
+    again = gymnasium.make(env.spec)
+    assert again.spec == env.spec
+    assert [truncated for _, truncated, _ in played(again)] == [False] * (horizon - 1) + [True]
+
+
+@pytest.mark.parametrize("limit", [1, 10, 320, -1, None])
+def test_the_score_is_right_wherever_the_episode_ends(limit: int | None) -> None:
+    for reward, last_reward in (("none", 0.0), ("score", 0.25)):
+        env = gymnasium.make(CLUSTER, max_episode_steps=limit, reward=reward)
+        steps = played(env)
+        assert len(steps) == (limit if limit in (1, 10) else 320) == env.spec.max_episode_steps
+        assert [step[0] for step in steps] == [0.0] * (len(steps) - 1) + [last_reward]
+        assert [float(info["eval_score"]) for *_, info in steps] == [0.0] * (len(steps) - 1) + [0.25]
+        assert not any(info["is_success"] for *_, info in steps)
+
+
+def test_limits_beyond_the_horizon_are_refused() -> None:
+    with pytest.raises(SettingsError, match="max_episode_steps=1000 is more than the 320 steps"):
+        gymnasium.make(CLUSTER, max_episode_steps=1000)
+    with pytest.raises(SettingsError, match="more than the 240 steps"):
+        gymnasium.make(CLUSTER, max_episode_steps=300, rules="released")
+
+
+def test_the_score_behind_wrappers_of_ones_own() -> None:
+    env = ScoreAtTheEnd(wrappers.TimeLimit(gymnasium.make(CLUSTER), 7))
+    steps = played(env)
+    assert [float(info["eval_score"]) for *_, info in steps] == [0.0] * 6 + [0.25]
+    vector = gymnasium.make_vec(CLUSTER, num_envs=2, max_episode_steps=5)
+    vector.reset(seed=0)
+    infos = [vector.step(np.zeros(2, int))[-1] for _ in range(5)]
+    assert [info["eval_score"].tolist() for info in infos] == [[0.0, 0.0]] * 4 + [[0.25, 0.25]]
+
+
+def test_rewards_that_were_paid_and_changed_by_wrappers_stay() -> None:
+    """By hand: the tenfold score at the task's horizon; at a limit of one's own, the score itself."""
+    for limit, paid in ((None, 2.5), (7, 0.25)):
+        tenfold = wrappers.TransformReward(gymnasium.make(CLUSTER, reward="score"), lambda reward: 10 * float(reward))
+        env = ScoreAtTheEnd(tenfold if limit is None else wrappers.TimeLimit(tenfold, limit))
+        assert played(env)[-1][0] == paid
+
+
+def test_other_packages_environments_have_no_score() -> None:
+    with pytest.raises(SettingsError, match="wraps the environments of magical_mj"):
+        ScoreAtTheEnd(gymnasium.make("CartPole-v1"))
+
+
+def test_the_score_at_every_step() -> None:
+    env = gymnasium.make("magical_mj/MoveToRegion-Demo-State-v0", score_every_step=True)
+    _, info = env.reset(seed=0)
+    assert set(info) == {"eval_score", "is_success", "score"}
+    assert info["score"] == 0.0
+    for step in range(40):
+        info = env.step(1)[-1]
+        assert info["score"] == env.unwrapped.score()
+        assert info["eval_score"] == (info["score"] if step == 39 else 0.0)
+    assert info["is_success"] == (info["score"] == 1.0)
+
+
+def test_infos_have_types_that_other_libraries_read() -> None:
+    """TorchRL looks at `dtype`, LeRobot at arrays of booleans from vectors; floats are floats."""
+    env = gymnasium.make("magical_mj/MoveToRegion-Demo-State-v0")
+    for info in (env.reset(seed=0)[1], env.step(0)[-1]):
+        assert [info[name].dtype for name in ("eval_score", "is_success")] == [np.float64, np.bool_]
+        assert isinstance(info["eval_score"], float)
+    vector = gymnasium.make_vec("magical_mj/MoveToRegion-Demo-State-v0", num_envs=2)
+    infos = vector.reset(seed=0)[1]
+    assert [infos[name].dtype for name in ("eval_score", "is_success")] == [np.float64, np.bool_]
+
+
+def test_unknown_options_are_ignored_with_a_warning() -> None:
+    env = gymnasium.make("magical_mj/FindDupe-TestAll-State-v0").unwrapped
+    with pytest.warns(
+        UserWarning, match=re.escape("""the options 'other', 'task_id'; it knows "scene" and "state\"""")
+    ):
+        env.reset(seed=3, options={"other": 3, "task_id": 1})
+    assert env.scene.digest() == magical_mj.sample_scene("FindDupe", "All", 3).digest()
+    for wrong in ("scene", 3, ["scene"]):
+        with pytest.raises(SettingsError, match="options are a dict"):
+            env.reset(options=wrong)
+    env.reset(options={})
+
+
+def test_a_reset_after_a_seeded_one_starts_in_the_same_scene() -> None:
+    """Only if nothing happened between: so `set_seed(7)` gives the scene of seed 7 where libraries reset once more."""
+    env = gymnasium.make("magical_mj/FindDupe-TestAll-State-v0").unwrapped
+    wanted = magical_mj.sample_scene("FindDupe", "All", 7)
+    env.reset(seed=7)
+    env.reset()
+    assert env.initial_scene == wanted
+    env.reset()
+    assert env.initial_scene != wanted
+    env.reset(seed=7)
+    env.step(0)
+    env.reset()
+    assert env.initial_scene != wanted
+
+
+@pytest.mark.parametrize("size", [1, 40, 385])
+def test_rendered_views(size: int) -> None:
+    pictures = {}
+    for view in ("ego", "allo", "both"):
+        env = gymnasium.make(
+            "magical_mj/FixColour-Demo-State-v0", render_mode="rgb_array", render_view=view, render_size=size
+        )
+        env.reset(seed=0)
+        pictures[view] = env.render()
+        np.testing.assert_array_equal(
+            pictures[view][:, :size], env.unwrapped.engine.render(env.unwrapped._views[0], size)
+        )
+    assert pictures["both"].shape == (size, 2 * size, 3)
+    np.testing.assert_array_equal(pictures["both"], np.hstack([pictures["ego"], pictures["allo"]]))
+
+
+def test_unknown_views_and_sizes_are_refused() -> None:
+    with pytest.raises(UnknownNameError, match="ego, allo, scene, both"):
+        gymnasium.make(CLUSTER, render_view="top")
+    with pytest.raises(SettingsError, match=r"render_size must be an integer in 1\.\."):
+        gymnasium.make(CLUSTER, render_size=0)
+
+
+def _pictures(observation: Any) -> list[np.ndarray]:
+    return list(observation.values()) if isinstance(observation, dict) else [observation]
+
+
+@pytest.mark.parametrize("preset", ["", "LoRes4E", "LoRes3EA", "LoResStack", "LoResCHW4E", "State"])
+def test_what_users_do_to_observations_changes_none_of_the_later_ones(preset: str) -> None:
+    env, twin = (gymnasium.make(magical_mj.env_id("FindDupe", "All", preset), image_size=16) for _ in range(2))
+    observation, untouched = env.reset(seed=0)[0], twin.reset(seed=0)[0]
+    for action in (1, 4, 10, 1):
+        for picture in _pictures(observation):
+            picture[:] = 0
+        observation, untouched = env.step(action)[0], twin.step(action)[0]
+        for spoilt, expected in zip(_pictures(observation), _pictures(untouched), strict=True):
+            np.testing.assert_array_equal(spoilt, expected)
+
+
+def test_a_reset_that_is_refused_changes_nothing() -> None:
+    env, twin = (magical_mj.MagicalEnv("MoveToRegion", "Layout", "State") for _ in range(2))
+    env.reset(seed=1)
+    while not env.step(0)[3]:
+        pass
+    ended = env.get_state()
+    for world in (env, twin):
+        world.reset(seed=2)
+        world.step(1)
+    before = env.get_state()
+    refused: list[tuple[dict[str, Any], type[Exception]]] = [
+        ({"options": {"state": ended}}, StateError),
+        ({"seed": -1}, InvalidSeedError),
+        ({"seed": True}, InvalidSeedError),
+        ({"seed": 5, "options": {"scene": "no scene"}}, InvalidSceneError),
+        ({"seed": 5, "options": {"state": 3}}, StateError),
+    ]
+    for arguments, error in refused:
+        with pytest.raises(error):
+            env.reset(**arguments)
+        assert env.get_state() == before
+    for world in (env, twin):
+        world.reset()
+    assert env.scene == twin.scene
+    with pytest.raises(StateError):
+        env.set_state(dataclasses.replace(ended, steps=3, simulation=np.full_like(ended.simulation, np.nan)))
+    with pytest.raises(ResetNeeded):  # the simulation of its scene is at hand, but in no state of an episode
+        env.step(0)

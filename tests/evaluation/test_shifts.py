@@ -1,4 +1,4 @@
-"""Evaluations with shifts: strength 0 beside them in the same scenes, equal however they are played, and replayed."""
+"""Evaluations with shifts, beside strength 0 in the same scenes; and on splits, which are kept apart."""
 
 from __future__ import annotations
 
@@ -10,17 +10,19 @@ from typing import Any
 import pandas as pd
 import pytest
 
+import magical_mj
 from magical_mj.evaluation.reports.report import report
 from magical_mj.evaluation.reports.results import compare, gather
 from magical_mj.evaluation.reports.statistics import area, by_shift, curve, half_lost
 from magical_mj.evaluation.scores import EpisodeResult, read, read_settings
-from magical_mj.leaderboard import verify
+from magical_mj.leaderboard import submit, verify
+from magical_mj.tasks.registry import ENVIRONMENTS, SPLITS, environment_axes, sample_scene
 from magical_mj.utils.errors import EvaluationError, SettingsError, UnknownNameError, UntrustedNameError
 from magical_mj.utils.imports import trust
 from tests.envs.test_xmagical import WEDGE  # noqa: F401
 from tests.helpers import agents
 from tests.helpers.commands import Shell
-from tests.helpers.evaluations import TEMPLATE, evaluate, rows, write
+from tests.helpers.evaluations import SMALL, TEMPLATE, evaluate, rows, write
 
 SHIFTED: dict[str, Any] = {"variants": "Demo", "shifts": "latency:4-5,camera:2+latency:1"}
 LABELS = ["", "latency:4", "latency:5", "camera:2+latency:1"]
@@ -135,3 +137,42 @@ def test_wrong_shifts_are_explained(shifts: str, problem: str, shell: Shell, tmp
 def test_batched_worlds_refuse_them() -> None:
     with pytest.raises(SettingsError, match="batched worlds have neither shifts nor wrappers"):
         evaluate("noop", simulator="warp", shifts="camera")
+
+
+CONTINUOUS = {"jitter", "layout", "dynamics"}
+
+
+def test_no_scene_of_dev_is_one_of_test() -> None:
+    """In all environments whose scenes are drawn from a continuum; colours and shapes alone are few."""
+    drawn = {}
+    for task, variant in ENVIRONMENTS:
+        if CONTINUOUS & set(environment_axes(task, variant)):
+            digests = {
+                name: {sample_scene(task, variant, first + number).digest() for number in range(count)}
+                for (name, first), count in zip(SPLITS.items(), (100, 20), strict=True)
+            }
+            drawn[task, variant] = digests
+            assert not digests["test"] & digests["dev"], (task, variant)
+    assert {variant for _, variant in drawn} == {"Jitter", "Layout", "CountPlus", "Dynamics", "All"}
+
+
+def test_dev_is_said_in_every_row_and_test_in_none(tmp_path: Path) -> None:
+    frame = magical_mj.evaluate("noop", out=tmp_path / "dev", split="dev", first_seed=5, **SMALL)
+    first = SPLITS["dev"] + 5
+    assert sorted(set(frame["seed"])) == [first, first + 1, first + 2]
+    assert {score.split for score in read(tmp_path / "dev")} == {"dev"}
+    magical_mj.evaluate("noop", out=tmp_path / "test", **SMALL)
+    assert "split" not in (tmp_path / "test" / "scores.jsonl").read_text()
+
+
+def test_splits_are_not_mixed(tmp_path: Path) -> None:
+    test = write(tmp_path / "test", [TEMPLATE])
+    dev = write(tmp_path / "dev", [replace(TEMPLATE, policy="dev", split="dev", seed=SPLITS["dev"])])
+    for mix in (lambda: report([test, dev], tmp_path / "out"), lambda: compare(test, dev)):
+        with pytest.raises(EvaluationError, match=r"different split: test in .*, dev in "):
+            mix()
+    with pytest.raises(EvaluationError, match="played on the split dev, and entries are of test"):
+        submit([dev], tmp_path / "entry.json.xz")
+    magical_mj.evaluate("noop", out=tmp_path / "grown", split="dev", **SMALL)
+    with pytest.raises(SettingsError, match='split was "dev" and is "test"'):
+        magical_mj.evaluate("noop", out=tmp_path / "grown", resume=True, **SMALL)
