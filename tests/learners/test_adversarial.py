@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from magical_mj.learners import METHODS, Learner, checkpoint
+from magical_mj.learners import checkpoint
 from magical_mj.learners.apprenticeship import Apprenticeship, Autoencoder, best_weights
 from magical_mj.learners.gail import GAIL, WGAILGP, Discriminator, gail_loss, gradient_penalty
 from magical_mj.learners.settings import NetworkSettings
 from tests.helpers.learners import playing
-
-PLAYERS = ("gail", "wgail-gp", "al")
 
 
 def test_gails_loss_by_hand() -> None:
@@ -219,52 +217,3 @@ def test_rewards_are_of_unaugmented_pictures_by_running_statistics() -> None:
         alone = learner.reward(stacks[3:4], actions[3:4], tasks[3:4])
     torch.testing.assert_close(whole[3:4], alone)
     learner.close()
-
-
-def weights(learner: Learner) -> torch.Tensor:
-    return torch.cat([value.flatten() for value in learner.actor.parameters()])
-
-
-@pytest.mark.parametrize("method", PLAYERS)
-def test_equal_seeds_give_equal_weights(method: str) -> None:
-    """And nothing is drawn from global generators; metrics always have the same names, and are numbers."""
-
-    def trained(seed: int) -> torch.Tensor:
-        learner = METHODS[method](playing(method, preset="State", seed=seed))
-        metrics = [learner.update() for _ in range(4)]
-        assert len({tuple(row) for row in metrics}) == 1
-        assert all(isinstance(value, float) and math.isfinite(value) for row in metrics for value in row.values())
-        assert {"score", "reward", "entropy", "kl"} <= set(metrics[0])
-        learner.close()
-        return weights(learner)
-
-    before = torch.get_rng_state(), np.random.get_state()[1]  # noqa: NPY002
-    first = trained(0)
-    assert torch.equal(torch.get_rng_state(), before[0])
-    np.testing.assert_array_equal(np.random.get_state()[1], before[1])  # noqa: NPY002
-    assert torch.equal(first, trained(0))
-    assert not torch.equal(first, trained(1))
-
-
-STATES = {"tasks": "MoveToRegion,FixColour", "preset": "State"}
-
-
-@pytest.mark.parametrize(("method", "changes"), [("gail", {}), ("gail", STATES), ("wgail-gp", STATES), ("al", STATES)])
-def test_a_resumed_training_ends_like_an_uninterrupted_one(
-    method: str, changes: dict[str, str], tmp_path: Path
-) -> None:
-    """By way of a file, at a moment when the episodes are in their middle."""
-    settings, file = playing(method, **changes), tmp_path / "state.safetensors"
-    whole, resumed = METHODS[method](settings), METHODS[method](settings)
-    for _ in range(whole.updates - 2):
-        whole.update()
-    checkpoint.write(file, whole.get_state())
-    resumed.set_state(checkpoint.read(file))
-    for _ in range(2):
-        assert whole.update() == resumed.update()
-    contents = []
-    for learner in (whole, resumed):
-        checkpoint.write(file, learner.get_state())
-        contents.append(file.read_bytes())
-        learner.close()
-    assert contents[0] == contents[1]

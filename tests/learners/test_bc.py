@@ -6,14 +6,12 @@ import math
 import platform
 import resource
 from collections import Counter, defaultdict
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
 from magical_mj import demos
-from magical_mj.learners import checkpoint
 from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.data import Dataset, drawn
 from magical_mj.learners.learner import keep_freed_memory, seeded
@@ -133,32 +131,6 @@ def test_bfloat16_learns_the_same_within_its_precision() -> None:
     ]
     np.testing.assert_allclose(losses[1], losses[0], rtol=0.1)
     assert losses[0] != losses[1]
-
-
-def test_a_resumed_training_ends_like_an_uninterrupted_one(tmp_path: Path) -> None:
-    """Also where weights and what the optimizer remembers of them are not laid out alike in memory."""
-    whole, resumed = BehaviouralCloning(tiny()), BehaviouralCloning(tiny())
-    for _ in range(3):
-        whole.update()
-    checkpoint.write(tmp_path / "kept.safetensors", whole.get_state())
-    resumed.set_state(checkpoint.read(tmp_path / "kept.safetensors"))
-    for _ in range(3):
-        assert whole.update() == resumed.update()
-    assert all(map(torch.equal, whole.actor.parameters(), resumed.actor.parameters()))
-
-
-def test_equal_seeds_give_equal_weights() -> None:
-    def trained(seed: int) -> torch.Tensor:
-        learner = BehaviouralCloning(tiny(preset="State", seed=seed))
-        for _ in range(5):
-            learner.update()
-        return torch.cat([weights.flatten() for weights in learner.actor.parameters()])
-
-    before = torch.get_rng_state()
-    first = trained(0)
-    assert torch.equal(torch.get_rng_state(), before)
-    assert torch.equal(first, trained(0))
-    assert not torch.equal(first, trained(1))
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,20 +46,6 @@ def test_what_is_missing_is_not_seen() -> None:
     less = replace(scene, blocks=(scene.blocks[0], *scene.blocks[2:]), regions=scene.regions[1:])
     expected = Engine.of_scene(less, renderer="software").render("allo", 96)
     assert (drawn(states, "allo")[0] != expected).mean() < 1e-3
-
-
-def test_a_training_goes_on_as_if_it_had_not_been_interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(redraw, "POOL", 16)
-    monkeypatch.setattr(redraw, "BATCHES", 2)
-    settings = load_settings("redraw", "MoveToRegion", quick=True, **SMALL)
-    learner = Redraw(settings)
-    while not learner._teacher.finished:
-        learner.update()
-    learner.update()
-    other = Redraw(settings)
-    other.set_state(deepcopy(learner.get_state()))
-    assert [other.update() for _ in range(2)] == [learner.update() for _ in range(2)]
-    assert other.updates == learner.updates
 
 
 def test_a_policy_is_trained_kept_and_evaluated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

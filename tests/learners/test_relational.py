@@ -171,20 +171,6 @@ def test_it_learns_the_demonstrations() -> None:
     assert metrics[-1]["loss"] < 0.7 * metrics[0]["loss"]
 
 
-def test_a_state_taken_at_any_time_leads_to_the_same_weights() -> None:
-    settings = load_settings("relational", "MoveToRegion", **SMALL, **{"relational.assumptions": "egocentric,mirror"})
-    first = Relational(settings)
-    for _ in range(2):
-        first.update()
-    second = Relational(settings)
-    second.set_state(first.get_state())
-    for learner in (first, second):
-        while learner._count < learner.updates:
-            learner.update()
-    weights = [learner.actor.state_dict() for learner in (first, second)]
-    assert all(torch.equal(values, weights[1][name]) for name, values in weights[0].items())
-
-
 @pytest.mark.parametrize(
     ("tasks", "changes", "error", "message"),
     [
