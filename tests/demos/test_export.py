@@ -4,15 +4,9 @@ from __future__ import annotations
 
 import io
 import json
-import resource
-import subprocess
-import sys
 import tarfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from subprocess import PIPE
 from typing import Any
 
 import gymnasium
@@ -193,66 +187,6 @@ def test_bad_minari_ids_leave_nothing(demo: Demonstration, minari: Any, name: st
     assert [path for path in tmp_path.rglob("*") if path.name != "sets"] == []
 
 
-def test_a_full_disk_leaves_what_was_there(demo: Demonstration, tmp_path: Path) -> None:
-    demos.to_npz([demo], tmp_path / "a.npz", "State")
-    before = set(tmp_path.rglob("*"))
-    with files_of_at_most(10_000):
-        for path, overwrite in ((tmp_path / "a.npz", True), (tmp_path / "b.npz", False)):
-            with pytest.raises(OSError, match=path.name):
-                demos.to_npz([demo], path, "LoRes4E", overwrite=overwrite)
-        with pytest.raises(OSError, match=r"demo\.npz"):
-            demos.write(demo, tmp_path / "demo.npz")
-    assert before == set(tmp_path.rglob("*"))
-    with np.load(tmp_path / "a.npz") as archive:
-        assert archive["seeds"].tolist() == [0]
-
-
-def test_exports_at_the_same_time_take_turns(demo: Demonstration, minari: Any, tmp_path: Path) -> None:
-    """Instead of taking what is there for the rest of a dead process."""
-    sets = tmp_path / "sets" / "new" / "sets"
-    program = (
-        "import time; from magical_mj import demos; from magical_mj.demos.export import minari\n"
-        "fill = minari._fill\n"
-        "minari._fill = lambda *parts: (fill(*parts), print('here', flush=True), time.sleep(1))\n"
-        "demos.to_minari(demos.load('FixColour')[:3], 'new/sets/both-v0')\n"
-    )
-    first = subprocess.Popen([sys.executable, "-c", program], stdout=PIPE, text=True)
-    assert first.stdout is not None
-    assert first.stdout.readline() == "here\n"
-    assert minari.list_local_datasets() == {}
-    with pytest.raises(FileExistsError):
-        demos.to_minari([demo], "new/sets/both-v0")
-    first.communicate()
-    assert minari.load_dataset("new/sets/both-v0").total_episodes == 3
-    assert sorted(path.name for path in sets.iterdir()) == ["both-v0", "namespace_metadata.json"]
-
-
-@pytest.mark.parametrize("later", [False, True])
-def test_after_a_kill_minari_has_the_older_set_or_one_made_later(
-    later: bool, demo: Demonstration, minari: Any, tmp_path: Path
-) -> None:
-    """Of a process that was killed while it replaced a data set: what it had put aside never replaces a later one."""
-    demos.to_minari([demo], "mine-v0")
-    program = (
-        "import os, pathlib; from magical_mj import demos\n"
-        "rename = pathlib.Path.rename\n"
-        "pathlib.Path.rename = lambda *paths: (rename(*paths), os.kill(os.getpid(), 9))\n"
-        "demos.to_minari(demos.load('FixColour')[:2], 'mine-v0', overwrite=True)\n"
-    )
-    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == -9
-    assert minari.list_local_datasets() == {}
-    if later:  # by Minari's own means
-        from minari.dataset.minari_storage import MinariStorage
-
-        (folder := tmp_path / "sets" / "mine-v0").mkdir()
-        storage = MinariStorage.new(folder / "data", *2 * [gymnasium.spaces.Discrete(2)])
-        storage.update_metadata({"dataset_id": "mine-v0", "minari_version": minari.__version__})
-    with pytest.raises(FileExistsError):
-        demos.to_minari([demo, demo], "mine-v0")
-    assert minari.load_dataset("mine-v0").total_episodes == (0 if later else 1)
-    assert [path.name for path in (tmp_path / "sets").iterdir()] == ["mine-v0"]
-
-
 @pytest.mark.parametrize(("preset", "settings"), [("LoRes4E", {"jpeg_encoding": False}), ("LoResCHW4E", {})])
 def test_what_minaris_collector_stores_are_the_pictures(
     preset: str, settings: dict[str, Any], minari: Any, tmp_path: Path
@@ -345,14 +279,3 @@ def test_robomimic_reads_it(two: list[demos.Demonstration], tmp_path: Path) -> N
     wanted = demos.observations(two[1], "LoResFingers")["ego"]
     np.testing.assert_array_equal(item["obs"]["ego_image"][3], wanted[1])
     np.testing.assert_array_equal(item["actions"][3:], to_vector(two[1].actions[1:9]))
-
-
-@contextmanager
-def files_of_at_most(size: int) -> Iterator[None]:
-    """As if the disk were full: whoever writes more bytes into a file gets an error."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

@@ -68,39 +68,26 @@ def test_another_end_than_the_player_saw_is_flagged(saved: dict[str, Any]) -> No
     assert demos.from_recording(json.dumps(without)).deviation is None
 
 
-REFUSED: dict[str, tuple[dict[str, Any], str]] = {
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {  # types are msgspec's matter
     "another format": ({"format": 2}, "format"),
     "no format": ({"format": None}, "format"),
-    "true as format": ({"format": True}, "format"),
     "another protocol": ({"protocol": PROTOCOL + 1}, f"protocol {PROTOCOL}"),
     "unknown task": ({"task": "FindDup"}, "Did you mean 'FindDupe'"),
     "unknown variant": ({"variant": "Color"}, "Did you mean 'Colour'"),
     "impossible pair": ({"task": "MoveToCorner", "variant": "Layout"}, "It has"),
     "code as task": ({"task": "os:system"}, "task"),
-    "path as task": ({"task": "../../FindDupe"}, "task"),
     "path as variant": ({"variant": "/etc/passwd"}, "variant"),
-    "list as task": ({"task": ["FindDupe"]}, "task"),
     "endless name": ({"task": "F" * 50_000}, "task"),
     "newline in a name": ({"task": "FindDupe\n"}, "task"),
-    "unpaired surrogate": ({"task": "\ud800"}, "JSON"),
     "negative seed": ({"seed": -1}, "seed"),
-    "seed as text": ({"seed": "3"}, "seed"),
-    "fractional seed": ({"seed": 3.0}, "seed"),
     "huge seed": ({"seed": 10**400}, "seed"),
     "another action": ({"actions": [18] * 100}, "actions"),
-    "negative action": ({"actions": [-1] * 100}, "actions"),
-    "fractional action": ({"actions": [1.0] * 100}, "actions"),
     "truth as action": ({"actions": [True] * 100}, "actions"),
-    "nested actions": ({"actions": [[1]] * 100}, "actions"),
     "half an episode": ({"actions": [1] * 50}, "has 100 actions"),
     "a million actions": ({"actions": [1] * 10**6}, "bytes"),
-    "no actions": ({"actions": None}, "actions"),
-    "actions as text": ({"actions": "a" * 100}, "actions"),
-    "final as text": ({"final": "end"}, "final"),
     "final without blocks": ({"final": {"robot": [0, 0, 0], "fingers": [0, 0]}}, "blocks"),
     "final of other blocks": ({"final": {"robot": [0, 0, 0], "fingers": [0, 0], "blocks": []}}, "final"),
     "final with a huge number": ({"final": {"robot": [10**400, 0, 0], "fingers": [0, 0], "blocks": []}}, "final"),
-    "final with texts": ({"final": {"robot": ["0", 0, 0], "fingers": [0, 0], "blocks": []}}, "final"),
 }
 
 

@@ -122,40 +122,6 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
 
 
-ENDING = """
-import os, sys
-from magical_mj.demos import load
-from magical_mj.demos.export.lerobot import to_lerobot
-from magical_mj.demos.export.folders import to_webdataset
-
-class Ending(list):
-    passes = 0
-    def __iter__(self):
-        self.passes += 1
-        for number, demo in enumerate(super().__iter__()):
-            if self.passes == 2 and number == 1:  # the first pass is the check of the environment
-                {end}
-            yield demo
-
-to_lerobot(Ending(load("FixColour")[:2]), sys.argv[1], views="state")
-"""
-
-
-@needs_lerobot
-@pytest.mark.parametrize("end", ["sys.exit(9)", "os._exit(9)"])
-def test_half_a_data_set_never_has_its_name(tmp_path: Path, end: str) -> None:
-    """What a process leaves that was killed, the next export removes."""
-    folder = tmp_path / "set"
-    ended = subprocess.run(
-        [sys.executable, "-c", ENDING.replace("{end}", end), folder], check=False, capture_output=True
-    )
-    assert ended.returncode == 9
-    assert not folder.exists()
-    demos = magical_mj.demos.load("FixColour")[:1]
-    assert to_lerobot(demos, folder, views="state").num_episodes == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["set"]
-
-
 @needs_lerobot
 @pytest.mark.parametrize("options", [{}, {"views": "both"}, {"views": "allo", "fingers": True}, {"views": "state"}])
 @pytest.mark.filterwarnings("ignore")

@@ -138,11 +138,11 @@ def test_without_its_checkpoint_a_training_begins_anew_only_when_told(tmp_path: 
     assert is_done(run)
 
 
-@pytest.mark.parametrize("written", [0, 1])
-def test_a_training_that_ends_around_its_first_checkpoint_goes_on(
-    written: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("checkpoints", "written"), [(1, 0), (1, 1), (4, 7)])
+def test_a_training_that_ends_before_or_between_its_files_goes_on(
+    checkpoints: int, written: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """There are rows of metrics, and perhaps a checkpoint, but no policy yet."""
+    """There are rows of metrics, and perhaps a checkpoint, but no policy yet; or not the last of both."""
     original, paths = checkpoint.write, list[Path]()
 
     def write(path: Path, kept: dict[str, Any]) -> None:
@@ -153,11 +153,11 @@ def test_a_training_that_ends_around_its_first_checkpoint_goes_on(
 
     monkeypatch.setattr(checkpoint, "write", write)
     with pytest.raises(KeyboardInterrupt):
-        train(state(checkpoints=1), tmp_path / "run")
+        train(state(checkpoints=checkpoints), tmp_path / "run")
     monkeypatch.undo()
     assert (tmp_path / "run" / METRICS).exists()
-    assert not (tmp_path / "run" / POLICY).exists()
-    train(state(checkpoints=1), tmp_path / "run", resume=True)
+    assert (tmp_path / "run" / POLICY).exists() == (checkpoints > 1)
+    train(state(checkpoints=checkpoints), tmp_path / "run", resume=True)
     assert is_done(tmp_path / "run")
 
 

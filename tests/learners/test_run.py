@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import re
 import signal
@@ -79,22 +78,6 @@ def test_a_folder_belongs_to_one_training_at_a_time(tmp_path: Path) -> None:
     assert is_done(run)
 
 
-def test_what_a_training_forked_does_not_keep_its_folder_locked(tmp_path: Path) -> None:
-    child = multiprocessing.get_context("fork").Process(target=time.sleep, args=(60,), daemon=True)
-
-    def stop(_: Progress) -> None:
-        child.start()
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train(state(), tmp_path / "run", watch=stop)
-    train(state(), tmp_path / "run", resume=True)
-    assert child.is_alive()
-    assert is_done(tmp_path / "run")
-    child.kill()
-    child.join()
-
-
 def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
     """Kill -9 in the middle; then the same weights, to the bit, and the same figures as without a break."""
     settings = "tiny(preset='State', **{'bc.batches': 60, 'checkpoints': 10})"
@@ -141,23 +124,6 @@ def test_ctrl_c_saves_a_checkpoint_after_the_present_update(method: str, tmp_pat
     whole, cut = (checkpoint.read(tmp_path / name / CHECKPOINT) for name in ("whole", "cut"))
     assert repr({**whole, "seconds": 0}) == repr({**cut, "seconds": 0})
     assert (tmp_path / "whole" / POLICY).read_bytes() == (tmp_path / "cut" / POLICY).read_bytes()
-
-
-def test_a_run_that_ends_between_its_files_is_finished_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    original, written = checkpoint.write, list[Path]()
-
-    def write(path: Path, state: dict[str, Any]) -> None:
-        if len(written) == 7:  # of the eight files of four checkpoints
-            raise KeyboardInterrupt
-        written.append(path)
-        original(path, state)
-
-    monkeypatch.setattr(checkpoint, "write", write)
-    with pytest.raises(KeyboardInterrupt):
-        train(state(), tmp_path / "run")
-    monkeypatch.undo()
-    train(state(), tmp_path / "run", resume=True)
-    assert is_done(tmp_path / "run")
 
 
 def test_a_finished_run_resumes_to_itself(tmp_path: Path) -> None:
