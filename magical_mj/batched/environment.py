@@ -288,11 +288,7 @@ def arrays(value: Any) -> Any:
 
 
 def check_actions(actions: Any, worlds: int, device: str) -> Tensor:
-    """The numbers of the actions on a device.
-
-    Raises:
-        InvalidActionError: if there is not one in 0..17 for each world.
-    """
+    """The actions on a device; raises an `InvalidActionError` if there is not one in 0..17 for each world."""
     try:
         given = torch.as_tensor(actions, device=device)
         whole = not (given.dtype == torch.bool or given.is_floating_point() or given.is_complex())

@@ -94,12 +94,7 @@ def _outlines(device: str) -> Any:
 
 
 class Painter:
-    """Draws the worlds of a batch.
-
-    Args:
-        scenes: what is in each world.
-        device: Warp's name of the device, such as "cpu" or "cuda:0".
-    """
+    """Draws the worlds of a batch on one of Warp's devices."""
 
     def __init__(self, scenes: WorldScenes, device: str = "cpu") -> None:
         self._outlines = _outlines(device)
@@ -129,23 +124,13 @@ class Painter:
             tensor[worlds] = torch.from_numpy(getattr(scenes, name)).to(tensor)
 
     def place(self, poses: Tensor, fingers: Tensor) -> None:
-        """Where everything is now.
-
-        Args:
-            poses: x, y, angle of the robot and each block. Shape (worlds, 1 + blocks, 3).
-            fingers: angles of the left and the right finger. Shape (worlds, 2).
-        """
+        """Where everything is now: poses (worlds, 1 + blocks, 3), angles of the left and right finger (worlds, 2)."""
         self._places[..., :2] = poses[..., :2]
         self._places[..., 2], self._places[..., 3] = poses[..., 2].cos(), poses[..., 2].sin()
         self._fingers[..., 0], self._fingers[..., 1] = fingers.cos(), fingers.sin()
 
     def draw(self, view: str, out: Tensor) -> None:
-        """Paints all worlds.
-
-        Args:
-            view: "ego" or "allo".
-            out: where to; any strides. Shape (worlds, size, size, 3), uint8.
-        """
+        """Paints all worlds from "ego" or "allo" into `out`, of any strides, (worlds, size, size, 3) uint8."""
         inputs = [self._worlds, self._outlines, int(view == "ego"), c.VISIBLE_SIZE]
         inputs += [c.VISIBLE_SIZE * (0.5 - c.EGO_ANCHOR), wp.from_torch(out, dtype=wp.uint8)]
         wp.launch(paint, dim=out.shape[:3], inputs=inputs, device=self._device)

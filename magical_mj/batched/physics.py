@@ -70,11 +70,7 @@ Fields = dict[str, NDArray[np.float64]]
 
 
 def check_device(name: str) -> str:
-    """Warp's name of a device, if it is there.
-
-    Raises:
-        SettingsError: if it is not.
-    """
+    """Warp's name of a device; raises a `SettingsError` if it is not there."""
     try:
         return str(wp.get_device(str(name)).alias)
     except (RuntimeError, ValueError) as error:
@@ -188,12 +184,7 @@ class Physics:
             values[:] = state[name].to(values)
 
     def step(self, actions: Tensor, *, graph: bool = True) -> None:
-        """One action in every world.
-
-        Args:
-            actions: numbers in 0..17. Shape (worlds,), int64.
-            graph: on an accelerator, make all launches as one graph; else one by one, so that they can be watched.
-        """
+        """One action, 0..17, in every world, (worlds,) int64; without `graph` launched one by one, to be watched."""
         self._state["ctrl"][:] = self._controls[actions]
         if graph and wp.get_device(self._device).is_cuda:
             self._launch_graph()

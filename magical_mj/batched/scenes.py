@@ -94,11 +94,7 @@ class WorldScenes:
 
     @classmethod
     def of(cls, scenes: Sequence[Scene], blocks: int, regions: int) -> WorldScenes:
-        """These scenes.
-
-        Raises:
-            InvalidSceneError: if one has more blocks or regions than that, or what batched worlds do not have.
-        """
+        """These scenes; raises an `InvalidSceneError` for too many blocks or regions, or what batches do not have."""
         worlds = len(scenes)
         for scene in scenes:
             _check_simulated(scene)
@@ -136,12 +132,7 @@ class WorldScenes:
         return WorldScenes(**{name: values[worlds] for name, values in vars(self).items()})
 
     def scene(self, world: int, poses: NDArray[np.float64] | None = None) -> Scene:
-        """The scene of a world.
-
-        Args:
-            world: its number.
-            poses: of the robot and of each slot instead of its own; see above. Shape (1 + blocks, 3).
-        """
+        """The scene of a world, perhaps with other poses of the robot and of each slot, (1 + blocks, 3)."""
         robot, *poses_of_blocks = (self.poses[world] if poses is None else poses).tolist()
         blocks = zip(self.shapes[world].tolist(), self.colours[world].tolist(), poses_of_blocks, strict=True)
         regions = zip(self.region_colours[world].tolist(), self.regions[world].tolist(), strict=True)
@@ -167,10 +158,7 @@ def sample(pairs: Sequence[Pair], seeds: Sequence[int], capacity: Capacity) -> W
 class SceneSampler:
     """Samples the scenes of a batch; an episode's depends on the seed, the world's number and the episode's alone.
 
-    Args:
-        pairs: task and variant of each world.
-        capacity: of the arrays.
-        workers: processes that sample ahead, started when they are needed; 0 samples when scenes are needed.
+    Workers, started when they are needed, sample ahead; without any, scenes are sampled when they are needed.
     """
 
     def __init__(self, pairs: Sequence[Pair], capacity: Capacity, workers: int = 0) -> None:
@@ -196,11 +184,9 @@ class SceneSampler:
         self._episodes = list(state["episodes"])
 
     def scenes(self, worlds: Sequence[int], seeds: Sequence[int] | None = None) -> WorldScenes:
-        """Scenes for these worlds, in their order; with workers, those to come after them are begun.
+        """Scenes for these worlds, in their order: those of the seeds, or each world's next one.
 
-        Args:
-            worlds: their numbers.
-            seeds: of the scenes; None: each world's next one.
+        With workers, those to come after them are begun.
         """
         if seeds is not None or not self._workers:
             scenes = sample([self._pairs[world] for world in worlds], seeds or self._seeds(worlds), self._capacity)

@@ -131,11 +131,7 @@ def write(demo: Demonstration, path: Path | str) -> None:
 
 
 def packed(demo: Demonstration) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """What a file holds of a demonstration: the header with the digest, and the arrays.
-
-    Raises:
-        DemonstrationError, SettingsError: as `write`.
-    """
+    """What a file holds of a demonstration: the header with the digest, and the arrays; raises errors as `write`."""
     fields = _checked_fields(vars(demo))
     _check_arrays(demo)
     arrays = {name: getattr(demo, name) for name in ARRAYS}

@@ -33,8 +33,7 @@ LEAST: Final = 1e-290
 def load_shipped(task: str, name: str) -> list[Demonstration]:
     """The demonstrations of a task with this name; empty if none come with the package.
 
-    Raises:
-        DemonstrationError: if they are those of another task that has the same name.
+    Raises a `DemonstrationError` if they are those of another task that has the same name.
     """
     path = FOLDER / f"{name}{SUFFIX}"
     if not path.exists():

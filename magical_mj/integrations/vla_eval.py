@@ -81,11 +81,7 @@ class MagicalBenchmark(StepBenchmark):
         return self._pictures(self._env)
 
     def step(self, action: Mapping[str, ArrayLike]) -> StepResult:
-        """One action.
-
-        Raises:
-            InvalidActionError: if ``action["actions"]`` is not three finite numbers.
-        """
+        """One action; raises an `InvalidActionError` if ``action["actions"]`` is not three finite numbers."""
         env = self._env
         if env is None:
             raise ResetNeeded("no episode has begun")

@@ -21,11 +21,7 @@ ARRAY: Final = "array:"
 
 
 def write(path: Path, state: dict[str, Any]) -> None:
-    """Writes nested dicts and lists of tensors, arrays and plain values, or leaves the file that was there.
-
-    Raises:
-        TrainingError: if it cannot be written.
-    """
+    """Writes nested dicts and lists of tensors, arrays and plain values; if it cannot, raises a `TrainingError`."""
     tensors: dict[str, torch.Tensor] = {}
     tree = json.dumps(_packed(state, "", tensors))
     try:
@@ -35,11 +31,7 @@ def write(path: Path, state: dict[str, Any]) -> None:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """What was written. Tensors are on the CPU.
-
-    Raises:
-        TrainingError: if the file is not there or is damaged.
-    """
+    """What was written, with tensors on the CPU; raises a `TrainingError` if the file is not there or is damaged."""
     try:
         with safe_open(path, "pt") as file:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (it is no dict)

@@ -139,11 +139,7 @@ def announced_methods() -> Mapping[str, EntryPoint]:
 
 
 def load_method(name: str) -> Any:
-    """The class of an announced method.
-
-    Raises:
-        SettingsError: if its module fails when it is imported, or has no such class.
-    """
+    """The class of an announced method; raises a `SettingsError` if it cannot be imported."""
     point = announced_methods()[name]
     try:
         return resolve_installed("".join(point.value.split()))

@@ -55,11 +55,7 @@ def shares(size: int, tasks: int, generator: torch.Generator) -> list[int]:
 
 
 def shipped(task: str) -> list[Demonstration]:
-    """The demonstrations that come with a task, from which runs draw: of its demo scene alone.
-
-    Raises:
-        DemonstrationError: if there are none.
-    """
+    """The demonstrations that come with a task, of its demo scene; raises a `DemonstrationError` if there are none."""
     demonstrations = demos.load(task)
     chosen = [demo for demo in demonstrations if demo.variant == "Demo"]
     if not chosen:

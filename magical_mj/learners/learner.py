@@ -130,11 +130,7 @@ class Learner(Method):
 
 
 def device(name: str) -> torch.device:
-    """The device of that name; for "auto" an accelerator if there is one, else the CPU.
-
-    Raises:
-        SettingsError: if PyTorch has no such device here.
-    """
+    """The device of that name, for "auto" an accelerator if there is one; raises a `SettingsError` if there is none."""
     if name == "auto":
         accelerator = torch.accelerator.current_accelerator(check_available=True)
         return torch.device("cpu") if accelerator is None or accelerator.type in UNUSABLE else accelerator

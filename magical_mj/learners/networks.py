@@ -53,15 +53,10 @@ ROBOT_FEATURES: Final = 6 + 5 * (HISTORY - 1)
 
 
 def as_input(observations: NDArray[Any] | Tensor, device: torch.device) -> Tensor:
-    """Converts observations of environments to the inputs of networks.
+    """Observations of environments as inputs of networks: pictures (n, side, side, 3k) from 0 to 255, or histories.
 
-    Args:
-        observations: stacks of frames, shape (n, side, side, 3k), 0 to 255; or histories, shape (n, HISTORY, names).
-        device: the device of the networks.
-
-    Returns:
-        Stacks of shape (n, 3k, side, side) with values in [0, 1], in memory format channels-last, which is faster.
-        Histories unchanged.
+    Pictures become stacks (n, 3k, side, side) with values in [0, 1], in memory format channels-last, which is faster;
+    histories (n, HISTORY, names) stay as they are.
     """
     values = torch.as_tensor(observations).to(device).float()
     # Pictures are bytes, of which `float` makes a copy; to scale it in place is faster than to make another.

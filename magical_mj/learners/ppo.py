@@ -81,9 +81,7 @@ class ActorCritic(BasePolicy):
 class EvenBuffer(DictRolloutBuffer):
     """A rollout whose minibatches are split evenly between the tasks, and drawn by the run's own generator.
 
-    Attributes:
-        tasks: the numbers of the environments' tasks, ascending; all tasks have the same number of environments.
-        generator: draws the minibatches.
+    `tasks` are the numbers of the environments' tasks, ascending; all tasks have the same number of environments.
     """
 
     def __init__(self, *sizes: Any, tasks: NDArray[np.int64], generator: torch.Generator, **others: Any) -> None:
@@ -290,11 +288,8 @@ class RewardNormaliser:
     """Normalises each task's rewards to mean 0 and a given standard deviation, using its rewards so far.
 
     The paper normalises rewards (appendix), but does not say whether jointly for several tasks. If it were joint, a
-    task whose samples are easy to discriminate would determine the scale of the other tasks' rewards.
-
-    Args:
-        deviation: the standard deviation.
-        tasks: number of each environment's task, ascending from 0, shape (environments,).
+    task whose samples are easy to discriminate would determine the scale of the other tasks' rewards. `tasks` has the
+    number of each environment's task, ascending from 0, shape (environments,).
     """
 
     def __init__(self, deviation: float, tasks: NDArray[np.int64]) -> None:

@@ -104,12 +104,7 @@ class Redraw(BehaviouralCloning):
 
 
 class Pool:
-    """Pictures of samples under a policy's assumptions, and what it does there.
-
-    Args:
-        teacher: the policy.
-        view: from which the pictures are: "ego" or "allo".
-        renderer: what draws them.
+    """Pictures of samples under the teacher's assumptions, and what it does there.
 
     Attributes:
         begun: the state of the teacher's generator from which the present pictures were drawn.
@@ -139,12 +134,7 @@ class Pool:
 
 
 class Redrawer:
-    """Draws what would be seen in states, whether or not they were ever simulated.
-
-    Args:
-        view: "ego" or "allo".
-        renderer: "opengl" or "software"; None: as everywhere.
-    """
+    """Draws what would be seen in states, whether or not they were ever simulated; from "ego" or "allo"."""
 
     def __init__(self, view: str, renderer: str | None) -> None:
         self._view, self._renderer = view, renderer

@@ -77,11 +77,7 @@ class Messages(nn.Module):
 
 
 class Ensemble(nn.Module):
-    """Several networks whose probabilities are averaged, and sharpened: the actor of `relational`.
-
-    Args:
-        settings: how many, and their sizes.
-    """
+    """Several networks whose probabilities are averaged, and sharpened: the actor of `relational`."""
 
     def __init__(self, settings: RelationalSettings) -> None:
         super().__init__()

@@ -298,8 +298,7 @@ def displace(samples: Samples, generator: torch.Generator, *, pairs: bool) -> No
 def _move_pairs(samples: Samples, waiting: Tensor, generator: torch.Generator) -> Tensor:
     """Turns robots with their blocks and their ways ahead, about `pivot`, and takes the free ones elsewhere.
 
-    Returns:
-        Those of the waiting ones, of shape (n,), for which there was room.
+    Returns those of the waiting ones, of shape (n,), for which there was room.
     """
     states, pair, pivot = samples.states, samples.pair, samples.pivot
     blocks, count = blocks_of(states), len(states)

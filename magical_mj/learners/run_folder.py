@@ -112,8 +112,7 @@ class RunFolder:
     def locked(self) -> Iterator[None]:
         """A context in which no other process trains in it; makes it with its config.toml, unless it is there.
 
-        Raises:
-            TrainingError: if another process is training in it, or it cannot be written.
+        Raises a `TrainingError` if another process is training in it, or it cannot be written.
         """
         config = self.path / CONFIG
         try:
@@ -127,11 +126,7 @@ class RunFolder:
             yield
 
     def last_checkpoint(self) -> Checkpoint | None:
-        """The last checkpoint; None if there is none yet.
-
-        Raises:
-            TrainingError: if it is damaged, or of a training with other settings.
-        """
+        """The last one, if any; raises a `TrainingError` if it is damaged, or of a training with other settings."""
         path = self.path / CHECKPOINT
         if not path.exists():
             return None
@@ -150,11 +145,7 @@ class RunFolder:
         return last
 
     def save(self, update: int, updates: int, seconds: float, device: str, learner: dict[str, Any]) -> None:
-        """Writes a `Checkpoint` in place of the last one.
-
-        Raises:
-            TrainingError: if it cannot be written; the last one is kept.
-        """
+        """Writes a `Checkpoint` in place of the last one; if it cannot, raises a `TrainingError`, and keeps that."""
         settings = json.dumps(recorded(self._settings))
         contents = msgspec.structs.asdict(Checkpoint(update, updates, seconds, device, settings, learner))
         checkpoint.write(self.path / CHECKPOINT, contents)
@@ -184,11 +175,8 @@ class RunFolder:
 class Metrics:
     """Appends rows to a run's metrics.csv: updates done, seconds, the learner's metrics, the scores by task.
 
-    The same goes to TensorBoard, into a file of its own for each time that a run goes on.
-
-    Args:
-        folder: of the run.
-        update: where the run goes on; rows after this update are discarded.
+    The same goes to TensorBoard, into a file of its own for each time that a run goes on; rows after the update where
+    it does are discarded.
 
     Attributes:
         pending: the number of updates since the last row.
@@ -249,11 +237,7 @@ def _disk(folder: Path) -> Iterator[None]:
 
 
 def read_metrics(folder: Path) -> list[dict[str, str]]:
-    """The rows of a run's metrics.csv; none if there is no such file yet.
-
-    Raises:
-        TrainingError: if it is damaged, or not one that a training has written.
-    """
+    """The rows of a run's metrics.csv, none if there is no such file; raises a `TrainingError` if it is damaged."""
     path = folder / METRICS
     try:
         with path.open(newline="", encoding="utf-8") as file:

@@ -34,9 +34,7 @@ _Outcome = tuple[NDArray[Any], NDArray[np.bool_], NDArray[Any], NDArray[np.float
 class TrainingEnvs(VecEnv):
     """The worlds of a run, as stable-baselines3 wants them: those of all cores, or those of one batch.
 
-    Args:
-        settings: of the run.
-        single: a world's spaces, of observations and of actions.
+    `single` holds a world's spaces, of observations and of actions.
 
     Attributes:
         tasks: the numbers of the worlds' tasks, ascending.

@@ -101,9 +101,7 @@ class Model:
 def torch_settings(threads: int | None = None) -> Iterator[None]:
     """A context in which PyTorch computes as it does unless its user has set something: float32, gradients, exactly.
 
-    Args:
-        threads: how many it uses; None: as many as before. Policies act on one: sums depend on how they are split, and
-            workers share the cores.
+    Policies act on one of its threads: sums depend on how they are split, and workers share the cores. None: as before.
     """
     import torch
 

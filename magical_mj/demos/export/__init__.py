@@ -19,8 +19,7 @@ SUFFIXES: Final = {"npz": SUFFIX, "robomimic": ".hdf5"}
 def views_of(preset: str) -> str:
     """What policies of LeRobot and robomimic see, which stack frames themselves if they want any.
 
-    Raises:
-        SettingsError: if their data sets cannot be of this preset.
+    Raises a `SettingsError` if their data sets cannot be of this preset.
     """
     views = {name: views for views, name in PRESETS.items()}
     if preset not in views:

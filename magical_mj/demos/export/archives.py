@@ -91,23 +91,13 @@ def to_npz(
 def to_robomimic(
     demos: Sequence[Demonstration], path: Path | str, *, views: str = "ego", overwrite: bool = False
 ) -> None:
-    """Writes demonstrations of one environment as a data set of robomimic.
+    """Writes demonstrations of one environment as a data set of robomimic, of some of the `VIEWS`.
 
     Each becomes ``data/demo_0`` and so on: ``obs`` and ``next_obs`` (``ego_image`` and ``allo_image``, uint8, height x
     width x channels; or ``state``), ``actions`` (float32, drive, turn, grip), ``rewards`` (the score at the last step),
     ``dones`` (1 at the last step) and ``states`` (positions and velocities, exact).
 
-    Args:
-        demos: demonstrations of one environment.
-        path: of the file. Its folder is made if missing.
-        views: "ego", "allo" or "both"; "state" for the state vector instead of pictures.
-        overwrite: replace a file of that name.
-
-    Raises:
-        MissingExtraError: if h5py is not installed.
-        DemonstrationError: if the demonstrations are not of one environment, or their actions are speeds.
-        UnknownNameError: if `views` is none of `magical_mj.demos.export.lerobot.VIEWS`.
-        FileExistsError: if the file exists.
+    Raises a `DemonstrationError` if they are not of one environment, or their actions are speeds.
     """
     check_extra("exports to robomimic", "robomimic")
     import h5py

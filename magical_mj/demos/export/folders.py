@@ -51,24 +51,11 @@ XIRL_VALID: Final = 10
 def to_webdataset(
     demos: Sequence[Demonstration], folder: Path | str, preset: str = "LoRes4E", *, overwrite: bool = False
 ) -> Path:
-    """Makes a folder with an archive and a data card of demonstrations of one environment.
+    """Makes a folder with an archive, whose path is returned, and a data card of demonstrations of one environment.
 
     The archive's first record has the key ``_metadata`` and one part, ``json``. Each other one is a transition, with
     keys such as ``003-0017`` for step 17 of episode 3 and the parts ``obs.npy``, ``next_obs.npy``, ``acts.npy`` and
     ``dones.npy``; presets with several parts have one for each, such as ``obs.ego.npy``.
-
-    Args:
-        demos: demonstrations of one environment.
-        folder: the folder.
-        preset: the Gymnasium preset of the observations.
-        overwrite: replace an existing folder.
-
-    Returns:
-        The archive.
-
-    Raises:
-        DemonstrationError: if the demonstrations are not of one environment.
-        FileExistsError: if the folder exists.
     """
     folder = files.to_path(folder)
     metadata = {**about(demos), "preset": preset, "features": dict(FEATURES)}
@@ -108,12 +95,9 @@ def about(demos: Sequence[Demonstration]) -> dict[str, Any]:
 
 
 def card(demos: Sequence[Demonstration], observed: str, features: Mapping[str, str]) -> str:
-    """The data card, Markdown with the header that hubs of data sets read.
+    """The data card of demonstrations of one environment, Markdown with the header that hubs of data sets read.
 
-    Args:
-        demos: demonstrations of one environment.
-        observed: what the observations are, in words.
-        features: what each name in the data holds.
+    `observed` says in words what the observations are, and `features` what each name in the data holds.
     """
     facts, spec = about(demos), task_spec(demos[0].task)
     what = "demonstrations" if {"expert", "human"}.issuperset(facts["demonstrators"]) else "episodes"
@@ -166,16 +150,8 @@ def to_xirl(demos: Sequence[Demonstration], folder: Path | str, *, overwrite: bo
 
     Its loader reads ``ROOT/train/BODY/VIDEO/FRAME.png`` and ``ROOT/valid/...``, all numbered from 0, and learns across
     the bodies. Pictures are of the whole workspace, before the first action and after each; XIRL scales them down to
-    112 px.
-
-    Args:
-        demos: the demonstrations. Each body's first nine of ten are for training.
-        folder: the root, which is made.
-        overwrite: replace an existing folder.
-
-    Raises:
-        DemonstrationError: if they are of several tasks, or a body has a single one.
-        FileExistsError: if the folder exists already.
+    112 px. Each body's first nine of ten demonstrations are for training. Raises a `DemonstrationError` if they are of
+    several tasks, or a body has a single one.
     """
     tasks = sorted({demo.task for demo in demos})
     if len(tasks) != 1:

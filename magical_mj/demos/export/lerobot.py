@@ -51,11 +51,7 @@ def missing_lerobot() -> MagicalError:
 
 
 def image_keys(views: str) -> dict[str, str]:
-    """View -> the key of its pictures in LeRobot's data: ``observation.image``, or one key for each of both views.
-
-    Raises:
-        UnknownNameError: if `views` is none of `VIEWS`.
-    """
+    """View -> the key of its pictures in LeRobot's data: ``observation.image``, or one key for each of both views."""
     check_name("choice of views", views, VIEWS)
     only_one = len(VIEWS[views]) == 1
     return {view: "observation.image" if only_one else f"observation.images.{view}" for view in VIEWS[views]}
@@ -69,23 +65,12 @@ def to_lerobot(
     fingers: bool = False,
     video: bool = False,
 ) -> LeRobotDataset:
-    """Make a LeRobot data set of demonstrations of one environment.
+    """Makes a LeRobot data set of demonstrations of one environment in a new folder; each becomes an episode.
 
-    Args:
-        demos: demonstrations of one environment; each becomes an episode.
-        folder: the data set's root, which must not exist.
-        views: "ego", "allo" or "both"; "state" for the state vector instead of pictures.
-        fingers: put the two finger angles (left, right; rad), which the paper's learners do not see, into
-            ``observation.state``. Without, it is a constant: LeRobot's policies cannot do without a state.
-        video: store AV1 videos instead of PNG: smaller, but lossy (0.7 levels on average, at most 31).
-
-    Returns:
-        The finished data set. Its id names task, variant, demonstrators, observations and protocol.
-
-    Raises:
-        MagicalError: if lerobot is not installed.
-        DemonstrationError: if the demonstrations are not of one environment.
-        FileExistsError: if the folder exists.
+    `fingers` puts the two finger angles (left, right; rad), which the paper's learners do not see, into
+    ``observation.state``. Without, it is a constant: LeRobot's policies cannot do without a state. `video` stores AV1
+    videos instead of PNG: smaller, but lossy (0.7 levels on average, at most 31). The id of the finished data set names
+    task, variant, demonstrators, observations and protocol.
     """
     try:
         from lerobot.datasets.lerobot_dataset import LeRobotDataset  # pyright: ignore[reportMissingImports]

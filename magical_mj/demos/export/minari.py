@@ -97,12 +97,7 @@ def _environment(demo: Demonstration, preset: str) -> gymnasium.Env[Any, Any]:
 
 
 def dataset_path(name: str) -> Path:
-    """The folder of the data set with this id.
-
-    Raises:
-        MissingExtraError: if minari is not installed.
-        DemonstrationError: if the id is invalid.
-    """
+    """The folder of the data set with this id; raises a `DemonstrationError` if that is invalid."""
     check_extra("exports to Minari", "minari")
     from minari.dataset.minari_dataset import parse_dataset_id
     from minari.storage import get_dataset_path

@@ -139,11 +139,7 @@ class MagicalConfig(EnvConfig):
     def create_envs(
         self, n_envs: int, use_async_envs: bool = False
     ) -> dict[str, dict[int, gymnasium.vector.VectorEnv[Any, Any, Any]]]:
-        """Suite (the task) -> number of the variant -> vector of environments.
-
-        Raises:
-            UnknownNameError: if there is no such task or variant.
-        """
+        """Suite (the task) -> number of the variant -> vector of environments."""
         mode = gymnasium.vector.AutoresetMode.SAME_STEP
         suites: dict[str, dict[int, gymnasium.vector.VectorEnv[Any, Any, Any]]] = {}
         for task, variant in environments(self.task or "all", self.variant):

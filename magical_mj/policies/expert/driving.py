@@ -38,12 +38,9 @@ PROGRESS: Final = 0.01  # world units or radians
 
 
 class HumanExecution:
-    """A model of a person at the keyboard, who pauses, and changes the pressed keys late.
+    """A model of a person at the keyboard, who pauses for less than `hesitation` actions, and changes keys late.
 
-    Args:
-        rng: the random generator.
-        delay_probability: that the last action is repeated once when another one is due.
-        hesitation: pauses are shorter than this number of actions.
+    With `delay_probability`, the last action is repeated once when another one is due.
     """
 
     def __init__(
@@ -183,14 +180,9 @@ class Lookahead:
 def steer(
     lookahead: Lookahead, point: Point, ahead: float, gripper: Gripper, *, reverse: bool
 ) -> tuple[Gripper, Turn, Drive]:
-    """The next action towards the pose in which a point is straight ahead of the robot at a given distance.
+    """The next action towards the pose in which a point (world units) is straight `ahead` of the robot's centre.
 
-    Args:
-        lookahead: the copy of the simulation.
-        point: x, y in world units.
-        ahead: the desired distance of the point ahead of the robot's centre.
-        gripper: the command for the fingers.
-        reverse: turn while driving back if the point is far to the side.
+    With `reverse`, it turns while driving back if the point is far to the side.
     """
     right, forward = lookahead.relative(point)
     bearing = math.atan2(-right, forward)
@@ -216,16 +208,10 @@ def drive(
     within: float,
     reverse: bool = False,
 ) -> bool:
-    """Drives along a route until its last point is straight ahead at the given distance; returns whether it is.
+    """Drives along a route (world units) until its last point is straight `ahead`; returns whether it is.
 
-    Args:
-        lookahead: the copy of the simulation.
-        route: points in world units.
-        gripper: the command for the fingers.
-        limit: the number of actions after which to give up.
-        ahead: the desired distance of the points ahead of the robot's centre.
-        within: the tolerance (world units) at the end, when the robot is at rest.
-        reverse: see `steer`.
+    At the end, when the robot is at rest, that is so `within` a tolerance (world units). It gives up after `limit`
+    actions. For `reverse` see `steer`.
     """
     return all(
         _drive(lookahead, point, gripper, limit, ahead, within if point is route[-1] else VIA, reverse)

@@ -66,8 +66,7 @@ def goal_picture(
 ) -> NDArray[np.uint8]:
     """The end of an expert's episode that begins in `scene` and has score 1: shape (size, size, 3), not writable.
 
-    Raises:
-        TaskError: if the task has no plan, or no expert reaches that.
+    Raises a `TaskError` if the task has no plan, or no expert reaches that.
     """
     with closing(Engine(task, variant, scene=scene, body=scene.robot.body, renderer=renderer)) as engine:
         for seed in range(EXPERTS):

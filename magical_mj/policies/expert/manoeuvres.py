@@ -84,15 +84,10 @@ def obstacles(scene: Scene, without: int | None = None) -> NDArray[np.float64]:
 def manoeuvres(
     tree: SearchTree, costs: Ints, scene: Scene, subgoal: Subgoal, noise: Noise, body: Body
 ) -> list[Manoeuvre]:
-    """Candidate manoeuvres for a subgoal: for each side of the block one of the fastest.
+    """Candidate manoeuvres for a subgoal: for each side of the block one of the fastest; without fingers, pushes.
 
-    Args:
-        tree: the poses that the robot can reach.
-        costs: the additional cost of each cell for the robot without a block.
-        scene: the present scene.
-        subgoal: the subgoal.
-        noise: varies the choice.
-        body: the robot's. Without fingers it pushes blocks.
+    The tree holds the poses that the robot can reach, `costs` the additional cost of each cell for the robot without
+    a block.
     """
     if subgoal.block is None:
         gaps = np.hypot(*(tree.poses[:, :2] - subgoal.target).T)
@@ -128,14 +123,8 @@ def manoeuvres(
 def _pushes(tree: SearchTree, costs: Ints, block: Pose, subgoal: Subgoal, aside: float) -> list[Manoeuvre]:
     """Candidate pushes: straight to the target, or in other directions to where the target is at right angles.
 
-    So a block that cannot be pushed from behind goes there by a corner.
-
-    Args:
-        tree: the poses that the robot can reach.
-        costs: the additional cost of each cell.
-        block: the block's pose.
-        subgoal: the subgoal.
-        aside: how far to the side of the robot's centre the block may be.
+    So a block that cannot be pushed from behind goes there by a corner. `aside` is how far to the side of the robot's
+    centre it may be.
     """
     dx, dy = subgoal.target[0] - block[0], subgoal.target[1] - block[1]
     right, ahead = _relative(tree.poses, block)

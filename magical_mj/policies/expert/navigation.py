@@ -157,13 +157,9 @@ def cells(poses: Floats) -> Ints:
 
 
 def explore(start: Pose, costs: Ints, limit: int, goal: Goal | None = None) -> SearchTree:
-    """The shortest paths from `start` to all cells that can be reached with at most `limit` actions.
+    """The shortest paths from `start` to all cells that can be reached with `limit` actions, the cells' costs included.
 
-    Args:
-        start: the robot's pose.
-        costs: the result of `cell_costs`.
-        limit: number of actions, the cells' costs included.
-        goal: once it is reached, only a few more actions are explored.
+    Once a goal is reached, only a few more actions are explored.
     """
     visited = np.zeros(2 * len(costs), bool)  # two slots per cell: reached forwards and reached backwards
     owner = np.empty(2 * len(costs), np.int64)

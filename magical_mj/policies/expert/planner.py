@@ -166,16 +166,11 @@ class Planner:
 
 
 class PlanFollower:
-    """A policy that drives one engine; each call gives the action for the engine's present state.
+    """A policy that drives one engine, which may be reset again; each call gives the action for its present state.
 
-    It plans when an episode starts, and again whenever the state is not the one that its plan predicted.
-
-    Args:
-        env: an engine. It may be reset again.
-        horizon: the number of steps of an episode.
-        planner: makes the planner of the present episode.
-        rng: makes the random generator of a plan.
-        budget: simulated steps per step of the episode; once they are used, no new plan is started.
+    It plans when an episode starts, with the planner and the random generator that are made then, and again whenever
+    the state is not the one that its plan predicted. The budget is of simulated steps per step of the episode; once
+    they are used, no new plan is started.
     """
 
     def __init__(
