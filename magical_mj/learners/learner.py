@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Final
 
 import torch
 
+from magical_mj.evaluation.run import evaluate
 from magical_mj.learners.data import drawn, shipped
 from magical_mj.learners.networks import Actor
 from magical_mj.learners.policy import TrainedPolicy, save_policy
@@ -79,6 +80,13 @@ class Method(ABC):
 
     def recalibrate(self) -> None:  # noqa: B027  (of the policies, only BC's on pictures has batch norm)
         """Called before the policy is evaluated: updates running averages that lag behind the weights."""
+
+    def demo_scores(self, episodes: int) -> dict[str, float]:
+        """The policy's mean score in the demo scene, for each task."""
+        settings = self.settings
+        asked = {"tasks": settings.tasks, "preset": settings.preset, "renderer": settings.renderer}
+        frame = evaluate(self.policy(), variants="Demo", split="dev", jobs=1, episodes=episodes, **asked)
+        return {str(task): float(score) for task, score in frame.groupby("task")["score"].mean().items()}
 
     def close(self) -> None:  # noqa: B027  (most hold nothing)
         """Frees resources such as environments."""

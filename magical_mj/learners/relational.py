@@ -24,7 +24,6 @@ from typing import Any, Final
 import torch
 from torch import nn
 
-from magical_mj.evaluation.run import evaluate
 from magical_mj.learners.data import drawn, shipped
 from magical_mj.learners.hindsight import demonstrated
 from magical_mj.learners.learner import Learner, restore_optimizer, seeded
@@ -176,9 +175,7 @@ class Relational(Learner):
     def _judge(self) -> None:
         """Plays in the demo scene, and ends the trial if that is decided."""
         chosen = self.settings.relational
-        asked = {"tasks": self.settings.tasks, "preset": self.settings.preset, "episodes": chosen.rollouts}
-        frame = evaluate(self.policy(), variants="Demo", split="dev", jobs=1, **asked)
-        self._scores.append(float(frame["score"].mean()))
+        self._scores += self.demo_scores(chosen.rollouts).values()  # of the one task
         best = max((trial["scores"][-1] for trial in self._report if trial["kept"]), default=0.0)
         caught_up = self._scores[-1] >= best - chosen.loss
         rest = chosen.patience - len(self._scores) if self._trial else 0

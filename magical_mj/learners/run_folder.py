@@ -109,8 +109,10 @@ class RunFolder:
         return policy
 
     @contextmanager
-    def locked(self) -> Iterator[None]:
+    def locked(self) -> Iterator[Checkpoint | None]:
         """A context in which no other process trains in it; makes it with its config.toml, unless it is there.
+
+        Yields the last checkpoint, read again, for another process may have gone on meanwhile.
 
         Raises a `TrainingError` if another process is training in it, or it cannot be written.
         """
@@ -123,7 +125,7 @@ class RunFolder:
             raise TrainingError(f"cannot write into {self.path}: {error.strerror}") from error
         busy = TrainingError(f"another process is training in {self.path}; wait for it, or give a new folder")
         with files.locked(config, busy=busy):
-            yield
+            yield self.last_checkpoint()
 
     def last_checkpoint(self) -> Checkpoint | None:
         """The last one, if any; raises a `TrainingError` if it is damaged, or of a training with other settings."""

@@ -16,7 +16,6 @@ from typing import Final
 
 import torch
 
-from magical_mj.evaluation.run import evaluate
 from magical_mj.learners.apprenticeship import Apprenticeship
 from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.config import announced_methods, load_method
@@ -25,12 +24,12 @@ from magical_mj.learners.iq_learn import IQLearn
 from magical_mj.learners.learner import Method
 from magical_mj.learners.redraw import Redraw
 from magical_mj.learners.relational import Relational
-from magical_mj.learners.run_folder import Metrics, RunFolder
+from magical_mj.learners.run_folder import Checkpoint, Metrics, RunFolder
 from magical_mj.learners.settings import TrainingSettings
 from magical_mj.policies.interface import Policy
 from magical_mj.policies.models import torch_settings
 from magical_mj.utils import files
-from magical_mj.utils.errors import TrainingError, check_name
+from magical_mj.utils.errors import TrainingError, unknown_name
 
 
 class _Methods(Mapping[str, type[Method]]):
@@ -107,8 +106,8 @@ def train(
         TrainingError: if the folder or its checkpoint cannot be used, a loss becomes NaN or infinite, or memory runs
             out.
     """
-    if learner is None:
-        check_name("method", settings.method, METHODS)
+    if learner is None and settings.method not in METHODS:
+        raise unknown_name("method", settings.method, METHODS)
     folder = RunFolder(files.to_path(out), settings, resume=resume)
     if folder.finished is not None:
         return folder.finished
@@ -116,9 +115,9 @@ def train(
         torch_settings(folder.threads),
         _enough_memory(folder.path),
         closing((learner or METHODS[settings.method])(settings)) as method,
-        folder.locked(),
+        folder.locked() as last,
     ):
-        return _Training(folder, settings, method).run(watch)
+        return _Training(folder, last, settings, method).run(watch)
 
 
 @contextmanager
@@ -165,10 +164,9 @@ def _interrupted_at_the_end() -> Iterator[None]:
 class _Training:
     """The loop of a training, which goes on where the folder's checkpoint ends."""
 
-    def __init__(self, folder: RunFolder, settings: TrainingSettings, learner: Method) -> None:
+    def __init__(self, folder: RunFolder, last: Checkpoint | None, settings: TrainingSettings, learner: Method) -> None:
         self._folder, self._settings, self._learner = folder, settings, learner
         self._update, self._seconds = 0, 0.0
-        last = folder.last_checkpoint()  # again, for another process may have gone on meanwhile
         if last is not None:
             if last.device != learner.device.type:  # here, it would go on otherwise
                 raise TrainingError(
@@ -223,7 +221,7 @@ class _Training:
         evaluation = _due(self._update, updates, settings.evaluations)
         if evaluation or save:
             self._recalibrate()
-        scores = self._scores() if evaluation else {}
+        scores = self._learner.demo_scores(settings.episodes) if evaluation else {}
         row = save or scores or _due(self._update, updates, ROWS)
         means = self._row(table, scores) if row else {}
         if save:
@@ -235,14 +233,6 @@ class _Training:
         fault = self._learner.fault()
         if fault is not None:
             self._give_up(fault)
-
-    def _scores(self) -> dict[str, float]:
-        """Mean scores in the demo variant by task."""
-        settings = self._settings
-        asked = {"tasks": settings.tasks, "preset": settings.preset, "episodes": settings.episodes}
-        asked["renderer"] = settings.renderer
-        frame = evaluate(self._learner.policy(), variants="Demo", split="dev", jobs=1, **asked)
-        return {str(task): float(score) for task, score in frame.groupby("task")["score"].mean().items()}
 
     def _row(self, table: Metrics, scores: Mapping[str, float]) -> Mapping[str, float]:
         self._seconds = time.monotonic() - self._started
