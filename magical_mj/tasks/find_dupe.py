@@ -126,4 +126,5 @@ SPEC: Final = TaskSpec(
     count=count,
     region_size=REGION_SIZE,
     inner_margin=0.06,
+    bodies=("gripper", "shortstick"),
 )
