@@ -7,7 +7,7 @@ const site = await serve(fileURLToPath(new URL("../out/site", import.meta.url)))
 const browser = await launch();
 const page = await browser.context.newPage();
 const shots = { home: ["index.html", 1000, 700], task: ["FindDupe.html", 1000, 700], play: ["play/#FindDupe-All-8", 1000, 700],
-  phone: ["play/#FindDupe-All-8", 390, 700], inspect: ["play/inspect.html#FindDupe-All-3", 1280, 800] };
+  phone: ["play/#FindDupe-All-8", 390, 700], gallery: ["gallery.html", 610, 700], inspect: ["play/inspect.html#FindDupe-All-3", 1280, 800] };
 for (const [name, [path, width, height]] of Object.entries(shots)) {
   await page.setViewportSize({ width: Number(width), height: Number(height) });
   await page.goto("about:blank");

@@ -1,4 +1,4 @@
-"""Pictures of the built site: docs/site.png (home, a task, play on a desktop and a phone) and docs/inspect.png."""
+"""Pictures of the built site: docs/site.png (home, a task, play on two screens, the gallery) and docs/inspect.png."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ INSPECT = 960, 600
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run(["node", str(ROOT / "site" / "screenshots.mjs"), folder], check=True)
-        shots = [Image.open(Path(folder) / f"{name}.png") for name in ("home", "task", "play", "phone")]
+        shots = [Image.open(Path(folder) / f"{name}.png") for name in ("home", "task", "play", "phone", "gallery")]
         inspect = Image.open(Path(folder) / "inspect.png").convert("RGB").resize(INSPECT, 1)
         small = [shot.convert("RGB").resize((shot.width * HEIGHT // shot.height, HEIGHT), 1) for shot in shots]
     rows = [small[:2], small[2:]]
