@@ -264,36 +264,34 @@ def verify_all(
     screen = console()
     chosen = sources_of(paths, tasks, variants)
     work = map_unordered(partial(check, asked_for(tasks, variants)), chosen, jobs)
-    outcomes = [outcome for outcome in with_bar(screen, "verifying", work, len(chosen)) if outcome[1] is not None]
+    outcomes = [outcome for outcome in with_bar(screen, "verifying", work, len(chosen)) if outcome is not None]
     if not outcomes:
         raise DemonstrationError(f"none of the {len(chosen)} demonstrations is of these tasks and variants")
-    verdicts = [verdict for _, verdict in outcomes if not isinstance(verdict, str | None)]
+    verdicts = [verdict for verdict, _ in outcomes if verdict is not None]
     same_score = sum(verdict.score and verdict.replay for verdict in verdicts)
     exact, pictures = (sum(getattr(verdict, name) for verdict in verdicts) for name in ("exact", "pictures"))
     screen.print(
         f"{same_score} of {len(outcomes)} replay to the same score, {exact} through the same states, {pictures} with "
         "the same pictures"
     )
-    problems = (
-        verdict if isinstance(verdict, str | None) else verdict.problem and f"{name} {verdict.problem}"
-        for name, verdict in sorted(outcomes, key=str)
-    )
-    for problem in dict.fromkeys(filter(None, problems)):  # that a task must be named is said once
+    for problem in sorted({problem for _, problem in outcomes if problem}):  # that a task must be named is said once
         complain(problem)
     if sum(verdict.good for verdict in verdicts) < len(outcomes):
         raise typer.Exit(1)
 
 
-def check(wanted: Collection[Pair] | None, source: Path | Demonstration) -> tuple[str, Verdict | str | None]:
-    """The work of one process: checks one demonstration; (its name, None) if its environment was not asked for."""
+def check(wanted: Collection[Pair] | None, source: Path | Demonstration) -> tuple[Verdict | None, str | None] | None:
+    """The work of one process: checks one demonstration, and says what is wrong; None if it was not asked for."""
     name = str(source) if isinstance(source, Path) else f"{source.name} {source.scene_seed}"
     try:
-        demo = read_asked(source, wanted)
-        return name, None if isinstance(demo, str) else magical_mj.demos.verify(demo)
+        if isinstance(demo := read_asked(source, wanted), str):
+            return None
+        verdict = magical_mj.demos.verify(demo)
+        return verdict, verdict.problem and f"{name} {verdict.problem}"
     except (DemonstrationError, UntrustedNameError) as error:
-        return name, str(error)
+        return None, str(error)
     except MagicalError as error:
-        return name, f"{name}: {error}"
+        return None, f"{name}: {error}"
 
 
 @app.command()

@@ -86,10 +86,6 @@ def test_summary_of_runs() -> None:
     assert summary.high == pytest.approx((1.0 + 0.25) / 2)
 
 
-def test_tasks_have_equal_weight_whatever_their_runs_and_episodes() -> None:
-    assert summarise([[np.array([1.0] * 7)], [np.array([0.0]), np.array([0.0])]]).mean == 0.5
-
-
 def test_tasks_have_equal_weight_in_all_statistics_whatever_their_runs() -> None:
     """Two tasks; a second run of one of them that is like its first must change nothing."""
     once = summarise([[np.array([1.0, 0.5])], [np.array([0.0, 0.5])]])
