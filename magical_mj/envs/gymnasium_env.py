@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import math
 import warnings
 from collections.abc import Mapping
 from functools import cached_property
@@ -112,7 +113,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         check_name("reward", reward, REWARDS)
         self.reward: Reward = reward
         self._engine = Engine(task, variant, seed=0, rules=rules, renderer=renderer, shifts=shifts, body=body)
-        self._limit = None if limit is None else check_limit(limit, self._engine.setup)
+        self._limit = math.inf if limit is None else check_limit(limit, self._engine.setup)
         self._continuous = action == "continuous"
         self.action_space = continuous_space() if self._continuous else spaces.Discrete(len(ACTIONS))
         self._instructs, self._told = instruction and self._preset.layout == "dict", instruction
@@ -245,15 +246,15 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """The simulation of a step, with its pictures: see `step`. Returns whether it was the episode's last."""
         if not self._begun or self.over:
             raise ResetNeeded("the episode has ended; call reset() before the next step")
-        self._engine.step(action)
+        over = self._engine.step(action)
         self._seeded = None
         self._stacks.push(self._draw)
-        return self.over
+        return over or self._engine.steps >= self._limit
 
     @property
     def over(self) -> bool:
         """Whether the episode has ended."""
-        return self._engine.over or (self._limit is not None and self._engine.steps >= self._limit)
+        return self._engine.over or self._engine.steps >= self._limit
 
     def outcome(self, *, last: bool) -> tuple[float, bool, bool, dict[str, Any]]:
         """The reward of a step, whether it was the last (never by termination), and the info."""

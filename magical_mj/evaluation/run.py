@@ -24,7 +24,7 @@ from magical_mj.evaluation.scores import (
     write_settings,
 )
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
-from magical_mj.evaluation.worker import Player, Unit, plan, play_unit, single_env
+from magical_mj.evaluation.worker import Unit, plan, play_here, play_unit, single_env
 from magical_mj.policies.interface import reason
 from magical_mj.policies.loading import playable
 from magical_mj.utils.errors import EvaluationError, SettingsError, WorkerError
@@ -168,18 +168,15 @@ class Evaluation:
             alone = self.settings.batched or problem is not None  # an accelerator is not shared
             jobs = 1 if alone else min(cores(), enough)
         if backend == "local" and jobs == 1:
-            with closing(Player()) as player:
-                for unit in self.units:
-                    for result in player.play(unit):
-                        self._cause = player.cause
-                        yield [result]
-            return
-        if problem is not None:
+            played = play_here(self.units)
+        elif problem is not None:
             raise SettingsError(f"{problem}: give it as module:object, or jobs=1")
+        else:
+            played = map_unordered(play_unit, self.units, jobs, backend, self.settings.address)
         try:
-            for results, cause in map_unordered(play_unit, self.units, jobs, backend, self.settings.address):
-                self._cause = cause
-                yield results
+            with closing(played):
+                for results, self._cause in played:
+                    yield results
         except WorkerError as error:
             raise EvaluationError(f"{error}; --resume continues (resume=True)") from error
 

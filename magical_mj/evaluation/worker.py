@@ -8,9 +8,11 @@ import secrets
 import threading
 import traceback
 import weakref
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, wait
+from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import Any, Final, TypeVar
 
@@ -51,13 +53,13 @@ class Unit:
     evaluation: str = ""
     shift: str = ""
 
-    @property
+    @cached_property
     def keys(self) -> list[Key]:
         """Of its episodes."""
         source = self.source
         return [(source.name, source.run, self.task, self.variant, seed, self.shift) for seed in self.seeds]
 
-    @property
+    @cached_property
     def steps(self) -> int:
         """How many actions it takes."""
         return len(self.seeds) * task_spec(self.task).horizon(self.settings.rules)
@@ -74,6 +76,13 @@ def plan(policies: Sequence[Source], settings: EvaluationSettings, done: Collect
             left = tuple(seed for key, seed in zip(every.keys, every.seeds, strict=True) if key not in done)
             units += [replace(every, seeds=left[start : start + size]) for start in range(0, len(left), size)]
     return sorted(units, key=lambda unit: -unit.steps)
+
+
+def play_here(units: Iterable[Unit]) -> Generator[tuple[list[EpisodeResult], Exception | None]]:
+    """Plays units in this process; yields each result, and the error by which the policy failed."""
+    with closing(Player()) as player:
+        for unit in units:
+            yield from (([result], player.cause) for result in player.play(unit))
 
 
 _LOCAL = threading.local()

@@ -20,7 +20,7 @@ import sys
 import threading
 import traceback
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from itertools import islice
@@ -69,7 +69,7 @@ def map_unordered(
     jobs: int | None = None,
     backend: str = "local",
     address: str | None = None,
-) -> Iterator[Result]:
+) -> Generator[Result]:
     """The function's result for each piece of work, computed by worker processes, in order of completion.
 
     A worker that dies is replaced, and its piece is done again. Exceptions of the function are raised here and end all
@@ -91,7 +91,7 @@ def map_unordered(
     return _map_on_dask(function, pieces, jobs, address)
 
 
-def _map_locally(function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int) -> Iterator[Result]:
+def _map_locally(function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int) -> Generator[Result]:
     pool = Pool(jobs)
     try:
         for future in as_completed([pool.submit(function, piece) for piece in pieces]):
@@ -103,7 +103,7 @@ def _map_locally(function: Callable[[Piece], Result], pieces: Sequence[Piece], j
 
 def _map_on_dask(
     function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int | None, address: str | None
-) -> Iterator[Result]:
+) -> Generator[Result]:
     """At most `jobs` pieces are on the cluster at once; None: all."""
     check_extra("workers of dask", "dask")
     from distributed import Client, KilledWorker
