@@ -287,6 +287,7 @@ def kinds(inputs: Path) -> dict[str, Kind]:
         "train-bc": train("bc", ("--quick",), *PICTURES, "bc.batches=32", "bc.batch_size=8"),
         "train-gail": train("gail", ("--quick",), *PICTURES, *GAIL),
         "train-al": train("al", ("--quick",), *PICTURES, *AL),
+        "train-airl": train("airl", ("--preset", "State"), *STATES, *GAIL),
         "train-iq-learn": train("iq-learn", ("--preset", "State"), *STATES, "bc.batches=400"),
         "train-relational": train("relational", ("--preset", "State"), *RELATIONAL),
         "export-policy": whole("export-policy", str(inputs / "run"), "--out", "{}/a.onnx", "--force"),

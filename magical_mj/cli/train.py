@@ -38,7 +38,8 @@ PAUSE: Final = 10.0
 Method = Annotated[
     str,
     typer.Argument(
-        help="bc, gail, wgail-gp, al, iq-learn, relational, redraw, or another package's.", show_default=False
+        help="bc, gail, wgail-gp, al, airl, iq-learn, point, relational, redraw, or another package's.",
+        show_default=False,
     ),
 ]
 Tasks = Annotated[str, typer.Option(help="A task; with --multi-task several, separated by commas, or all.")]

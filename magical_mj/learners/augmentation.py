@@ -101,7 +101,10 @@ class StateAugmentation(Augmentation):
 
     @torch.no_grad()
     def __call__(self, histories: Tensor, generator: torch.Generator, /) -> Tensor:
-        """Augments histories (n, HISTORY, names); they stay as they are, and are returned if there is nothing to do."""
+        """Augments histories (n, HISTORY, names), also with a successor, (n, HISTORY + 1, names).
+
+        They stay as they are, and are returned if there is nothing to do.
+        """
         if not self.parts:
             return histories
         shifts = torch.rand((len(histories), 1, 3), generator=generator, device=generator.device)
@@ -109,8 +112,8 @@ class StateAugmentation(Augmentation):
         shifts *= shifts.new_tensor([STATE_TRANSLATION, STATE_TRANSLATION, math.radians(STATE_ROTATION)])
         shifts *= shifts.new_tensor(["translation" in self.parts] * 2 + ["rotation" in self.parts])
         noise = torch.randn(histories.shape, generator=generator, device=generator.device).to(histories)
-        sizes = noise.new_full((HISTORY, 1), PAST_NOISE)
-        sizes[-1] = STATE_NOISE
+        sizes = noise.new_full((histories.shape[1], 1), PAST_NOISE)
+        sizes[HISTORY - 1 :] = STATE_NOISE
         changed = histories + sizes * noise * pose_mask(histories)
         changed[..., :3] += shifts
         return changed

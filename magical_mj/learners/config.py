@@ -23,7 +23,7 @@ GROUP: Final = "magical_mj.methods"
 """The entry-point group in which installed packages announce methods, such as ``mine = "package.module:Mine"``."""
 
 _USERS: Final[Mapping[str, tuple[str, ...]]] = {
-    "augment": ("bc", "gail", "wgail-gp", "iq-learn", "redraw"),
+    "augment": ("bc", "gail", "wgail-gp", "airl", "iq-learn", "point", "redraw"),
     "precision": ("bc", "redraw"),
     "discriminator.gradient_penalty": ("wgail-gp",),
 }

@@ -45,12 +45,15 @@ class Adversarial(RewardLearner):
         self._latest: list[Rollout] = []
         self._noise = torch.Generator(self.device).manual_seed(settings.seed)
         with seeded(settings.seed + 1):
-            discriminator = Discriminator(settings.network, len(settings.tasks), states=settings.states)
-        self._discriminator = discriminator.to(self.device)
+            self._discriminator = self.discriminator().to(self.device)
         rate = settings.discriminator.learning_rate
         self._optimizer = torch.optim.Adam(self._discriminator.parameters(), rate, fused=True)
         self.stateful |= {"discriminator": self._discriminator, "discriminator optimizer": self._optimizer}
         self.stateful |= {"noise": self._noise}
+
+    def discriminator(self) -> nn.Module:
+        """A new one, a `Samplewise`."""
+        return Discriminator(self.settings.network, len(self.settings.tasks), states=self.settings.states)
 
     def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
         """The discriminator's steps; returns the means of their metrics."""
@@ -92,13 +95,18 @@ class GAIL(Adversarial):
 
     def loss(self, samples: Samples) -> tuple[Tensor, Mapping[str, float]]:
         """The loss, and the share of correctly classified samples."""
-        policy, expert = self._discriminator(*samples).chunk(2)
+        policy, expert = self.logits(*samples).chunk(2)
         right = torch.cat([policy > 0, expert < 0]).float().mean().item()
         return gail_loss(policy, expert), {"accuracy": right}
 
     def reward(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
         """-log D, shape (n,)."""
-        return nn.functional.softplus(-self._discriminator.eval()(observations, actions, tasks))
+        self._discriminator.eval()
+        return nn.functional.softplus(-self.logits(observations, actions, tasks))
+
+    def logits(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        """The logits of D, shape (n,)."""
+        return self._discriminator(observations, actions, tasks)
 
 
 class WGAILGP(Adversarial):

@@ -178,6 +178,13 @@ class ExternalRewardPPO(PPO):
         buffer = self.rollout_buffer
         return Rollout(buffer.observations[OBSERVATION], buffer.actions[..., 0], self._environments.tasks)
 
+    def successors(self) -> NDArray[Any]:
+        """What was seen after each collected step, (steps, environments, ...); an episode's last step has no other."""
+        buffer = self.rollout_buffer
+        seen, last = buffer.observations[OBSERVATION], cast("dict[str, NDArray[Any]]", self._last_obs)[OBSERVATION]
+        ended = np.stack([*buffer.episode_starts[1:], np.asarray(self._last_episode_starts)]).astype(bool)
+        return np.where(ended[..., None, None], seen, np.stack([*seen[1:], last]))
+
     def improve(self, rewards: NDArray[np.float32]) -> dict[str, float]:
         """One update of the policy, with rewards of shape (steps, environments) for the collected rollout."""
         buffer = self.rollout_buffer
@@ -258,7 +265,7 @@ class RewardLearner(Learner):
     def update(self) -> Mapping[str, float]:
         """One rollout, its rewards and PPO's step; stable-baselines3's draws from global generators stay in here."""
         with seeded(int(torch.randint(2**62, (), generator=self._draw))):
-            rollout = self._ppo.collect()
+            rollout = self.collect()
             metrics = dict(self.learn_reward(rollout))
             with torch.no_grad():
                 parts = [self.reward(*self.on_device(batch)) for batch in rollout.batches(self.settings.ppo.minibatch)]
@@ -266,6 +273,10 @@ class RewardLearner(Learner):
             metrics |= {"reward": float(rewards.mean()), **self._ppo.improve(self._normalise(rewards))}
         self._average.update_parameters(self._actor)
         return metrics
+
+    def collect(self) -> Rollout:
+        """Plays, and returns what rewards are learnt from and computed for."""
+        return self._ppo.collect()
 
     @abstractmethod
     def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:

@@ -100,15 +100,24 @@ class InverseSettings(Settings):
 
 
 @dataclass(frozen=True)
+class PointSettings(Settings):
+    """The position-invariant regulariser; what it shares with behavioural cloning is in `bc`."""
+
+    part: ClassVar[str] = "point"
+
+    weight: Annotated[NotNegative, Meta(description="of the penalty in the loss")] = 1.0
+
+
+@dataclass(frozen=True)
 class PPOSettings(Settings):
-    """The policy's side of GAIL, WGAIL-GP and AL (appendix, table "Hyperparameters for GAIL experiments")."""
+    """The policy's side of GAIL, WGAIL-GP, AIRL and AL (appendix, table "Hyperparameters for GAIL experiments")."""
 
     part: ClassVar[str] = "ppo"
 
     total_steps: Annotated[Amount, Meta(description="environment steps of the training")] = 1_000_000
     simulator: Annotated[
         Literal["mujoco", "warp"],
-        Meta(description="What gail, wgail-gp and al play in: MuJoCo, or MuJoCo Warp on DEVICE (extra gpu)."),
+        Meta(description="What gail, wgail-gp, airl and al play in: MuJoCo, or MuJoCo Warp on DEVICE (extra gpu)."),
     ] = "mujoco"
     environments: Count = 32
     steps: Annotated[Count, Meta(description="in each environment, between two updates")] = 8
@@ -137,7 +146,7 @@ class PPOSettings(Settings):
 
 @dataclass(frozen=True)
 class DiscriminatorSettings(Settings):
-    """The discriminator's side of GAIL and WGAIL-GP (the same table)."""
+    """The discriminator's side of GAIL, WGAIL-GP and AIRL (the same table)."""
 
     part: ClassVar[str] = "discriminator"
 
@@ -241,6 +250,7 @@ class TrainingSettings(Settings):
     network: NetworkSettings = field(default_factory=NetworkSettings)
     bc: CloningSettings = field(default_factory=CloningSettings)
     iq: InverseSettings = field(default_factory=InverseSettings)
+    point: PointSettings = field(default_factory=PointSettings)
     ppo: PPOSettings = field(default_factory=PPOSettings)
     discriminator: DiscriminatorSettings = field(default_factory=DiscriminatorSettings)
     features: FeatureSettings = field(default_factory=FeatureSettings)
@@ -298,8 +308,10 @@ ALL_PARTS: Final = tuple(item.name for item in fields(TrainingSettings) if is_da
 PARTS: Final[Mapping[str, tuple[str, ...]]] = {
     "bc": ("network", "bc"),
     "iq-learn": ("network", "bc", "iq"),
+    "point": ("network", "bc", "point"),
     "gail": ("network", "ppo", "discriminator"),
     "wgail-gp": ("network", "ppo", "discriminator"),
+    "airl": ("network", "ppo", "discriminator"),
     "al": ("network", "ppo", "features"),
     "relational": ("relational",),
     "redraw": ("network", "bc", "relational"),

@@ -47,7 +47,7 @@ def test_train_then_evaluate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
         (["train", "bc", "--tasks", "FindDupe", "--set", "ppo.clip"], "--set wants NAME=VALUE"),
         (["train", "bc", "--tasks", "FindDupe", "--set", "bc.batch=3"], "Did you mean 'bc.batches'?"),
         (["train", "bc", "--tasks", "FindDupe", "--device", "meta"], "'meta' holds no numbers"),
-        (["train", "bc", "--tasks", "FindDupe", "--set", "ppo.clip=0.1"], "ppo.clip is for gail, wgail-gp, al, and of"),
+        (["train", "bc", "--tasks", "FindDupe", "--set", "ppo.clip=0.1"], "ppo.clip is for gail, wgail-gp, airl, al,"),
         (["train", "bc", "--tasks", "FindDupe", "--preset", "State", "--set", "network.channels=8"], "is for pictures"),
         (
             ["train", "bc", "--tasks", "FindDupe", "--set", "network.entity=8"],
