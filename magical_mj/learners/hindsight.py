@@ -23,7 +23,7 @@ from magical_mj.engine import Engine
 from magical_mj.learners.networks import blocks_of
 from magical_mj.learners.relational_samples import WAY, Replay, Samples, front, joined
 from magical_mj.scene.actions import NOOP, Action, Drive, Gripper, Turn
-from magical_mj.scene.state_vector import FINGERS
+from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS
 from magical_mj.utils.errors import PhysicsError
 
 Floats = NDArray[np.floating[Any]]
@@ -125,17 +125,12 @@ def _kind(number: int, moment: _Moment) -> tuple[int, int | None]:
 
 def _held(replay: Replay) -> dict[int, list[_Moment]]:
     """For each block, the moments at which it alone moves."""
-    motions = replay.motions()
-    moving: dict[int, set[int]] = {}
-    for motion in motions:
-        for step in range(motion.begin, motion.end):
-            moving.setdefault(step, set()).add(motion.block)
-    found: dict[int, list[_Moment]] = {}
-    for motion in motions:
-        steps = [step for step in range(motion.begin + 1, motion.end) if moving[step] == {motion.block}]
-        if steps:
-            found.setdefault(motion.block, []).extend(_Moment(step, motion.block) for step in steps)
-    return found
+    moving, begun = (np.zeros((replay.never, MAX_BLOCKS), bool) for _ in range(2))
+    for motion in replay.motions():
+        moving[motion.begin : motion.end, motion.block] = begun[motion.begin, motion.block] = True
+    alone = moving & ~begun & (moving.sum(1, keepdims=True) == 1)
+    steps = {block: np.flatnonzero(alone[:, block]).tolist() for block in range(MAX_BLOCKS) if alone[:, block].any()}
+    return {block: [_Moment(step, block) for step in at] for block, at in steps.items()}
 
 
 def _moments(replay: Replay) -> list[list[_Moment]]:

@@ -18,8 +18,8 @@ from magical_mj.learners import checkpoint
 from magical_mj.learners.networks import SHAPE, Actor, as_input
 from magical_mj.learners.relational_network import Ensemble
 from magical_mj.learners.settings import LEARNABLE, STATE, NetworkSettings, RelationalSettings, TrainingSettings
-from magical_mj.policies.interface import HISTORY, Episode, History
-from magical_mj.policies.models import torch_settings
+from magical_mj.policies.interface import HISTORY, Episode
+from magical_mj.policies.models import Model, torch_settings
 from magical_mj.scene.state_vector import STATE_NAMES
 from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError, TrainingError, check_name, short_repr
@@ -33,7 +33,7 @@ EXAMPLES: Final = 2
 """The batch by which the network is traced; one of 1 would be taken for a constant."""
 
 
-class TrainedPolicy:
+class TrainedPolicy(Model):
     """A trained policy: samples actions from the network's probabilities with the episode's generator.
 
     Attributes:
@@ -43,6 +43,7 @@ class TrainedPolicy:
     """
 
     def __init__(self, actor: Actor | Ensemble, tasks: Sequence[str], preset: str) -> None:
+        super().__init__(self._drawn, remembers=preset == STATE)
         self.actor, self.tasks, self.preset = actor, tuple(tasks), preset
         self._device = next(actor.parameters()).device
 
@@ -51,8 +52,8 @@ class TrainedPolicy:
         unknown = sorted({episode.task for episode in episodes} - set(self.tasks))
         if unknown:
             raise SettingsError(f"this policy was trained on {', '.join(self.tasks)}, and cannot act in {unknown[0]}")
+        super().reset_batch(episodes)
         self._heads = torch.tensor([self.tasks.index(episode.task) for episode in episodes], device=self._device)
-        self._history: History | None = None
         self._rngs = [episode.rng() for episode in episodes]
 
     def act_batch(self, observations: NDArray[Any]) -> NDArray[np.int64]:
@@ -62,9 +63,9 @@ class TrainedPolicy:
             raise SettingsError(
                 f"this policy looks at arrays of shape {shape} (preset {self.preset}), not {observations.shape[1:]}"
             )
-        if self.preset == STATE:
-            self._history = self._history or History(observations)
-            observations = self._history.add(observations)
+        return super().act_batch(observations)
+
+    def _drawn(self, observations: NDArray[Any]) -> NDArray[np.int64]:
         self.actor.eval()
         with torch_settings(1), torch.inference_mode():
             logits = self.actor(as_input(observations, self._device), self._heads[: len(observations)])
@@ -73,14 +74,6 @@ class TrainedPolicy:
         shares = logits.double().softmax(dim=1).cumsum(dim=1).cpu().numpy()
         points = np.array([rng.random() for rng in self._rngs[: len(observations)]])
         return np.minimum((shares < points[:, None]).sum(axis=1), shares.shape[1] - 1)
-
-    def reset(self, episode: Episode) -> None:
-        """An episode begins."""
-        self.reset_batch([episode])
-
-    def __call__(self, observation: NDArray[Any]) -> int:
-        """An action, for a stack of shape (96, 96, 12) or a state of shape (names,)."""
-        return int(self.act_batch(observation[None])[0])
 
 
 def save_policy(folder: Path, actor: Actor | Ensemble, settings: TrainingSettings) -> None:

@@ -123,8 +123,9 @@ class Replay:
             states.append(engine.state_vector())
             self.saved.append(engine.get_state())
         self.states = np.array(states)
-        tensor = torch.from_numpy(self.states)
-        self.places = places = blocks_of(tensor)[..., 1:3].numpy()
+        blocks = blocks_of(torch.from_numpy(self.states)).numpy()
+        there, self.places = blocks[..., 0] > 0, blocks[..., 1:3]
+        places = self.places
         steps = self.never = len(places)
         far = np.linalg.norm(places - places[:1], axis=2) > MOVED
         self.begins = np.where(far.any(0), far.argmax(0), self.never)
@@ -132,10 +133,13 @@ class Replay:
         self.moving = np.concatenate([changes, np.zeros_like(changes[:1])])
         later = np.where(self.moving, np.arange(steps)[:, None], self.never)
         self.next = np.minimum.accumulate(later[::-1], 0)[::-1]
-        self._regions, robot = regions_of(tensor[:1])[0].numpy(), self.states[:, :2]
-        within = np.stack([_inside(region, places) & (places[..., 0] != 0) for region in self._regions])
+        self._regions, robot = regions_of(torch.from_numpy(self.states[0])).numpy(), self.states[:, :2]
+        within = np.stack([_inside(region, places) & there for region in self._regions])
         visited = np.stack([_inside(region, robot) for region in self._regions])
         self.used = (within[:, -1] != within[:, 0]).any(1) | (visited[:, -1] != visited[:, 0])
+        self._groups = np.where(there, MAX_REGIONS + np.arange(MAX_BLOCKS), -1)
+        for number, inside in enumerate(within):
+            self._groups[inside] = number
 
     def samples(self, steps: NDArray[np.int64]) -> Samples:
         """The states before some of its actions, with these actions."""
@@ -144,14 +148,13 @@ class Replay:
 
     def loose(self, steps: NDArray[np.int64]) -> tuple[Tensor, Tensor, Tensor]:
         """What belongs together at these steps, what of it may be displaced, and what may be missing."""
-        states = torch.from_numpy(self.states[steps])
-        groups, there = _groups(states), regions_of(states)[..., 0].numpy() > 0
+        groups = self._groups[steps]
         coming, target = self.next[steps].min(1), self.next[steps].argmin(1)
         on_its_way = (coming < self.never) & (coming > steps + GRIPPING)
         movable, droppable = (np.zeros((len(steps), MAX_REGIONS + MAX_BLOCKS), bool) for _ in range(2))
         for group in range(MAX_REGIONS + MAX_BLOCKS):
             members = groups == group
-            exists = members.any(1) | (group < MAX_REGIONS and there[:, group])
+            exists = members.any(1) | (group < MAX_REGIONS and self._regions[group, 0] > 0)
             begins = np.where(members, self.begins, self.never).min(1)
             used = group < MAX_REGIONS and bool(self.used[group])
             droppable[:, group] = exists & (begins == self.never) & (not used)
@@ -207,17 +210,6 @@ class Replay:
 def _inside(region: NDArray[np.float32], places: NDArray[np.float32]) -> NDArray[np.bool_]:
     x, y = places[..., 0], places[..., 1]
     return (region[0] > 0) & (x >= region[1]) & (x <= region[3]) & (y >= region[2]) & (y <= region[4])
-
-
-def _groups(states: Tensor) -> NDArray[np.int64]:
-    """See `Samples.groups`."""
-    blocks, regions = blocks_of(states).numpy(), regions_of(states).numpy()
-    groups = np.where(blocks[..., 0] > 0, MAX_REGIONS + np.arange(MAX_BLOCKS), -1)
-    for number in range(MAX_REGIONS):
-        low, high = regions[:, None, number, 1:3], regions[:, None, number, 3:5]
-        within = ((blocks[..., 1:3] >= low) & (blocks[..., 1:3] <= high)).all(2)
-        groups[within & (blocks[..., 0] > 0) & (regions[:, None, number, 0] > 0)] = number
-    return groups
 
 
 CLEAR: Final = 0.3

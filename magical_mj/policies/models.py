@@ -83,6 +83,10 @@ class Model:
         del episodes
         self._history = None
 
+    def reset(self, episode: Episode) -> None:
+        """An episode begins."""
+        self.reset_batch([episode])
+
     def act_batch(self, observations: Any) -> Any:
         """An action for each observation. Shape (n,)."""
         if self._remembers:
