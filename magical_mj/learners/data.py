@@ -70,17 +70,12 @@ def _demonstrations_of(task: str, demonstrations: Demonstrations | None) -> Sequ
     """The demonstrations of a task to choose from."""
     if demonstrations is None:
         return shipped(task)
-    if not isinstance(demonstrations, Mapping):
+    chosen = demonstrations.get(task) if isinstance(demonstrations, Mapping) else None
+    if chosen is None or isinstance(chosen, Demonstration | Transitions):
         raise DemonstrationError(
-            f"give demonstrations by task, as {{{task!r}: [...]}}, not {short_repr(demonstrations)}"
+            f"give a list of demonstrations for each task, as {{{task!r}: [...]}}, not {short_repr(demonstrations)}"
         )
-    if task not in demonstrations:
-        raise DemonstrationError(
-            f"no demonstrations of {task} are given, but of: {', '.join(demonstrations) or 'none'}"
-        )
-    if isinstance(demonstrations[task], Demonstration | Transitions):
-        raise DemonstrationError(f"the demonstrations of {task} must be a list, and this is a single one")
-    return demonstrations[task]
+    return chosen
 
 
 def _episode(

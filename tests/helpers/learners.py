@@ -30,6 +30,11 @@ def tiny(method: str = "bc", tasks: str = "MoveToRegion", **changes: Any) -> Tra
     return load_settings(method, tasks, quick=quick, **{**TINY, "bc.batches": 12, "bc.batch_size": 4, **changes})
 
 
+def from_states(**changes: Any) -> TrainingSettings:
+    """A tiny training from states."""
+    return tiny(preset="State", **changes)
+
+
 RELATIONAL = {
     "relational.hidden": 8,
     "relational.trial": 1,

@@ -13,24 +13,19 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
-from magical_mj.learners import TrainingSettings, checkpoint, load_policy, train
+from magical_mj.learners import checkpoint, load_policy, train
 from magical_mj.learners.bc import BehaviouralCloning
 from magical_mj.learners.policy import POLICY
 from magical_mj.learners.run_folder import CHECKPOINT, CONFIG, METRICS
 from magical_mj.utils.errors import MagicalError, TrainingError
 from magical_mj.utils.files import read_toml
-from tests.helpers.learners import is_done, stopped, tiny
-
-
-def state(**changes: Any) -> TrainingSettings:
-    """A tiny training from states."""
-    return tiny(preset="State", **changes)
+from tests.helpers.learners import from_states, is_done, stopped, tiny
 
 
 @pytest.fixture(scope="module")
 def stopped_one(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("stopped")
-    stopped(folder, state())
+    stopped(folder, from_states())
     return folder
 
 
@@ -52,12 +47,12 @@ def test_what_a_killed_training_left_unfinished_is_no_obstacle(tmp_path: Path) -
     left = tmp_path / "run" / ".config.0123abcd-4567cdef.part.toml"
     left.parent.mkdir()
     left.touch()
-    train(state(), left.parent, resume=True)
+    train(from_states(), left.parent, resume=True)
     assert is_done(left.parent)
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / ".notes.part.toml").touch()
     with pytest.raises(TrainingError, match="something else"):
-        train(state(), tmp_path / "mine")
+        train(from_states(), tmp_path / "mine")
 
 
 def test_trees_of_other_shapes_are_refused(begun: Path) -> None:
@@ -66,7 +61,7 @@ def test_trees_of_other_shapes_are_refused(begun: Path) -> None:
         for name in (CHECKPOINT, POLICY):
             with_tree(begun / name, tree)
         with pytest.raises(TrainingError, match=CHECKPOINT):
-            train(state(), begun, resume=True)
+            train(from_states(), begun, resume=True)
         with pytest.raises(TrainingError, match=POLICY):
             load_policy(begun)
 
@@ -84,7 +79,7 @@ def test_checkpoints_that_make_no_sense_are_refused(begun: Path) -> None:
         checkpoint.write(begun / CHECKPOINT, {**saved, **change})
         before = (begun / CHECKPOINT).read_bytes()
         with pytest.raises(TrainingError, match="damaged, or does not fit"):
-            train(state(), begun, resume=True)
+            train(from_states(), begun, resume=True)
         assert (begun / CHECKPOINT).read_bytes() == before
 
 
@@ -109,32 +104,32 @@ def test_policies_that_make_no_sense_are_refused(begun: Path) -> None:
 def test_another_trainings_files_are_not_taken_for_ones_own(tmp_path: Path) -> None:
     """Neither its checkpoint nor its policy; nothing is overwritten."""
     run, other = tmp_path / "run", tmp_path / "other"
-    train(state(), run)
-    train(state(seed=3), tmp_path / "seed")
-    train(state(tasks="FixColour"), other)
+    train(from_states(), run)
+    train(from_states(seed=3), tmp_path / "seed")
+    train(from_states(tasks="FixColour"), other)
     for name, says in ((CHECKPOINT, "tasks: .*FixColour"), (POLICY, "tasks: .*FixColour.*and here .*MoveToRegion")):
         before = (run / name).read_bytes()
         shutil.copy(other / name, run / name)
         with pytest.raises(TrainingError, match=f"of another training .{says}"):
-            train(state(), run, resume=True)
+            train(from_states(), run, resume=True)
         assert (run / name).read_bytes() == (other / name).read_bytes()
         (run / name).write_bytes(before)
     shutil.copy(tmp_path / "seed" / CHECKPOINT, run / CHECKPOINT)
     with pytest.raises(TrainingError, match=r"of another training \(seed: 3"):
-        train(state(), run, resume=True)
+        train(from_states(), run, resume=True)
 
 
 def test_without_its_checkpoint_a_training_begins_anew_only_when_told(tmp_path: Path) -> None:
     run = tmp_path / "run"
-    train(state(), run)
+    train(from_states(), run)
     (run / CHECKPOINT).unlink()
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
     with pytest.raises(TrainingError, match=rf"{CHECKPOINT} is missing.* delete {POLICY} and metrics\.csv"):
-        train(state(), run, resume=True)
+        train(from_states(), run, resume=True)
     assert before == {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
     (run / POLICY).unlink()
     (run / METRICS).unlink()
-    train(state(), run, resume=True)
+    train(from_states(), run, resume=True)
     assert is_done(run)
 
 
@@ -153,11 +148,11 @@ def test_a_training_that_ends_before_or_between_its_files_goes_on(
 
     monkeypatch.setattr(checkpoint, "write", write)
     with pytest.raises(KeyboardInterrupt):
-        train(state(checkpoints=checkpoints), tmp_path / "run")
+        train(from_states(checkpoints=checkpoints), tmp_path / "run")
     monkeypatch.undo()
     assert (tmp_path / "run" / METRICS).exists()
     assert (tmp_path / "run" / POLICY).exists() == (checkpoints > 1)
-    train(state(checkpoints=checkpoints), tmp_path / "run", resume=True)
+    train(from_states(checkpoints=checkpoints), tmp_path / "run", resume=True)
     assert is_done(tmp_path / "run")
 
 
@@ -189,7 +184,7 @@ class Greedy(BehaviouralCloning):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_lack_of_memory_is_told(seed: int, tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match=r"not enough memory .*smaller sizes"):
-        train(state(seed=seed), tmp_path / "run", learner=Greedy)
+        train(from_states(seed=seed), tmp_path / "run", learner=Greedy)
 
 
 def test_other_errors_of_a_learner_are_its_own(tmp_path: Path) -> None:
@@ -198,13 +193,13 @@ def test_other_errors_of_a_learner_are_its_own(tmp_path: Path) -> None:
             return {"loss": float(torch.ones(2) @ torch.ones(3))}
 
     with pytest.raises(RuntimeError, match="size") as error:
-        train(state(), tmp_path / "run", learner=Wrong)
+        train(from_states(), tmp_path / "run", learner=Wrong)
     assert not isinstance(error.value, MagicalError)
 
 
 def test_a_training_goes_on_whatever_stood_in_its_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.argv", ["magical-mj", "train", "--out", "runs/\U0001f389", "\udcff"])
-    stopped(tmp_path / "run", state())
-    train(state(), tmp_path / "run", resume=True)
+    stopped(tmp_path / "run", from_states())
+    train(from_states(), tmp_path / "run", resume=True)
     assert is_done(tmp_path / "run")
     assert "\U0001f389" in read_toml(tmp_path / "run" / CONFIG)["made"]["command"]

@@ -10,14 +10,13 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 import magical_mj
-from magical_mj.learners import METHODS, TrainingSettings, checkpoint, load_policy, train
+from magical_mj.learners import METHODS, checkpoint, load_policy, train
 from magical_mj.learners.bc import CALIBRATION
 from magical_mj.learners.config import from_toml, recorded
 from magical_mj.learners.policy import POLICY, TrainedPolicy
@@ -26,14 +25,9 @@ from magical_mj.learners.training import Progress
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.utils.errors import SettingsError, TrainingError, UnknownNameError
 from magical_mj.utils.files import read_toml
-from tests.helpers.learners import is_done, playing, stopped, tiny
+from tests.helpers.learners import from_states, is_done, playing, stopped, tiny
 
 ROOT = str(Path(__file__).parents[2])
-
-
-def state(**changes: Any) -> TrainingSettings:
-    """A tiny training from states."""
-    return tiny(preset="State", **changes)
 
 
 START = (
@@ -43,7 +37,7 @@ START = (
 
 
 def test_a_folder_holds_everything(tmp_path: Path) -> None:
-    settings = state(evaluations=2, episodes=2)
+    settings = from_states(evaluations=2, episodes=2)
     reports = []
     train(settings, tmp_path / "run", watch=reports.append)
     names = {path.name for path in (tmp_path / "run").iterdir()}
@@ -71,10 +65,10 @@ def test_a_folder_belongs_to_one_training_at_a_time(tmp_path: Path) -> None:
             return
         before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
         with pytest.raises(TrainingError, match="another process is training"):
-            train(state(), run, resume=True)
+            train(from_states(), run, resume=True)
         assert before == {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
 
-    train(state(), run, watch=second)
+    train(from_states(), run, watch=second)
     assert is_done(run)
 
 
@@ -127,29 +121,31 @@ def test_ctrl_c_saves_a_checkpoint_after_the_present_update(method: str, tmp_pat
 
 
 def test_a_finished_run_resumes_to_itself(tmp_path: Path) -> None:
-    train(state(), tmp_path / "run")
+    train(from_states(), tmp_path / "run")
     before = {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()}
-    train(state(), tmp_path / "run", resume=True, watch=lambda progress: pytest.fail("there is nothing left to do"))
+    train(
+        from_states(), tmp_path / "run", resume=True, watch=lambda progress: pytest.fail("there is nothing left to do")
+    )
     assert {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()} == before
     for damaged in (b"", before[tmp_path / "run" / POLICY][:100]):
         (tmp_path / "run" / POLICY).write_bytes(damaged)
-        train(state(), tmp_path / "run", resume=True)
+        train(from_states(), tmp_path / "run", resume=True)
         assert (tmp_path / "run" / POLICY).read_bytes() == before[tmp_path / "run" / POLICY]
     (tmp_path / "run" / POLICY).unlink()
-    train(state(), tmp_path / "run", resume=True)
+    train(from_states(), tmp_path / "run", resume=True)
     assert (tmp_path / "run" / POLICY).read_bytes() == before[tmp_path / "run" / POLICY]
 
 
 def test_on_another_kind_of_device_a_run_does_not_go_on(tmp_path: Path) -> None:
     """It would end otherwise than without the interruption. Its policy is at hand everywhere, once it is finished."""
-    stopped(tmp_path / "begun", state())
-    train(state(), tmp_path / "finished")
+    stopped(tmp_path / "begun", from_states())
+    train(from_states(), tmp_path / "finished")
     for name in ("begun", "finished"):
         kept = checkpoint.read(tmp_path / name / CHECKPOINT)
         checkpoint.write(tmp_path / name / CHECKPOINT, {**kept, "device": "cuda"})
     with pytest.raises(TrainingError, match="was trained on cuda, and this is cpu: continue where there is cuda"):
-        train(state(), tmp_path / "begun", resume=True)
-    assert isinstance(train(state(), tmp_path / "finished", resume=True), TrainedPolicy)
+        train(from_states(), tmp_path / "begun", resume=True)
+    assert isinstance(train(from_states(), tmp_path / "finished", resume=True), TrainedPolicy)
 
 
 def test_a_policy_that_is_saved_on_the_way_is_as_it_would_be_evaluated(tmp_path: Path) -> None:
@@ -161,40 +157,40 @@ def test_a_policy_that_is_saved_on_the_way_is_as_it_would_be_evaluated(tmp_path:
 
 
 def test_damaged_figures_are_refused_and_kept(tmp_path: Path) -> None:
-    stopped(tmp_path / "run", state())
+    stopped(tmp_path / "run", from_states())
     path = tmp_path / "run" / METRICS
     for text in ("", "seconds,update\n1,2\n", "update,loss\n,1", "update\n1,2,3", "update\n\xff", "update\n\0"):
         path.write_text(text, "latin-1")
         with pytest.raises(TrainingError, match=r"metrics\.csv is damaged"):
-            train(state(), tmp_path / "run", resume=True)
+            train(from_states(), tmp_path / "run", resume=True)
         assert path.read_text("latin-1") == text
 
 
 def test_a_training_with_other_demonstrations_or_worlds_is_not_continued(tmp_path: Path) -> None:
-    train(state(), tmp_path / "run")
+    train(from_states(), tmp_path / "run")
     config = tmp_path / "run" / CONFIG
     text = config.read_text()
     for what in ("protocol", "demonstrations"):
         settings, start = text.split("[made]")
         config.write_text(f"{settings}[made]{re.sub(f'{what} = .*', f'{what} = 99', start)}")
         with pytest.raises(TrainingError, match=f"{what} of number 99"):
-            train(state(), tmp_path / "run", resume=True)
+            train(from_states(), tmp_path / "run", resume=True)
 
 
 def test_what_is_there_is_never_overwritten(tmp_path: Path) -> None:
-    train(state(), tmp_path / "run")
+    train(from_states(), tmp_path / "run")
     with pytest.raises(TrainingError, match="holds a training already; --resume"):
-        train(state(), tmp_path / "run")
+        train(from_states(), tmp_path / "run")
     with pytest.raises(SettingsError, match="seed was 0 and is 1"):
-        train(state(seed=1), tmp_path / "run", resume=True)
+        train(from_states(seed=1), tmp_path / "run", resume=True)
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").touch()
     with pytest.raises(TrainingError, match="something else"):
-        train(state(), tmp_path / "mine")
+        train(from_states(), tmp_path / "mine")
     with pytest.raises(TrainingError, match="something else"):
-        train(state(), tmp_path / "mine" / "thesis.tex")
+        train(from_states(), tmp_path / "mine" / "thesis.tex")
     with pytest.raises(TrainingError, match="cannot write into"):
-        train(state(), tmp_path / "mine" / "thesis.tex" / "run")
+        train(from_states(), tmp_path / "mine" / "thesis.tex" / "run")
 
 
 def test_what_cannot_be_leaves_no_folder(tmp_path: Path) -> None:
@@ -208,7 +204,7 @@ def test_what_cannot_be_leaves_no_folder(tmp_path: Path) -> None:
 def test_a_loss_that_is_no_number_stops_and_keeps_the_checkpoint(tmp_path: Path) -> None:
     wild = {"bc.optimizer": "sgd", "bc.learning_rate": 1e6, "bc.final_learning_rate": 1e6}
     with pytest.raises(TrainingError, match=r"at update 2; the checkpoint of update 1 is kept .*lower learning rate"):
-        train(state(**wild, checkpoints=12), tmp_path / "run")
+        train(from_states(**wild, checkpoints=12), tmp_path / "run")
     assert checkpoint.read(tmp_path / "run" / CHECKPOINT)["update"] == 1
     kept = checkpoint.read(tmp_path / "run" / POLICY)
     assert all(tensor.isfinite().all() for tensor in kept["weights"].values())

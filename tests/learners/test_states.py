@@ -175,8 +175,8 @@ STEPS = len(EPISODE.actions)
 @pytest.mark.parametrize(
     ("given", "problem"),
     [
-        ({"FixColour": [EPISODE]}, "no demonstrations of MoveToRegion are given, but of: FixColour"),
-        ({"MoveToRegion": EPISODE}, "must be a list"),
+        ({"FixColour": [EPISODE]}, "give a list of demonstrations for each task, as .*MoveToRegion"),
+        ({"MoveToRegion": EPISODE}, "give a list of demonstrations"),
         (
             {"MoveToRegion": demos.load("FindDupe")[:2]},
             "one of the demonstrations given for MoveToRegion is of FindDupe",
