@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration, checked
 from magical_mj.demos.recording import render_demo
-from magical_mj.envs.presets import FrameStack, Preset, drawn, preset_named
+from magical_mj.envs.presets import Stacks, drawn, preset_named
 from magical_mj.scene.state_vector import StateEncoder
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.sweep_to_top import state_vector
@@ -78,22 +78,18 @@ def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | N
             return np.array(
                 [encode(world.poses(qpos), world.poses(qvel), world.fingers(qpos)) for qpos, qvel in states]
             )
-        if how.layout != "dict":
-            return _stacked(demo, how, how.frames, renderer)
+        stacks = Stacks(how, how.image_size)
         rows: dict[str, NDArray[Any]] = {
-            view: _stacked(demo, how, ((view, count),), renderer) for view, count in how.frames
+            name: np.empty((len(demo.qpos), *shape), np.uint8) for name, shape in stacks.shapes.items()
         }
+        for number, pictures in enumerate(
+            render_demo(demo, [view for view, _ in how.frames], how.image_size, renderer)
+        ):
+            (stacks.push if number else stacks.start)(drawn(pictures))
+            for name, latest in stacks.latest.items():
+                rows[name][number] = latest
+        if how.layout != "dict":
+            return next(iter(rows.values()))
         if how.fingers:
             rows["fingers"] = np.array([world.fingers(qpos) for qpos in demo.qpos], np.float32)
         return rows
-
-
-def _stacked(
-    demo: Demonstration, preset: Preset, frames: tuple[tuple[str, int], ...], renderer: str | None
-) -> NDArray[np.uint8]:
-    stack = FrameStack(frames, preset.image_size, preset.depth, channels_first=preset.layout == "chw")
-    rows = np.empty((len(demo.qpos), *stack.shape), np.uint8)
-    drawing = render_demo(demo, [view for view, _ in frames], preset.image_size, renderer)
-    for number, pictures in enumerate(drawing):
-        rows[number] = stack.push(drawn(pictures)) if number else stack.start(drawn(pictures))
-    return rows
