@@ -29,8 +29,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import magical_mj
-from magical_mj.policies.agents import AGENTS
-from magical_mj.policies.interface import Episode, begin, play
+from magical_mj.policies.interface import AGENTS, Episode, begin, play
 from magical_mj.shifts import SHIFTS, shift_label
 
 PHYSICAL = ("pose", "clutter", "latency", "slip", "friction")

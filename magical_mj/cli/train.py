@@ -21,7 +21,7 @@ from magical_mj.cli import option
 from magical_mj.cli.console import Bars, check_fits, check_writable, console
 from magical_mj.learners.config import check_changes, users, uses
 from magical_mj.learners.settings import PPOSettings, TrainingSettings
-from magical_mj.policies.agents import AGENTS
+from magical_mj.policies.interface import AGENTS
 from magical_mj.utils.errors import MagicalError, SettingsError, check_name
 from magical_mj.utils.extras import check_extra
 from magical_mj.utils.parallel import Backend

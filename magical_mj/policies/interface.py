@@ -1,16 +1,18 @@
-"""What policies are, what they are told of an episode and remember, how one is played, and whose errors are whose."""
+"""What policies are, what they are told of an episode, how one is played, whose errors are whose; built-in agents."""
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from magical_mj.scene.actions import ACTIONS, NOOP
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import InvalidActionError, RenderingError, SettingsError, ShiftError, TaskError, short_repr
 from magical_mj.utils.imports import place
@@ -201,3 +203,57 @@ class History:
     def restart(self, which: NDArray[np.bool_], states: NDArray[np.float32]) -> None:
         """Other episodes begin in some rows, `which` (n,), with their rows of `states` (n, names)."""
         self.states = np.where(which[:, None, None], states[:, None], self.states)
+
+
+class NoopAgent:
+    """Does nothing."""
+
+    uses_simulation = True
+
+    def reset(self, episode: Episode) -> None:
+        """Nothing to do here either."""
+
+    def __call__(self, _: Any) -> int:
+        """An action; the observation does not matter."""
+        return NOOP
+
+
+class RandomAgent:
+    """Draws each action independently and uniformly."""
+
+    uses_simulation = True
+
+    def reset(self, episode: Episode) -> None:
+        """Starts the episode's own sequence."""
+        self._rng = episode.rng()
+
+    def __call__(self, _: Any) -> int:
+        """An action; the observation does not matter."""
+        return int(self._rng.integers(len(ACTIONS)))
+
+
+class ExpertAgent:
+    """The scripted expert, which uses the state of the simulation; its seed is the number of the run."""
+
+    uses_simulation = True
+    needs_plan = True
+
+    def reset(self, episode: Episode) -> None:
+        """Makes an expert for this episode."""
+        from magical_mj.policies.expert import expert_of
+
+        if episode.env is None:
+            raise SettingsError("the expert needs the simulation itself; it cannot play in vector environments")
+        own = episode.env.task
+        task = own if own is not None and task_spec(own).plan is not None else episode.task
+        self._next = expert_of(episode.env, task, episode.run)
+
+    def __call__(self, _: Any) -> int:
+        """An action; the observation does not matter."""
+        return self._next()
+
+
+AGENTS: Final[Mapping[str, type[Policy]]] = MappingProxyType(
+    {"expert": ExpertAgent, "random": RandomAgent, "noop": NoopAgent}
+)
+"""The agents by name."""

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from magical_mj.envs.presets import PRESETS, Stacks, observation_space
-from magical_mj.policies.agents import AGENTS
-from magical_mj.policies.interface import Act, policy_name, reason, told, uses_simulation
+from magical_mj.policies.interface import AGENTS, Act, policy_name, reason, told, uses_simulation
 from magical_mj.policies.models import LOADERS, Shape
 from magical_mj.tasks.registry import Pair, task_spec
 from magical_mj.utils.errors import SettingsError, UntrustedNameError, short_repr, unknown_name

@@ -24,10 +24,17 @@ from magical_mj.batched import physics as physics_module
 from magical_mj.batched.environment import Arrays
 from magical_mj.batched.observations import Painter
 from magical_mj.batched.physics import Physics
-from magical_mj.batched.scenes import Capacity, WorldScenes
+from magical_mj.batched.scenes import Capacity, SceneSampler, WorldScenes
 from magical_mj.envs.presets import PRESETS
 from magical_mj.scene import Scene
-from magical_mj.utils.errors import InvalidSeedError, SettingsError
+from magical_mj.utils.errors import (
+    ClosedError,
+    InvalidActionError,
+    InvalidSeedError,
+    SettingsError,
+    StateError,
+    UnknownNameError,
+)
 
 pytestmark = [pytest.mark.xdist_group("warp"), pytest.mark.filterwarnings("default")]
 
@@ -289,3 +296,85 @@ def test_mujoco_warp_loads_exported_models_without_the_flag_that_it_does_not_kno
         mujoco_warp.put_model(model)
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
     assert mujoco_warp.put_model(model).nv == model.nv
+
+
+def test_wrong_actions_are_refused() -> None:
+    env = batched.make("MoveToRegion", "Demo", 3, device=torch.device("cpu"), preset="State")  # type: ignore[arg-type]
+    env.reset(seed=0)
+    for actions in ([1, 2], [0, 1, 18], [0.5, 1.0, 2.0], [-1, 0, 0], None, "abc", [2**70, 0, 0]):
+        with pytest.raises(InvalidActionError, match="3 integers"):
+            env.step(actions)
+    env.close()
+
+
+def test_states_of_other_worlds_and_closed_environments_are_refused() -> None:
+    worlds = batched.make("MoveToRegion", "Demo", 2, device="cpu", image_size=32)
+    for wrong in (None, {}, {**worlds.get_state(), "kind": None}):
+        with pytest.raises(StateError, match="get_state"):
+            worlds.set_state(wrong)
+    with pytest.raises(ResetNeeded, match="reset"):
+        worlds.step([0, 0])
+    worlds.reset(seed=0)
+    for name, variant, count, changes in (
+        ("environments", "Demo", 1, {}),
+        ("environments", "Jitter", 2, {}),
+        ("rules", "Demo", 2, {"rules": "released"}),
+        ("preset", "Demo", 2, {"preset": "LoRes4A"}),
+        ("image_size", "Demo", 2, {"image_size": 16}),
+    ):
+        other = batched.make("MoveToRegion", variant, count, device="cpu", **{"image_size": 32, **changes})
+        other.reset(seed=0)
+        other.step([1] * count)
+        with pytest.raises(StateError, match=name):
+            worlds.set_state(other.get_state())
+        assert worlds._steps.tolist() == [0, 0], "nothing is changed"
+        other.close()
+    worlds.close()
+    for use in (worlds.reset, worlds.get_state, lambda: worlds.step([0, 0]), lambda: worlds.set_state({})):
+        with pytest.raises(ClosedError, match="closed"):
+            use()
+
+
+@pytest.mark.parametrize(
+    ("settings", "word"),
+    [
+        ({"device": "cuda:7"}, "no device 'cuda:7'"),
+        ({"num_envs": 0}, "at least 1"),
+        ({"num_envs": True}, "num_envs"),
+        ({"task": "all", "variant": "all"}, "60 environments"),
+        ({"workers": -1}, "workers"),
+        ({"preset": "HiRes"}, "preset"),
+        ({"autoreset_mode": AutoresetMode.NEXT_STEP}, "SAME_STEP"),
+        ({"autoreset_mode": "SAME_STEP"}, "gymnasium.vector"),
+    ],
+)
+def test_wrong_settings_are_named(settings: Any, word: str) -> None:
+    with pytest.raises((SettingsError, UnknownNameError), match=word):
+        batched.make(**{"task": "MoveToRegion", "num_envs": 1, "device": "cpu", **settings})
+
+
+def test_scenes_do_not_depend_on_who_samples_them() -> None:
+    """Those of an episode follow from the seed, the world and the episode, whoever ends when."""
+    pairs = [("FindDupe", "All")] * 3
+    sampled = []
+    for workers, order in ((0, [[0, 1, 2], [1], [0, 1, 2]]), (1, [[0, 1, 2], [1], [0, 1, 2]]), (0, [[1], [1], [0, 1]])):
+        sampler = SceneSampler(pairs, Capacity(10, 3), workers)
+        sampler.seed(7)
+        sampled.append([sampler.scenes(worlds) for worlds in order])
+        sampler.close()
+    for here, there in zip(sampled[0], sampled[1], strict=True):
+        np.testing.assert_array_equal(here.poses, there.poses)
+    np.testing.assert_array_equal(sampled[2][1].poses[0], sampled[0][1].poses[0])
+    np.testing.assert_array_equal(sampled[2][2].poses[0], sampled[0][0].poses[0])
+
+
+def test_workers_sample_ahead_after_given_seeds_too() -> None:
+    pairs = [("MoveToRegion", "All")] * 2
+    here, ahead = (SceneSampler(pairs, Capacity(1, 1), workers) for workers in (0, 1))
+    for sampler in (here, ahead):
+        sampler.seed(3)
+        sampler.scenes([0, 1], [8, 9])
+    ((begun, _), (same, _)) = ahead._ahead.values()
+    assert begun is same
+    np.testing.assert_array_equal(begun.result(60).poses, here.scenes([0, 1]).poses)
+    ahead.close()

@@ -17,8 +17,7 @@ import pytest
 from magical_mj import demos
 from magical_mj.cli.demos import write_one
 from magical_mj.demos import Demonstration
-from magical_mj.policies.agents import AGENTS
-from magical_mj.policies.interface import Episode
+from magical_mj.policies.interface import AGENTS, Episode
 from magical_mj.tasks.registry import SPLITS
 from tests.demos.test_files import forge
 from tests.helpers.commands import Shell

@@ -1,4 +1,4 @@
-"""Trained policies: that they play in evaluations, draw by the episode, and are refused when they are damaged."""
+"""Trained policies: that they draw by the episode, do not depend on settings of torch, and act alike as ONNX files."""
 
 from __future__ import annotations
 
@@ -8,13 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnxruntime
 import pytest
 import torch
 
+import magical_mj
+from magical_mj import demos
 from magical_mj.learners import load_policy, train
-from magical_mj.learners.policy import POLICY
-from magical_mj.policies.interface import Episode
-from magical_mj.utils.errors import SettingsError
+from magical_mj.learners.networks import as_input
+from magical_mj.learners.policy import POLICY, export_policy
+from magical_mj.policies.interface import Episode, histories
+from magical_mj.policies.models import load_onnx
+from magical_mj.utils.errors import SettingsError, UnknownNameError
+from tests.helpers.commands import Shell
 from tests.helpers.learners import tiny
 
 
@@ -77,3 +83,86 @@ def test_no_result_depends_on_the_callers_settings_of_torch(tmp_path: Path, sett
         before = torch.get_default_dtype(), torch.is_grad_enabled(), torch.get_float32_matmul_precision()
         assert drawn(tmp_path / "other") == usual
         assert (torch.get_default_dtype(), torch.is_grad_enabled(), torch.get_float32_matmul_precision()) == before
+
+
+SEEN = 200
+TASKS = "MoveToRegion,MakeLine"
+
+
+@pytest.fixture(scope="module")
+def states() -> np.ndarray:
+    """The last four states at 200 moments of demonstrations with few and with many blocks. Shape (200, 4, names)."""
+    parts = [
+        histories(np.asarray(demos.observations(demos.load(task)[0], "State"))) for task in ("FindDupe", "MakeLine")
+    ]
+    every = np.concatenate(parts)
+    return every[np.linspace(0, len(every) - 1, SEEN).astype(int)]
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a policy for two tasks, from states."""
+    folder = tmp_path_factory.mktemp("runs") / "both"
+    train(tiny(tasks=TASKS, preset="State", **{"network.entity": 16}), folder)
+    return folder
+
+
+def compare(folder: Path, file: Path, seen: np.ndarray, head: int = 0) -> None:
+    """The file prefers the network's actions; each observation is alone in its batch, as in an episode."""
+    actor = load_policy(folder).actor.eval()
+    with torch.inference_mode():
+        ours = [actor(as_input(one[None], torch.device("cpu")), torch.tensor([head]))[0].numpy() for one in seen]
+    (logits,) = onnxruntime.InferenceSession(file).run(None, {"observations": seen})
+    np.testing.assert_allclose(logits, ours, rtol=1e-3, atol=1e-3)
+    np.testing.assert_array_equal(np.argmax(logits, 1), np.argmax(ours, 1))
+
+
+@pytest.mark.slow
+def test_states_of_one_of_several_tasks(both: Path, states: np.ndarray, tmp_path: Path) -> None:
+    file = export_policy(both, tmp_path / "line.onnx", "MakeLine")
+    compare(both, file, states, head=1)
+    assert b"/home" not in file.read_bytes()
+    assert str(Path(magical_mj.__file__).parent).encode() not in file.read_bytes()
+    actor, loaded = load_policy(both).actor.eval(), load_onnx(file)
+    env, kept = magical_mj.Engine("MakeLine", "Layout", seed=0), []
+    loaded.reset_batch([Episode("MakeLine", "Layout", 0)])
+    for _ in range(20):
+        kept.append(env.state_vector())
+        with torch.inference_mode():
+            ours = actor(torch.as_tensor(histories(np.array(kept))[-1:]), torch.tensor([1])).argmax()
+        assert loaded(kept[-1]) == ours
+        env.step(int(ours))
+    assert magical_mj.evaluate(file, tasks="MakeLine", preset="State", episodes=2)["failure"].isna().all()
+    with pytest.raises(SettingsError, match="give --preset State"):
+        magical_mj.evaluate(str(file), tasks="MakeLine", episodes=1)
+    with pytest.raises(SettingsError, match="cannot act in MoveToRegion"):
+        magical_mj.evaluate(str(file), tasks="MoveToRegion", preset="State", episodes=1)
+
+
+@pytest.mark.slow
+def test_pictures(tmp_path: Path) -> None:
+    train(tiny(), tmp_path / "run")
+    file = export_policy(tmp_path / "run", tmp_path / "policy.onnx")
+    seen = np.random.default_rng(0).integers(0, 256, (SEEN, 96, 96, 12)).astype(np.uint8)
+    compare(tmp_path / "run", file, seen)
+
+
+@pytest.mark.slow
+def test_relational(states: np.ndarray, tmp_path: Path) -> None:
+    small = {"hidden": 8, "trial": 1, "batch_size": 8, "rollouts": 2, "ways": 100, "plays": 1}
+    settings = tiny("relational", preset="State", **{f"relational.{name}": value for name, value in small.items()})
+    train(settings, tmp_path / "run")
+    compare(tmp_path / "run", export_policy(tmp_path / "run", tmp_path / "policy.onnx"), states)
+
+
+def test_what_cannot_be_exported(both: Path, tmp_path: Path, shell: Shell) -> None:
+    assert "only what magical-mj train left" in shell.fails(2, "export-policy", tmp_path, "--out", tmp_path / "a.onnx")
+    assert "choose one of MoveToRegion, MakeLine (--task)" in shell.fails(
+        2, "export-policy", both, "--out", tmp_path / "a.onnx"
+    )
+    with pytest.raises(SettingsError, match=r"must end in \.onnx"):
+        export_policy(both, tmp_path / "policy.pt", "MakeLine")
+    with pytest.raises(UnknownNameError, match="MakeLine"):
+        export_policy(both, tmp_path / "a.onnx", "MakeLin")
+    (tmp_path / "a.onnx").touch()
+    assert "--force replaces it" in shell.fails(1, "export-policy", both, "--out", tmp_path / "a.onnx")

@@ -1,21 +1,33 @@
 """Scripted experts that solve every environment from the privileged state.
 
 An expert reads the true state of the simulation, tries manoeuvres on a copy of it, and acts with the same 18 actions as
-every other agent; SweepToTop's expert uses its continuous ones.
+every other agent; SweepToTop's expert uses its continuous ones. Pictures of scenes that experts have solved tell goals.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from contextlib import closing
+from functools import lru_cache
+from typing import Any, Final
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
 
 from magical_mj.engine import Engine
-from magical_mj.policies.expert.goals import GoalPicture
 from magical_mj.policies.expert.planner import Expert
 from magical_mj.policies.expert.sweeping import Sweeper
+from magical_mj.rendering.renderer import check_size
+from magical_mj.scene import Scene
+from magical_mj.scene.state_vector import CAMERAS
 from magical_mj.tasks.registry import task_spec
+from magical_mj.utils.errors import SettingsError, TaskError, check_name
 
 __all__ = ["Expert", "GoalPicture", "Sweeper", "expert_of"]
+
+TRIES: Final = 10
+"""So many experts try to solve a scene for its picture, each with another seed."""
 
 
 def expert_of(env: Engine, task: str, seed: int) -> Callable[[], Any]:
@@ -25,3 +37,63 @@ def expert_of(env: Engine, task: str, seed: int) -> Callable[[], Any]:
         TaskError: if it has none.
     """
     return Sweeper(env, seed) if task_spec(task).speeds else Expert(env, task, seed)
+
+
+class GoalPicture(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
+    """Adds `info["goal"]`: a picture of the episode's scene when an expert has solved it, uint8, (size, size, 3).
+
+    The expert plays the episode at its reset, which takes up to some seconds unless the scene is a recent one, as it
+    always is in Demo. The picture does not depend on the episode's seed, but on its scene, and shows no drawn shifts.
+
+    Args:
+        env: one of the package's environments, of a task with a plan.
+        view: "ego" or "allo", or "scene", in 3-D.
+        size: side of the picture in pixels.
+
+    Raises:
+        SettingsError: if it is another environment, or there is no such view or size.
+        TaskError: in `reset`, if no expert solves the scene.
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any], view: str = "allo", size: int = 96) -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(self, view=view, size=size)
+        super().__init__(env)
+        engine = getattr(env.unwrapped, "engine", None)
+        if not isinstance(engine, Engine) or engine.task is None or engine.setup.speeds:
+            raise SettingsError(f"goals are pictures of the eight tasks and of those like them, not of {env.unwrapped}")
+        check_name("view", view, CAMERAS)
+        self._engine, self._view, self._size = engine, view, check_size(size)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Starts an episode."""
+        observation, info = super().reset(seed=seed, options=options)
+        engine = self._engine
+        where = engine.task or "", engine.variant, engine.initial_scene
+        self._goal = goal_picture(*where, self._view, self._size, engine.simulation.renderer)
+        return observation, info | {"goal": self._goal}
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """One action."""
+        observation, reward, terminated, truncated, info = super().step(action)
+        return observation, reward, terminated, truncated, info | {"goal": self._goal}
+
+
+@lru_cache(maxsize=100)  # as many as an environment has test scenes; large pictures take megabytes
+def goal_picture(
+    task: str, variant: str, scene: Scene, view: str, size: int, renderer: str | None
+) -> NDArray[np.uint8]:
+    """The end of an expert's episode that begins in `scene` and has score 1: shape (size, size, 3), not writable.
+
+    Raises a `TaskError` if the task has no plan, or no expert reaches that.
+    """
+    with closing(Engine(task, variant, scene=scene, body=scene.robot.body, renderer=renderer)) as engine:
+        for seed in range(TRIES):
+            engine.reset(scene=scene)
+            expert = Expert(engine, task, seed)
+            while not engine.step(expert()):
+                pass
+            if engine.score() == 1.0:
+                picture = engine.render(view, size)
+                picture.flags.writeable = False  # all episodes in this scene have it
+                return picture
+    raise TaskError(f"{TRIES} experts tried a scene of {task}-{variant}, and none solved it")
