@@ -31,19 +31,11 @@ def default_target(
     to: str, environment: str, demos: Sequence[Demonstration], preset: str, *, fingers: bool = False
 ) -> str:
     """The path or id of a data set of the format `to` if the user gives none."""
-    match to:
-        case "npz":
-            return f"{environment}-{preset or 'views'}{SUFFIX}"
-        case "minari":
-            return minari_name(demos, preset)
-        case "xirl":
-            return f"{environment}-xirl"
-        case "lerobot":
-            return f"{environment}-{views_of(preset)}{'-fingers' if fingers else ''}-lerobot"
-        case "webdataset":
-            return f"{environment}-{preset or 'views'}-webdataset"
-        case _:
-            return f"{environment}-{views_of(preset)}{SUFFIXES[to]}"
+    if to == "minari":
+        return minari_name(demos, preset)
+    observed = f"{views_of(preset)}{'-fingers' * fingers}" if to in ("lerobot", "robomimic") else preset or "views"
+    name = environment if to == "xirl" else f"{environment}-{observed}"
+    return name + SUFFIXES.get(to, f"-{to}")
 
 
 def make_data_set(
