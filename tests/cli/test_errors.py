@@ -120,7 +120,7 @@ def test_the_tour_replaces_only_what_it_has_made(shell: Shell, tmp_path: Path) -
     assert (tmp_path / "mine" / "scores.jsonl").read_bytes() == scores
 
 
-@pytest.mark.parametrize("name", ["report.md", "environments.png", "bars.png", "scores.jsonl"])
+@pytest.mark.parametrize("name", ["report.md", "notes.txt", "scores.jsonl"])
 def test_the_tour_keeps_out_of_folders_with_other_files(shell: Shell, name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text("precious")
     error = shell.fails(1, "demo", "--tasks", "MoveToRegion", "--episodes", 1, "--jobs", 1, "--out", tmp_path)
