@@ -215,7 +215,8 @@ def submit(
     if not folders:
         raise SettingsError("give at least one folder of an evaluation")
     described = {} if card is None else files.read_toml(files.to_path(card))
-    sources = [(episode, folder) for folder in folders for episode in read(folder) if _has_place(episode)]
+    read_all = ((episode, folder) for folder in folders for episode in read(folder))
+    sources = [source for source in read_all if has_place(source[0].task, source[0].variant, source[0].shift)]
     names = list(dict.fromkeys(episode.policy for episode, _ in sources))
     if not names:
         raise EvaluationError("all episodes are shifted, by other shifts than those of the track; an entry holds none")
@@ -240,13 +241,9 @@ def submit(
     return entry
 
 
-def _has_place(episode: EpisodeResult) -> bool:
+def has_place(task: str, variant: str, shift: str) -> bool:
     """Whether an episode is unshifted, or of the track of shifts; others may stand beside them in an evaluation."""
-    return not episode.shift or (
-        (episode.task, episode.variant) in ENVIRONMENTS
-        and episode.variant == "Demo"
-        and episode.shift in track(episode.task)
-    )
+    return not shift or (variant == "Demo" and (task, variant) in ENVIRONMENTS and shift in track(task))
 
 
 def _check_trainings(folders: Sequence[Path], method: str) -> None:
@@ -420,7 +417,7 @@ def _episodes(content: Content, name: object) -> list[EpisodeResult]:
         pair, _, shift = environment.partition(" ")
         task, _, variant = pair.partition("-")
         shared["shift"] = shift
-        if (task, variant) not in ENVIRONMENTS or (shift and (variant != "Demo" or shift not in track(task))):
+        if (task, variant) not in ENVIRONMENTS or not has_place(task, variant, shift):
             raise EvaluationError(f"{name} has results in {short_repr(environment)}, which is no environment")
         lengths = {field: len(column.get(environment, ())) for field, column in columns.items()}
         if len(set(lengths.values())) > 1 or not lengths["run"]:
