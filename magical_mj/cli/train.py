@@ -19,12 +19,12 @@ from rich.text import Text
 from magical_mj import learners
 from magical_mj.cli import option
 from magical_mj.cli.console import Bars, check_fits, check_writable, console
+from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.learners.config import check_changes, users, uses
 from magical_mj.learners.settings import PPOSettings, TrainingSettings
 from magical_mj.policies.interface import AGENTS
 from magical_mj.utils.errors import MagicalError, SettingsError, check_name
 from magical_mj.utils.extras import check_extra
-from magical_mj.utils.parallel import Backend
 from magical_mj.utils.settings import described
 
 if TYPE_CHECKING:
@@ -66,18 +66,9 @@ Jobs = Annotated[
         show_default="one, or as many as a cluster can do",
     ),
 ]
-Where = Annotated[Backend, typer.Option(help="Where the runs execute: on this machine or on a cluster.")]
-Address = Annotated[str | None, typer.Option(help="Of the cluster, such as tcp://host:8786.", show_default=False)]
 
 
-def experiment(
-    file: File,
-    out: Folder,
-    jobs: Jobs = None,
-    backend: Where = "local",
-    address: Address = None,
-    trust: option.Trust = False,
-) -> None:
+def experiment(file: File, out: Folder, jobs: Jobs = None, trust: option.Trust = False, **where: Any) -> None:
     """Train and evaluate methods x tasks x seeds. Called again, it continues."""
     del trust  # see magical_mj.utils.imports.command_line
     planned = learners.plan_experiment(file, out)
@@ -98,12 +89,15 @@ def experiment(
                 news = filter(None, (run.standing(began) for run in planned))
                 progress.update(bar, latest=", ".join(news))
 
-        lines = learners.run_experiment(planned, out, jobs=jobs, backend=backend, address=address, watch=watch)
+        lines = learners.run_experiment(planned, out, jobs=jobs, watch=watch, **where)
         with repeating(poll):
             for number, line in enumerate(lines, 1):
                 screen.print(line, soft_wrap=True)
                 done = min(number, len(planned))  # after the runs come lines about all of them
                 progress.update(bar, completed=done, latest="")
+
+
+option.add_options(experiment, EvaluationSettings, "backend", "address")
 
 
 def train(
