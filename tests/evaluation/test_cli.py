@@ -78,13 +78,9 @@ def test_a_replay_that_ends_otherwise_is_refused(shell: Shell, tmp_path: Path) -
     shell("evaluate", "--policy", "noop", "--out", "o", *SMALL)
     path = tmp_path / "o" / SCORES
     path.write_text(path.read_text().replace('"score": 0.0', '"score": 0.5'))
-    code, _, error = shell("report", "o", "--videos")
-    assert code == 1
-    assert "ends with 0.00 now, not 0.50" in error
+    assert "ends with 0.00 now, not 0.50" in shell.fails(1, "report", "o", "--videos")
     path.write_text(path.read_text().replace('"worlds": "single"', '"worlds": "batched"'))
-    code, _, error = shell("report", "o", "--videos")
-    assert code == 2
-    assert "--videos replays episodes of single worlds only" in error
+    assert "--videos replays episodes of single worlds only" in shell.fails(2, "report", "o", "--videos")
     assert not list(tmp_path.rglob("*.mp4"))
 
 

@@ -10,76 +10,64 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from magical_mj.cli import main
 from magical_mj.evaluation.entry import packed, unpacked
 from magical_mj.evaluation.scores import SCORES, SETTINGS
 from magical_mj.leaderboard import read_entry, submit, verify
 from magical_mj.tasks.registry import ENVIRONMENTS
 from magical_mj.utils.errors import EvaluationError, SettingsError
+from tests.helpers.commands import Shell
 from tests.helpers.entries import EPISODES, TAMPERED, Row, rewrite, swapped_scene, tampered_score, whole
 
 
-def test_pages_of_others_are_kept(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_pages_of_others_are_kept(folder: Path, tmp_path: Path, shell: Shell) -> None:
     """And the command says so before it replays anything; pages of its own are replaced."""
     submit([folder], tmp_path / "entry.json.xz")
     for _ in range(2):
-        assert main(["leaderboard", str(tmp_path)]) == 0
+        assert shell("leaderboard", tmp_path)[0] == 0
     for name in ("leaderboard.md", "leaderboard.html"):
         (tmp_path / name).write_text("# Mine, on the leaderboard\n")
-        capsys.readouterr()
-        assert main(["leaderboard", str(tmp_path)]) == 1
-        out, error = capsys.readouterr()
-        assert (out, f"{name} is not a page of an earlier leaderboard: move it" in error) == ("", True)
+        error = shell.fails(1, "leaderboard", tmp_path)
+        assert f"{name} is not a page of an earlier leaderboard: move it" in error
         assert (tmp_path / name).read_text() == "# Mine, on the leaderboard\n"
-    assert main(["leaderboard", str(tmp_path), "--out", "/dev/null/pages"]) == 1
-    out, error = capsys.readouterr()
-    assert (out, "cannot write into /dev/null/pages" in error) == ("", True)
+    assert "cannot write into /dev/null/pages" in shell.fails(1, "leaderboard", tmp_path, "--out", "/dev/null/pages")
 
 
-def test_a_sample_is_repeated_by_its_seed(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_sample_is_repeated_by_its_seed(folder: Path, tmp_path: Path, shell: Shell) -> None:
     rewrite(folder, lambda rows: [row.update(score=0.5) for row in rows])
     submit([folder], tmp_path / "entry.json.xz")
-    assert main(["leaderboard", str(tmp_path)]) == 1
-    out, error = capsys.readouterr()
+    code, out, error = shell("leaderboard", tmp_path)
     (seed,) = re.findall(r"--seed (\d+) chooses the same again", out)
     assert "entry.json.xz differs: run 0, MoveToRegion Layout" in error
-    assert main(["leaderboard", str(tmp_path), "--seed", seed]) == 1
-    assert capsys.readouterr().err == error
-    assert main(["leaderboard", str(tmp_path), "--all", "--seed", seed]) == 2
-    assert "--seed has an effect only without --all" in capsys.readouterr().err
+    assert shell("leaderboard", tmp_path, "--seed", seed)[::2] == (code, error)
+    assert "only without --all" in shell.fails(2, "leaderboard", tmp_path, "--all", "--seed", seed)
 
 
-def test_the_commands_say_what_they_found(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_commands_say_what_they_found(folder: Path, tmp_path: Path, shell: Shell) -> None:
     path = tmp_path / "entry.json.xz"
-    assert main(["submit", str(folder), "--out", str(path)]) == 0
-    out = capsys.readouterr().out
+    code, out, _ = shell("submit", folder, "--out", path)
+    assert code == 0
     assert f"expert: {EPISODES} episodes of 1 run," in out
     assert "the card does not say: description, authors, links, demonstrations.set, demonstrations.per_task" in out
     assert "a partial entry: 1 of 5 runs, 1 of 60 environments, 96 of 100 episodes missing in the " in out
     (tmp_path / "card.toml").write_text('method = "Mine"')
-    options = ["--card", str(tmp_path / "card.toml"), "--policy", "expert"]
-    assert main(["submit", str(folder), "--out", str(tmp_path / "two.json.xz"), *options]) == 0
+    options = ("--card", tmp_path / "card.toml", "--policy", "expert")
+    assert shell("submit", folder, "--out", tmp_path / "two.json.xz", *options)[0] == 0
     entry = read_entry(tmp_path / "two.json.xz")
     assert (entry.method, entry.runs) == ("Mine", [0])
     rewrite(folder, tampered_score)
-    capsys.readouterr()
-    assert main(["verify", str(folder)]) == 1
-    out, error = capsys.readouterr()
+    code, out, error = shell("verify", folder)
+    assert code == 1
     assert f"{EPISODES} episodes replayed" in out
     assert f"{folder} differs: run 0, MoveToRegion Layout, seed 2: the score is 0.5" in error
     assert f"{folder} is incomplete: expert, run 0" in error
 
 
-def test_a_leaderboard_names_bad_entries_and_shows_the_others(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_leaderboard_names_bad_entries_and_shows_the_others(folder: Path, tmp_path: Path, shell: Shell) -> None:
     entries = tmp_path / "entries"
-    assert main(["leaderboard", str(tmp_path)]) == 1
-    assert "holds no entries" in capsys.readouterr().err
+    assert "holds no entries" in shell.fails(1, "leaderboard", tmp_path)
     entries.mkdir()
     submit([folder], entries / "good.json.xz")
-    assert main(["leaderboard", str(entries), "--all"]) == 0
-    assert f"good.json.xz: expert; {EPISODES} episodes replayed" in capsys.readouterr().out
+    assert f"good.json.xz: expert; {EPISODES} episodes replayed" in shell("leaderboard", entries, "--all")[1]
     (entries / "twin.json.xz").write_bytes((entries / "good.json.xz").read_bytes())
     (entries / "cut.json.xz").write_bytes((entries / "good.json.xz").read_bytes()[:-20])
     (entries / "folder.json.xz").mkdir()
@@ -87,8 +75,8 @@ def test_a_leaderboard_names_bad_entries_and_shows_the_others(
     rewrite(folder, tampered_score)
     (tmp_path / "card.toml").write_text('method = "Liar"')
     submit([folder], entries / "lie.json.xz", card=tmp_path / "card.toml")
-    assert main(["leaderboard", str(entries), "--all", "--out", str(tmp_path / "pages")]) == 1
-    error = capsys.readouterr().err
+    code, _, error = shell("leaderboard", entries, "--all", "--out", tmp_path / "pages")
+    assert code == 1
     assert "twin.json.xz is not shown: it has the name of the method in good.json.xz" in error
     assert "cut.json.xz is cut short" in error
     assert "folder.json.xz is not a plain file" in error

@@ -21,12 +21,12 @@ import pytest
 
 import magical_mj
 from magical_mj import demos
-from magical_mj.cli import main
 from magical_mj.demos.recording import Recorder
 from magical_mj.policies.interface import actions_of
 from magical_mj.tasks.protocol import PROTOCOL
 from magical_mj.web.collection import Collection, Study, read_study
 from magical_mj.web.page_data import PAGE, catalogue, environment_scenes, scene_data, sections
+from tests.helpers.commands import Shell
 
 websockets = pytest.importorskip("websockets")
 
@@ -264,20 +264,14 @@ def test_an_ipv6_address_is_played_at() -> None:
         (["--web", "--port", "99999"], "port"),
     ],
 )
-def test_wrong_options_are_said(options: list[str], complaint: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["play", *options]) == 2
-    assert complaint in capsys.readouterr().err
+def test_wrong_options_are_said(options: list[str], complaint: str, shell: Shell) -> None:
+    assert complaint in shell.fails(2, "play", *options)
 
 
-def test_a_host_that_cannot_be_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["play", "--web", "--host", "127..0.0.1"]) == 1
-    assert "give another --host" in capsys.readouterr().err
-
-
-def test_a_taken_port_is_said_with_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_host_or_port_that_cannot_be_had_is_said(shell: Shell) -> None:
+    assert "give another --host" in shell.fails(1, "play", "--web", "--host", "127..0.0.1")
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        assert main(["play", "--web", "--port", str(taken.getsockname()[1])]) == 1
-    error = capsys.readouterr().err
+        error = shell.fails(1, "play", "--web", "--port", taken.getsockname()[1])
     assert "cannot listen there" in error
     assert "--port 0" in error
 
@@ -411,8 +405,6 @@ def test_a_model_is_read_with_the_files_that_it_names(tmp_path: Path) -> None:
     assert list(model_files(model)) == ["model.xml"]  # the page says what is wrong
 
 
-def test_a_model_that_is_not_there_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["inspect", "nothing.xml"]) == 2
-    assert "there is no file nothing.xml" in capsys.readouterr().err
-    assert main(["inspect", "nothing.xml", "--seed", "2"]) == 2
-    assert "only with TASK" in capsys.readouterr().err
+def test_a_model_that_is_not_there_is_said(shell: Shell) -> None:
+    assert "there is no file nothing.xml" in shell.fails(2, "inspect", "nothing.xml")
+    assert "only with TASK" in shell.fails(2, "inspect", "nothing.xml", "--seed", 2)
