@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from magical_mj.evaluation.scores import SCORES, EpisodeResult
 from magical_mj.leaderboard import Entry, Findings, check_entries, read_entry
 from magical_mj.policies.interface import LETTERS
 from magical_mj.tasks.registry import ENVIRONMENTS
+from tests.helpers.evaluations import TEMPLATE
 
 EPISODES = 4
 Row = dict[str, Any]
@@ -63,23 +65,9 @@ def recorded(
     run: int, task: str, variant: str, seed: int, score: float, actions: str, failure: Any = None
 ) -> EpisodeResult:
     """An episode that nobody played."""
-    return EpisodeResult(
-        policy="Nobody",
-        run=run,
-        task=task,
-        variant=variant,
-        seed=seed,
-        score=score,
-        steps=len(actions),
-        seconds=0.0,
-        rules="paper",
-        preset="LoRes4E",
-        version="",
-        mujoco="",
-        gl="",
-        actions=actions,
-        failure=failure,
-    )
+    where = {"run": run, "task": task, "variant": variant, "seed": seed}
+    played = {"score": score, "steps": len(actions), "actions": actions, "failure": failure, "seconds": 0.0}
+    return replace(TEMPLATE, policy="Nobody", version="", mujoco="", gl="", **where, **played)
 
 
 def whole(runs: int = 5) -> Entry:

@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import pandas as pd
 
 import magical_mj
 from magical_mj.evaluation.scores import SCORES, EpisodeResult, read
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SMALL: dict[str, Any] = {"tasks": "MoveToRegion", "variants": "Demo,Layout", "episodes": 3, "preset": "State"}
 TEMPLATE: Final = EpisodeResult(
