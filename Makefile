@@ -34,7 +34,7 @@ peers: .venv-peers/.installed  ## the speed of other benchmarks beside ours, in 
 	@touch $@
 
 mujoco4-test: .venv-mujoco4/.installed  ## the shipped demonstrations and the scores under MuJoCo 4, in an environment of its own
-	.venv-mujoco4/bin/python -m pytest -n auto tests/demos/test_shipped.py tests/tasks tests/envs \
+	.venv-mujoco4/bin/python -m pytest -n auto tests/demos/test_files.py tests/tasks tests/envs \
 		--ignore tests/tasks/test_own_task.py $(ARGS)  # which trains, too
 
 .venv-mujoco4/.installed: pyproject.toml constraints.txt
