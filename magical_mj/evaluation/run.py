@@ -112,7 +112,7 @@ class Evaluation:
             single_env(unit, observed=True).close()  # an error now, not in the workers
         self._cause: Exception | None = None
         self._out = None if settings.out is None else Path(settings.out)
-        self._recorded = {"policies": [source.described() for source in self._sources], **settings.recorded()}
+        self._recorded = settings.recorded(self._sources)
         self.scores = [] if self._out is None else prepare(self._out, self._recorded, settings.resume)
         self.units = self._remaining()
 
@@ -122,7 +122,8 @@ class Evaluation:
             if self._out:
                 self.scores = load(self._out, self._recorded)  # another process may have added some by now
                 write_settings(self._out, self._recorded)
-            self.units = self._remaining()
+            if self._out or self.scores:
+                self.units = self._remaining()
             for results in self._trusted_results():
                 _check_versions(results)
                 if file is not None:

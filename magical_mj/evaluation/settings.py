@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from msgspec import Meta
 
@@ -26,6 +27,9 @@ from magical_mj.utils.errors import SettingsError, check_name, short_repr
 from magical_mj.utils.imports import is_reference, source_digest
 from magical_mj.utils.parallel import Backend, check_backend
 from magical_mj.utils.settings import LARGEST_SETTING, Count, Names, Natural, Settings
+
+if TYPE_CHECKING:
+    from magical_mj.policies.loading import Source
 
 Split = Literal["test", "dev"]
 """See `magical_mj.tasks.registry.SPLITS`."""
@@ -139,10 +143,11 @@ class EvaluationSettings(Settings):
         first = SPLITS[self.split] + self.first_seed
         return range(first, first + self.episodes)
 
-    def recorded(self) -> dict[str, Any]:
-        """The settings that determine scores; an evaluation can be resumed only if they are the same."""
+    def recorded(self, policies: Sequence[Source] = ()) -> dict[str, Any]:
+        """The settings that determine scores, and the policies if given: what a resumed evaluation must keep."""
         others = dict.fromkeys(task for task, _ in self.environments if task not in KNOWN)
         return {
+            **({"policies": [policy.described() for policy in policies]} if policies else {}),
             "environments": [f"{task}-{variant}" for task, variant in self.environments],
             **{name: getattr(self, name) for name in ("split", "first_seed", "episodes")},
             **{name: getattr(self, name) for name in ("preset", "rules", "time_limit")},
