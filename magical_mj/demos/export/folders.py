@@ -55,7 +55,8 @@ def to_webdataset(
 
     The archive's first record has the key ``_metadata`` and one part, ``json``. Each other one is a transition, with
     keys such as ``003-0017`` for step 17 of episode 3 and the parts ``obs.npy``, ``next_obs.npy``, ``acts.npy`` and
-    ``dones.npy``; presets with several parts have one for each, such as ``obs.ego.npy``.
+    ``dones.npy``; presets with several parts have one for each, such as ``obs.ego.npy``. Raises a `DemonstrationError`
+    if the demonstrations are not of one environment, and a `FileExistsError` if the folder exists.
     """
     folder = files.to_path(folder)
     metadata = {**about(demos), "preset": preset, "features": dict(FEATURES)}

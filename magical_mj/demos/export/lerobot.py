@@ -71,6 +71,9 @@ def to_lerobot(
     ``observation.state``. Without, it is a constant: LeRobot's policies cannot do without a state. `video` stores AV1
     videos instead of PNG: smaller, but lossy (0.7 levels on average, at most 31). The id of the finished data set names
     task, variant, demonstrators, observations and protocol.
+
+    Raises a `MagicalError` without lerobot, a `DemonstrationError` if the demonstrations are not of one environment,
+    and a `FileExistsError` if the folder exists.
     """
     try:
         from lerobot.datasets.lerobot_dataset import LeRobotDataset  # pyright: ignore[reportMissingImports]
