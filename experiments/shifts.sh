@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Learners' scores under shifts in docs/shifts.md: experiments/shifts.sh. About five hours of one core; run again, it goes on.
+# Learners' scores under shifts in docs/shifts.md: experiments/shifts.sh. About eight hours of one core; run again, it goes on.
 set -euo pipefail
 export MAGICAL_MJ_RENDERER=software
 
@@ -25,10 +25,12 @@ for task in MoveToCorner MoveToRegion MatchRegions MakeLine FindDupe FixColour C
   esac
 done
 for task in MoveToRegion FindDupe; do
-  run BC 0 $task 20 all LoRes4E bc --quick
+  for seed in 0 1 2 3 4; do run BC $seed $task 20 all LoRes4E bc --quick; done
+  for seed in 1 2 3; do run redraw $seed $task 20 all LoRes4E redraw --quick; done
   run BC-no-trans-rot 0 $task 20 all LoRes4E bc --quick --augment no-trans-rot
   run BC-allo 0 $task 20 all LoRes4A bc --quick
 done
 magical-mj report runs/shifts/{BC-states,relational}-{MoveToCorner,MoveToRegion,FixColour}-?-scores --out runs/shifts/three
 magical-mj report runs/shifts/BC-states-*-0-scores --out runs/shifts/states
+magical-mj report runs/shifts/{BC,redraw}-{MoveToRegion,FindDupe}-?-scores --out runs/shifts/runs
 magical-mj report runs/shifts/BC{,-no-trans-rot,-allo}-{MoveToRegion,FindDupe}-0-scores --mixed-presets --out runs/shifts/pictures
