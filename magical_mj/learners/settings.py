@@ -271,10 +271,11 @@ class TrainingSettings(Settings):
             raise SettingsError(
                 f"learners look at one stack of frames or at states: preset must be one of {', '.join(LEARNABLE)}"
             )
-        if self.method == "bc" and self.ppo.simulator != "mujoco":
-            raise SettingsError("bc learns without playing: a simulator is chosen for gail, wgail-gp and al")
         if "ppo" in PARTS.get(self.method, ()):
             self.check_reinforcement()
+        elif self.method in PARTS and self.ppo.simulator != "mujoco":
+            playing = ", ".join(method for method, parts in PARTS.items() if "ppo" in parts)
+            raise SettingsError(f"{self.method} learns without playing: a simulator is chosen for {playing}")
 
     @property
     def states(self) -> bool:
