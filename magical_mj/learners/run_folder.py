@@ -248,6 +248,8 @@ def read_metrics(folder: Path) -> list[dict[str, str]]:
         if columns[:2] != FIRST_COLUMNS:
             raise ValueError(f"its first columns are not {' and '.join(FIRST_COLUMNS)}, as a training writes them")
         for row in rows:
+            if None in row or None in row.values():  # which stands for fields without a column, or the reverse
+                raise ValueError(f"the row of update {row['update']} has another number of fields than the first line")
             int(row["update"])
     except FileNotFoundError:
         return []

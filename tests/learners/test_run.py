@@ -163,7 +163,15 @@ def test_a_policy_that_is_saved_on_the_way_is_as_it_would_be_evaluated(tmp_path:
 def test_damaged_figures_are_refused_and_kept(tmp_path: Path) -> None:
     stopped(tmp_path / "run", from_states())
     path = tmp_path / "run" / METRICS
-    for text in ("", "seconds,update\n1,2\n", "update,loss\n,1", "update\n1,2,3", "update\n\xff", "update\n\0"):
+    for text in (
+        "",
+        "seconds,update\n1,2\n",
+        "update,loss\n,1",
+        "update,seconds\n1,2,3",
+        "update,seconds,loss\n1,2",
+        "update\n\xff",
+        "update\n\0",
+    ):
         path.write_text(text, "latin-1")
         with pytest.raises(TrainingError, match=r"metrics\.csv is damaged"):
             train(from_states(), tmp_path / "run", resume=True)
