@@ -16,8 +16,7 @@ from magical_mj.cli import option
 from magical_mj.cli.console import check_fits, check_suffix, check_writable, complain, console, file_name
 from magical_mj.cli.film import INK, PAPER, side_by_side, views_of
 from magical_mj.scene.bodies import GRIPPER
-from magical_mj.tasks.plugins import task_plugins
-from magical_mj.tasks.registry import environment_axes, environments, task_spec
+from magical_mj.tasks.registry import environment_axes, environments, task_plugins, task_spec
 from magical_mj.utils import files
 from magical_mj.utils.errors import MagicalError
 

@@ -32,8 +32,7 @@ from magical_mj.scene import Scene
 from magical_mj.scene.actions import ACTIONS, NOOP, as_speeds
 from magical_mj.scene.bodies import GRIPPER, body_named
 from magical_mj.shifts.registry import PHYSICAL, named_in, parse_shifts, shift_label
-from magical_mj.tasks.plugins import announced_name
-from magical_mj.tasks.registry import environment_axes, score, task_spec, variant_name
+from magical_mj.tasks.registry import announced_name, environment_axes, score, task_spec, variant_name
 from magical_mj.utils import files
 from magical_mj.utils.errors import DemonstrationError, MagicalError, short_repr
 from magical_mj.utils.imports import check_named

@@ -17,8 +17,15 @@ from gymnasium.envs.registration import EnvSpec, WrapperSpec
 
 from magical_mj.envs.presets import PRESETS, preset_named
 from magical_mj.tasks import SUITES
-from magical_mj.tasks.plugins import task_plugins
-from magical_mj.tasks.registry import ENVIRONMENTS, VARIANTS, environment_axes, task_name, task_spec, variant_name
+from magical_mj.tasks.registry import (
+    ENVIRONMENTS,
+    VARIANTS,
+    environment_axes,
+    task_name,
+    task_plugins,
+    task_spec,
+    variant_name,
+)
 from magical_mj.utils.errors import TaskError
 from magical_mj.variants import variants_of
 

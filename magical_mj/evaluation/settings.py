@@ -19,9 +19,8 @@ from magical_mj.shifts import expand_shifts, shift_label
 from magical_mj.shifts.registry import BODY
 from magical_mj.shifts.registry import PROTOCOL as SHIFT_PROTOCOL
 from magical_mj.tasks import KNOWN
-from magical_mj.tasks.plugins import code_digest
 from magical_mj.tasks.protocol import DEMONSTRATIONS, PROTOCOL
-from magical_mj.tasks.registry import SPLITS, TASKS, Pair, environments, task_spec
+from magical_mj.tasks.registry import SPLITS, TASKS, Pair, code_digest, environments, task_spec
 from magical_mj.tasks.spec import Rules
 from magical_mj.utils.errors import SettingsError, check_name, short_repr
 from magical_mj.utils.imports import is_reference, source_digest

@@ -13,8 +13,7 @@ from magical_mj.shifts.drawn import Camera, Light, Palette, Sensor, Texture
 from magical_mj.shifts.physical import Clutter, Friction, Latency, Pose, Slip
 from magical_mj.shifts.shift import STRENGTHS, Factor, Shift
 from magical_mj.shifts.words import Words
-from magical_mj.tasks.plugins import announced, imported, reference_of
-from magical_mj.tasks.registry import task_spec
+from magical_mj.tasks.registry import announced, imported, reference_of, task_spec
 from magical_mj.utils.errors import (
     InvalidSceneError,
     SettingsError,
