@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from copy import copy
 from functools import lru_cache
 from typing import Any, Final
@@ -18,7 +17,7 @@ from magical_mj.shifts.registry import SHIFTS, shift_class
 from magical_mj.shifts.shift import GROUND_CELLS, GROUND_REACH, HISTORY, Frame, Picture, Shift, Values, draw
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import MagicalError, ShiftError, as_integer, short_repr
-from magical_mj.utils.imports import with_place
+from magical_mj.utils.imports import errors_of_task, with_place
 
 SURROUNDINGS: Final = (231, 231, 234)
 """The colour around the arena, as in `assets.style`."""
@@ -60,10 +59,22 @@ class EpisodeShifts:
         self.steps = 0
         self.commands: dict[str, list[int]] = {name: [] for name in self._acting}
 
-    def _with(self, method: str) -> dict[str, Shift]:
-        """Those that have a method of their own."""
-        own = getattr(Shift, method)
-        return {name: shift for name, shift in self._shifts.items() if getattr(type(shift), method) is not own}
+    def _with(self, method: str) -> list[str]:
+        """The names of those that have a method of their own."""
+        base = getattr(Shift, method)
+        return [name for name, shift in self._shifts.items() if getattr(type(shift), method) is not base]
+
+    def _call(self, name: str, method: str, *arguments: Any) -> Any:
+        """What a method of a shift returns; any error of its code is a `ShiftError` that names it.
+
+        This package's own errors pass through.
+        """
+        try:
+            return getattr(self._shifts[name], method)(*arguments)
+        except MagicalError:
+            raise
+        except Exception as error:
+            raise ShiftError(f"{name}.{method} failed: {with_place(error)}") from error
 
     def scene(self, scene: Scene, task: str) -> Scene:
         """The scene in which the episode starts.
@@ -71,14 +82,14 @@ class EpisodeShifts:
         Raises:
             ShiftError: if a shift of one's own returns anything but a legal scene of the task.
         """
-        for name, shift in self._with("scene").items():
-            with _errors_of(name, "scene"):
-                scene = shift.scene(scene, task_spec(task))
-                if name in SHIFTS:
-                    continue
-                if not isinstance(scene, Scene):
-                    raise ShiftError(f"{name}.scene must return a magical_mj.Scene, not {short_repr(scene)}")
-                check_scene(scene)
+        for name in self._with("scene"):
+            scene = self._call(name, "scene", scene, task_spec(task))
+            if name in SHIFTS:
+                continue
+            if not isinstance(scene, Scene):
+                raise ShiftError(f"{name}.scene must return a magical_mj.Scene, not {short_repr(scene)}")
+            check_scene(scene)
+            with errors_of_task(f"{task}.check failed"):
                 task_spec(task).check(scene)
         return scene
 
@@ -86,20 +97,19 @@ class EpisodeShifts:
         """Changes a fresh model. Where the ground has another look, it is drawn as white, whatever is around it."""
         if self.changes_ground:
             model.geom_rgba[model.geom("surround").id, 3] = 0
-        for name, shift in self._with("model").items():
-            with _errors_of(name, "model"):
-                shift.model(model)
+        for name in self._with("model"):
+            self._call(name, "model", model)
 
     @property
     def delay(self) -> int:
         """How many steps before the next one the command is given that takes effect in it, by the first of them."""
-        for name, shift in self._acting.items():
-            with _errors_of(name, "delay"):
-                delay = as_integer(shift.delay(self.steps), 0, HISTORY - 1)
-            if delay is None:
-                raise ShiftError(f"{name}.delay must return a number of steps, 0 to {HISTORY - 1}")
-            return delay
-        return 0
+        if not self._acting:
+            return 0
+        first = next(iter(self._acting))
+        delay = as_integer(self._call(first, "delay", self.steps), 0, HISTORY - 1)
+        if delay is None:
+            raise ShiftError(f"{first}.delay must return a number of steps, 0 to {HISTORY - 1}")
+        return delay
 
     def revise(self, ago: int, action: int) -> None:
         """Makes `action` what was commanded so many steps before the next one: plans choose it when they need it."""
@@ -107,12 +117,11 @@ class EpisodeShifts:
 
     def action(self, action: int) -> int:
         """The action that is taken when `action` is commanded."""
-        for name, shift in self._acting.items():
+        for name in self._acting:
             commands = self.commands[name]
             commands.append(action)
             del commands[:-HISTORY]
-            with _errors_of(name, "action"):
-                taken = as_integer(shift.action(tuple(commands), self.steps), 0, len(ACTIONS) - 1)
+            taken = as_integer(self._call(name, "action", tuple(commands), self.steps), 0, len(ACTIONS) - 1)
             if taken is None:
                 raise ShiftError(f"{name}.action must return an action, 0 to {len(ACTIONS) - 1}")
             action = taken
@@ -132,28 +141,23 @@ class EpisodeShifts:
             from magical_mj.shifts.kernels import lay
 
             lay(picture, bare, self._ground_in(half_width), GROUND_REACH, frame.camera)
-        for name, shift in self._drawing.items():
-            with _errors_of(name, "picture"):
-                seen = shift.picture(picture, frame)
-            picture = _checked(f"{name}.picture", seen, picture.shape)
+        for name in self._drawing:
+            picture = _checked(f"{name}.picture", self._call(name, "picture", picture, frame), picture.shape)
         return picture
 
     def _ground_in(self, half_width: float) -> Picture:
         """The look of the ground in an arena of this half width, and around it."""
         if self._ground is None or self._ground[0] != half_width:
             ground = _plain_ground(half_width).copy()
-            for name, shift in self._laying.items():
-                with _errors_of(name, "ground"):
-                    looks = shift.ground(ground)
-                ground = _checked(f"{name}.ground", looks, ground.shape)
+            for name in self._laying:
+                ground = _checked(f"{name}.ground", self._call(name, "ground", ground), ground.shape)
             self._ground = half_width, ground
         return self._ground[1]
 
     def instruction(self, instruction: str, task: str) -> str:
         """The sentence that is read."""
-        for name, shift in self._with("instruction").items():
-            with _errors_of(name, "instruction"):
-                instruction = shift.instruction(instruction, task)
+        for name in self._with("instruction"):
+            instruction = self._call(name, "instruction", instruction, task)
             if not isinstance(instruction, str):
                 raise ShiftError(f"{name}.instruction must return text, not {short_repr(instruction)}")
         return instruction
@@ -190,14 +194,3 @@ def _checked(what: str, picture: Any, shape: tuple[int, ...]) -> Picture:
         got = f"of shape {picture.shape}, {picture.dtype}" if isinstance(picture, np.ndarray) else short_repr(picture)
         raise ShiftError(f"{what} must return an array of shape {shape}, uint8, not {got}")
     return np.ascontiguousarray(picture)
-
-
-@contextmanager
-def _errors_of(name: str, method: str) -> Iterator[None]:
-    """Makes any error of a shift's code a `ShiftError` that names it; this package's own pass through."""
-    try:
-        yield
-    except MagicalError:
-        raise
-    except Exception as error:
-        raise ShiftError(f"{name}.{method} failed: {with_place(error)}") from error
