@@ -96,10 +96,14 @@ def bend_body(model: mujoco.MjModel, name: str, angle: float) -> None:
     model.qpos0[model.jnt_qposadr[joint]] = angle
 
 
+def parsed(text: str) -> Element:
+    """MJCF text of this package as an element, with its comments."""
+    return fromstring(text, XMLParser(target=TreeBuilder(insert_comments=True)))  # noqa: S314
+
+
 def elements(text: str) -> list[Element]:
-    """MJCF text of this package as elements, with its comments."""
-    parser = XMLParser(target=TreeBuilder(insert_comments=True))  # noqa: S314
-    return list(fromstring(f"<mujoco>{text}</mujoco>", parser))  # noqa: S314
+    """The same for several elements side by side."""
+    return list(parsed(f"<mujoco>{text}</mujoco>"))
 
 
 def comment(text: str) -> str:

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from magical_mj.engine.simulation import Simulation, State, check_state, with_shifts
+from magical_mj.engine.simulation import Simulation, State, check_state
 from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene, check_scene_type
@@ -212,8 +212,7 @@ class Engine:
         self.setup, self.task, self.variant = setup, setup.task, setup.variant
         self.rules: Rules = setup.rules
         self.horizon = setup.horizon
-        self._simulation: Simulation | None = Simulation.of(scene, renderer, shifts)
-        self._simulation.speeds = setup.speeds
+        self._simulation: Simulation | None = Simulation.of(scene, renderer, shifts, speeds=setup.speeds)
         self.shifts = strengths
         self.seed: int | None = None
         self.steps, self._broken = 0, False
@@ -354,8 +353,7 @@ class Engine:
 
     def get_state(self) -> State:
         """The present state of the episode, exactly. Takes about 1/40 of a step's time."""
-        state = State(self.initial_scene, self.steps, self.simulation.save())
-        return with_shifts(state, self.simulation.shifts)
+        return self.simulation.state(self.steps)
 
     def set_state(self, state: State) -> None:
         """Restores a state of this engine, or of another one with the same task: what follows is exactly the same.

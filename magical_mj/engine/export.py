@@ -11,14 +11,14 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, cast
-from xml.etree.ElementTree import Comment, Element, SubElement, TreeBuilder, XMLParser, fromstring
+from xml.etree.ElementTree import Comment, Element, SubElement
 from xml.sax.saxutils import quoteattr
 
 import mujoco
 
 from magical_mj._version import __version__
 from magical_mj.assets.contacts import SUBSTEPS
-from magical_mj.assets.mjcf import elements, numbers
+from magical_mj.assets.mjcf import elements, numbers, parsed
 from magical_mj.assets.region import BONE, region_mjcf
 from magical_mj.assets.robot import controls
 from magical_mj.assets.world import world_mjcf
@@ -122,9 +122,9 @@ def _header(about: Mapping[str, Any], side: float) -> str:
 
 def _model(scene: Scene, about: Mapping[str, Any], data: mujoco.MjData) -> Element:
     """The model of a scene with everything that only files have: names, comments, sensors, custom data, keyframe."""
-    root = fromstring(world_mjcf(scene), XMLParser(target=TreeBuilder(insert_comments=True)))  # noqa: S314
+    root = parsed(world_mjcf(scene))
     _name_blocks(root, scene)
-    _unfold_regions(root, scene)
+    _regions_as_geoms(root, scene)
     speeds = "task" in about and task_spec(about["task"]).speeds
     root[:0] = [Comment(ABOUT_SPEEDS if speeds else ABOUT), _custom(scene, about, speeds)]
     state = {"time": [data.time], "qpos": data.qpos, "qvel": data.qvel, "act": data.act, "ctrl": data.ctrl}
@@ -143,7 +143,7 @@ def _name_blocks(root: Element, scene: Scene) -> None:
             geom.set("name", f"{name}_{block.colour}_{block.shape}_{part}")
 
 
-def _unfold_regions(root: Element, scene: Scene) -> None:
+def _regions_as_geoms(root: Element, scene: Scene) -> None:
     """Replaces the regions' skins, which environments modify from scene to scene, by geoms."""
     paths = ("deformable", "asset", f".//body[@name='{BONE}']")
     skins, assets, body = (cast("Element", root.find(path)) for path in paths)
@@ -159,10 +159,7 @@ def _custom(scene: Scene, about: Mapping[str, Any], speeds: bool) -> Element:
     """The `<custom>` element: the data that programs need besides the model."""
     custom = Element("custom")
     for name, value in about.items():
-        if name in NUMERIC:
-            SubElement(custom, "numeric", {"name": name, "data": str(value)})
-        else:
-            SubElement(custom, "text", {"name": name, "data": str(value)})
+        SubElement(custom, "numeric" if name in NUMERIC else "text", {"name": name, "data": str(value)})
     SubElement(custom, "text", {"name": "scene", "data": "\n" + THINGS.sub("\n", scene.to_json())})
     if not speeds:
         rows = (numbers(*row) for row in controls(scene.robot.body, scene.dynamics.veer))

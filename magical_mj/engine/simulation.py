@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from types import MappingProxyType
 from typing import Any, Final
@@ -30,7 +30,7 @@ from magical_mj.shifts.episode import Draws, EpisodeShifts
 from magical_mj.shifts.shift import Frame
 from magical_mj.utils.errors import PhysicsError, StateError, as_integer, short_repr
 
-_LEAST: Final = np.iinfo(np.int32).min
+_SMALLEST_INTEGER: Final = np.iinfo(np.int32).min
 _INTEGRATION: Final = mujoco.mjtState.mjSTATE_INTEGRATION
 _NO_ACTUATION: Final = mujoco.mjtDisableBit.mjDSBL_ACTUATION.value
 
@@ -97,15 +97,15 @@ class Simulation:
         world: the world of the first scene.
         model: a compiled model of it.
         data: its state, which others may use too.
+        renderer: as `magical_mj.Engine`.
         cameras: as those of `Views`.
+        speeds: whether actions are x-magical's speeds, see `magical_mj.assets.robot.speed_signal`.
 
     Attributes:
         world: the world of the present scene.
         model: MuJoCo's model. `start` replaces it if the new scene has another structure.
         data: MuJoCo's state of that model.
-        renderer: as `magical_mj.Engine`.
         shifts: those of the present episode; None: none.
-        speeds: whether actions are x-magical's speeds, see `magical_mj.assets.robot.speed_signal`.
     """
 
     def __init__(
@@ -113,22 +113,30 @@ class Simulation:
         world: World,
         model: mujoco.MjModel,
         data: mujoco.MjData | None = None,
+        renderer: str | None = None,
         cameras: Mapping[str, str] = MappingProxyType({}),
+        *,
+        speeds: bool = False,
     ) -> None:
         self.world, self.model, self.data = world, model, data or mujoco.MjData(model)
-        self.renderer: str | None = None
+        self.renderer, self.speeds, self._cameras = renderer, speeds, cameras
         self.shifts: EpisodeShifts | None = None
-        self.speeds = False
-        self._cameras = cameras
         self._views: Views | None = None
         self._encoder: tuple[Scene, StateEncoder] | None = None
 
     @classmethod
-    def of(cls, scene: Scene, renderer: str | None = None, shifts: EpisodeShifts | None = None) -> Simulation:
+    def of(
+        cls,
+        scene: Scene,
+        renderer: str | None = None,
+        shifts: EpisodeShifts | None = None,
+        *,
+        speeds: bool = False,
+    ) -> Simulation:
         """The simulation of an episode that begins in this scene, with these shifts."""
         world = World(scene)
-        simulation = cls(world, copy(world_model(world.structure)))
-        simulation.renderer, simulation.shifts = renderer, shifts
+        simulation = cls(world, copy(world_model(world.structure)), renderer=renderer, speeds=speeds)
+        simulation.shifts = shifts
         simulation._begin()
         return simulation
 
@@ -167,9 +175,7 @@ class Simulation:
 
     def copy(self) -> Simulation:
         """Another simulation in the same state, which shares the model, and takes actions as they are commanded."""
-        twin = Simulation(self.world, self.model, copy(self.data), self._cameras)
-        twin.renderer, twin.speeds = self.renderer, self.speeds
-        return twin
+        return Simulation(self.world, self.model, copy(self.data), self.renderer, self._cameras, speeds=self.speeds)
 
     def act(self, action: Any) -> None:
         """Simulates one action of 1/8 s; see `command` and `advance`."""
@@ -257,6 +263,14 @@ class Simulation:
         """Frees what the simulation drew with; the drawing context, which all share, remains."""
         self._views = None
 
+    def state(self, steps: int) -> State:
+        """The state of the episode, after so many steps."""
+        scene, saved = self.world.scene, self.save()
+        if self.shifts is None:
+            return State(scene, steps, saved)
+        commands = {name: tuple(commands) for name, commands in self.shifts.commands.items()}
+        return State(scene, steps, saved, draws=self.shifts.draws, commands=commands)
+
     def save(self) -> NDArray[np.float64]:
         """The complete present state in a fresh array. Shape (state size + number of trees,).
 
@@ -285,7 +299,7 @@ class Simulation:
         asleep = saved[size:]
         sleeping = asleep >= 0
         together = np.array_equal(np.sort(asleep[sleeping]), np.flatnonzero(sleeping))
-        if not together or asleep.min() < _LEAST or (asleep % 1).any():
+        if not together or asleep.min() < _SMALLEST_INTEGER or (asleep % 1).any():
             raise StateError("the state is damaged: the entries about sleeping bodies are inconsistent")
         before = self.save()
         try:
@@ -303,14 +317,6 @@ class Simulation:
         data.tree_asleep[:] = saved[size:]
         _update_sleep(model, data)
         mujoco.mj_step1(model, data)
-
-
-def with_shifts(state: State, shifts: EpisodeShifts | None) -> State:
-    """The state of an episode, with that of its shifts."""
-    if shifts is None:
-        return state
-    commands = {name: tuple(commands) for name, commands in shifts.commands.items()}
-    return replace(state, draws=shifts.draws, commands=commands)
 
 
 def write_numbers(model: mujoco.MjModel, other: mujoco.MjModel) -> None:

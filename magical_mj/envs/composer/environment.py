@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from magical_mj.engine import State
 from magical_mj.engine.engine import Setup
-from magical_mj.engine.simulation import check_state, with_shifts
+from magical_mj.engine.simulation import check_state
 from magical_mj.envs.composer.entities import Arena
 from magical_mj.envs.composer.task import SceneTask
 from magical_mj.rendering.renderer import check_size
@@ -169,8 +169,7 @@ class Environment(composer.Environment):
 
     def get_state(self) -> State:
         """The present state of the episode, exactly: engines and Gymnasium's environments can go on from it, too."""
-        state = State(self.initial_scene, self.task.steps, self.task.simulation(self._opened()).save())
-        return with_shifts(state, self.task.shifts)
+        return self.task.simulation(self._opened()).state(self.task.steps)
 
     def set_state(self, state: State) -> None:
         """Restores a state of this environment, or of another one with the same task: what follows is exactly the same.

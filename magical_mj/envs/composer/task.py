@@ -103,10 +103,9 @@ class SceneTask(composer.Task):
         model, data = physics.model.ptr, physics.data.ptr
         if self._simulation is None or self._simulation.model is not model or self._simulation.data is not data:
             self.free()
-            self._simulation = Simulation(self.world, model, data, CAMERA_NAMES)
-            self._simulation.renderer = self.renderer
+            speeds = self.setup.speeds
+            self._simulation = Simulation(self.world, model, data, self.renderer, CAMERA_NAMES, speeds=speeds)
         self._simulation.world, self._simulation.shifts = self.world, self.shifts
-        self._simulation.speeds = self.setup.speeds
         return self._simulation
 
     def free(self) -> None:
