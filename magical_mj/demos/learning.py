@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration, checked
 from magical_mj.demos.recording import render_demo
-from magical_mj.envs.presets import Stacks, drawn, preset_named
+from magical_mj.envs.presets import Stacks, copying, preset_named
 from magical_mj.scene.state_vector import StateEncoder
 from magical_mj.tasks.registry import task_spec
 from magical_mj.tasks.sweep_to_top import state_vector
@@ -85,7 +85,7 @@ def observations(demo: Demonstration, preset: str = "LoRes4E", renderer: str | N
         for number, pictures in enumerate(
             render_demo(demo, [view for view, _ in how.frames], how.image_size, renderer)
         ):
-            (stacks.push if number else stacks.start)(drawn(pictures))
+            (stacks.push if number else stacks.start)(copying(pictures))
             for name, latest in stacks.latest.items():
                 rows[name][number] = latest
         if how.layout != "dict":

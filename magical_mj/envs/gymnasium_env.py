@@ -116,11 +116,11 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         self._limit = math.inf if limit is None else check_limit(limit, self._engine.setup)
         self._continuous = action == "continuous"
         self.action_space = continuous_space() if self._continuous else spaces.Discrete(len(ACTIONS))
-        self._instructs, self._told = instruction and self._preset.layout == "dict", instruction
+        self._instruction = instruction
         self.observation_space = observation_space(self._preset, self._stacks.shapes, instruction=instruction)
         self._score_every_step = score_every_step
         self._begun = False
-        self._seeded: int | None = None
+        self._fresh_seed: int | None = None  # of the last reset, while no step has followed
 
     @property
     def engine(self) -> Engine:
@@ -173,24 +173,22 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         """
         seed = None if seed is None else check_seed(seed)
         start = check_options(options, "scene", "state", "variation")
-        scene, state = _scene_option(start), start.get("state")
-        if (variation := start.get("variation")) is not None:
-            again = self._seeded if seed is None else seed
-            scene, draws = self._varied(variation, int(self.np_random.integers(2**63)) if again is None else again)
+        scene, state, variation = _scene_option(start), start.get("state"), start.get("variation")
+        if variation is not None:
+            scene, draws = self._varied(variation, self._next_seed(seed))
             self._check_observable(scene)
             self._engine.reset(scene=scene, draws=draws)
         elif scene is not None or state is not None:
             self._check_observable(scene if state is None else getattr(state, "scene", None))
             self._engine.reset(scene=scene, state=state)
         else:
-            again = self._seeded if seed is None else seed
-            again = int(self.np_random.integers(2**63)) if again is None else again
-            if self._preset.layout == "state" and self._engine.task not in TASKS:  # the benchmark's own scenes fit
-                self._check_observable(self._engine.setup.sample(again))
-            self._engine.reset(seed=again)
+            number = self._next_seed(seed)
+            if self._engine.task not in TASKS and self._preset.layout == "state":  # the benchmark's own scenes fit
+                self._check_observable(self._engine.setup.sample(number))
+            self._engine.reset(seed=number)
         super().reset(seed=seed)  # last, so that a reset that is refused leaves the generator as it was
         self._begun = True
-        self._seeded = seed if scene is None and state is None else None
+        self._fresh_seed = seed if scene is None and state is None else None
         self._stacks.start(self._draw, None if state is None else state.frames)
         return self.observe(), self._info(last=False)
 
@@ -215,7 +213,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             InvalidSceneError: if its scene is not one of this task.
         """
         self._engine.set_state(state)
-        self._begun, self._seeded = True, None
+        self._begun, self._fresh_seed = True, None
         self._stacks.start(self._draw, state.frames)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -247,7 +245,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         if not self._begun or self.over:
             raise ResetNeeded("the episode has ended; call reset() before the next step")
         over = self._engine.step(action)
-        self._seeded = None
+        self._fresh_seed = None
         self._stacks.push(self._draw)
         return over or self._engine.steps >= self._limit
 
@@ -278,9 +276,14 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         score = self.score() if last or self._score_every_step else 0.0
         reached = score if last else 0.0
         info = {"eval_score": np.float64(reached), "is_success": np.array(reached == 1.0)}
-        if self._told or "words" in self._engine.draws:
+        if self._instruction or "words" in self._engine.draws:
             info["instruction"] = np.array(self._engine.instruction)
         return info | {"score": np.float64(score)} if self._score_every_step else info
+
+    def _next_seed(self, seed: int | None) -> int:
+        """The seed of an episode: the given one, that of the last reset if no step has followed it, or a drawn one."""
+        seed = self._fresh_seed if seed is None else seed
+        return int(self.np_random.integers(2**63)) if seed is None else seed
 
     def _varied(self, variation: Any, seed: int) -> tuple[Scene, Draws]:
         """The scene and the draws of an episode with this variation; see `reset`."""
@@ -318,7 +321,7 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
             with np.errstate(all="ignore"):  # angles may be too small for float32
                 parts["fingers"] = self._engine.fingers().astype(np.float32)
         seen: dict[str, Any] = {name: _put(part, None if out is None else out[name]) for name, part in parts.items()}
-        if self._instructs:
+        if self._instruction:
             seen["instruction"] = self._engine.instruction
         return seen
 

@@ -120,7 +120,7 @@ class FrameStack:
         self, frames: tuple[tuple[str, int], ...], size: int, depth: int = 3, *, channels_first: bool = False
     ) -> None:
         count = depth * sum(number for _, number in frames)
-        self.remembers = any(number > 1 for _, number in frames)
+        self.has_history = any(number > 1 for _, number in frames)
         """Whether a stack depends on the one before."""
         self.shape = (count, size, size) if channels_first else (size, size, count)
         self._channels_last = (1, 2, 0) if channels_first else (0, 1, 2)
@@ -135,23 +135,21 @@ class FrameStack:
         """The latest stack: a view into the buffer, which changes with the next `push`."""
         return self._memory[self._first : self._first + math.prod(self.shape)].reshape(self.shape)
 
-    def start(self, draw: Draw) -> Images:
-        """The stack at the start of an episode, all its frames the first picture: `latest`."""
+    def start(self, draw: Draw) -> None:
+        """Makes the first picture of an episode all frames of the stack."""
         self._draw_newest(draw)
         pixels, depth = self.latest.transpose(self._channels_last), self._depth
         for _, first, end in self._channels:
             for channel in range(first, end - depth):
                 pixels[..., channel] = pixels[..., end - depth + (channel - first) % depth]
-        return self.latest
 
-    def push(self, draw: Draw) -> Images:
-        """The stack with the newest pictures added and the oldest gone: `latest`."""
+    def push(self, draw: Draw) -> None:
+        """Adds the newest picture of each view; the oldest is gone."""
         if self._first == self.MOVES * self._shift:
             latest, self._first = self.latest.copy(), 0
             self.latest[:] = latest
         self._first += self._shift
         self._draw_newest(draw)
-        return self.latest
 
     def _draw_newest(self, draw: Draw) -> None:
         """Draws the newest frame of each view into the latest stack."""
@@ -188,7 +186,7 @@ class Stacks:
         for name, stack in self._stacks.items():
             saved = (frames or {}).get(name)
             fits = isinstance(saved, np.ndarray) and (saved.dtype, saved.shape) == (np.uint8, stack.shape)
-            if saved is not None and fits and stack.remembers:
+            if saved is not None and fits and stack.has_history:
                 stack.latest[:] = saved
             else:
                 stack.start(draw)
@@ -205,10 +203,10 @@ class Stacks:
 
     def save(self) -> dict[str, Images]:
         """Copies of the stacks, except those that hold only present pictures."""
-        return {name: stack.latest.copy() for name, stack in self._stacks.items() if stack.remembers}
+        return {name: stack.latest.copy() for name, stack in self._stacks.items() if stack.has_history}
 
 
-def drawn(pictures: Mapping[str, Images]) -> Draw:
+def copying(pictures: Mapping[str, Images]) -> Draw:
     """A `Draw` that copies pictures which exist already."""
 
     def write(view: str, place: Images) -> None:
