@@ -174,7 +174,7 @@ def measure_batched(task: str, variant: str, worlds: int, preset: str, device: s
             worlds=worlds,
             rate=worlds * len(actions) / seconds,
             physics_seconds=_seconds(device, lambda: env.physics.step(actions[0])),
-            observation_seconds=_seconds(device, lambda: env.observer.look(env.physics)),
+            observation_seconds=_seconds(device, lambda: env.observer.observe(env.physics)),
             reset_seconds=_seconds(device, lambda: env.reset(seed=0)),
             kernels=kernels,
             bytes=sum(kernel.bytes for kernel in kernels) / worlds,
@@ -187,7 +187,7 @@ def _kernels(env: BatchedEnv, actions: Tensor) -> list[Kernel]:
     with recorded_launches(env.device) as recorded:
         for row in actions:
             env.physics.step(row, graph=False)
-            env.observer.look(env.physics)
+            env.observer.observe(env.physics)
     count = len(actions)
     return [
         Kernel(kernel.part, kernel.name, kernel.launches / count, kernel.seconds / count, kernel.bytes / count)

@@ -19,7 +19,7 @@ from magical_mj.batched.physics import Physics, check_device
 from magical_mj.batched.scenes import Capacity, SceneSampler, WorldScenes, sample
 from magical_mj.envs.gymnasium_env import check_options
 from magical_mj.envs.presets import preset_named
-from magical_mj.envs.vector import masked, world_seeds
+from magical_mj.envs.vector import check_mask, world_seeds
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS
@@ -132,7 +132,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """
         self._check_open()
         mask = check_options(options, "reset_mask").get("reset_mask")
-        worlds = np.flatnonzero(masked(arrays(mask), self.num_envs)).tolist()
+        worlds = np.flatnonzero(check_mask(arrays(mask), self.num_envs)).tolist()
         each = world_seeds(arrays(seed), self.num_envs)
         if mask is None and as_integer(seed) is not None:
             self._sampler.seed(check_seed(seed))
@@ -145,13 +145,13 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             self._put(self._sampler.scenes(worlds, seeds), where)
         self._steps[where] = 0
         self._running[where] = True
-        return self.observer.begin(self.physics, where)
+        return self.observer.observe_start(self.physics, where)
 
     def _put(self, scenes: WorldScenes, worlds: Tensor) -> None:
         """Puts scenes, at rest, into these worlds."""
         self._scenes.write(scenes, worlds.cpu().numpy())
         self.physics.reset(scenes, worlds)
-        self.observer.start(scenes, worlds)
+        self.observer.set_scenes(scenes, worlds)
 
     def get_state(self) -> dict[str, Any]:
         """The present state of all worlds, the pictures in the stacks included: tensors, arrays and plain values."""
@@ -209,7 +209,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             self.physics.reset(self._scenes[where.cpu().numpy()], where)
         if bool((ended & info["overflowed"]).any()):
             gymnasium.logger.warn(OVERFLOW)
-        observation = self.observer.look(self.physics)
+        observation = self.observer.observe(self.physics)
         reward = scores.float() if self._reward == "score" else torch.zeros(self.num_envs, device=self.device)
         self._running &= ~ended
         if self._same_step and bool(ended.any()):

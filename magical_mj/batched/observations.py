@@ -38,12 +38,12 @@ class States:
         self._fixed = torch.zeros((worlds, len(STATE_NAMES)), device=device)
         self.space: spaces.Space[Any] = observation_space(preset_named("State"), {})
 
-    def start(self, scenes: WorldScenes, worlds: Tensor) -> None:
+    def set_scenes(self, scenes: WorldScenes, worlds: Tensor) -> None:
         """Episodes begin in these worlds: writes what stays as it is."""
         fixed = np.stack([StateEncoder(scenes.scene(row)).fixed for row in range(len(worlds))])
         self._fixed[worlds] = torch.from_numpy(fixed).to(self._fixed)
 
-    def look(self, physics: Physics) -> Tensor:
+    def observe(self, physics: Physics) -> Tensor:
         """The present states, in a fresh tensor."""
         state, poses, speeds = self._fixed.clone(), physics.poses, physics.velocities
         state[:, :8] = torch.cat([poses[:, 0], speeds[:, 0], physics.fingers], dim=-1)
@@ -51,10 +51,10 @@ class States:
         rows[..., 1:7] = torch.cat([poses[:, 1:], speeds[:, 1:]], dim=-1) * rows[..., :1]
         return state
 
-    def begin(self, physics: Physics, worlds: Tensor) -> Tensor:
+    def observe_start(self, physics: Physics, worlds: Tensor) -> Tensor:
         """Observations after resets: the same as any."""
         del worlds
-        return self.look(physics)
+        return self.observe(physics)
 
     def get_state(self) -> dict[str, Tensor]:
         """Nothing: they are the present ones."""
@@ -63,7 +63,7 @@ class States:
     def set_state(self, state: Mapping[str, Tensor], physics: Physics) -> Tensor:
         """Goes back to a state; returns what is seen then."""
         del state
-        return self.look(physics)
+        return self.observe(physics)
 
 
 def _outlines(device: str) -> Any:
@@ -98,33 +98,28 @@ class Painter:
 
     def __init__(self, scenes: WorldScenes, device: str = "cpu") -> None:
         self._outlines = _outlines(device)
-        self._fixed = {
-            name: torch.from_numpy(getattr(scenes, name)).to(device).to(kind)
-            for name, kind in (
-                ("shapes", torch.int32),
-                ("colours", torch.int32),
-                ("regions", torch.float32),
-                ("region_colours", torch.int32),
-                ("dashes", torch.float32),
-            )
-        }
         worlds, blocks = scenes.shapes.shape
         self._places = torch.zeros((worlds, 1 + blocks, 4), device=device)
         self._fingers = torch.zeros((worlds, 2, 2), device=device)
         self._worlds: Any = Worlds()
-        for name, tensor in (*self._fixed.items(), ("places", self._places), ("fingers", self._fingers)):
-            kind = {"regions": wp.vec4, "dashes": wp.vec4, "places": wp.vec4, "fingers": wp.vec2}.get(name, wp.int32)
-            setattr(self._worlds, name, wp.from_torch(tensor, dtype=kind))
+        self._worlds.places = wp.from_torch(self._places, dtype=wp.vec4)
+        self._worlds.fingers = wp.from_torch(self._fingers, dtype=wp.vec2)
+        self._fixed: dict[str, Tensor] = {}
+        for name in ("shapes", "colours", "region_colours", "regions", "dashes"):
+            boxes = name in ("regions", "dashes")
+            kind, entry = (torch.float32, wp.vec4) if boxes else (torch.int32, wp.int32)
+            self._fixed[name] = torch.from_numpy(getattr(scenes, name)).to(device, kind)
+            setattr(self._worlds, name, wp.from_torch(self._fixed[name], dtype=entry))
         self._device = device
-        self.place(torch.from_numpy(scenes.poses), torch.from_numpy(scenes.fingers))
+        self.set_poses(torch.from_numpy(scenes.poses), torch.from_numpy(scenes.fingers))
 
-    def change(self, scenes: WorldScenes, worlds: Tensor) -> None:
-        """Other scenes in some of the worlds."""
+    def set_scenes(self, scenes: WorldScenes, worlds: Tensor) -> None:
+        """Puts other scenes into some of the worlds."""
         for name, tensor in self._fixed.items():
             tensor[worlds] = torch.from_numpy(getattr(scenes, name)).to(tensor)
 
-    def place(self, poses: Tensor, fingers: Tensor) -> None:
-        """Where everything is now: poses (worlds, 1 + blocks, 3), angles of the left and right finger (worlds, 2)."""
+    def set_poses(self, poses: Tensor, fingers: Tensor) -> None:
+        """Moves everything: poses (worlds, 1 + blocks, 3), angles of the left and right finger (worlds, 2)."""
         self._places[..., :2] = poses[..., :2]
         self._places[..., 2], self._places[..., 3] = poses[..., 2].cos(), poses[..., 2].sin()
         self._fingers[..., 0], self._fingers[..., 1] = fingers.cos(), fingers.sin()
@@ -160,11 +155,11 @@ class Frames:
         shapes = {name: tuple(self._shaped(stack[:1])[0].shape) for name, stack in self._stacks.items()}
         self.space = observation_space(preset, shapes)
 
-    def start(self, scenes: WorldScenes, worlds: Tensor) -> None:
+    def set_scenes(self, scenes: WorldScenes, worlds: Tensor) -> None:
         """Episodes begin in these worlds."""
-        self._painter.change(scenes, worlds)
+        self._painter.set_scenes(scenes, worlds)
 
-    def look(self, physics: Physics) -> Observation:
+    def observe(self, physics: Physics) -> Observation:
         """Adds the present pictures to the stacks; fresh tensors."""
         for name, _, first, end in self._places:
             stack = self._stacks[name]
@@ -172,7 +167,7 @@ class Frames:
         self._draw(physics)
         return self._observation(physics)
 
-    def begin(self, physics: Physics, worlds: Tensor) -> Observation:
+    def observe_start(self, physics: Physics, worlds: Tensor) -> Observation:
         """Fills the stacks of these worlds with their present pictures; fresh tensors, of all worlds."""
         self._draw(physics)
         for name, _, first, end in self._places:
@@ -192,7 +187,7 @@ class Frames:
 
     def _draw(self, physics: Physics) -> None:
         """The present pictures, each where the newest of its view belongs."""
-        self._painter.place(physics.poses, physics.fingers)
+        self._painter.set_poses(physics.poses, physics.fingers)
         for name, view, _, end in self._places:
             self._painter.draw(view, self._stacks[name][..., end - 3 : end])
 

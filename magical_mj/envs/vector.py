@@ -115,7 +115,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             env.observation_space = first.observation_space  # whose bounds take four times the memory of an observation
         self.action_space = batch_space(first.action_space, self.num_envs)
         self._threads = min(threads or cores(), self.num_envs)
-        self._others = ThreadPoolExecutor(self._threads - 1, "magical_mj") if self._threads > 1 else None
+        self._pool = ThreadPoolExecutor(self._threads - 1, "magical_mj") if self._threads > 1 else None
         self._over = np.zeros(self.num_envs, np.bool_)
 
     @cached_property
@@ -139,20 +139,20 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         """
         self._check_open()
         known = check_options(options, "reset_mask", *STARTS)
-        mask, seeds = masked(known.get("reset_mask"), self.num_envs), world_seeds(seed, self.num_envs)
+        mask, seeds = check_mask(known.get("reset_mask"), self.num_envs), world_seeds(seed, self.num_envs)
         start = {name: known[name] for name in STARTS if name in known}
         rows = self._rows()
         infos: list[dict[str, Any] | None] = [None] * self.num_envs
 
-        def begin(world: int) -> None:
+        def reset_world(world: int) -> None:
             env = self.envs[world]
             if mask[world]:
                 infos[world] = env.reset(seed=seeds[world], options=start)[1]
                 self._over[world] = False
             env.observe(rows[world])
 
-        self.each_world(begin)
-        return self._seen(), self._batched(infos)
+        self.each_world(reset_world)
+        return self._finished(), self._batched(infos)
 
     def step(
         self, actions: Any
@@ -182,7 +182,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         again = self._over if self._mode == AutoresetMode.NEXT_STEP else np.zeros_like(self._over)
         same_step = self._mode == AutoresetMode.SAME_STEP
 
-        def go_on(world: int) -> None:
+        def step_world(world: int) -> None:
             env = self.envs[world]
             if again[world]:
                 infos[world] = env.reset()[1]
@@ -194,12 +194,12 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
                     infos[world] = env.reset()[1]
             env.observe(rows[world])
 
-        self.each_world(go_on)
+        self.each_world(step_world)
         self._over = np.zeros_like(ended) if same_step else ended.copy()
         batched: dict[str, Any] = {}
         for world in sorted(final):
             batched = self._add_info(batched, final[world], world)
-        return self._seen(), rewards, np.zeros_like(ended), ended, {**self._batched(infos), **batched}
+        return self._finished(), rewards, np.zeros_like(ended), ended, {**self._batched(infos), **batched}
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """What a method of each world returns, or the attributes of this name."""
@@ -219,8 +219,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         del kwargs
         for env in self.envs:
             env.close()
-        if self._others is not None:
-            self._others.shutdown()
+        if self._pool is not None:
+            self._pool.shutdown()
 
     def _check_open(self) -> None:
         if self.closed:
@@ -250,8 +250,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         arrays = {name: part for name, part in self._observations.items() if isinstance(part, np.ndarray)}
         return [dict(zip(arrays, column, strict=True)) for column in zip(*arrays.values(), strict=True)]
 
-    def _seen(self) -> Any:
-        """The observations of all worlds, with the sentences in them, which are no arrays."""
+    def _finished(self) -> Any:
+        """The observations of all worlds, completed by the sentences in them, which are no arrays."""
         if isinstance(self._observations, dict) and "instruction" in self._observations:
             self._observations["instruction"] = tuple(env.engine.instruction for env in self.envs)
         return self._observations
@@ -268,7 +268,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             for world in worlds:
                 do(world)
 
-        futures = [self._others.submit(work) for _ in range(self._threads - 1)] if self._others else []
+        futures = [self._pool.submit(work) for _ in range(self._threads - 1)] if self._pool else []
         try:
             work()
         finally:
@@ -300,7 +300,7 @@ def world_seeds(seed: Any, worlds: int) -> list[int | None]:
     return [first + world for world in range(worlds)]
 
 
-def masked(mask: Any, worlds: int) -> NDArray[np.bool_]:
+def check_mask(mask: Any, worlds: int) -> NDArray[np.bool_]:
     """For which worlds the mask of bools is true; without a mask all of them."""
     if mask is None:
         return np.ones(worlds, np.bool_)
