@@ -26,7 +26,7 @@ SEEDS: Final = ("protocol", "original")
 STATE_BOUND: Final = 1.25
 """No entry of the state vector is beyond: positions reach 1.1, and debris is pressed into walls a little."""
 IMAGE_SIZE: Final = 384
-MOST_SEEDS: Final = 2**32
+MAX_SEEDS: Final = 2**32
 """Of numpy's `RandomState`, from which the original draws."""
 
 
@@ -111,8 +111,8 @@ class XMagicalEnv(MagicalEnv):
         if self._original is None or (options or {}).keys() & {"scene", "state"}:
             return super().reset(seed=seed, options=options)
         if seed is not None or not self._begun:
-            number = int(self.np_random.integers(MOST_SEEDS)) if seed is None else check_seed(seed)
-            if number >= MOST_SEEDS:
+            number = int(self.np_random.integers(MAX_SEEDS)) if seed is None else check_seed(seed)
+            if number >= MAX_SEEDS:
                 raise InvalidSeedError(f"x-magical's seeds are below 2**32, not {seed}; others need seeds='protocol'")
             self._original = np.random.RandomState(number)
         scene = original_scene(self.engine.variant, self._original, self.engine.setup.body)

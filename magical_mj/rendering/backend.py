@@ -32,7 +32,7 @@ REMEDY = (
 )
 OSMESA_LIBRARIES = ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
 EGL_PLATFORM_DEVICE_EXT = 0x313F
-MOST_DEVICES = 16
+MAX_DEVICES = 16
 
 
 def check_renderer(name: str | None) -> RendererName | None:
@@ -183,8 +183,8 @@ def egl_devices() -> tuple[int, ...]:
         return ()
     query_devices = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)(query)
     get_display = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p)(platform)
-    devices, count = (ctypes.c_void_p * MOST_DEVICES)(), ctypes.c_int(0)
-    query_devices(MOST_DEVICES, devices, ctypes.byref(count))
+    devices, count = (ctypes.c_void_p * MAX_DEVICES)(), ctypes.c_int(0)
+    query_devices(MAX_DEVICES, devices, ctypes.byref(count))
     return tuple(get_display(EGL_PLATFORM_DEVICE_EXT, device, None) or 0 for device in devices[: count.value])
 
 

@@ -22,7 +22,7 @@ GRID_BITS: Final = 8
 """Corners lie on a grid with 2 ** GRID_BITS steps a sample, as OpenGL's usually do."""
 GRID: Final = 1 << GRID_BITS
 HALF: Final = GRID // 2
-MOST_CORNERS: Final = 64
+MAX_CORNERS: Final = 64
 FIRST, LAST, BODY, SOURCE, IS_SKIN = range(5)
 """The columns of a table of polygons: its corners' rows, its body, its geom or skin, and which of the two that is."""
 
@@ -174,7 +174,7 @@ def paint(scene: Any, colours: Any, poses: Any, view: Any, side: int, scratch: A
         scratch: as for `fill`.
     """
     polygons, corners, skin = scene
-    x, y = np.empty(MOST_CORNERS, np.int64), np.empty(MOST_CORNERS, np.int64)
+    x, y = np.empty(MAX_CORNERS, np.int64), np.empty(MAX_CORNERS, np.int64)
     scale, middle = GRID * side / view[2], 0.5 * GRID * side
     scratch[0][: side * side] = 0
     for p in range(len(polygons)):

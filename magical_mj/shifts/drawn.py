@@ -13,7 +13,7 @@ from magical_mj.scene import constants as c
 from magical_mj.scene.state_vector import VIEWS
 from magical_mj.shifts.shift import GROUND_REACH, Factor, Frame, Picture, Shift
 
-EVER: Final = (1.0, 1.0, 1.0, 1.0, 1.0)
+CONSTANT: Final = (1.0, 1.0, 1.0, 1.0, 1.0)
 """The sizes of a factor that is the same at all strengths."""
 
 
@@ -62,15 +62,15 @@ class Light(Shift):
             (0.05, 0.1, 0.18, 0.28, 0.4),
             "positive",
         ),
-        Factor("towards", "direction of the slope, half turns", EVER),
+        Factor("towards", "direction of the slope, half turns", CONSTANT),
         Factor("shadow", "part of the light that the shadow takes", (0.06, 0.12, 0.22, 0.34, 0.48), "exact"),
-        Factor("across", "direction across the shadow, half turns", EVER),
-        Factor("away", "distance of the shadow from the middle, world units", EVER),
+        Factor("across", "direction across the shadow, half turns", CONSTANT),
+        Factor("away", "distance of the shadow from the middle, world units", CONSTANT),
     )
 
     @cached_property
     def _numbers(self) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
-        """Tones, slope and bar, as `kernels.shine` takes them."""
+        """Tones, slope and bar, as `kernels.relight` takes them."""
         v = self.values
         levels = np.arange(256.0)
         tint = np.array([1 + v["red"], 1.0, 1 + v["blue"]])
@@ -83,9 +83,9 @@ class Light(Shift):
 
     def picture(self, picture: Picture, frame: Frame) -> Picture:
         """In the other light."""
-        from magical_mj.shifts.kernels import shine
+        from magical_mj.shifts.kernels import relight
 
-        shine(picture, *self._numbers, frame.camera)
+        relight(picture, *self._numbers, frame.camera)
         return picture
 
 
@@ -100,8 +100,8 @@ class Texture(Shift):
     factors = (
         Factor("pattern", "0 plain tints, 1 tiles, 2 wood, 3 clouds", (4, 4, 4, 4, 4), "choice"),
         Factor("opacity", "of the pattern over the plain ground", (0.08, 0.16, 0.3, 0.5, 0.8), "exact"),
-        Factor("size", "of the pattern, in doublings", EVER),
-        Factor("turn", "of the pattern, half turns", EVER),
+        Factor("size", "of the pattern, in doublings", CONSTANT),
+        Factor("turn", "of the pattern, half turns", CONSTANT),
     )
 
     def ground(self, ground: Picture) -> Picture:
@@ -176,12 +176,12 @@ def turned(colours: NDArray[Any], degrees: float, change: float) -> NDArray[Any]
 
 
 NOISE, BLUR, BLOCKS, DIRT, LOSS = range(5)
-GRAIN: Final = (6, 12, 20, 32, 48)  # standard deviation of noise, levels
-WIDTH: Final = (0.005, 0.01, 0.016, 0.024, 0.036)  # half the width of the blur, sides of the picture
-STEPS: Final = (32, 64, 112, 192, 320)  # 16 times the step of coefficients, levels
-SPOT: Final = (0.06, 0.1, 0.15, 0.21, 0.28)  # radius of the dirt, sides of the picture
-LOST: Final = (0.03, 0.06, 0.12, 0.25, 0.5)  # probability that a frame is lost
-SAMPLES: Final = 2**17
+NOISE_LEVELS: Final = (6, 12, 20, 32, 48)  # standard deviation of noise, levels
+BLUR_WIDTHS: Final = (0.005, 0.01, 0.016, 0.024, 0.036)  # half the width of the blur, sides of the picture
+COEFFICIENT_STEPS: Final = (32, 64, 112, 192, 320)  # 16 times the step of coefficients, levels
+DIRT_RADII: Final = (0.06, 0.1, 0.15, 0.21, 0.28)  # radius of the dirt, sides of the picture
+LOSS_RATES: Final = (0.03, 0.06, 0.12, 0.25, 0.5)  # probability that a frame is lost
+NOISE_SAMPLES: Final = 2**17
 
 
 class Sensor(Shift):
@@ -200,14 +200,15 @@ class Sensor(Shift):
     )
 
     @cached_property
-    def _grain(self) -> NDArray[np.int8]:
+    def _noise(self) -> NDArray[np.int8]:
         grade = int(self.values["grade"]) - 1
-        return np.clip(GRAIN[grade] * self.rng(0).standard_normal(SAMPLES, np.float32), -127, 127).astype(np.int8)
+        levels = NOISE_LEVELS[grade] * self.rng(0).standard_normal(NOISE_SAMPLES, np.float32)
+        return np.clip(levels, -127, 127).astype(np.int8)
 
     def _dirt(self, size: int) -> NDArray[np.uint8]:
         """How thick the dirt is, 0 to 255; soft at the edge. Shape (size, size)."""
         if self._mask.shape != (size, size):
-            radius = SPOT[int(self.values["grade"]) - 1]
+            radius = DIRT_RADII[int(self.values["grade"]) - 1]
             at = (np.arange(size) + 0.5) / size - 0.5
             across, down = at[None, :] - self.values["x"] / 2, at[:, None] + self.values["y"] / 2
             self._mask = np.clip(255 * 1.6 * (1.2 - np.hypot(across, down) / radius), 0, 240).astype(np.uint8)
@@ -223,15 +224,17 @@ class Sensor(Shift):
         if grade < 0:
             return picture
         if fault == NOISE:
-            grain = np.tile(self._grain, -(-picture.size // SAMPLES + 1)) if picture.size > SAMPLES else self._grain
-            first = int(self.uniform(frame.step, VIEWS.index(frame.view)) * (len(grain) - picture.size + 1))
-            kernels.add(picture.reshape(-1), grain, first)
+            noise = self._noise
+            if picture.size > len(noise):
+                noise = np.tile(noise, picture.size // len(noise) + 2)
+            first = int(self.uniform(frame.step, VIEWS.index(frame.view)) * (len(noise) - picture.size + 1))
+            kernels.add_noise(picture.reshape(-1), noise, first)
         elif fault == BLUR:
-            kernels.blur(picture, max(1, round(WIDTH[grade] * len(picture))))
+            kernels.blur(picture, max(1, round(BLUR_WIDTHS[grade] * len(picture))))
         elif fault == BLOCKS:
-            kernels.quantise(picture, STEPS[grade])
+            kernels.quantise(picture, COEFFICIENT_STEPS[grade])
         elif fault == DIRT:
-            kernels.soil(picture, self._dirt(len(picture)), 60)
-        elif self.uniform(frame.step) < LOST[grade]:
+            kernels.add_dirt(picture, self._dirt(len(picture)), 60)
+        elif self.uniform(frame.step) < LOSS_RATES[grade]:
             picture[:] = 128
         return picture

@@ -138,9 +138,9 @@ class EpisodeShifts:
             half_width: of the arena.
         """
         if bare is not None:
-            from magical_mj.shifts.kernels import lay
+            from magical_mj.shifts.kernels import put_on_ground
 
-            lay(picture, bare, self._ground_in(half_width), GROUND_REACH, frame.camera)
+            put_on_ground(picture, bare, self._ground_in(half_width), GROUND_REACH, frame.camera)
         for name in self._drawing:
             picture = _checked(f"{name}.picture", self._call(name, "picture", picture, frame), picture.shape)
         return picture

@@ -19,7 +19,7 @@ _FRAME: Final = "UniTuple(f8, 4)"
 
 
 @compiled(f"void(u1[:, :, :], u1[:, ::1], u1[:, :, ::1], f8, {_FRAME})")
-def lay(picture: Any, bare: Any, ground: Any, reach: float, camera: Any) -> None:
+def put_on_ground(picture: Any, bare: Any, ground: Any, reach: float, camera: Any) -> None:
     """Puts a picture of the ground under what was drawn on white.
 
     Args:
@@ -55,7 +55,7 @@ def lay(picture: Any, bare: Any, ground: Any, reach: float, camera: Any) -> None
 
 
 @compiled(f"void(u1[:, :, ::1], i4[:, ::1], f8[::1], f8[::1], {_FRAME})")
-def shine(picture: Any, tones: Any, slope: Any, bar: Any, camera: Any) -> None:
+def relight(picture: Any, tones: Any, slope: Any, bar: Any, camera: Any) -> None:
     """Other light: tones of each channel, a gradient over the ground, and the shadow of a bar.
 
     Args:
@@ -87,7 +87,7 @@ def shine(picture: Any, tones: Any, slope: Any, bar: Any, camera: Any) -> None:
 
 
 @compiled("void(u1[::1], i1[::1], i8)")
-def add(pixels: Any, noise: Any, first: int) -> None:
+def add_noise(pixels: Any, noise: Any, first: int) -> None:
     """Adds noise to all levels, from its entry `first` on."""
     for k in range(len(pixels)):
         pixels[k] = np.uint8(min(max(np.int32(pixels[k]) + np.int32(noise[first + k]), 0), 255))
@@ -197,7 +197,7 @@ def quantise(picture: Any, step: int) -> None:
 
 
 @compiled("void(u1[:, :, ::1], u1[:, ::1], i8)")
-def soil(picture: Any, mask: Any, level: int) -> None:
+def add_dirt(picture: Any, mask: Any, level: int) -> None:
     """Covers a picture with dirt of a grey level, as thick as the mask says: 255 hides all. Shape (size, size)."""
     for row in range(len(picture)):
         for column in range(len(picture)):

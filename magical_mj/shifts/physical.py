@@ -21,7 +21,7 @@ from magical_mj.variants.vary import axis_generator
 
 TRACK: Final = 2 * c.ROBOT_RADIUS
 """The distance of the wheels of which one is larger, in world units."""
-MOST_TRIES: Final = 10_000
+MAX_TRIES: Final = 10_000
 
 
 class Pose(Shift):
@@ -64,7 +64,7 @@ class Clutter(Shift):
         rng, pebbles = self.rng(0), list(scene.pebbles)
         taken = [*solids(scene).values(), *map(pebble_solid, pebbles)]
         for _ in range(int(self.values["pebbles"])):
-            for _ in range(MOST_TRIES):
+            for _ in range(MAX_TRIES):
                 x, y = ((2 * rng.random(2) - 1) * scene.half_width).tolist()
                 solid = pebble_solid(pebble := Pebble(x, y))
                 if inside_walls(solid, half_width=scene.half_width) and not any(touch(solid, other) for other in taken):

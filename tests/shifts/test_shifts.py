@@ -82,6 +82,17 @@ def test_pictures_of_shifts_are_those_of_their_protocol() -> None:
     assert digest.hexdigest()[:16] == "783f13ca31e3d6bc"
 
 
+def test_noise_in_large_pictures_is_the_same_again() -> None:
+    """In a picture with more levels than there are numbers of noise, these are repeated."""
+    draws = {"sensor": {"fault": 0, "grade": 5, "x": 0, "y": 0, "seed": 3}}
+    pictures = []
+    for _ in range(2):
+        with closing(engine(None)) as env:
+            env.reset(seed=3, draws=draws)
+            pictures.append(env.render("allo", 384))
+    assert np.array_equal(*pictures)
+
+
 @pytest.mark.parametrize("text", ["camera:3,latency:1", "latency:1, camera:3", "camera:3,latency:1,light:0"])
 def test_shifts_are_written_as_text_or_dicts_and_have_one_label(text: str) -> None:
     assert parse_shifts(text) == {"camera": 3, "latency": 1}
