@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, Literal
 
 import torch
 
@@ -16,7 +16,7 @@ from magical_mj.learners.data import drawn, shipped
 from magical_mj.learners.networks import Actor
 from magical_mj.learners.policy import TrainedPolicy, save_policy
 from magical_mj.learners.relational_network import Ensemble
-from magical_mj.learners.settings import ALL_PARTS, TrainingSettings
+from magical_mj.learners.settings import ALL_PARTS, STATE, TrainingSettings
 from magical_mj.policies.interface import Policy
 from magical_mj.utils.errors import SettingsError
 
@@ -38,11 +38,22 @@ class Method(ABC):
 
     parts: ClassVar[tuple[str, ...]] = ALL_PARTS
     """The parts of the settings that it uses: only these are written into config.toml, and may be changed."""
+    observes: ClassVar[Literal["states", "pictures", "either"]] = "either"
+    """What it can learn from."""
     updates: int
 
     def __init__(self, settings: TrainingSettings) -> None:
+        self.check_settings(settings)
         self.settings = settings
         self.device = device(settings.device)
+
+    @classmethod
+    def check_settings(cls, settings: TrainingSettings) -> None:
+        """Raises a `SettingsError` if it cannot learn with these settings."""
+        if settings.states and cls.observes == "pictures":
+            raise SettingsError(f"{settings.method} learns from pictures: give a preset other than {STATE}")
+        if not settings.states and cls.observes == "states":
+            raise SettingsError(f"{settings.method} learns from states: give the preset {STATE}")
 
     @classmethod
     def check(cls, settings: TrainingSettings) -> None:
@@ -51,6 +62,7 @@ class Method(ABC):
         Raises:
             SettingsError, DemonstrationError, MissingExtraError: the errors with which it would begin.
         """
+        cls.check_settings(settings)
         for task in settings.tasks:
             drawn(task, settings.seed, settings.demonstrations, len(shipped(task)))
 
