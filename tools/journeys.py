@@ -3,9 +3,10 @@
 Usage: python tools/journeys.py
 
 For an evaluation, an action in a Gymnasium environment and a training, it prints the modules whose functions are
-called, in order of the first call, and how often control comes back to the module where the journey starts. An
-evaluation ends its journey at the first step of the simulation, a training at its first update. All modules are
-imported before, caches are empty; modules of small things (`utils`, `scene`) are left out.
+called, in order of the first call; how many these are without those that sample, model, shift and draw scenes, which
+are journeys of their own; and how often control comes back to the module where the journey starts. An evaluation ends
+its journey at the first step of the simulation, a training at its first update. All modules are imported before, caches
+are empty; modules of small things (`utils`, `scene`) are left out.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from typing import Any, Final
 
 PACKAGE: Final = "magical_mj."
 SMALL: Final = ("utils", "scene")
+SCENES: Final = ("tasks", "variants", "shifts", "assets", "rendering")
+"""The folders of other journeys."""
 SIMULATION: Final = ("engine.simulation", "act")
 
 
@@ -97,7 +100,9 @@ def main() -> None:
         pass
     finally:
         sys.setprofile(None)
-    print(f"{sys.argv[1]}: {len(journey.modules)} modules, {journey.returns} returns to {start}")
+    own = sum(module.split(".")[0] not in SCENES for module in journey.modules)
+    counts = f"{len(journey.modules)} modules, {own} without those of scenes; {journey.returns} returns to {start}"
+    print(f"{sys.argv[1]}: {counts}")
     print("  " + ", ".join(journey.modules))
 
 

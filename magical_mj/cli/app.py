@@ -31,7 +31,7 @@ COMMANDS: Final = {
     "leaderboard": ("results:make_leaderboard", "Check all entries in a folder, and write the leaderboard."),
     "demos": ("demos:app", "Make, import, check, show and export demonstrations."),
     "play": ("play:play", "Drive the robot yourself, in a window or in a browser, and record what you do."),
-    "inspect": ("inspect:inspect", "Look into a scene or any MuJoCo model, in a browser, while it runs."),
+    "inspect": ("play:inspect", "Look into a scene or any MuJoCo model, in a browser, while it runs."),
     "export": ("environments:export", "Write a scene as a self-contained MJCF model."),
     "doctor": ("doctor:doctor", "Show installed versions, and what can draw here."),
     "demo": ("evaluate:demo", "Evaluate the built-in agents in all environments, and write the report."),

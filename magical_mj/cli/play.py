@@ -1,4 +1,4 @@
-"""`magical-mj play`: drive the robot with the keyboard, in a window or in a browser, and record what you do."""
+"""`magical-mj play` and `inspect`: drive the robot, in a window or a browser; look into any model while it runs."""
 
 from __future__ import annotations
 
@@ -53,6 +53,9 @@ Origin = Annotated[
         help="Where people see the page, such as https://study.example.org, behind a proxy.",
         show_default=False,
     ),
+]
+Model = Annotated[
+    str, typer.Argument(metavar="TASK|FILE", help="A task as elsewhere, or an MJCF file (.xml).", show_default=False)
 ]
 
 Wish = Literal["reset", "next", "discard", "quit"]
@@ -279,12 +282,14 @@ def serve_page(
     """Serve until somebody presses Ctrl-C; `first` is the task, the variant and the seed that the link leads to."""
     if not set(environments) <= set(ENVIRONMENTS) or (first is not None and first[0] not in TASKS):
         raise SettingsError("the page knows the scores of the benchmark's own tasks only: play others in a window")
-    if first is not None and first[:2] not in environments:
-        raise SettingsError(f"{first[0]}-{first[1]} is not among --tasks and --variants")
     if first is not None:
         check_seed_in_browser(first[2])
-    if first is not None and collect is not None:
-        raise SettingsError("with --collect the server chooses what is played: give --tasks and --variants, not TASK")
+        if first[:2] not in environments:
+            raise SettingsError(f"{first[0]}-{first[1]} is not among --tasks and --variants")
+        if collect is not None:
+            raise SettingsError(
+                "with --collect the server chooses what is played: give --tasks and --variants, not TASK"
+            )
     if (wanted is not None or study is not None) and collect is None:
         raise SettingsError(f"{'--wanted' if study is None else '--study'} needs --collect")
     if origin is not None and not ORIGIN.fullmatch(origin):
@@ -306,6 +311,39 @@ def serve_page(
     if collection is not None:
         server.token = collection.token()
     serve_until_interrupted(server, "" if first is None else "#" + "-".join(map(str, first)))
+
+
+def inspect(
+    context: typer.Context,
+    model: Model,
+    variant: option.Variant = "Demo",
+    seed: option.Seed = 0,
+    host: option.Host = "127.0.0.1",
+    port: option.Port = 8008,
+) -> None:
+    """Open a page that shows a model in 3-D and runs it: bodies, joints, contacts, sensors, actuators.
+
+    It prints the page's address. The first time, npm fetches MuJoCo's WebAssembly build and two libraries (5 MB).
+    """
+    is_file = model.lower().endswith((".xml", ".mjcf"))
+    check_fits(context, not is_file, "with TASK", "variant", "seed")
+    check_extra("models in a browser", "web")
+    from magical_mj.engine.export import mjcf_text  # imported late: it loads the simulator
+    from magical_mj.web.inspection import InspectServer, model_files
+
+    if is_file:
+        path = Path(model)
+        if not path.is_file():
+            raise SettingsError(f"there is no file {path}")
+        files, place = model_files(path), "#file"
+    else:
+        name = f"{task_spec(model).name}-{variant_name(variant)}-{check_seed_in_browser(seed)}"
+        if (task_spec(model).name, variant_name(variant)) in ENVIRONMENTS:
+            files, place = {}, f"#{name}"
+        else:
+            with closing(magical_mj.Engine(model, variant, seed=seed)) as engine:
+                files, place = {f"{name}.xml": mjcf_text(engine).encode()}, "#file"
+    serve_until_interrupted(InspectServer(ENVIRONMENTS, host, port, model=files), f"inspect.html{place}")
 
 
 def check_seed_in_browser(seed: int) -> int:

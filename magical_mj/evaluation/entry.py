@@ -132,32 +132,28 @@ class Columns(Struct, forbid_unknown_fields=True):
     failure: dict[str, list[Annotated[str, Meta(max_length=300)] | None]]
 
 
-class Content(Struct, forbid_unknown_fields=True):
-    """What the file holds, as JSON with sorted keys, compressed by xz. `sha256` is of all else in the same form."""
+class Played(Struct, frozen=True):
+    """What was played, and how. `observations` is None if it used none, and `protocol` if no number was recorded."""
 
-    format: Literal[2]
     card: Card
     observations: Annotated[str, Meta(pattern=r"^[0-9A-Za-z]{0,80}$(?!\n)")] | None
     rules: Rules
     protocol: Positive | None
     versions: Versions
+
+
+class Content(Played, frozen=True, forbid_unknown_fields=True):
+    """What the file holds, as JSON with sorted keys, compressed by xz. `sha256` is of all else in the same form."""
+
+    format: Literal[2]
     runs: Annotated[list[Natural], Meta(min_length=1)]
     episodes: Columns
     sha256: str
 
 
-class Entry(Struct, frozen=True):
-    """The results of one method.
+class Entry(Played, frozen=True):
+    """The results of one method. Episodes from a file have no duration, and no versions of their own."""
 
-    `observations` is None if it used none, and `protocol` if no number was recorded. Episodes from a file have no
-    duration, and no versions of their own.
-    """
-
-    card: Card
-    observations: str | None
-    rules: Rules
-    protocol: int | None
-    versions: Versions
     episodes: list[EpisodeResult]
 
     @property
@@ -340,14 +336,10 @@ def read_entry(path: Path | str) -> Entry:
     for part, row in ((part, row) for part, entry in parts.items() for row in entry.episodes):
         if places.setdefault(row.title, part) != part:
             raise EvaluationError(f"{part} holds episodes that another file of {path} holds, too: {row.title}")
-    observations, rules, protocol = (
-        _common(name, ((getattr(entry, name), part) for part, entry in parts.items())) for name in SHARED
-    )
+    shared = [_common(name, ((getattr(entry, name), part) for part, entry in parts.items())) for name in SHARED]
     known = [[getattr(entry.versions, name) for entry in parts.values()] for name in Versions.__struct_fields__]
     versions = Versions(*(sorted({*chain.from_iterable(lists)}) for lists in known))
-    return Entry(
-        card, observations, rules, protocol, versions, [row for entry in parts.values() for row in entry.episodes]
-    )
+    return Entry(card, *shared, versions, [row for entry in parts.values() for row in entry.episodes])
 
 
 def _content(path: Path, most: int) -> bytes:

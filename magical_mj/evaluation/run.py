@@ -7,22 +7,12 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, nullcontext
 from itertools import chain
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import cloudpickle
 
 from magical_mj._version import __version__
-from magical_mj.evaluation.scores import (
-    EpisodeResult,
-    Key,
-    append,
-    frame,
-    load,
-    open_scores,
-    prepare,
-    write_settings,
-)
+from magical_mj.evaluation.scores import EpisodeResult, EvaluationFolder, Key, append, frame
 from magical_mj.evaluation.settings import MUJOCO_VERSION, EvaluationSettings
 from magical_mj.evaluation.worker import Unit, plan, play_here, play_unit, single_env
 from magical_mj.policies.interface import reason
@@ -111,18 +101,19 @@ class Evaluation:
             unit = Unit(self._sources[0], *settings.environments[0], (), settings)
             single_env(unit, observed=True).close()  # an error now, not in the workers
         self._cause: Exception | None = None
-        self._out = None if settings.out is None else Path(settings.out)
-        self._recorded = settings.recorded(self._sources)
-        self.scores = [] if self._out is None else prepare(self._out, self._recorded, settings.resume)
+        self.scores: list[EpisodeResult] = []
+        self._folder: EvaluationFolder | None = None
+        if settings.out is not None:
+            self._folder = EvaluationFolder(settings.out, settings.recorded(self._sources), resume=settings.resume)
+            self.scores = self._folder.done
         self.units = self._remaining()
 
     def play(self) -> Iterator[EpisodeResult]:
         """Plays the remaining episodes and yields each result once it is in the file."""
-        with open_scores(self._out) if self._out else nullcontext() as file:
-            if self._out:
-                self.scores = load(self._out, self._recorded)  # another process may have added some by now
-                write_settings(self._out, self._recorded)
-            if self._out or self.scores:
+        with self._folder.open() if self._folder else nullcontext() as file:
+            if self._folder:
+                self.scores = self._folder.done
+            if self.scores:
                 self.units = self._remaining()
             for results in self._trusted_results():
                 _check_versions(results)

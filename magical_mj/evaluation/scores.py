@@ -282,46 +282,58 @@ def append(file: IO[bytes], results: Iterable[EpisodeResult]) -> None:
         raise OSError(error.errno, error.strerror, file.name) from error
 
 
-def prepare(folder: Path, settings: dict[str, Any], resume: bool) -> list[EpisodeResult]:
-    """Makes the folder, or reads what is in it. An evaluation without finished episodes is started anew.
+class EvaluationFolder:
+    """The folder of an evaluation: new, or with `resume` one to which an evaluation with these settings can be added.
+
+    An evaluation without finished episodes is started anew.
 
     Raises:
         EvaluationError: if it cannot be written to, holds something else, or holds an evaluation and `resume` is false.
         SettingsError: if it was started with other settings.
+
+    Attributes:
+        done: the finished episodes in it.
     """
-    path = folder / SCORES
-    if path.exists() and not path.is_file():
-        raise EvaluationError(f"{path} is not a plain file; choose another folder")
-    if path.exists() and path.stat().st_size and not resume:
-        raise EvaluationError(f"{folder} holds an evaluation already; --resume continues it (resume=True)")
-    if (folder / SETTINGS).exists():
-        read_settings(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with open_scores(folder):
-            done = load(folder, settings)
-            if not done:
-                write_settings(folder, settings)
-            return done
-    except OSError as error:
-        raise EvaluationError(f"cannot write into {folder}: {error.strerror}") from error
 
+    def __init__(self, path: Path, settings: dict[str, Any], *, resume: bool) -> None:
+        self._path, self._settings = path, settings
+        scores = path / SCORES
+        if scores.exists() and not scores.is_file():
+            raise EvaluationError(f"{scores} is not a plain file; choose another folder")
+        if scores.exists() and scores.stat().st_size and not resume:
+            raise EvaluationError(f"{path} holds an evaluation already; --resume continues it (resume=True)")
+        if (path / SETTINGS).exists():
+            read_settings(path)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            with open_scores(path):
+                self._read()
+                if not self.done:
+                    self._write_settings()
+        except OSError as error:
+            raise EvaluationError(f"cannot write into {path}: {error.strerror}") from error
 
-def load(folder: Path, settings: dict[str, Any]) -> list[EpisodeResult]:
-    """The finished episodes in a folder, if an evaluation with these settings can be added to them.
+    @contextmanager
+    def open(self) -> Iterator[IO[bytes]]:
+        """As `open_scores`; `done` then holds what other processes have added, and the settings are written.
 
-    Raises:
-        EvaluationError, SettingsError: as `prepare`.
-    """
-    if not (folder / SCORES).stat().st_size:
-        return []
-    check_continues(folder, settings)
-    return read(folder)
+        Raises:
+            EvaluationError, SettingsError: if another process is writing, or has started something else.
+        """
+        with open_scores(self._path) as file:
+            self._read()
+            self._write_settings()
+            yield file
 
+    def _read(self) -> None:
+        self.done: list[EpisodeResult] = []
+        if (self._path / SCORES).stat().st_size:
+            check_continues(self._path, self._settings)
+            self.done = read(self._path)
 
-def write_settings(folder: Path, settings: dict[str, Any]) -> None:
-    """Writes the settings of the evaluation in a folder, in place of those of a smaller one."""
-    files.write(folder / SETTINGS, json.dumps(settings, indent=2) + "\n", overwrite=True)
+    def _write_settings(self) -> None:
+        """In place of those of a smaller evaluation."""
+        files.write(self._path / SETTINGS, json.dumps(self._settings, indent=2) + "\n", overwrite=True)
 
 
 def check_continues(folder: Path, settings: dict[str, Any]) -> None:

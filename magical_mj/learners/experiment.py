@@ -29,7 +29,6 @@ from magical_mj.utils.imports import check_named
 from magical_mj.utils.parallel import check_backend, map_unordered
 from magical_mj.utils.settings import Names, Settings, with_values
 
-"""Episodes that are played at once, for networks like batches; pictures fill the memory."""
 NAMED: Final = ("preset", "augment", "device", "evaluations", "episodes", "checkpoints")
 """Settings that are not listed in a method's name: it shows them otherwise, or they do not affect the result."""
 ABLATIONS: Final = {"all": "", "none": ", no aug.", "no-trans-rot": ", no trans./rot. aug."}

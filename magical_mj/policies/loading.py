@@ -133,14 +133,7 @@ def playable(
 ) -> list[Source]:
     """The policies of `sources`, each of which was loaded once and can play; if its file changes, `load` refuses it.
 
-    Args:
-        policies: as for `sources`.
-        pairs: the pairs of tasks and variants that are played.
-        preset: the preset of the observations.
-        first_run: the number of the first run.
-        trust: whether files that hold code may be loaded.
-        batched: whether MuJoCo Warp simulates the episodes.
-        like: the task that policies are told; see `told`.
+    What is played is given as for `check_fit`; with `batched`, MuJoCo Warp simulates it.
 
     Raises:
         SettingsError, TaskError: if a policy cannot be loaded, or does not fit: see `check_fit`.
