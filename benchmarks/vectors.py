@@ -40,11 +40,11 @@ def main(
             for threads in (1, cores()):
                 with closing(magical_mj.make_vec(task, worlds, threads=threads, **settings)) as envs, busy_beside(load):
                     rates.setdefault((load, threads), []).append(rate(envs))
-    for (load, threads), found in rates.items():
+    for (load, threads), measured in rates.items():
         beside = f"beside {load} busy processes" if load else "alone"
-        steps, given = map(median, zip(*found, strict=True))
+        steps, given = map(median, zip(*measured, strict=True))
         typer.echo(
-            f"{threads} threads, {beside}: {steps:,.0f} steps/s on {given:.2f} cores, at least {min(found)[0]:,.0f}"
+            f"{threads} threads, {beside}: {steps:,.0f} steps/s on {given:.2f} cores, at least {min(measured)[0]:,.0f}"
         )
 
 

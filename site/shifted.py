@@ -11,7 +11,7 @@ from magical_mj import demos
 from magical_mj.engine import Engine
 from magical_mj.engine.export import mjcf_text
 from magical_mj.policies.expert import expert_of
-from magical_mj.policies.interface import forever, letters_of, play
+from magical_mj.policies.interface import letters_of
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.shifts import SHIFTS
 from magical_mj.shifts.physical import Clutter
@@ -79,7 +79,10 @@ def _expert(engine: Engine, seed: int) -> list[list[float]]:
     """What the expert of speeds does; of shifts, experts do not know."""
     if not engine.setup.speeds:
         return []
-    actions = [action for action, _ in play(engine, forever(expert_of(engine, SWEPT, seed)))]
+    expert, actions, over = expert_of(engine, SWEPT, seed), [], False
+    while not over:
+        actions.append(expert())
+        over = engine.step(actions[-1])
     return np.round(actions, DIGITS).tolist()
 
 

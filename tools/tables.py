@@ -197,7 +197,7 @@ def _but(missing: Sequence[str]) -> str:
 def readme() -> dict[str, str]:
     """The tables of README.md by name."""
     learnt, agents, paper = _results()
-    shown = [one for one in (*learnt.values(), *paper) if one.name in HEADLINES and one.everywhere]
+    shown = [method for method in (*learnt.values(), *paper) if method.name in HEADLINES and method.everywhere]
     return {"tasks": tasks(), "variants": variants(), "results": overview([*shown, *agents])}
 
 

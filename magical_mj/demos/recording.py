@@ -34,7 +34,7 @@ from magical_mj.assets.world import World
 from magical_mj.demos.demonstration import Demonstration, Demonstrator, check_physical
 from magical_mj.engine import Engine
 from magical_mj.policies.expert import expert_of
-from magical_mj.policies.interface import forever, play
+from magical_mj.policies.interface import play
 from magical_mj.rendering.canvas import Picture
 from magical_mj.scene.actions import NOOP, Action, action_number, to_vector
 from magical_mj.scene.bodies import GRIPPER
@@ -169,9 +169,8 @@ def demonstrate(
             env.reset(seed=number)
             seed = number + attempt * STRIDE
             expert, recorder = expert_of(env, task, seed), Recorder(env)
-            for _ in play(recorder, forever(expert)):
-                if recorder.idle(SHORT_REST if env.setup.speeds else REST):
-                    break
+            while not (recorder.step(expert()) or recorder.idle(SHORT_REST if env.setup.speeds else REST)):
+                pass
             if env.score() >= least_score:
                 return recorder.demonstration("expert", seed)
             best = max(best, env.score())

@@ -132,8 +132,8 @@ class Columns(Struct, forbid_unknown_fields=True):
     failure: dict[str, list[Annotated[str, Meta(max_length=300)] | None]]
 
 
-class Played(Struct, frozen=True):
-    """What was played, and how. `observations` is None if it used none, and `protocol` if no number was recorded."""
+class EntryFields(Struct, frozen=True):
+    """What an entry and its file say alike. `observations` is None if it used none, `protocol` if none was recorded."""
 
     card: Card
     observations: Annotated[str, Meta(pattern=r"^[0-9A-Za-z]{0,80}$(?!\n)")] | None
@@ -142,7 +142,7 @@ class Played(Struct, frozen=True):
     versions: Versions
 
 
-class Content(Played, frozen=True, forbid_unknown_fields=True):
+class Content(EntryFields, frozen=True, forbid_unknown_fields=True):
     """What the file holds, as JSON with sorted keys, compressed by xz. `sha256` is of all else in the same form."""
 
     format: Literal[2]
@@ -151,7 +151,7 @@ class Content(Played, frozen=True, forbid_unknown_fields=True):
     sha256: str
 
 
-class Entry(Played, frozen=True):
+class Entry(EntryFields, frozen=True):
     """The results of one method. Episodes from a file have no duration, and no versions of their own."""
 
     episodes: list[EpisodeResult]

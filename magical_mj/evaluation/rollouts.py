@@ -102,7 +102,7 @@ def rollouts(
     if isinstance(env, gymnasium.vector.VectorEnv):
         for start in range(0, len(episodes), env.num_envs):
             wave = episodes[start : start + env.num_envs]
-            outcomes = play_side_by_side(env, policy, [replace(one, task=told(one.task)) for one in wave])
+            outcomes = play_side_by_side(env, policy, [replace(episode, task=told(episode.task)) for episode in wave])
             yield from (EpisodeResult.of(*played, **facts) for played in zip(wave, outcomes, strict=True))
     elif callable(policy):
         for episode in episodes:

@@ -107,12 +107,6 @@ def play(env: Any, actions: Iterable[Action]) -> Iterator[tuple[Action, Any]]:
             return
 
 
-def forever(act: Callable[[], Action]) -> Iterator[Action]:
-    """An endless iterator of the results of `act`, for `play`."""
-    while True:
-        yield act()
-
-
 def is_over(result: Any) -> bool:
     """Whether the step of an engine or of an environment, which returned `result`, was the last one of its episode."""
     if isinstance(result, bool):  # of an engine

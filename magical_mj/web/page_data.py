@@ -123,7 +123,9 @@ def drawing_style() -> dict[str, Any]:
         "visible": c.VISIBLE_SIZE,
         "anchor": c.EGO_ANCHOR,
         "paper": css(style.WHITE),
-        "arenas": {f"{half:g}": [one for one in parts if one["part"] == "world"] for half, parts in arenas.items()},
+        "arenas": {
+            f"{half:g}": [layer for layer in parts if layer["part"] == "world"] for half, parts in arenas.items()
+        },
         "regions": {
             "fill": _palette(style.REGION_FILL),
             "border": _palette(style.REGION_BORDER),
@@ -136,7 +138,7 @@ def drawing_style() -> dict[str, Any]:
         },
         "blockColours": [_palette(style.BLOCK_OUTLINE), _palette(style.BLOCK_FILL)],
         "pebble": [layer for layer in layers if layer["part"] == "pebble0"],
-        "robots": {body: [one for one in parts if one["part"] in ROBOT] for body, parts in robots.items()},
+        "robots": {body: [layer for layer in parts if layer["part"] in ROBOT] for body, parts in robots.items()},
         "fingerRoots": {f"{side}_finger": [sign * c.FINGER_ROOT[0], c.FINGER_ROOT[1]] for side, sign in SIGN.items()},
     }
 
