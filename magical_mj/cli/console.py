@@ -6,7 +6,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, TypeVar
@@ -65,6 +65,16 @@ class Output(Console):
     def on_broken_pipe(self) -> None:
         """Send all further output nowhere; rich would end the process."""
         silence(self.file)
+
+
+@contextmanager
+def how_to_continue(screen: Console, how: str) -> Iterator[None]:
+    """A context in which Ctrl-C says how to continue."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        screen.print(f"stopped; {how}")
+        raise
 
 
 def silence(stream: IO[str]) -> None:

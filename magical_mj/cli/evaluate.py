@@ -24,6 +24,7 @@ from magical_mj.cli.console import (
     check_suffix,
     check_writable,
     console,
+    how_to_continue,
     make_writable_folder,
     with_bar,
 )
@@ -81,11 +82,8 @@ def evaluate(policy: Policies, out: Out, like: As = "", **options: Any) -> None:
     if evaluation.scores:
         number = len(evaluation.scores)
         screen.print(f"{counted(number, 'episode')} {'is' if number == 1 else 'are'} done already")
-    try:
+    with how_to_continue(screen, "the same command with --resume continues"):
         play_all(screen, evaluation)
-    except KeyboardInterrupt:
-        screen.print("stopped; the same command with --resume continues")
-        raise
     screen.print(f"{out / SCORES}; tables and figures: magical-mj report {shlex.quote(str(out))}", soft_wrap=True)
 
 

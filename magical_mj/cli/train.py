@@ -18,7 +18,7 @@ from rich.text import Text
 
 from magical_mj import learners
 from magical_mj.cli import option
-from magical_mj.cli.console import Bars, check_fits, check_writable, console
+from magical_mj.cli.console import Bars, check_fits, check_writable, console, how_to_continue
 from magical_mj.evaluation.settings import EvaluationSettings
 from magical_mj.learners.config import check_changes, users, uses
 from magical_mj.learners.settings import PPOSettings, TrainingSettings
@@ -160,16 +160,6 @@ def bars(screen: Console) -> Bars:
     """Progress bars of trainings; or of an experiment, which counts runs."""
     updates = UpdateColumn(Column(no_wrap=True, overflow="ellipsis"))
     return Bars(screen, updates, TimeElapsedColumn(Column(no_wrap=True)), speed_estimate_period=DAY)
-
-
-@contextmanager
-def how_to_continue(screen: Console, how: str) -> Iterator[None]:
-    """A context in which Ctrl-C says how to continue."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        screen.print(f"stopped; {how}")
-        raise
 
 
 @contextmanager

@@ -336,10 +336,13 @@ def read_entry(path: Path | str) -> Entry:
     for part, row in ((part, row) for part, entry in parts.items() for row in entry.episodes):
         if places.setdefault(row.title, part) != part:
             raise EvaluationError(f"{part} holds episodes that another file of {path} holds, too: {row.title}")
-    shared = [_common(name, ((getattr(entry, name), part) for part, entry in parts.items())) for name in SHARED]
+    observations, rules, protocol = (
+        _common(name, ((getattr(entry, name), part) for part, entry in parts.items())) for name in SHARED
+    )
     known = [[getattr(entry.versions, name) for entry in parts.values()] for name in Versions.__struct_fields__]
     versions = Versions(*(sorted({*chain.from_iterable(lists)}) for lists in known))
-    return Entry(card, *shared, versions, [row for entry in parts.values() for row in entry.episodes])
+    episodes = [row for entry in parts.values() for row in entry.episodes]
+    return Entry(card, observations, rules, protocol, versions, episodes)
 
 
 def _content(path: Path, most: int) -> bytes:

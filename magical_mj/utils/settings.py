@@ -119,7 +119,8 @@ def described(settings: type, prefix: str = "") -> Mapping[str, Setting]:
             known |= described(part, f"{path}.")
         else:
             notes = [note.description for note in get_args(kind) if isinstance(note, Meta) and note.description]
-            known[path] = Setting(types[item.name], item.default, "".join(notes), _least(kind))
+            least = None if part == Names else getattr(_information(kind), "ge", None)
+            known[path] = Setting(types[item.name], item.default, "".join(notes), least)
     return known
 
 
@@ -183,11 +184,6 @@ def _short(value: Any) -> str:
 def _plain(kind: Any) -> Any:
     """A type without its notes."""
     return get_args(kind)[0] if get_origin(kind) is Annotated else kind
-
-
-def _least(kind: Any) -> float | None:
-    """The smallest allowed number."""
-    return None if _plain(kind) == Names else getattr(_information(kind), "ge", None)
 
 
 def _information(kind: Any) -> inspect.Type:
