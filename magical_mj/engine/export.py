@@ -36,7 +36,7 @@ HEADER: Final = """<!--
   {what}, as a MuJoCo model. Written by magical-mj {version}.
 
   View it:     python -m mujoco.viewer -mjcf=FILE
-  Play it:     start in keyframe "now"; for each action, write its row of the numeric "controls" into ctrl, and call
+  Play it:     start in keyframe "now"; for each action, write {controls} into ctrl, and call
                mj_step as often as the numeric "substeps" says.
 
   Units: the workspace is {sides}, seconds, radians; angles are counter-clockwise, and at 0 the robot heads up (+y).
@@ -117,7 +117,12 @@ def _header(about: Mapping[str, Any], side: float) -> str:
     """The comment at the top."""
     words = {"task": "{}", "variant": ", variant {}", "seed": ", seed {}"}
     what = "".join(text.format(about[name]) for name, text in words.items() if name in about)
-    return HEADER.format(what=what or "A scene", version=__version__, sides=f"{side:g} x {side:g}")
+    controls = "its speeds" if _takes_speeds(about) else 'its row of the numeric "controls"'
+    return HEADER.format(what=what or "A scene", version=__version__, controls=controls, sides=f"{side:g} x {side:g}")
+
+
+def _takes_speeds(about: Mapping[str, Any]) -> bool:
+    return "task" in about and task_spec(about["task"]).speeds
 
 
 def _model(scene: Scene, about: Mapping[str, Any], data: mujoco.MjData) -> Element:
@@ -125,7 +130,7 @@ def _model(scene: Scene, about: Mapping[str, Any], data: mujoco.MjData) -> Eleme
     root = parsed(world_mjcf(scene))
     _name_blocks(root, scene)
     _regions_as_geoms(root, scene)
-    speeds = "task" in about and task_spec(about["task"]).speeds
+    speeds = _takes_speeds(about)
     root[:0] = [Comment(ABOUT_SPEEDS if speeds else ABOUT), _custom(scene, about, speeds)]
     state = {"time": [data.time], "qpos": data.qpos, "qvel": data.qvel, "act": data.act, "ctrl": data.ctrl}
     root.extend((Comment(SENSORS), _sensors(scene), Comment("The present state")))

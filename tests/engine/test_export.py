@@ -114,8 +114,17 @@ def test_files_say_what_they_hold(task: str, variant: str, seed: int, tmp_path: 
     for name, value in {"horizon": env.horizon, "substeps": SUBSTEPS, "protocol": PROTOCOL}.items():
         assert numeric(model, name).tolist() == [value]
     head = (tmp_path / "model.xml").read_text()[:500]
-    for word in (f"{task}, variant {variant}, seed {seed}", f"magical-mj {__version__}", "mujoco.viewer"):
+    for word in (f"{task}, variant {variant}, seed {seed}", f"magical-mj {__version__}", "mujoco.viewer", '"controls"'):
         assert word in head
+
+
+def test_a_file_whose_actions_are_speeds_speaks_of_no_controls(tmp_path: Path) -> None:
+    model, _ = exported(started("SweepToTop", "Demo", 0), tmp_path)
+    with pytest.raises(KeyError):
+        numeric(model, "controls")
+    head = (tmp_path / "model.xml").read_text()[:600]
+    assert "write its speeds into ctrl" in head
+    assert '"controls"' not in head
 
 
 def test_plain_scenes_have_no_task_and_no_horizon(tmp_path: Path) -> None:
