@@ -31,7 +31,6 @@ import sys
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Final
@@ -46,70 +45,38 @@ FROM_HERE: Final = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (str
 FIDELITY: Final = [sys.executable, str(ROOT / "research" / "batched_fidelity.py")]
 
 
-@dataclass(frozen=True)
-class Amounts:
-    """How much is done in each part."""
-
-    tasks: tuple[str, ...]
-    variants: tuple[str, ...]
-    presets: tuple[str, ...]
-    worlds: str
-    states: int
-    replays: int
-    trainings: Mapping[str, list[str]]
-    episodes: int
+TRAININGS: Final[Mapping[str, tuple[str, ...]]] = {
+    "gail-quick": ("ppo.total_steps=1000000", "ppo.environments=256"),
+    "gail-paper": (),
+}
+"""The settings that are changed in each training."""
+REHEARSED: Final[Mapping[str, tuple[str, ...]]] = {
+    "gail-quick": ("ppo.total_steps=8", "ppo.environments=2", "ppo.steps=2", "ppo.minibatch=4", "demonstrations=1")
+}
 
 
-FULL: Final = Amounts(
-    tasks=magical_mj.TASKS,
-    variants=("Demo", "All"),
-    presets=("State", "LoRes4E"),
-    worlds="256,1024,4096,16384",
-    states=200,
-    replays=25,
-    trainings={
-        "gail-quick": ["--quick", "--set", "ppo.total_steps=1000000", "--set", "ppo.environments=256"],
-        "gail-paper": [],
-    },
-    episodes=100,
-)
-REHEARSAL: Final = Amounts(
-    tasks=("MoveToRegion",),
-    variants=("Demo",),
-    presets=("LoRes4E",),
-    worlds="2",
-    states=2,
-    replays=1,
-    trainings={
-        "gail-quick": [
-            *("--quick", "--set", "ppo.total_steps=8", "--set", "ppo.environments=2", "--set", "ppo.steps=2"),
-            *("--set", "ppo.minibatch=4", "--set", "demonstrations=1"),
-        ]
-    },
-    episodes=1,
-)
-
-
-def parts(device: str, out: Path, amounts: Amounts) -> Mapping[str, list[str]]:
-    """By name, the command of each part."""
+def parts(device: str, out: Path, *, rehearse: bool) -> Mapping[str, list[str]]:
+    """By name, the command of each part, which does as little as possible if it is only rehearsed."""
     on = ["--device", device]
-    tasks = ["--tasks", ",".join(amounts.tasks)]
+    tasks = ("MoveToRegion",) if rehearse else magical_mj.TASKS
+    environments = list(product(tasks, ("Demo",) if rehearse else ("Demo", "All")))
+    states, replays, episodes = ("2", "1", "1") if rehearse else ("200", "25", "100")
     commands = {
-        "fidelity-actions": [*FIDELITY, "actions", *on, "--states", str(amounts.states)],
-        "fidelity-replays": [*FIDELITY, "replays", *on, "--count", str(amounts.replays), *tasks],
+        "fidelity-actions": [*FIDELITY, "actions", *on, "--states", states],
+        "fidelity-replays": [*FIDELITY, "replays", *on, "--count", replays, "--tasks", ",".join(tasks)],
     }
-    for task in amounts.tasks:
-        for variant, preset in product(amounts.variants, amounts.presets):
-            options = ["--tasks", task, "--variants", variant]
-            options += ["--presets", preset, "--num-envs", amounts.worlds]
-            name = f"speed-{task}-{variant}-{preset}"
-            commands[name] = [sys.executable, "-m", "benchmarks", "--batched", *on, *options]
+    for (task, variant), preset in product(environments, ("LoRes4E",) if rehearse else ("State", "LoRes4E")):
+        options = ["--tasks", task, "--variants", variant, "--presets", preset]
+        options += ["--num-envs", "2" if rehearse else "256,1024,4096,16384"]
+        commands[f"speed-{task}-{variant}-{preset}"] = [sys.executable, "-m", "benchmarks", "--batched", *on, *options]
     where = ["--tasks", "MoveToRegion", "--preset", "LoRes4E"]
-    for name, settings in amounts.trainings.items():
+    for name, settings in (REHEARSED if rehearse else TRAININGS).items():
         run, scores = str(out / name), str(out / f"{name}-scores")
-        options = [*where, "--simulator", "warp", *on, "--set", "evaluations=0", *settings, "--out", run]
+        changes = [word for setting in ("evaluations=0", *settings) for word in ("--set", setting)]
+        quick = ["--quick"] if "quick" in name else []
+        options = [*where, "--simulator", "warp", *on, *quick, *changes, "--out", run]
         commands[name] = [*COMMAND, "train", "gail", *options, "--resume"]
-        played = ["--policy", run, *where, "--variants", "Demo", "--episodes", str(amounts.episodes)]
+        played = ["--policy", run, *where, "--variants", "Demo", "--episodes", episodes]
         commands[f"{name}-score"] = [*COMMAND, "evaluate", *played, "--out", scores, "--resume"]
     return commands
 
@@ -145,7 +112,7 @@ def main() -> int:
     parser.add_argument("--list", action="store_true", help="print the names of all parts")
     chosen = parser.parse_args()
     chosen.out = chosen.out or Path("out/rehearsal" if chosen.rehearse else "out/batched")
-    every = parts(chosen.device, chosen.out, REHEARSAL if chosen.rehearse else FULL)
+    every = parts(chosen.device, chosen.out, rehearse=chosen.rehearse)
     if chosen.list:
         print("\n".join(every))
         return 0

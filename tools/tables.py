@@ -212,18 +212,10 @@ def results() -> dict[str, str]:
     }
 
 
-def results_from_states() -> dict[str, str]:
-    """Of each entry that learnt from states, by the name of its file: its scores in each environment."""
-    return {name: environments(standing) for name, standing in _results()[0].items() if _sees_states(standing)}
-
-
-def results_from_pictures() -> dict[str, str]:
-    """The same for pictures."""
-    return {name: environments(standing) for name, standing in _results()[0].items() if not _sees_states(standing)}
-
-
-def _sees_states(standing: Standing) -> bool:
-    return standing.entry.observations == "State"
+def results_from(*, states: bool) -> dict[str, str]:
+    """Of each entry that learnt from states, or from pictures, by the name of its file: its scores in environments."""
+    learnt = _results()[0].items()
+    return {name: environments(method) for name, method in learnt if (method.entry.observations == "State") == states}
 
 
 def shifts() -> dict[str, str]:
@@ -269,8 +261,8 @@ PAGES: Final[Mapping[str, Callable[[], dict[str, str]]]] = {
     "README.md": readme,
     "docs/environments.md": lambda: {"presets": presets()},
     "docs/results.md": results,
-    "docs/results-pictures.md": results_from_pictures,
-    "docs/results-states.md": results_from_states,
+    "docs/results-pictures.md": lambda: results_from(states=False),
+    "docs/results-states.md": lambda: results_from(states=True),
     "docs/shifts.md": shifts,
 }
 """The pages that have such tables."""

@@ -204,9 +204,6 @@ class NoopAgent:
 
     uses_simulation = True
 
-    def reset(self, episode: Episode) -> None:
-        """Nothing to do here either."""
-
     def __call__(self, _: Any) -> int:
         """An action; the observation does not matter."""
         return NOOP
@@ -247,7 +244,7 @@ class ExpertAgent:
         return self._next()
 
 
-AGENTS: Final[Mapping[str, type[Policy]]] = MappingProxyType(
+AGENTS: Final[Mapping[str, Callable[[], Act]]] = MappingProxyType(
     {"expert": ExpertAgent, "random": RandomAgent, "noop": NoopAgent}
 )
 """The agents by name."""

@@ -12,11 +12,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import queue
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections import Counter
 from pathlib import Path
@@ -24,7 +22,6 @@ from typing import Final
 
 KINDS: Final = ("calls", "scenes", "states", "hands", "files", "commands", "clients")
 SLICE: Final = 180.0  # seconds for each kind in turn, in a process of its own
-PATIENCE: Final = 300.0  # seconds for one case
 
 
 class Campaign:
@@ -45,35 +42,22 @@ class Campaign:
             self.watch(kind, [*command, numbers, str(end - time.monotonic()), str(self._folder)])
 
     def watch(self, kind: str, command: list[str]) -> None:
-        """Reads what a process tells of its cases, until it ends, dies or is silent for too long."""
+        """Reads what a process tells of its cases, until it ends or dies."""
         with (
             (self._folder / f"{kind}.stderr").open("w+") as errors,
             subprocess.Popen(
                 command, stdout=subprocess.PIPE, stderr=errors, text=True, start_new_session=True, env=_variables()
             ) as process,
         ):
-            lines: queue.Queue[str] = queue.Queue()
             assert process.stdout is not None  # noqa: S101  for the type checker
-            threading.Thread(target=_pass_on, args=(process.stdout, lines), daemon=True).start()
-            while True:
-                try:
-                    line = lines.get(timeout=PATIENCE)
-                except queue.Empty:
-                    os.killpg(process.pid, 6)  # faulthandler tells where it hangs
-                    process.wait()
-                    self._died(kind, "hangs", errors)
-                    return
-                if not line:
-                    break
+            for line in process.stdout:
                 self._told(kind, json.loads(line))
             if process.wait() != 0:
-                self._died(kind, f"ends with {process.returncode}", errors)
-
-    def _died(self, kind: str, how: str, errors: object) -> None:
-        errors.seek(0)  # type: ignore[attr-defined]
-        lines = [line.strip() for line in errors if line.strip()][-40:]  # type: ignore[attr-defined]
-        ours = [line for line in lines if "magical_mj" in line][:3] or lines[-3:]
-        self._told(kind, {"result": "find", "what": f"the process {how}", "said": " | ".join(ours)})
+                errors.seek(0)
+                said = [line.strip() for line in errors if line.strip()][-40:]
+                ours = [line for line in said if "magical_mj" in line][:3] or said[-3:]
+                what = f"the process ends with {process.returncode}"
+                self._told(kind, {"result": "find", "what": what, "said": " | ".join(ours)})
 
     def _told(self, kind: str, told: dict[str, str]) -> None:
         number = self.tried[kind]
@@ -84,12 +68,6 @@ class Campaign:
             self.finds[find] += 1
             if self.finds[find] == 1:
                 print(f"FOUND {find} ({told['said'][:300]!a}); again: --case {kind}:{number}", flush=True)
-
-
-def _pass_on(stream: object, lines: queue.Queue[str]) -> None:
-    for line in stream:  # type: ignore[attr-defined]
-        lines.put(line)
-    lines.put("")
 
 
 def _variables() -> dict[str, str]:

@@ -6,6 +6,7 @@ python tools/fuzz/cases.py KIND FIRST:END SECONDS FOLDER [--loud]
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import json
 import os
 import random
@@ -32,6 +33,7 @@ from magical_mj.utils.errors import MagicalError
 sys.path.append(str(Path(__file__).parents[2]))  # Python puts only this folder there
 from tests.helpers.hostile import WORST, worst
 
+PATIENCE: Final = 300.0  # seconds for one case
 Case = Callable[[random.Random, Path], None]
 
 
@@ -223,7 +225,9 @@ def main(kind: str, numbers: str, seconds: str, folder: str, *rest: str) -> None
     with contextlib.redirect_stdout(sys.stderr):
         os.dup2(2, 1)  # whatever else is printed, by whatever library, is no line for the reader
         for number in range(*map(int, numbers.split(":"))):
+            faulthandler.dump_traceback_later(PATIENCE, exit=True)  # and tells where it hangs
             told = result(kind, number, Path(folder), loud="--loud" in rest)
+            faulthandler.cancel_dump_traceback_later()
             print(json.dumps(told), file=out, flush=True)
             if time.monotonic() > end:
                 return
