@@ -15,7 +15,6 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
-from rich.table import Table
 
 from magical_mj._version import __version__
 from magical_mj.cli.app import run
@@ -43,7 +42,6 @@ Steps = Annotated[
     int, typer.Option(min=1, help="Least number of steps in each environment; whole episodes are played.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON, times in seconds of processor time.")]
-Markdown = Annotated[bool, typer.Option("--markdown", help="Print a Markdown table.")]
 Batched = Annotated[bool, typer.Option("--batched", help="Measure batched worlds instead (extra gpu).")]
 NumEnvs = Annotated[str, typer.Option(help="With --batched: numbers of worlds, separated by commas.")]
 Device = Annotated[str, typer.Option(help="With --batched: cuda, cuda:1 or cpu.")]
@@ -58,17 +56,14 @@ def bench(
     steps: Steps = 1000,
     renderer: Renderer = None,
     as_json: Json = False,
-    markdown: Markdown = False,
     profile: Profile = False,
     batched: Batched = False,
     num_envs: NumEnvs = WORLDS,
     device: Device = "cuda",
 ) -> None:
     """Measure steps per second of processor time, with resets, beside the bare MuJoCo loop; and the time of resets."""
-    if as_json and markdown:
-        raise typer.BadParameter("give one of --json and --markdown.")
     check_fits(context, batched, "with --batched", "num_envs", "device", "profile")
-    check_fits(context, not batched, "without --batched", "steps", "renderer", "as_json", "markdown")
+    check_fits(context, not batched, "without --batched", "steps", "renderer", "as_json")
     names = listed(presets, PRESETS)
     for name in names:
         preset_named(name)  # raises if it is unknown
@@ -89,10 +84,8 @@ def bench(
             "environments": [_entry(speed) for speed in measurements],
         }
         typer.echo(json.dumps(facts, indent=2))
-    elif markdown:
-        typer.echo(markdown_table(measurements, drawn_by(renderer)))
     else:
-        _print_table(measurements, drawn_by(renderer))
+        typer.echo(markdown_table(measurements, drawn_by(renderer)))
 
 
 def _counts(text: str) -> list[int]:
@@ -134,20 +127,14 @@ def _batched_lines(speed: BatchedMeasurement, single: float, profile: bool) -> I
         yield f"  {called}: {kernel.launches:,.0f} launches, {took}"
 
 
-def _print_table(measurements: Sequence[Measurement], renderer: str) -> None:
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for column, title in enumerate(HEAD):
-        table.add_column(title, justify="right" if column >= NAMES else "left")
-    for row in rows(measurements):
-        table.add_row(*row)
-    out = console()
-    out.print(table)
-    out.print(summary(measurements, renderer), soft_wrap=True)
+def _milliseconds(speed: Measurement, cause: Cause) -> str:
+    median, most = (speed.reset_quantile(cause, share) for share in (0.5, 0.95))
+    return "" if median is None or most is None else f"{1000 * median:.1f} ms ({1000 * most:.1f})"
 
 
-def rows(measurements: Sequence[Measurement]) -> list[tuple[str, ...]]:
-    """The rows of the table with the header `HEAD`. Resets: median (95th percentile), in milliseconds."""
-    return [
+def markdown_table(measurements: Sequence[Measurement], renderer: str) -> str:
+    """The table, and below it what it was measured on. Resets: median (95th percentile), in milliseconds."""
+    rows = [
         (
             f"{speed.task} {speed.variant}",
             speed.preset or "none",
@@ -159,16 +146,7 @@ def rows(measurements: Sequence[Measurement]) -> list[tuple[str, ...]]:
         )
         for speed in measurements
     ]
-
-
-def _milliseconds(speed: Measurement, cause: Cause) -> str:
-    median, most = (speed.reset_quantile(cause, share) for share in (0.5, 0.95))
-    return "" if median is None or most is None else f"{1000 * median:.1f} ms ({1000 * most:.1f})"
-
-
-def markdown_table(measurements: Sequence[Measurement], renderer: str) -> str:
-    """The table, and below it a description of the machine."""
-    lines = [HEAD, [*["---"] * NAMES, *["---:"] * (len(HEAD) - NAMES)], *rows(measurements)]
+    lines = [HEAD, [*["---"] * NAMES, *["---:"] * (len(HEAD) - NAMES)], *rows]
     table = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
     return f"{table}\n\n{summary(measurements, renderer)}"
 
