@@ -15,6 +15,7 @@ import sys
 import threading
 from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 
 def ours(count: int) -> list[Callable[[], int]]:
@@ -45,18 +46,15 @@ def bare(count: int) -> list[Callable[[], int]]:
 
 def round_of(draws: list[Callable[[], int]]) -> None:
     """Draws in a thread each, at once; raises unless all threads get the same picture."""
-    start, sums = threading.Barrier(len(draws)), []
+    start = threading.Barrier(len(draws))
 
-    def work(draw: Callable[[], int]) -> None:
+    def work(draw: Callable[[], int]) -> int:
         start.wait()
-        sums.append(draw())
+        return draw()
 
-    workers = [threading.Thread(target=work, args=(draw,)) for draw in draws]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join()
-    if len(sums) != len(draws) or len(set(sums)) != 1 or not sums[0]:
+    with ThreadPoolExecutor(len(draws)) as threads:
+        sums = list(threads.map(work, draws))
+    if len(set(sums)) != 1 or not sums[0]:
         raise SystemExit(f"{len(draws)} threads drew {sums}")
 
 

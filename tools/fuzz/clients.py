@@ -6,8 +6,7 @@ import copy
 import dataclasses
 import pickle
 import random
-import threading
-from functools import partial
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
 
@@ -143,7 +142,8 @@ def _operations(rng: random.Random, _folder: Path) -> None:
         elif how == "score":
             env.score()
         elif how == "thread":
-            _in_a_thread(partial(env.render, "allo", 16))
+            with ThreadPoolExecutor(1) as thread:
+                thread.submit(env.render, "allo", 16).result()
         elif how == "reset":
             seed, done, kept = rng.randrange(100), [], {}
             env.reset(seed=seed)
@@ -163,22 +163,6 @@ def _check_same(env: magical_mj.Engine, alone: magical_mj.Engine, name: str) -> 
 
 def _pickled(thing: Any) -> Any:
     return pickle.loads(pickle.dumps(thing))  # noqa: S301  our own
-
-
-def _in_a_thread(do: Any) -> None:
-    raised: list[Exception] = []
-
-    def run() -> None:
-        try:
-            do()
-        except Exception as error:  # noqa: BLE001  handed on
-            raised.append(error)
-
-    thread = threading.Thread(target=run)
-    thread.start()
-    thread.join()
-    if raised:
-        raise raised[0]
 
 
 def _vector(rng: random.Random, _folder: Path) -> None:
