@@ -178,7 +178,7 @@ def _entry(speed: Measurement) -> Mapping[str, Any]:
 
 
 def machine() -> dict[str, str | int]:
-    """What it ran on."""
+    """The machine and the versions."""
     from magical_mj.rendering.canvas import opengl_name
 
     cpu = platform.processor() or platform.machine()

@@ -36,7 +36,7 @@ TURN: Final = 20
 """The number of steps after which environment and bare loop alternate, so that other load affects both equally."""
 COMPOSER_TURNS: Final = 20
 WORLDS: Final = 32
-"""Of a vector."""
+"""The number of worlds of a vector."""
 RESETS: Final = 40
 """Resets that are measured alone."""
 

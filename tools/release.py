@@ -14,7 +14,7 @@ from typing import Final
 
 ROOT: Final = Path(__file__).parent.parent
 MOST_BYTES: Final = {"*.whl": 5_500_000, "*.tar.gz": 6_000_000}
-"""Of both, demonstrations are 4.6 MB: 3.2 of the benchmark's tasks, 1.5 of x-magical's."""
+"""Of either, the demonstrations are 4.6 MB: 3.2 of the benchmark's tasks, 1.5 of x-magical's."""
 
 
 def problems(tag: str | None) -> list[str]:

@@ -136,7 +136,7 @@ class Left(TimeRemainingColumn):
     """The time that is left, in words that are understood beside other times."""
 
     def render(self, task: Work) -> Text:
-        """As text; empty if the amount of work is unknown, or as good as endless."""
+        """The time as text; empty if the amount of work is unknown, or as good as endless."""
         with suppress(OverflowError):
             if left := super().render(task):
                 return left.append(" left")

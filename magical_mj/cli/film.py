@@ -76,7 +76,7 @@ class Film:
         self._repeat(frame, self._pause)
 
     def add(self, views: Picture, step: int, action: int | NDArray[Any], score: float) -> None:
-        """What an action has led to."""
+        """Adds the frame after an action."""
         self._last = self._frame(views, f"step {step}   {in_words(action)}", score)
         self._repeat(self._last, 1)
 

@@ -20,7 +20,7 @@ def one_of(names: Iterable[str]) -> Callable[[str], list[str]]:
 
 
 def some_of(names: Iterable[str]) -> Callable[[str], list[str]]:
-    """The same for lists separated by commas: the last name is completed."""
+    """As `one_of`, for lists separated by commas: the last name is completed."""
 
     def complete(incomplete: str) -> list[str]:
         done, comma, last = incomplete.rpartition(",")

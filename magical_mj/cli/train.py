@@ -185,7 +185,7 @@ class UpdateColumn(ProgressColumn):
     """Finished updates of the total, updates per second, and the latest metrics; or finished runs."""
 
     def render(self, task: Task) -> Text:
-        """As text."""
+        """The text of the column."""
         done = f"{task.completed}/{task.total or '?'} {task.fields['unit']}"
         speed = f", {task.speed:.2f}/s" if task.speed and task.fields["unit"] == "updates" else ""
         return Text(f"{done}{speed} {task.fields['latest']}".rstrip())

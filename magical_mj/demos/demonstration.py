@@ -47,7 +47,7 @@ ARRAYS: Final = ("actions", "qpos", "qvel")
 MOST_BYTES: Final = 50_000_000
 """The largest file, and the largest content, that is read; the longest demonstrations here have 200,000 bytes."""
 COMPRESSIONS: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-"""Those that numpy writes, and whose readers unpack no more than was declared."""
+"""The compressions that numpy writes; their readers unpack no more than was declared."""
 
 
 @dataclass(frozen=True, eq=False)

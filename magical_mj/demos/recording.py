@@ -50,7 +50,7 @@ ATTEMPTS: Final = 10
 REST: Final = 80
 """Steps without an action after which an expert's demonstration ends, if the episode does not end before."""
 SHORT_REST: Final = 3
-"""The same in SweepToTop: what lies there stays."""
+"""As `REST`, in SweepToTop, where debris stays where it lies."""
 STRIDE: Final = 1_000_003
 """The increment of the expert's seed between attempts, so that no two demonstrations use the same one."""
 MAX_BYTES: Final = 100_000

@@ -27,7 +27,7 @@ FILTERS: Final[Sequence[dict[str, Any]]] = ({"id": lzma.FILTER_LZMA2, "preset": 
 """For numbers of eight bytes."""
 ARRAYS: Final = ("actions", "offsets", "qvel")
 LEAST: Final = 1e-290
-"""What is smaller counts as 0 where positions are foretold, since processes may be set to do so with smaller ones."""
+"""Smaller numbers count as 0 in predicted positions, since processes may be set to treat subnormal ones so."""
 
 
 def load_shipped(task: str, name: str) -> list[Demonstration]:

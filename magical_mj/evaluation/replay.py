@@ -28,7 +28,7 @@ CHUNK: Final = 50
 Recorded = tuple[Any, EpisodeResult]
 """An episode, and what its owner knows it by, such as the name of its entry."""
 Replayed = tuple[Any, EpisodeResult, str | None]
-"""The same, scored by other rules if these were wanted, and how it differs from its record; None if it does not."""
+"""A `Recorded` one, by other rules if these were wanted, and how it differs from its record; None if it does not."""
 
 
 def replay(recorded: Iterable[Recorded], *, rules: Rules | None = None, jobs: int | None = None) -> Iterator[Replayed]:

@@ -36,11 +36,11 @@ MOST_SETTINGS: Final = 10_000_000
 """The number of bytes of the largest file of settings that is read."""
 
 Natural = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
-"""Which tables of scores can hold."""
+"""An integer that tables of scores can hold."""
 Key = tuple[str, int, str, str, int, str]
 """Identifies an episode: policy, run, task, variant, seed, shift."""
 GROWING: Final = ("policies", "environments", "shifts")
-"""The settings of which a resumed evaluation may have more; of seeds it may, too."""
+"""The settings of which a resumed evaluation may have more, as it may have more seeds."""
 OLDER: Final = {
     "worlds": "single",
     "split": "test",
@@ -51,11 +51,11 @@ OLDER: Final = {
     "like": "",
     "body": GRIPPER,
 }
-"""Settings of which older versions write nothing."""
+"""The values of settings that older versions did not write."""
 
 
 class PlayedPolicy(TypedDict):
-    """What settings say of a policy."""
+    """A policy in the settings of an evaluation."""
 
     name: str
     run: Natural
@@ -75,7 +75,7 @@ class Played(TypedDict):
 
 @dataclass
 class Outcome:
-    """What came of playing an episode."""
+    """The outcome of an episode."""
 
     actions: list[Any] = dataclasses.field(default_factory=list)
     score: float = 0.0
@@ -165,7 +165,7 @@ class EpisodeResult:
 
     @property
     def title(self) -> str:
-        """Which one it is, in words."""
+        """The run, the environment and the seed, in words."""
         environment = " ".join(filter(None, (self.task, self.variant, self.shift)))
         return f"run {self.run}, {environment}, seed {self.seed}"
 
@@ -176,7 +176,7 @@ class EpisodeResult:
         return f"{who} in {self.wrap}" if self.wrap else who
 
     def line(self) -> str:
-        """As a line of the file, which leaves out what is as usual and older versions did not write."""
+        """The line of the file; it leaves out fields that older versions did not write, where they are as usual."""
         values = {name: value for name, value in dataclasses.asdict(self).items() if (name, value) not in _USUAL}
         return json.dumps(values, ensure_ascii=False) + "\n"
 
@@ -185,7 +185,7 @@ _FIELDS: Final = tuple(field.name for field in dataclasses.fields(EpisodeResult)
 _KNOWN: Final = frozenset(_FIELDS)
 _USUAL: Final = (("split", "test"), ("shift", ""), ("wrap", ""), ("body", GRIPPER))
 _BEGINNING: Final = b'{"policy": '
-"""Of each line."""
+"""How each line begins."""
 
 
 def parse(line: str | bytes) -> EpisodeResult:

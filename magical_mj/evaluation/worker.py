@@ -55,7 +55,7 @@ class Unit:
 
     @cached_property
     def keys(self) -> list[Key]:
-        """Of its episodes."""
+        """The keys of its episodes."""
         source = self.source
         return [(source.name, source.run, self.task, self.variant, seed, self.shift) for seed in self.seeds]
 
@@ -300,7 +300,7 @@ class TimeLimitedCaller:
 
 
 def _work(calls: queue.SimpleQueue[Any]) -> None:
-    """What the thread does. It holds neither its caller nor past calls, so that all end when nobody holds them."""
+    """The thread's function. It holds neither its caller nor past calls, so that all end when nobody holds them."""
     while (call := calls.get()) is not None:
         function, result = call
         try:

@@ -22,7 +22,7 @@ from magical_mj.utils.errors import SettingsError
 CALIBRATION: Final = 20
 """Batches over which batch norm's averages are taken."""
 LEAST: Final = 4
-"""Samples of which a distance correlation can be told."""
+"""The fewest samples that have a distance correlation."""
 
 
 class BehaviouralCloning(Learner):
@@ -81,7 +81,7 @@ class BehaviouralCloning(Learner):
         return {"loss": loss.item(), "accuracy": (logits.argmax(1) == actions).float().mean().item(), **others}
 
     def loss(self) -> tuple[Tensor, Tensor, Tensor, Mapping[str, float]]:
-        """Of a new batch: the loss, the logits (n, 18), the demonstrator's actions (n,), and other metrics."""
+        """The loss of a new batch, the logits (n, 18), the demonstrator's actions (n,), and other metrics."""
         observations, actions, tasks = self._data.sample(self.settings.bc.batch_size, self._draw)
         actions, inputs = actions.to(self.device), self._augmented(observations, self._noise)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.settings.precision == "bfloat16"):

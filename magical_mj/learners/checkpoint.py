@@ -17,7 +17,7 @@ from magical_mj.utils.errors import TrainingError
 TENSOR: Final = "tensor:"
 """The prefix of a string in the JSON that refers to a tensor by name."""
 ARRAY: Final = "array:"
-"""The same for a numpy array."""
+"""The prefix of one that refers to a numpy array."""
 
 
 def write(path: Path, state: dict[str, Any]) -> None:

@@ -48,7 +48,7 @@ _SHORT: Final[Mapping[str, Any]] = {
     "features.batches": 1_000,
     "features.learning_rate": 1e-3,
 }
-"""Of trainings that are short enough for two cores, from pictures or states."""
+"""The changes of trainings that are short enough for two cores, from pictures or states."""
 
 QUICK: Final[Mapping[str, Any]] = {
     **_SHORT,

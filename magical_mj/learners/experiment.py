@@ -85,7 +85,7 @@ class Run:
 
     @property
     def name(self) -> str:
-        """Of its folder: the method, the task and the seed."""
+        """The name of its folder: method, task and seed."""
         tasks = self.settings.tasks
         return f"{self.settings.method}-{task_spec(tasks[0]).name if len(tasks) == 1 else 'multi'}-{self.settings.seed}"
 

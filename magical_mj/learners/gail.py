@@ -53,7 +53,7 @@ class Adversarial(RewardLearner):
         self.stateful |= {"noise": self._noise}
 
     def discriminator(self) -> nn.Module:
-        """A new one, a `Samplewise`."""
+        """A new discriminator, a `Samplewise`."""
         return Discriminator(self.settings.network, len(self.settings.tasks), states=self.settings.states)
 
     def learn_reward(self, rollout: Rollout) -> Mapping[str, float]:
@@ -160,7 +160,7 @@ class AIRL(GAIL):
         return rollout._replace(observations=np.concatenate([rollout.observations, following], axis=-2))
 
     def logits(self, observations: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
-        """Those of D, log pi(a | s) - f(s, a, s'), shape (n,)."""
+        """The logits of D, log pi(a | s) - f(s, a, s'), shape (n,)."""
         with torch.no_grad():
             chances = self._actor(observations[:, :-1], tasks).log_softmax(1)
         return chances.gather(1, actions[:, None])[:, 0] - self._discriminator(observations, actions, tasks)

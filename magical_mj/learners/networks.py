@@ -17,7 +17,7 @@ from magical_mj.scene.state_vector import FINGERS, MAX_BLOCKS, MAX_REGIONS, STAT
 from magical_mj.utils.errors import SettingsError
 
 SHAPE: Final = (96, 96, 12)
-"""Of what networks look at: four RGB frames, stacked along the channels."""
+"""The shape of pictures that networks look at: four RGB frames, stacked along the channels."""
 ONE_HOT: Final = len(ACTIONS)
 MOST_PARAMETERS: Final = 50_000_000
 """The largest network that is built, 30 times the paper's: its weights are 200 MB, and training needs some more."""
@@ -27,9 +27,9 @@ BLOCKS: Final = slice(STATE_NAMES.index("block0.present"), STATE_NAMES.index("re
 REGIONS: Final = slice(BLOCKS.stop, len(STATE_NAMES))
 """Columns of all regions: for each present, x_min, y_min, x_max, y_max, four colours."""
 SHAPES: Final = slice(7, 11)
-"""Of a block's columns."""
+"""The columns of a block that tell its shape."""
 COLOURS: Final = slice(11, 15)
-"""Likewise; of a region's, the last four."""
+"""The columns of a block that tell its colour; of a region, these are the last four."""
 _MOVEMENT: Final = 0.1
 """Units or radians that count as 1 in movements between two states; positions and angles count as they are.
 

@@ -40,11 +40,11 @@ METRICS: Final = "metrics.csv"
 TENSORBOARD: Final = "tensorboard"
 MOST_THREADS: Final = 1024
 FIRST_COLUMNS: Final = ["update", "seconds"]
-"""Of metrics.csv."""
+"""The first columns of metrics.csv."""
 
 
 class Checkpoint(msgspec.Struct):
-    """What a training goes on from, in the order of the file."""
+    """A checkpoint, from which a training goes on; fields in the order of the file."""
 
     update: Annotated[int, Meta(ge=0)]
     """The number of updates so far."""
@@ -55,7 +55,7 @@ class Checkpoint(msgspec.Struct):
     device: str
     """The type of device on which they were made."""
     settings: str
-    """Of the training, as JSON."""
+    """The settings of the training, as JSON."""
     learner: dict[str, Any]
     """The learner's state."""
 

@@ -25,7 +25,7 @@ AUGMENTATIONS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """The sets of augmentations in the paper's ablations, by name."""
 HEADS: Final = 4
-"""Of the attention between blocks and regions, which share the units of `NetworkSettings.entity`."""
+"""The number of attention heads between blocks and regions, which share the units of `NetworkSettings.entity`."""
 ASSUMPTIONS: Final = ("egocentric", "mirror", "rename", "hindsight", "displace")
 """What `relational` tries to assume about a task, in this order: see `magical_mj.learners.relational_samples`."""
 PREMISES: Final = {"mirror": "egocentric"}

@@ -61,7 +61,7 @@ class _Methods(Mapping[str, type[Method]]):
 METHODS: Final = _Methods()
 """Name -> class of every method that `train` knows by name."""
 ROWS: Final = 200
-"""Of metrics.csv for a whole training."""
+"""The number of rows of metrics.csv for a whole training."""
 
 
 @dataclass(frozen=True)

@@ -22,13 +22,13 @@ from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.extras import check_extra
 
 OBSERVATION: Final = "seen"
-"""Of an observation: the stack of frames, shape (96, 96, 12) uint8; or the history, shape (HISTORY, names) float32."""
+"""The key of a world's stack of frames, shape (96, 96, 12) uint8; or history, shape (HISTORY, names) float32."""
 TASK: Final = "task"
-"""Of an observation: the task as a one-hot vector, shape (tasks,) float32."""
+"""The key of a world's task as a one-hot vector, shape (tasks,) float32."""
 
 Observations = dict[str, NDArray[Any]]
 _Outcome = tuple[NDArray[Any], NDArray[np.bool_], NDArray[Any], NDArray[np.float64], NDArray[np.bool_]]
-"""Of a step: observations; which episodes ended; the last observations of these; scores; which states are broken."""
+"""A step's result: observations; which episodes ended; their last observations; scores; which states are broken."""
 
 
 class TrainingEnvs(VecEnv):

@@ -38,7 +38,7 @@ OTHER_ACTIONS: Final = (
 MOST_BYTES: Final = 1_000_000_000
 """The largest content of a model's file that is read."""
 MOST_SETTINGS: Final = 100_000_000
-"""The same for the settings in a stable-baselines3 archive, which hold the last observations, too."""
+"""The largest settings in a stable-baselines3 archive that are read; they hold the last observations, too."""
 MOST_PARAMETERS: Final = 100_000_000
 """The largest number of parameters of a network that is rebuilt; those of the paper have 2 million."""
 MOST_OBSERVED: Final = 10_000_000

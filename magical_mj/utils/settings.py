@@ -69,7 +69,7 @@ class Settings:
     """
 
     part: ClassVar[str] = ""
-    """Of settings that are a part of others: the name of the field there, for messages."""
+    """The name of the field that holds these settings as a part of others, for messages."""
 
     def __post_init__(self) -> None:
         for name, kind in annotated(type(self)).items():

@@ -39,7 +39,7 @@ LOG: Final = "study.jsonl"
 PRACTICE: Final = 1_000_000
 """The seed of the first scene for practice: far from all that count."""
 BINS: Final = 10
-"""Of the histogram of scores."""
+"""The number of bars in the histogram of scores."""
 
 
 class Study(Struct, forbid_unknown_fields=True):
@@ -369,7 +369,7 @@ class Collection:
 
 
 def _key(demo: Demonstration) -> str:
-    """The same for episodes that are equal in all but the seed, of which Demo's scenes do not depend."""
+    """A key that episodes share if they are equal in all but the seed, on which Demo's scenes do not depend."""
     return hashlib.sha256(demo.scene.to_json().encode() + demo.variant.encode() + demo.actions.tobytes()).hexdigest()
 
 

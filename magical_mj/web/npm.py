@@ -23,7 +23,7 @@ class Package(NamedTuple):
     name: str
     version: str
     sha512: str
-    """Of its archive, in base64, as npm states it."""
+    """The hash of its archive, in base64, as npm states it."""
 
 
 MUJOCO: Final = Package(

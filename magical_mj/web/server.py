@@ -117,7 +117,7 @@ class PlayServer:
         return f"{self._origins()[0]}/{self._operator}/operator.html"
 
     def _origins(self) -> list[str]:
-        """Those of the page, as browsers send them: IPv6 addresses in brackets, and no port that is the default."""
+        """The page's origins, as browsers send them: IPv6 addresses in brackets, and no port that is the default."""
         host = "localhost" if self.host in ("0.0.0.0", "::") else self.host.lower()  # noqa: S104 (compared, not bound)
         with suppress(ValueError):  # it is a name
             host = str(ipaddress.ip_address(host))

@@ -104,7 +104,7 @@ def to_lerobot(
 STATE_VECTOR: Final = "observation.environment_state"
 NO_STATE: Final = ("zero0", "zero1", "zero2")
 FINGERS: Final = ("left_finger", "right_finger")
-"""What the entries of LeRobot's state are; their number tells which it is (a single one loses its axis in lerobot)."""
+"""The entries of LeRobot's state, with fingers and without; their number differs (one entry would lose its axis)."""
 
 
 def state(fingers: ArrayLike | None) -> NDArray[np.float32]:

@@ -47,7 +47,7 @@ PUBLISHED_RULES: Final = "released"
 by the paper's formula an agent that does nothing has 0.25."""
 PUBLISHED_RUNS: Final = 5
 PUBLISHED_EPISODES: Final = 100
-"""Of each run in each environment."""
+"""The number of episodes of each run in each environment."""
 ALL: Final = "all of them"
 """The row of a comparison that is about all variants."""
 
