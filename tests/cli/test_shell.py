@@ -143,7 +143,7 @@ def test_broken_plug_ins_take_nothing_else_away(tmp_path: Path) -> None:
     assert "the task 'Broken' cannot be imported: ValueError: [broken]" in told.splitlines()[-1]
 
 
-def short_repr(total: int | None, terminal: bool) -> list[str]:
+def printed_lines(total: int | None, terminal: bool) -> list[str]:
     """The lines that are printed while 20 results arrive, one every seven seconds."""
     seconds, written = 0.0, io.StringIO()
     screen = Console(file=written, force_terminal=terminal)
@@ -161,7 +161,7 @@ def test_a_line_after_some_seconds_then_one_a_minute(
 ) -> None:
     """In files and pipes, and on terminals that cannot move the cursor."""
     monkeypatch.setenv("TERM", kind)
-    assert short_repr(20, terminal) == [
+    assert printed_lines(20, terminal) == [
         "[files]  2/20 0:02:06 left",  # after 14 s
         "[files] 11/20 0:01:03 left",  # after 77 s
         "[files] 20/20 0:00:00 left",  # after 140 s
@@ -169,12 +169,12 @@ def test_a_line_after_some_seconds_then_one_a_minute(
 
 
 def test_the_amount_may_be_unknown() -> None:
-    assert short_repr(None, terminal=False)[0] == "[files] 2/?"
+    assert printed_lines(None, terminal=False)[0] == "[files] 2/?"
 
 
 def test_terminals_show_the_bar_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "xterm")
-    assert short_repr(20, terminal=True) == []
+    assert printed_lines(20, terminal=True) == []
 
 
 def test_no_bar_is_shown_of_no_work(monkeypatch: pytest.MonkeyPatch) -> None:
