@@ -16,8 +16,7 @@ from magical_mj.shifts.shift import GROUND_REACH, Factor, Picture, Shift
 from magical_mj.tasks.registry import task_spec
 from magical_mj.utils.errors import PlacementError
 from magical_mj.variants.placement import along, layout
-from magical_mj.variants.rules import VariationRules, supported_axes
-from magical_mj.variants.vary import axis_generator
+from magical_mj.variants.rules import VariationRules, axis_generator, supported_axes
 
 TRACK: Final = 2 * c.ROBOT_RADIUS
 """The distance of the wheels of which one is larger, in world units."""
@@ -44,7 +43,8 @@ class Pose(Shift):
         way = self.values["way"]
         if way == 0:
             return scene
-        other = layout(rules, scene, axis_generator(rules.name, "layout", int(self.values["seed"])))
+        rng = axis_generator(rules.name, "layout", int(self.values["seed"]))
+        other = layout(scene, rng, rules.region_size, rules.inner_margin)
         return along(scene, other, way, self.rng(0))
 
 

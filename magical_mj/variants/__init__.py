@@ -4,10 +4,11 @@ from magical_mj.variants.rules import (
     VARIANTS,
     Axis,
     VariationRules,
+    check_seed,
     variants_of,
     varied_axes,
+    vary,
 )
-from magical_mj.variants.vary import check_seed, vary
 
 __all__ = [
     "VARIANTS",

@@ -22,7 +22,6 @@ from magical_mj.scene import constants as c
 from magical_mj.scene.bodies import GRIPPER
 from magical_mj.scene.geometry import Solid, block_solid, inside_walls, region_solid, robot_solid, solids, touch
 from magical_mj.utils.errors import PlacementError
-from magical_mj.variants.rules import VariationRules
 
 MAX_TRIES: Final = 10_000
 """The number of draws for one thing before placement starts over."""
@@ -68,14 +67,14 @@ Boxes = Callable[[Thing, GoalRegion | None], Box | Near]
 """From a thing and the region it belongs in (already placed; or None) to the box its pose is drawn from."""
 
 
-def jitter(rules: VariationRules, scene: Scene, rng: np.random.Generator) -> Scene:
-    """The scene with small random changes of all poses and of the regions' sizes.
+def jitter(scene: Scene, rng: np.random.Generator, region_size: tuple[float, float]) -> Scene:
+    """The scene with small random changes of all poses and of the regions' sizes, which stay between these (low, high).
 
     Raises:
         PlacementError: if no legal placement was found.
     """
     step = c.JITTER_REGION_SIZE
-    low, high = rules.region_size
+    low, high = region_size
     regions = []
     for region in scene.regions:  # resized with the left and top edge fixed, as in the original
         height = min(max(region.height + _between(rng, -step, step), low), high)
@@ -84,21 +83,27 @@ def jitter(rules: VariationRules, scene: Scene, rng: np.random.Generator) -> Sce
     return _place(scene, regions, _around, rng)
 
 
-def layout(rules: VariationRules, scene: Scene, rng: np.random.Generator) -> Scene:
+def layout(scene: Scene, rng: np.random.Generator, region_size: tuple[float, float], inner_margin: float) -> Scene:
     """The scene with new poses in the whole workspace and new sizes of the regions.
+
+    Args:
+        scene: the scene.
+        rng: draws poses and sizes.
+        region_size: the least and the greatest height and width of regions, in world units.
+        inner_margin: as `VariationRules.inner_margin`.
 
     Raises:
         PlacementError: if no legal placement was found.
     """
     regions = []
     for region in scene.regions:
-        height, width = _between(rng, *rules.region_size), _between(rng, *rules.region_size)
+        height, width = _between(rng, *region_size), _between(rng, *region_size)
         regions.append(replace(region, x_max=region.x_min + width, y_max=region.y_min + height))
 
     def anywhere(_: Thing, home: GoalRegion | None) -> Box:
         if home is None:
             return Box((-scene.half_width, -scene.half_width, -math.pi), (scene.half_width, scene.half_width, math.pi))
-        (x, y), half = home.centre, min(home.height, home.width) / 2 - rules.inner_margin
+        (x, y), half = home.centre, min(home.height, home.width) / 2 - inner_margin
         return Box((x - half, y - half, -math.pi), (x + half, y + half, math.pi))
 
     return _place(scene, regions, anywhere, rng)

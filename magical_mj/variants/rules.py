@@ -1,16 +1,30 @@
-"""The variants as sets of axes, what a task declares about its variation, and which variants follow from that."""
+"""The variants: sets of axes, what a task declares about them, and the scenes that follow from both.
+
+From a task's demo scene to the scenes of its variants all is pure, and the same on every machine.
+"""
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
-from magical_mj.scene import Scene
-from magical_mj.utils.errors import TaskError, UnknownNameError, check_name, short_repr
+from magical_mj.scene import Dynamics, Scene
+from magical_mj.scene.bodies import GRIPPER
+from magical_mj.utils.errors import (
+    InvalidSeedError,
+    PlacementError,
+    TaskError,
+    UnknownNameError,
+    as_integer,
+    check_name,
+    short_repr,
+)
+from magical_mj.variants.placement import contact, jitter, layout
 
 Axis = Literal["jitter", "layout", "colour", "shape", "count", "dynamics"]
 AXES: Final[tuple[Axis, ...]] = get_args(Axis)
@@ -40,6 +54,21 @@ rule adds may have any pose, since they are placed afterwards; but a block that 
 _ROUNDING: Final = 1e-9
 WIDER: Final = 0.2
 """By how much (world units) a region may be wider than the arena: x-magical's zone is."""
+
+MAX_SHAPE_DRAWS: Final = 1_000
+
+DYNAMICS_RANGES: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
+    {
+        "turn_torque": (0.7, 1.5),
+        "finger_torque": (2.5, 4.5),
+        "block_friction_force": (1.0, 1.8),
+        "block_friction_torque": (0.07, 0.15),
+    }
+)
+"""Force or torque cap -> the range from which it is drawn, independently and uniformly, as in the released code.
+
+The drive's force is drawn before them, from the task's range.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,3 +179,93 @@ def varied_axes(rules: VariationRules, variant: str) -> tuple[Axis, ...]:
             f"It has: {', '.join(variants_of(rules))}"
         )
     return VARIANTS[variant]
+
+
+def vary(rules: VariationRules, variant: str, seed: int, body: str = GRIPPER) -> Scene:
+    """The scene in which `variant` of the task starts with this body of the robot, for a seed of any size.
+
+    Each axis has its own random generator, so that adding a draw to one axis never changes another. Dynamics are
+    drawn first, since a task's rules may change them, then counts, on which the other axes depend, and poses last.
+
+    Raises:
+        UnknownNameError: if the task has no such variant.
+        InvalidSeedError: if the seed is not an integer, or negative.
+        PlacementError: if no legal placement was found.
+        TaskError: if a rule of the task does not return a scene.
+    """
+    seed = check_seed(seed)
+    rngs = {axis: axis_generator(rules.name, axis, seed) for axis in varied_axes(rules, variant)}
+    scene = rules.demo
+    if body != scene.robot.body:
+        scene = replace(scene, robot=replace(scene.robot, body=body))
+    dynamics = draw_dynamics(rngs["dynamics"], rules.drive_forces) if "dynamics" in rngs else None
+    if dynamics is not None:
+        scene = replace(scene, dynamics=dynamics)
+    for axis in ("count", "colour"):
+        if axis in rngs:
+            scene = _draw(rules, axis, rngs[axis], scene)
+    if "shape" in rngs:
+        draw_shapes = _draw if "jitter" in rngs or "layout" in rngs else _draw_until_it_fits
+        scene = draw_shapes(rules, "shape", rngs["shape"], scene)
+    if dynamics is not None and scene.dynamics == rules.demo.dynamics:
+        scene = replace(scene, dynamics=dynamics)  # of a scene that a rule made anew, instead of changing the given one
+    if "jitter" in rngs:
+        scene = jitter(scene, rngs["jitter"], rules.region_size)
+    if "layout" in rngs:
+        if callable(rules.layout):
+            return _draw(rules, "layout", rngs["layout"], scene)
+        scene = layout(scene, rngs["layout"], rules.region_size, rules.inner_margin)
+    return scene
+
+
+def draw_dynamics(rng: np.random.Generator, drive_forces: tuple[float, float]) -> Dynamics:
+    """Five independent uniform draws; the values for blocks hold for all blocks."""
+    ranges = {"drive_force": drive_forces, **DYNAMICS_RANGES}
+    return Dynamics(**{name: low + (high - low) * rng.random() for name, (low, high) in ranges.items()})
+
+
+def _draw(rules: VariationRules, axis: Axis, rng: np.random.Generator, scene: Scene) -> Scene:
+    """The scene with what the task's rule for this axis draws."""
+    drawn: Any = getattr(rules, axis)(rng, scene)
+    if not isinstance(drawn, Scene):
+        raise TaskError(f"{rules.name}.{axis} must return a magical_mj.Scene, not {short_repr(drawn)}")
+    return drawn
+
+
+def _draw_until_it_fits(rules: VariationRules, axis: Axis, rng: np.random.Generator, scene: Scene) -> Scene:
+    """The scene with shapes drawn by the rule, repeatedly until all fit at the blocks' poses.
+
+    If poses stay as in the demo, some shapes would overlap a neighbour or a wall: in ClusterColour, two
+    stars side by side do. So the shapes are uniform over those that fit.
+    """
+    touching: str | None = None
+    for _ in range(MAX_SHAPE_DRAWS):
+        drawn = _draw(rules, axis, rng, scene)
+        touching = contact(drawn)
+        if touching is None:
+            return drawn
+    raise PlacementError(
+        f"none of {MAX_SHAPE_DRAWS} draws of shapes fits the poses of the demo scene; in the last, {touching}. "
+        "Move these further apart in it"
+    )
+
+
+def check_seed(seed: Any) -> int:
+    """`seed` as an int.
+
+    Raises:
+        InvalidSeedError: if it is not an integer, or negative.
+    """
+    number = as_integer(seed)
+    if number is None:
+        raise InvalidSeedError(f"{short_repr(seed)} is not a seed: seeds are integers from 0, of any size")
+    return number
+
+
+def axis_generator(task: str, axis: Axis, seed: int) -> np.random.Generator:
+    """The random generator of one axis of one task; it is independent of those of other axes and tasks.
+
+    The bit generator is named explicitly, since later versions of numpy may change that of `default_rng`.
+    """
+    child = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(task.encode()), AXES.index(axis)))
+    return np.random.Generator(np.random.PCG64(child))

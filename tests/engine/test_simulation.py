@@ -48,7 +48,8 @@ def assert_same_model(model: mujoco.MjModel, other: mujoco.MjModel) -> None:
 def repeats(task: str, variant: str) -> list[tuple[World, World]]:
     """Two pairs of worlds of the environment that differ, but have the same structure."""
     scenes = [magical_mj.sample_scene(task, variant, seed) for seed in range(8)]
-    moved = jitter(task_spec(task), scenes[0], np.random.default_rng(0))  # where no two scenes have the same structure
+    size = task_spec(task).region_size
+    moved = jitter(scenes[0], np.random.default_rng(0), size)  # where no two scenes have the same structure
     worlds = [World(scene) for scene in dict.fromkeys((scenes[0], moved, *scenes))]
     pairs = ((a, b) for a, b in itertools.permutations(worlds, 2) if a.structure == b.structure)
     return list(itertools.islice(pairs, 2))

@@ -18,7 +18,7 @@ from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.geometry import block_outline
 from magical_mj.tasks.registry import task_spec
-from magical_mj.variants.vary import draw_dynamics
+from magical_mj.variants.rules import draw_dynamics
 
 WORST = {"broken": 0.0, "warnings": 0.0, "outside": 0.01, "overlap": 0.01}
 """What an episode may hold at most, of what `worst` measures."""

@@ -15,7 +15,7 @@ from magical_mj.scene import Dynamics, Pose, Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.tasks.registry import ENVIRONMENTS, TASKS, environment_axes, sample_scene, task_spec
-from magical_mj.variants.vary import DYNAMICS_RANGES
+from magical_mj.variants.rules import DYNAMICS_RANGES
 
 SIZE_SLACK = 1e-12
 """Of the rounding of a region's edges."""
