@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from magical_mj.assets.meshes import loops
 from magical_mj.rendering.canvas import Picture, drawn
+from magical_mj.scene.bodies import is_convex
 from magical_mj.utils.errors import RenderingError
 
 FLOOR, WALL, ROBOT, FINGER, REGION, BLOCK = 0, 1, 2, 3, 16, 64
@@ -167,13 +168,6 @@ def _convex_parts(points: bytes, triangles: bytes, quaternion: bytes, place: byt
         return None
     faces = np.frombuffer(triangles, np.int32).reshape(-1, 3).astype(np.int64)
     outlines = [vertices[loop, :2] for loop in loops(faces)]
-    if all(map(_is_convex, outlines)):
+    if all(map(is_convex, outlines)):
         return outlines
     return [vertices[face, :2] for face in faces]
-
-
-def _is_convex(outline: NDArray[np.float64]) -> bool:
-    """Whether a polygon is convex and counter-clockwise."""
-    ahead = np.roll(outline, -1, axis=0) - outline
-    after = np.roll(ahead, -1, axis=0)
-    return bool((ahead[:, 0] * after[:, 1] - ahead[:, 1] * after[:, 0] > 0).all())

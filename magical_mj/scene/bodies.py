@@ -52,15 +52,11 @@ class Body:
         sizes: tuple[Any, ...] = self.radius, self.mass, self.inertia
         if not all(isinstance(value, int | float) and 0 < value < math.inf for value in sizes):
             raise InvalidSceneError(f"radius, mass and inertia of a body must be positive: {short_repr(self)}")
-        if self.outline:
-            corners = np.array(self.outline, float)
-            ahead = np.roll(corners, -1, axis=0) - corners if corners.ndim == 2 and len(corners) > 3 else np.zeros(2)
-            onward = np.roll(ahead, -1, axis=0)
-            if ahead.ndim < 2 or not (ahead[:, 0] * onward[:, 1] > ahead[:, 1] * onward[:, 0]).all():
-                raise InvalidSceneError(
-                    "the outline of a body must be the corners (x, y) of a convex polygon, four or more, "
-                    f"counter-clockwise, not {short_repr(self.outline)}"
-                )
+        if self.outline and not (self.corners.ndim == 2 and len(self.corners) > 3 and is_convex(self.corners)):
+            raise InvalidSceneError(
+                "the outline of a body must be the corners (x, y) of a convex polygon, four or more, "
+                f"counter-clockwise, not {short_repr(self.outline)}"
+            )
 
     @property
     def total_mass(self) -> float:
@@ -75,7 +71,14 @@ class Body:
     @property
     def corners(self) -> NDArray[np.float64]:
         """The outline as an array. Shape (n, 2)."""
-        return np.array(self.outline)
+        return np.array(self.outline, float)
+
+
+def is_convex(corners: NDArray[np.float64]) -> bool:
+    """Whether a polygon with these corners, shape (n, 2), is convex, and they are counter-clockwise."""
+    ahead = np.roll(corners, -1, axis=0) - corners
+    onward = np.roll(ahead, -1, axis=0)
+    return bool((ahead[:, 0] * onward[:, 1] > ahead[:, 1] * onward[:, 0]).all())
 
 
 def stick(width: float, inertia: float) -> Body:
