@@ -21,7 +21,7 @@ import numpy as np
 from magical_mj.scene import Block, Robot, Scene
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.tasks.planning import Noise, Point, Subgoal, bring, drive, places_anywhere, scene_after
-from magical_mj.tasks.rules import any_shapes, pick, require
+from magical_mj.tasks.rules import any_colours, any_shapes, coloured, pick, require, shaped
 from magical_mj.tasks.spec import Rules, TaskSpec
 
 LEFT: Final = -0.2
@@ -81,8 +81,7 @@ def plan_red_left(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
 def other_colours(rng: np.random.Generator, scene: Scene) -> Scene:
     """Red stays; the other blocks get uniform colours that are not red."""
     others = tuple(colour for colour in COLOURS if colour != "red")
-    blocks = (block if _red(block) else replace(block, colour=pick(rng, others)) for block in scene.blocks)
-    return replace(scene, blocks=tuple(blocks))
+    return coloured(scene, ("red" if _red(block) else pick(rng, others) for block in scene.blocks))
 
 
 RED_LEFT: Final = TaskSpec(
@@ -122,13 +121,7 @@ def plan_visit_star(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
 def other_shapes(rng: np.random.Generator, scene: Scene) -> Scene:
     """The star stays; the other blocks get uniform shapes that are none."""
     others = tuple(shape for shape in SHAPES if shape != "star")
-    blocks = (block if _star(block) else replace(block, shape=pick(rng, others)) for block in scene.blocks)
-    return replace(scene, blocks=tuple(blocks))
-
-
-def any_block_colours(rng: np.random.Generator, scene: Scene) -> Scene:
-    """Independent uniform colours."""
-    return replace(scene, blocks=tuple(replace(block, colour=pick(rng, COLOURS)) for block in scene.blocks))
+    return shaped(scene, ("star" if _star(block) else pick(rng, others) for block in scene.blocks))
 
 
 VISIT_STAR: Final = TaskSpec(
@@ -147,7 +140,7 @@ VISIT_STAR: Final = TaskSpec(
     check=_only("VisitStar", 1, "star", _star),
     plan=plan_visit_star,
     demonstrations=DEMONSTRATIONS,
-    colour=any_block_colours,
+    colour=any_colours,
     shape=other_shapes,
 )
 
@@ -252,6 +245,6 @@ HUDDLE: Final = TaskSpec(
     check=apart,
     plan=plan_huddle,
     demonstrations=DEMONSTRATIONS,
-    colour=any_block_colours,
+    colour=any_colours,
     shape=any_shapes,
 )

@@ -16,8 +16,7 @@ from typing import Final
 import numpy as np
 
 from magical_goals.arrangements import ATTRIBUTES, Grouped, InLine, Together
-from magical_goals.places import LANDMARKS, WHO, Near
-from magical_goals.regions import RobotInside, formulas
+from magical_goals.places import LANDMARKS, WHO, Near, RobotInside, formulas
 from magical_goals.relation import Floats, Layouts, Relation, Situation, layouts_of, random_layouts
 from magical_mj.scene import Scene
 from magical_mj.tasks.planning import Noise, Subgoal

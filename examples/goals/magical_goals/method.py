@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-from magical_goals.files import from_json, save_goals, to_json
 from magical_goals.inference import InferredGoal, infer
-from magical_goals.policy import GoalPolicy
+from magical_goals.policy import GOALS, GoalPolicy, from_json, to_json
 from magical_mj.demos import Demonstration
 from magical_mj.learners.data import drawn, shipped
 from magical_mj.learners.learner import Method
 from magical_mj.learners.settings import STATE, TrainingSettings
 from magical_mj.scene import Scene
+from magical_mj.utils import files
 from magical_mj.utils.errors import SettingsError
 
 
@@ -51,8 +51,8 @@ class GoalInference(Method):
         return self._policy
 
     def save_policy(self, folder: Path) -> None:
-        """Writes goals.json."""
-        save_goals(folder, self._written)
+        """Writes goals.json, in place of the one that may be there."""
+        files.write(folder / GOALS, self._written, overwrite=True)
 
     def get_state(self) -> dict[str, Any]:
         """The text of goals.json."""

@@ -1,18 +1,184 @@
-"""Relations to landmarks of the workspace: its corners and its middle."""
+"""Relations to places: which blocks belong in which goal regions, whether the robot is in one, and to landmarks.
+
+A formula says which block belongs in which region. It is a conjunction of literals about a block and a region at the
+beginning of the episode. In the end the block should be in the region if the formula is true, and outside if it is not.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magical_goals.relation import LIMIT_BITS, Floats, Layouts, Relation, Situation, choice_bits
-from magical_mj.tasks.planning import TOLERANCE, Subgoal, bring, drive, places_anywhere, scene_after
+from magical_mj.scene import Block, GoalRegion, Scene
+from magical_mj.scene.constants import COLOURS, SHAPES, Colour, Shape
+from magical_mj.tasks.planning import (
+    TOLERANCE,
+    Subgoal,
+    bring,
+    drive,
+    places_anywhere,
+    places_inside,
+    places_outside,
+    scene_after,
+)
 from magical_mj.utils.errors import check_name
+
+Predicate = Callable[[Block, GoalRegion, Iterable[Block]], bool]
+"""Its arguments: a block, a region, and the blocks that began in the region."""
+
+RELATIVE: Final[Mapping[str, Predicate]] = MappingProxyType(
+    {
+        "has the region's colour": lambda block, region, _: block.colour == region.colour,
+        "began in the region": lambda block, region, _: region.contains(block),
+        "has the shape of a block that began there": lambda block, _, there: block.shape in {b.shape for b in there},
+        "has the colour of a block that began there": lambda block, _, there: block.colour in {b.colour for b in there},
+    }
+)
+"""Predicates that compare a block with a region."""
+
+
+def _is(colour: Colour) -> Predicate:
+    return lambda block, *_: block.colour == colour
+
+
+def _has(shape: Shape) -> Predicate:
+    return lambda block, *_: block.shape == shape
+
+
+def _at(colour: Colour) -> Predicate:
+    return lambda _, region, *__: region.colour == colour
+
+
+ABSOLUTE: Final[Mapping[str, Predicate]] = MappingProxyType(
+    {f"is {colour}": _is(colour) for colour in COLOURS}
+    | {f"is a {shape}": _has(shape) for shape in SHAPES}
+    | {f"is at a {colour} region": _at(colour) for colour in COLOURS}
+)
+"""Predicates that name one of four colours or shapes, which takes two more bits."""
+
+PREDICATES: Final = {**RELATIVE, **ABSOLUTE}
+KINDS: Final = len(RELATIVE) + 3
+LITERALS: Final = 3
+"""The largest number in a formula."""
+
+Literal = tuple[str, bool]
+"""A predicate's name, and whether it is to be true."""
+
+
+@dataclass(frozen=True)
+class Belonging(Relation):
+    """A block is in a region if and only if the formula is true of them.
+
+    Attributes:
+        formula: the literals that must all be true.
+    """
+
+    formula: tuple[Literal, ...]
+
+    def __post_init__(self) -> None:
+        """Raises an `UnknownNameError` for predicates that do not exist."""
+        for name, _ in self.formula:
+            check_name("predicate", name, PREDICATES)
+
+    @property
+    def bits(self) -> float:
+        """For each literal: the predicate's kind, whether it is negated, and the colour or shape if it names one."""
+        return LIMIT_BITS + sum(
+            choice_bits(KINDS) + 1 + choice_bits(4) * (name in ABSOLUTE) for name, _ in self.formula
+        )
+
+    def wanted(self, initial: Scene) -> NDArray[np.bool_]:
+        """Which block should be in which region. Shape (blocks, regions)."""
+        wanted = np.ones((len(initial.blocks), len(initial.regions)), dtype=bool)
+        for column, region in enumerate(initial.regions):
+            there = [block for block in initial.blocks if region.contains(block)]
+            for row, block in enumerate(initial.blocks):
+                wanted[row, column] = all(PREDICATES[name](block, region, there) == true for name, true in self.formula)
+        return wanted
+
+    def deviations(self, layouts: Layouts) -> Floats:
+        """The number of regions that each block is wrongly inside or outside of."""
+        wrong = _inside(layouts.blocks, layouts.initial) != self.wanted(layouts.initial)
+        return wrong.sum(axis=2, keepdims=True).astype(float)
+
+    def subgoals(self, at: Situation) -> list[Subgoal]:
+        """Moves blocks to free places in their regions, or out of all regions."""
+        todo: list[Subgoal] = []
+        scene, regions = at.now, at.now.regions
+        for number, wanted in enumerate(self.wanted(at.initial)):
+            block = at.now.blocks[number]
+            if all(region.contains(block) == wants for region, wants in zip(regions, wanted, strict=True)):
+                continue
+            own = [region for region, wants in zip(regions, wanted, strict=True) if wants]
+            places = places_inside(own[0]) if own else places_outside(regions)
+            todo.append(bring(scene, number, places, at.noise))
+            scene = scene_after(scene, todo[-1:])
+        return todo
+
+    @property
+    def text(self) -> str:
+        """Such as "a block is in a region if and only if it is red"."""
+        told = " and ".join(f"it {'' if true else 'not '}{name}" for name, true in self.formula)
+        return f"a block is in a region if and only if {told}"
+
+
+def _inside(places: Floats, initial: Scene) -> NDArray[np.bool_]:
+    """Which of the places, shape (n, things, 2), are in which regions. Shape (n, things, regions)."""
+    lower = np.array([(region.x_min, region.y_min) for region in initial.regions]).reshape(-1, 2)
+    upper = np.array([(region.x_max, region.y_max) for region in initial.regions]).reshape(-1, 2)
+    at = places[:, :, None]
+    return np.logical_and.reduce([at >= lower, at <= upper]).all(axis=3)
+
+
+@dataclass(frozen=True)
+class RobotInside(Relation):
+    """The robot is in a goal region."""
+
+    @property
+    def bits(self) -> float:
+        """Of the limit alone."""
+        return LIMIT_BITS
+
+    def deviations(self, layouts: Layouts) -> Floats:
+        """0 in a region, 1 elsewhere."""
+        inside = _inside(layouts.robot[:, None], layouts.initial)
+        return 1.0 - inside.any(axis=2, keepdims=True).astype(float)
+
+    def subgoals(self, at: Situation) -> list[Subgoal]:
+        """Drives to the nearest place in a region."""
+        places = [place for region in at.now.regions for place in places_inside(region)]
+        return [drive(at.now, places, at.noise, tolerance=0.1)]
+
+    @property
+    def text(self) -> str:
+        """Always the same."""
+        return "the robot is in a region"
+
+
+def formulas(scenes: Iterable[Scene]) -> Iterator[Belonging]:
+    """The formulas that differ in these initial scenes; of equivalent ones the shortest, or the first listed."""
+    scenes = list(scenes)
+    literals = list(itertools.product(PREDICATES, (True, False)))
+    known: dict[bytes, Belonging] = {}
+    meant = {literal: [Belonging((literal,)).wanted(scene) for scene in scenes] for literal in literals}
+    for count in range(1, LITERALS + 1):
+        for formula in itertools.combinations(literals, count):
+            wanted = [
+                np.logical_and.reduce([meant[literal][number] for literal in formula]) for number in range(len(scenes))
+            ]
+            relation, pattern = Belonging(formula), b"".join(array.tobytes() for array in wanted)
+            if pattern not in known or relation.bits < known[pattern].bits:
+                known[pattern] = relation
+    yield from known.values()
+
 
 LANDMARKS: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
     {
@@ -23,7 +189,7 @@ LANDMARKS: Final[Mapping[str, tuple[float, float]]] = MappingProxyType(
         "middle": (0.0, 0.0),
     }
 )
-
+"""The corners and the middle of the workspace."""
 WHO: Final = ("every block", "the robot")
 
 
