@@ -1,8 +1,10 @@
-"""How tests run the command line: in this process, or in one of its own."""
+"""How tests run the command line, in this process or in one of its own; and packages beside ours."""
 
 from __future__ import annotations
 
 import os
+import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -62,3 +64,32 @@ def opened(path: Path) -> Image.Image:
     """The picture in a file, RGB."""
     with Image.open(path) as picture:
         return picture.convert("RGB")
+
+
+def example(name: str) -> Path:
+    """The folder of a package in examples/."""
+    return Path(__file__).parents[2] / "examples" / name
+
+
+def installed(project: Path, folder: Path) -> Path:
+    """The folder in which a project was installed, as users install it, from a copy of its own."""
+    site = folder / "site"
+    shutil.copytree(project, folder / project.name)
+    options = ["--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--target", str(site)]
+    command = [sys.executable, "-m", "pip", "install", *options, str(folder / project.name)]
+    subprocess.run(command, check=True, capture_output=True)
+    return site
+
+
+def python_beside(site: Path, home: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Runs Python in the folder `home`, with what is installed in `site`."""
+    path = os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH"))))
+    environment = {**os.environ, "PYTHONPATH": path, "PYTHONWARNINGS": "default"}
+    command = [sys.executable, *arguments]
+    return subprocess.run(command, cwd=home, env=environment, capture_output=True, text=True, check=False)
+
+
+def code_block(page: str, language: str, start: str) -> str:
+    """The block of code on a page that starts like this."""
+    blocks = re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
+    return next(block for block in blocks if block.startswith(start))

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
-import subprocess
-import sys
 from pathlib import Path
 
-import pytest
+from tests.helpers.commands import code_block, example, installed, python_beside
 
-ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "adding-a-shift.md").read_text()
-EXAMPLE = ROOT / "examples" / "fog"
+PAGE = (Path(__file__).parents[2] / "docs" / "adding-a-shift.md").read_text()
+EXAMPLE = example("fog")
 USE = """
 import gymnasium, pickle
 import numpy as np
@@ -44,23 +39,9 @@ assert not pulled.model.opt.gravity.any()
 """
 
 
-def block(language: str, start: str) -> str:
-    """The page's block of code that starts like this."""
-    return next(text for text in re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL) if text.startswith(start))
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    project, site = tmp_path_factory.mktemp("projects") / "fog", tmp_path_factory.mktemp("site")
-    shutil.copytree(EXAMPLE, project)
-    options = ["--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--target", str(site)]
-    subprocess.run([sys.executable, "-m", "pip", "install", *options, str(project)], check=True, capture_output=True)
-    return site
-
-
 def test_the_example_is_what_the_page_says() -> None:
-    assert (EXAMPLE / "fog.py").read_text() == block("python", '"""Two shifts')
-    assert (EXAMPLE / "pyproject.toml").read_text() == block("toml", "[build-system]")
+    assert (EXAMPLE / "fog.py").read_text() == code_block(PAGE, "python", '"""Two shifts')
+    assert (EXAMPLE / "pyproject.toml").read_text() == code_block(PAGE, "toml", "[build-system]")
 
 
 def test_each_has_at_most_40_lines() -> None:
@@ -69,15 +50,7 @@ def test_each_has_at_most_40_lines() -> None:
     assert all(len(text.splitlines()) <= 40 for text in classes)
 
 
-def test_they_are_installed_and_used(site: Path, tmp_path: Path) -> None:
-    path = os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH"))))
-    code = block("python", "import magical_mj") + USE
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        check=False,
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": path},
-        capture_output=True,
-        text=True,
-    )
+def test_they_are_installed_and_used(tmp_path: Path) -> None:
+    code = code_block(PAGE, "python", "import magical_mj") + USE
+    done = python_beside(installed(EXAMPLE, tmp_path), tmp_path, "-c", code)
     assert done.returncode == 0, done.stderr

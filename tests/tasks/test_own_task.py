@@ -1,24 +1,29 @@
-"""A task in a package of its own, as docs/adding-a-task.md builds it: installed, and used as a user would."""
+"""Tasks in packages of their own: that of docs/adding-a-task.md, as a user uses it, and those of examples/outside."""
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 from textwrap import dedent
+from typing import Any
 
+import numpy as np
 import pytest
 
-from magical_mj.tasks.registry import VARIANTS
+import magical_mj
+from magical_mj.tasks.planning import Noise, scene_after
+from magical_mj.tasks.registry import VARIANTS, environments, task_spec
+from magical_mj.utils.errors import InvalidSceneError
+from magical_mj.variants import vary
+from tests.helpers.commands import code_block, example, installed, python_beside
 
 pytestmark = pytest.mark.xdist_group("own task")  # of one installation
 
-ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "adding-a-task.md").read_text()
-EXAMPLE = ROOT / "examples" / "push_out"
+PAGE = (Path(__file__).parents[2] / "docs" / "adding-a-task.md").read_text()
+EXAMPLE = example("push_out")
 TINY = "network.first_stride=4 network.first_channels=4 network.channels=4 network.hidden=8 "
 TINY += "bc.batches=4 bc.batch_size=4 evaluations=0 checkpoints=1 demonstrations=1"
 
@@ -34,11 +39,6 @@ def does(command):
 """
 
 
-def block(language: str, start: str) -> str:
-    """The page's block of code that starts like this."""
-    return next(text for text in re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL) if text.startswith(start))
-
-
 class User:
     """Somebody who has installed the package, and works in a folder of their own."""
 
@@ -49,10 +49,7 @@ class User:
 
     def python(self, *arguments: str) -> subprocess.CompletedProcess[str]:
         """Run Python; whether it succeeds is for the test to say."""
-        path = os.pathsep.join(filter(None, (str(self.site), os.environ.get("PYTHONPATH"))))
-        environment = {**os.environ, "PYTHONPATH": path, "PYTHONWARNINGS": "default"}
-        command = [sys.executable, *arguments]
-        return subprocess.run(command, cwd=self.home, env=environment, capture_output=True, text=True, check=False)
+        return python_beside(self.site, self.home, *arguments)
 
     def runs(self, code: str) -> str:
         """Run some Python, in which `does` runs `magical-mj`; it must succeed. What it printed."""
@@ -63,18 +60,16 @@ class User:
 
 @pytest.fixture(scope="module")
 def user(tmp_path_factory: pytest.TempPathFactory) -> User:
-    project, site = tmp_path_factory.mktemp("projects") / "push_out", tmp_path_factory.mktemp("site")
-    shutil.copytree(EXAMPLE, project)
+    folder = tmp_path_factory.mktemp("user")
+    project = shutil.copytree(EXAMPLE, folder / "with_demonstrations" / "push_out")
     (project / "push_out_demonstrations").mkdir()
     (project / "push_out_demonstrations" / "about.txt").touch()
-    options = ["--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--target", str(site)]
-    subprocess.run([sys.executable, "-m", "pip", "install", *options, str(project)], check=True, capture_output=True)
-    return User(tmp_path_factory.mktemp("user") / "home", site)
+    return User(folder / "home", installed(project, folder))
 
 
 def test_the_example_is_what_the_page_says() -> None:
-    assert (EXAMPLE / "push_out.py").read_text() == block("python", '"""PushOut')
-    assert (EXAMPLE / "pyproject.toml").read_text() == block("toml", "[build-system]")
+    assert (EXAMPLE / "push_out.py").read_text() == code_block(PAGE, "python", '"""PushOut')
+    assert (EXAMPLE / "pyproject.toml").read_text() == code_block(PAGE, "toml", "[build-system]")
 
 
 def test_it_has_rows_and_ids_like_ours(user: User) -> None:
@@ -212,11 +207,42 @@ def test_without_a_plan_everything_but_the_expert_works(user: User) -> None:
 
 
 def test_rules_can_be_exchanged_for_ones_own() -> None:
-    code: dict[str, object] = {}
-    exec(compile(block("python", "from dataclasses"), "adding-a-task.md", "exec"), code)
-    from magical_mj.variants import vary
-
+    code: dict[str, Any] = {}
+    exec(compile(code_block(PAGE, "python", "from dataclasses"), "adding-a-task.md", "exec"), code)
     spec = code["SPEC"]
     for variant in ("Shape", "All"):  # in All after the dynamics were drawn
-        assert all(vary(spec, variant, seed).dynamics.block_friction_force > 1.5 for seed in range(6))  # type: ignore[arg-type]
-    assert vary(spec, "Colour", 0).dynamics.block_friction_force == 1.5  # type: ignore[arg-type]
+        assert all(vary(spec, variant, seed).dynamics.block_friction_force > 1.5 for seed in range(6))
+    assert vary(spec, "Colour", 0).dynamics.block_friction_force == 1.5
+
+
+@pytest.fixture
+def outside(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", [str(example("outside")), *sys.path])
+
+
+@pytest.mark.usefixtures("outside")
+@pytest.mark.parametrize("name", ["RED_LEFT", "VISIT_STAR", "PAIR_UP", "HUDDLE"])
+def test_plans_lead_to_the_full_score_in_every_variant(name: str) -> None:
+    task = f"outside:{name}"
+    spec, noise = task_spec(task), Noise(np.random.default_rng(0), 1.0)
+    assert spec.score(spec.demo, spec.demo, "paper") == 0
+    for _, variant in environments(task, "all"):
+        for seed in range(4):
+            scene = magical_mj.sample_scene(task, variant, seed)
+            after = scene_after(scene, spec.subgoals(scene, scene, noise))
+            assert spec.score(scene, after, "paper") == 1
+            assert spec.subgoals(scene, after, noise) == ()
+
+
+@pytest.mark.usefixtures("outside")
+@pytest.mark.parametrize(("name", "shape", "colour"), [("RED_LEFT", None, "red"), ("VISIT_STAR", "star", None)])
+def test_names_that_count_are_never_exchanged(name: str, shape: str | None, colour: str | None) -> None:
+    """The scene of every seed has exactly one block of that name, and no scene without it is accepted."""
+    task = f"outside:{name}"
+    for seed in range(10):
+        blocks = magical_mj.sample_scene(task, "All", seed).blocks
+        assert sum(block.shape == shape or block.colour == colour for block in blocks) == 1
+    spec = task_spec(task)
+    others = [block for block in spec.demo.blocks if block.shape != shape and block.colour != colour]
+    with pytest.raises(InvalidSceneError, match="1 "):
+        spec.check(magical_mj.Scene(spec.demo.robot, tuple(others)))
