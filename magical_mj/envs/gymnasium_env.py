@@ -290,8 +290,8 @@ class MagicalEnv(gymnasium.Env[Observation, Any]):
         engine, space = self._engine, self.variation_space
         if not isinstance(variation, Mapping):
             return space.episode(space.draw(variation, seed % MAX_SEED), engine.setup.sample(seed))
-        seed = int(variation.get("seed", seed))
-        scene, shifts = engine.setup.begin(engine.shifts, check_seed(seed))
+        seed = check_seed(variation.get("seed", seed))
+        scene, shifts = engine.setup.begin(engine.shifts, seed)
         values = space.values_of(scene, {} if shifts is None else shifts.draws, seed % MAX_SEED)
         for name, part in variation.items():
             check_name("part of a variation", name, space.spaces)

@@ -141,7 +141,10 @@ def _cast(space: Any, value: Any) -> Any:
     if isinstance(space, spaces.Dict) and isinstance(value, Mapping):
         return {name: _cast(space.spaces.get(name), part) for name, part in value.items()}
     if isinstance(space, spaces.Box | spaces.MultiDiscrete) and isinstance(value, float | int | list | np.ndarray):
-        return np.asarray(value, space.dtype)
+        try:
+            return np.asarray(value, space.dtype)
+        except (TypeError, ValueError, OverflowError):
+            return np.empty(0)  # nor is that in the space
     return value
 
 

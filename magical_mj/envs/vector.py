@@ -7,6 +7,7 @@ all models of a batch, and variants change it from episode to episode.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
@@ -46,7 +47,8 @@ def make_vec(
         >>> envs = magical_mj.make_vec("FindDupe", 32, renderer="software")
         >>> observations, infos = envs.reset(seed=0)  # (32, 96, 96, 12)
     """
-    name = environment if environment in gymnasium.registry else env_id(environment, variant, preset)
+    known = isinstance(environment, str) and environment in gymnasium.registry
+    name = environment if known else env_id(environment, variant, preset)
     return cast("VectorEnv", gymnasium.make_vec(name, num_envs, "vector_entry_point", **settings))
 
 
@@ -72,7 +74,7 @@ def make_worlds(
     Raises:
         SettingsError: if a number is not possible.
     """
-    for name, value in (("num_envs", num_envs), ("threads", threads), ("max_episode_steps", max_episode_steps)):
+    for name, value in (("num_envs", num_envs), ("threads", threads)):
         if value is not None and as_integer(value, 1) is None:
             raise SettingsError(f"{name} must be an integer of at least 1, not {short_repr(value)}")
     worlds = [kind(limit=max_episode_steps, **settings) for _ in range(num_envs)]
@@ -228,10 +230,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     def _checked(self, actions: Any) -> list[Any]:
         """The actions as the worlds take them, before any does."""
-        try:
-            rows: NDArray[Any] = np.asarray(actions)
-        except ValueError:  # of different lengths
-            rows = np.empty(0)
+        rows: NDArray[Any] = np.empty(0)
+        with contextlib.suppress(ValueError):  # of lists of different lengths
+            rows = np.asarray(actions)
         if isinstance(self.single_action_space, spaces.Box) and rows.ndim == 2 and len(rows) == self.num_envs:
             return [self.envs[0].to_action(row) for row in rows]
         fitting = rows.shape == (self.num_envs,) and rows.dtype.kind in "iu" and rows.min() >= 0
@@ -304,7 +305,9 @@ def check_mask(mask: Any, worlds: int) -> NDArray[np.bool_]:
     """For which worlds the mask of bools is true; without a mask all of them."""
     if mask is None:
         return np.ones(worlds, np.bool_)
-    entries = np.asarray(mask)
+    entries: NDArray[Any] = np.empty(0)
+    with contextlib.suppress(ValueError):  # of lists of different lengths
+        entries = np.asarray(mask)
     if entries.dtype != np.bool_ or entries.shape != (worlds,):
         raise SettingsError(f"reset_mask must hold {worlds} bools, one for each world, not {short_repr(mask)}")
     return entries

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from magical_mj.engine import Engine
 from magical_mj.engine.engine import Setup
 from magical_mj.scene.actions import ACTIONS, to_discrete, to_vector
-from magical_mj.utils.errors import InvalidActionError, SettingsError
+from magical_mj.utils.errors import InvalidActionError, SettingsError, as_integer, short_repr
 
 __all__ = ["ContinuousActions", "ScoreAtTheEnd"]
 
@@ -73,7 +73,8 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         if not isinstance(engine, Engine) or engine.task is None:
             raise SettingsError(f"ScoreAtTheEnd wraps the environments of magical_mj, not {self.unwrapped}")
         self._engine, self._horizon = engine, engine.setup.horizon or 0
-        check_limit((env.spec.max_episode_steps or 0) if env.spec else 0, engine.setup)
+        if env.spec is not None and env.spec.max_episode_steps is not None:
+            check_limit(env.spec.max_episode_steps, engine.setup)
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -97,6 +98,8 @@ class ScoreAtTheEnd(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
 def check_limit(limit: int, setup: Setup) -> int:
     """The number of steps of a task's episodes if they may end after `limit` steps, which is not beyond the horizon."""
     horizon = setup.horizon or 0
+    if as_integer(limit, 1) is None:
+        raise SettingsError(f"max_episode_steps must be an integer of at least 1, not {short_repr(limit)}")
     if limit > horizon and limit != Setup(setup.task, setup.variant, body=setup.body).horizon:  # of the id
         raise SettingsError(
             f"max_episode_steps={limit} is more than the {horizon} steps after which every episode of {setup.task} "

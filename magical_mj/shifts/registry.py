@@ -152,7 +152,12 @@ def _pair(text: str) -> tuple[str, Any]:
     if name not in SHIFTS and not (name and named and strength.lstrip("-").replace(".", "").isdigit()):
         shift_class(text)  # an unknown name is the first thing to say
         raise SettingsError(f"the shift {text!r} lacks its strength: give one of 0 to {STRENGTHS}, as in {text}:3")
-    return name, int(strength) if strength.isdigit() else strength
+    return name, _number(strength)
+
+
+def _number(text: str) -> int | str:
+    """The text as a number, if it is a short one."""
+    return int(text) if text.isdecimal() and len(text) < 9 else text
 
 
 def _strength(name: str, value: object) -> int:
@@ -206,11 +211,12 @@ def _range(part: str) -> tuple[str, int, int]:
     """The name of an axis, and its least and greatest strength."""
     name, _, strengths = part.rpartition(":")
     low, dash, high = strengths.partition("-")
-    if not name or not low.isdigit() or (dash and not high.isdigit()):
+    ends = _number(low), _number(high if dash else low)
+    if not name or not all(isinstance(end, int) for end in ends):
         if name and not is_reference(part):
             _strength(_canonical(name), strengths)
         return part, 1, STRENGTHS
-    least, most = _strength(name, int(low)), _strength(name, int(high) if dash else int(low))
+    least, most = (_strength(name, end) for end in ends)
     if least > most:
         raise SettingsError(f"{part!r} has no strengths: give the least one first, as in {name}:{most}-{least}")
     return name, least, most

@@ -260,6 +260,9 @@ def test_limits_beyond_the_horizon_are_refused() -> None:
         gymnasium.make(CLUSTER, max_episode_steps=1000)
     with pytest.raises(SettingsError, match="more than the 240 steps"):
         gymnasium.make(CLUSTER, max_episode_steps=300, rules="released")
+    for wrong in (0, 1.5, "a"):
+        with pytest.raises(SettingsError, match="integer of at least 1"):
+            magical_mj.MagicalEnv("ClusterShape", limit=wrong)
 
 
 def test_the_score_behind_wrappers_of_ones_own() -> None:

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 
 import magical_mj
 from magical_mj.envs.vector import VectorEnv
-from magical_mj.utils.errors import ClosedError, InvalidActionError, SettingsError
+from magical_mj.utils.errors import ClosedError, InvalidActionError, SettingsError, UnknownNameError
 
 STATES = "magical_mj/MatchRegions-TestAll-State-v0"
 STACKS = "magical_mj/FindDupe-TestAll-LoResFingers-v0"
@@ -129,6 +129,8 @@ def test_opengl_draws_in_threads_what_it_draws_alone() -> None:
 def test_mistakes_are_explained_and_step_no_world() -> None:
     with pytest.raises(SettingsError, match="num_envs must be an integer of at least 1, not 0"):
         magical_mj.make_vec(STATES, 0)
+    with pytest.raises(UnknownNameError, match="FindDupe"):
+        magical_mj.make_vec(["FindDupe"], 1)  # type: ignore[arg-type]
     with pytest.raises(SettingsError, match="autoreset_mode is one of"):
         magical_mj.make_vec(STATES, 1, autoreset_mode="never")
     with pytest.raises(SettingsError, match="max_episode_steps=999 is more than"):
@@ -144,8 +146,9 @@ def test_mistakes_are_explained_and_step_no_world() -> None:
     for wrong in ([0], [0, 18], [0, -1], [0.0, 1.0], [[0, 1], [0, 1]], [[0], [0, 1]], None):
         with pytest.raises(InvalidActionError, match="one for each world"):
             envs.step(wrong)
-    with pytest.raises(SettingsError, match="reset_mask must hold 2 bools"):
-        envs.reset(options={"reset_mask": [True]})
+    for mask in ([True], [[True], [True, False]]):
+        with pytest.raises(SettingsError, match="reset_mask must hold 2 bools"):
+            envs.reset(options={"reset_mask": mask})
     assert envs.call("get_state") == before
     envs.step([0, 0])
     with pytest.raises(ResetNeeded, match="reset_mask"):

@@ -11,7 +11,7 @@ import pytest
 
 import magical_mj
 from magical_mj.shifts import SHIFTS
-from magical_mj.utils.errors import SettingsError, UnknownNameError
+from magical_mj.utils.errors import InvalidSeedError, SettingsError, UnknownNameError
 
 EVERYTHING = {name: 1 + number % 5 for number, name in enumerate(SHIFTS)}
 
@@ -98,7 +98,8 @@ def test_samples_of_the_space_can_be_played(task: str) -> None:
         ({"camra": {}}, UnknownNameError),
         ({"camera": {"zoom": 0.9}}, SettingsError),
         ({"camera": {"zom": 0.1}}, SettingsError),
-        ({"scene": {"block_count": 11}}, SettingsError),
+        *(({"scene": part}, SettingsError) for part in ({"block_count": 11}, {"dynamics": [3, "a"]})),
+        ({"seed": "x"}, InvalidSeedError),
     ],
 )
 def test_what_is_not_in_the_space_is_refused(variation: Any, error: type[Exception]) -> None:
