@@ -143,7 +143,7 @@ def _segment(body: str) -> int:
 def _parts(model: mujoco.MjModel, geom: int) -> list[NDArray[np.float64]]:
     """The convex polygons of a flat geom in its body's frame, counter-clockwise. Shapes (n, 2).
 
-    These are the loops around its mesh if they are convex, else the mesh's triangles.
+    These are the loops around its mesh if they are convex and the kernels can hold them, else the mesh's triangles.
     """
     name = _name(model, mujoco.mjtObj.mjOBJ_GEOM, geom)
     if model.geom_type[geom] != _MESH:
@@ -161,6 +161,8 @@ def _parts(model: mujoco.MjModel, geom: int) -> list[NDArray[np.float64]]:
 @lru_cache(maxsize=256)  # most resets compile a new model of the same few shapes
 def _convex_parts(points: bytes, triangles: bytes, quaternion: bytes, place: bytes) -> list[NDArray[np.float64]] | None:
     """See `_parts`; the arguments are the mesh's vertices and faces, and the geom's pose. None if it is not flat."""
+    from magical_mj.rendering.scanlines import MAX_CORNERS
+
     turned = np.empty(9)
     mujoco.mju_quat2Mat(turned, np.frombuffer(quaternion))  # the compiler moves meshes to their centres and turns them
     vertices = np.frombuffer(points, np.float32).reshape(-1, 3) @ turned.reshape(3, 3).T + np.frombuffer(place)
@@ -168,6 +170,6 @@ def _convex_parts(points: bytes, triangles: bytes, quaternion: bytes, place: byt
         return None
     faces = np.frombuffer(triangles, np.int32).reshape(-1, 3).astype(np.int64)
     outlines = [vertices[loop, :2] for loop in loops(faces)]
-    if all(map(is_convex, outlines)):
+    if all(len(outline) <= MAX_CORNERS and is_convex(outline) for outline in outlines):
         return outlines
     return [vertices[face, :2] for face in faces]

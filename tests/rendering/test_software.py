@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import re
 import subprocess
@@ -20,8 +21,9 @@ from magical_mj.assets.world import world_mjcf
 from magical_mj.rendering import scanlines
 from magical_mj.rendering.backend import check_renderer, drawn_by
 from magical_mj.rendering.renderer import Renderer, Views
-from magical_mj.rendering.software import BLOCK, FINGER, FLOOR, REGION, ROBOT, WALL, SoftwareRenderer
+from magical_mj.rendering.software import BLOCK, FINGER, FLOOR, REGION, ROBOT, WALL, SoftwareRenderer, polygons_of
 from magical_mj.scene import Block, GoalRegion, Robot, Scene
+from magical_mj.scene.bodies import Body
 from magical_mj.utils.errors import RenderingError, UnknownNameError
 
 VIEWS = ("ego", "allo")
@@ -108,6 +110,17 @@ def test_any_size(size: int) -> None:
     for view in VIEWS:
         far = np.abs(software.draw(data, view, size).astype(int) - opengl.draw(data, view, size)).max(axis=2)
         assert np.count_nonzero(far) <= 1 + size * size / 2000
+
+
+ROUND = Body(tuple((0.2 * math.cos(angle), 0.2 * math.sin(angle)) for angle in np.arange(100) * math.pi / 50))
+
+
+def test_a_body_with_more_corners_than_a_polygon_may_have_is_drawn_in_parts() -> None:
+    model, data = world(Scene(Robot(0.1, 0.2, 0.3, body=f"{__name__}:ROUND")))
+    table, _, _ = polygons_of(model)
+    assert (table[:, scanlines.LAST] - table[:, scanlines.FIRST]).max() <= scanlines.MAX_CORNERS
+    picture = SoftwareRenderer(model).draw(data, "allo", 96)
+    assert np.count_nonzero((picture != Renderer(model).draw(data, "allo", 96)).any(axis=2)) <= 5
 
 
 def test_a_rewritten_model_is_drawn_anew() -> None:
