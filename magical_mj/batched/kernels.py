@@ -26,6 +26,9 @@ ROBOT_LAYERS: Final = (
 )
 """From the top down: the part, whether it moves with the body (0), the left (1) or the right finger (2), its colour."""
 
+MAX_THINGS: Final = 30
+"""Blocks and regions of a world: `neighbours` has a bit for each."""
+
 _LAYERS: Final = wp.constant(len(ROBOT_LAYERS))
 _ARENA: Final = wp.constant(c.ARENA_HALF_WIDTH)
 _BORDER: Final = wp.constant(style.ARENA_BORDER_WIDTH / 2)

@@ -16,13 +16,14 @@ from torch import Tensor
 
 from magical_mj.assets import style
 from magical_mj.assets.meshes import loops, meshes
-from magical_mj.batched.kernels import ROBOT_LAYERS, Outlines, Worlds, packed, paint
+from magical_mj.batched.kernels import MAX_THINGS, ROBOT_LAYERS, Outlines, Worlds, packed, paint
 from magical_mj.batched.physics import Physics
 from magical_mj.batched.scenes import WorldScenes
 from magical_mj.envs.presets import Preset, observation_space, preset_named
 from magical_mj.scene import constants as c
 from magical_mj.scene.constants import COLOURS, SHAPES
 from magical_mj.scene.state_vector import MAX_BLOCKS, STATE_NAMES, StateEncoder
+from magical_mj.utils.errors import SettingsError
 
 Observation = Tensor | dict[str, Tensor]
 
@@ -94,11 +95,17 @@ def _outlines(device: str) -> Any:
 
 
 class Painter:
-    """Draws the worlds of a batch on one of Warp's devices."""
+    """Draws the worlds of a batch on one of Warp's devices.
+
+    Raises:
+        SettingsError: if the worlds have too many slots for blocks and regions.
+    """
 
     def __init__(self, scenes: WorldScenes, device: str = "cpu") -> None:
-        self._outlines = _outlines(device)
         worlds, blocks = scenes.shapes.shape
+        if blocks + scenes.regions.shape[1] > MAX_THINGS:
+            raise SettingsError(f"batched worlds show at most {MAX_THINGS} blocks and regions: use make_vec")
+        self._outlines = _outlines(device)
         self._places = torch.zeros((worlds, 1 + blocks, 4), device=device)
         self._fingers = torch.zeros((worlds, 2, 2), device=device)
         self._worlds: Any = Worlds()

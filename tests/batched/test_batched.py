@@ -76,6 +76,12 @@ def test_pictures_of_all_environments(view: str) -> None:
         env.close()
 
 
+def test_pictures_of_more_things_than_there_are_bits_for_are_refused() -> None:
+    scene = magical_mj.sample_scene("FindDupe", "Demo", 0)
+    with pytest.raises(SettingsError, match="at most 30"):
+        Painter(WorldScenes.of([scene], 28, 3))
+
+
 def test_one_action_in_every_environment() -> None:
     """Scenes of all counts, shapes and dynamics side by side in one model."""
     scenes = [magical_mj.sample_scene(*pair, 0) for pair in magical_mj.ENVIRONMENTS]
