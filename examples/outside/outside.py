@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from magical_mj.scene import Block, Robot, Scene
-from magical_mj.scene.constants import COLOURS, SHAPES
+from magical_mj.scene.constants import COLOURS, SHAPES, Colour, Shape
 from magical_mj.tasks.planning import Noise, Point, Subgoal, bring, drive, places_anywhere, scene_after
 from magical_mj.tasks.rules import any_colours, any_shapes, coloured, pick, require, shaped
 from magical_mj.tasks.spec import Rules, TaskSpec
@@ -80,8 +80,8 @@ def plan_red_left(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
 
 def other_colours(rng: np.random.Generator, scene: Scene) -> Scene:
     """Red stays; the other blocks get uniform colours that are not red."""
-    others = tuple(colour for colour in COLOURS if colour != "red")
-    return coloured(scene, ("red" if _red(block) else pick(rng, others) for block in scene.blocks))
+    others: list[Colour] = [colour for colour in COLOURS if colour != "red"]
+    return coloured(scene, (block.colour if _red(block) else pick(rng, others) for block in scene.blocks))
 
 
 RED_LEFT: Final = TaskSpec(
@@ -120,8 +120,8 @@ def plan_visit_star(initial: Scene, now: Scene, noise: Noise) -> list[Subgoal]:
 
 def other_shapes(rng: np.random.Generator, scene: Scene) -> Scene:
     """The star stays; the other blocks get uniform shapes that are none."""
-    others = tuple(shape for shape in SHAPES if shape != "star")
-    return shaped(scene, ("star" if _star(block) else pick(rng, others) for block in scene.blocks))
+    others: list[Shape] = [shape for shape in SHAPES if shape != "star"]
+    return shaped(scene, (block.shape if _star(block) else pick(rng, others) for block in scene.blocks))
 
 
 VISIT_STAR: Final = TaskSpec(
