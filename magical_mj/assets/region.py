@@ -40,7 +40,7 @@ def dash_quads(region: GoalRegion) -> NDArray[np.float64]:
     Returns:
         Shape (n, 4, 2): the corners of each dash, counter-clockwise; a dash around a corner is two quads.
     """
-    x0, y0, x1, y1 = region.x_min, region.y_min, region.x_max, region.y_max
+    x0, y0, x1, y1 = region.box
     corners = np.array([[x0, y1], [x1, y1], [x1, y0], [x0, y0]])
     length = np.array([x1 - x0, y1 - y0, x1 - x0, y1 - y0])
     end_of_side = length.cumsum()
@@ -126,7 +126,7 @@ def _corners(region: GoalRegion, index: int, count: int) -> NDArray[np.float32]:
     """
     z = style.Z_REGION + index * style.REGION_STEP
     if count == 1:
-        x0, y0, x1, y1 = region.x_min, region.y_min, region.x_max, region.y_max
+        x0, y0, x1, y1 = region.box
         flat = np.array([[x1, y1], [x0, y1], [x0, y0], [x1, y0]])
     else:
         flat = dash_quads(region).reshape(-1, 2)

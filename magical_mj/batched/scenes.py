@@ -120,7 +120,7 @@ class WorldScenes:
                 arrays.shapes[world, slot] = SHAPES.index(block.shape)
                 arrays.colours[world, slot] = COLOURS.index(block.colour)
             for slot, region in enumerate(scene.regions):
-                arrays.regions[world, slot] = region.x_min, region.y_min, region.x_max, region.y_max
+                arrays.regions[world, slot] = region.box
                 arrays.region_colours[world, slot] = COLOURS.index(region.colour)
                 quads = dash_quads(region)  # rectangles along the axes
                 dashes = np.concatenate([quads.min(axis=1), quads.max(axis=1)], axis=1)

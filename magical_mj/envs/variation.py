@@ -159,7 +159,7 @@ def _scene_values(scene: Scene) -> Variation:
         return table
 
     blocks, regions = scene.blocks, scene.regions
-    boxes = [(region.x_min, region.y_min, region.x_max, region.y_max) for region in regions]
+    boxes = [region.box for region in regions]
     return {
         "robot": np.array(scene.robot.pose),
         "block_count": len(blocks),

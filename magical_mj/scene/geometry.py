@@ -166,9 +166,8 @@ def region_solid(region: GoalRegion) -> Solid:
     """A goal region as an obstacle, as placement treats it."""
     import shapely
 
-    x, y = region.centre
-    box = shapely.box(region.x_min, region.y_min, region.x_max, region.y_max)
-    return Solid(x, y, math.hypot(region.width, region.height) / 2, (Part(box),))
+    reach = math.hypot(region.width, region.height) / 2
+    return Solid(*region.centre, reach, (Part(shapely.box(*region.box)),))
 
 
 def touch(solid: Solid, other: Solid, tolerance: float = 0.0) -> bool:

@@ -107,6 +107,11 @@ class GoalRegion:
             raise InvalidSceneError(f"{self} is empty: x_min < x_max and y_min < y_max are needed")
 
     @property
+    def box(self) -> tuple[float, float, float, float]:
+        """x_min, y_min, x_max, y_max."""
+        return self.x_min, self.y_min, self.x_max, self.y_max
+
+    @property
     def width(self) -> float:
         """Extent along x."""
         return self.x_max - self.x_min

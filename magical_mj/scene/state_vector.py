@@ -89,7 +89,7 @@ class StateEncoder:
         for row, block in zip(blocks, scene.blocks, strict=False):
             row[[0, _BLOCK.index(block.shape), _BLOCK.index(block.colour)]] = 1.0
         for row, region in zip(regions, scene.regions, strict=False):
-            row[:5] = (1.0, region.x_min, region.y_min, region.x_max, region.y_max)
+            row[:5] = (1.0, *region.box)
             row[_REGION.index(region.colour)] = 1.0
 
     @np.errstate(all="ignore")  # numbers may be too small for float32, and are 0 then

@@ -5,13 +5,14 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final, Literal
+from typing import Any, ClassVar, Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magical_mj.scene import Scene
 from magical_mj.tasks.registry import task_spec
+from magical_mj.utils.errors import ShiftError
 from magical_mj.variants.rules import VariationRules
 
 Picture = NDArray[np.uint8]
@@ -21,6 +22,8 @@ Values = Mapping[str, float]
 
 STRENGTHS: Final = 5
 """The greatest strength; the least, 0, is no shift."""
+Distribution = Literal["signed", "positive", "exact", "choice"]
+DISTRIBUTIONS: Final[tuple[Distribution, ...]] = get_args(Distribution)
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,15 @@ class Factor:
     name: str
     about: str
     sizes: tuple[float, ...]
-    draw: Literal["signed", "positive", "exact", "choice"] = "signed"
+    draw: Distribution = "signed"
+
+    def __post_init__(self) -> None:
+        """Raises `ShiftError` unless there is a size for each strength, and it can be drawn so."""
+        if len(self.sizes) != STRENGTHS or self.draw not in DISTRIBUTIONS:
+            raise ShiftError(
+                f"the factor {self.name!r} needs {STRENGTHS} sizes, one for each strength, and for draw one of "
+                f"{', '.join(DISTRIBUTIONS)}"
+            )
 
     def value(self, direction: float, strength: int) -> float:
         """The value at a strength from 1 to 5, for a direction in [0, 1) that all strengths of a seed share."""

@@ -1,10 +1,5 @@
 """What ClusterColour and ClusterShape have in common: blocks in clusters by one of their attributes.
 
-What varies
-    Colour and Shape draw every block's colour or shape, with at least one block of each, in both tasks. The poses stay,
-    so shapes that would overlap (two stars side by side, or a square by the right wall) are drawn again.
-    CountPlus has 7 to 10 blocks (the demo has 8), also with at least one of each.
-
 Score
     Every value of the attribute (colour or shape) that occurs has a centroid, the mean position of its
     blocks. A block is right if its squared distance to its own centroid is less than a third of that to

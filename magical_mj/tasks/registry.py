@@ -239,7 +239,7 @@ def _check_same(initial: Scene, final: Scene) -> None:
             "the final scene must have the initial scene's blocks in the same order, "
             f"which are {', '.join(before) or 'none'}, not {', '.join(after) or 'none'}"
         )
-    boxes = [[(r.x_min, r.y_min, r.x_max, r.y_max) for r in scene.regions] for scene in (initial, final)]
+    boxes = [[region.box for region in scene.regions] for scene in (initial, final)]
     colours = [[region.colour for region in scene.regions] for scene in (initial, final)]
     if colours[0] != colours[1] or not np.allclose(*boxes, rtol=0.0, atol=_REGION_TOLERANCE):
         raise InvalidSceneError(

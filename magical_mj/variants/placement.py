@@ -133,9 +133,8 @@ def along(scene: Scene, other: Scene, way: float, rng: np.random.Generator) -> S
     def moved(thing: Robot | Block, there: Robot | Block) -> Pose:
         return between(thing.x, there.x), between(thing.y, there.y), turned(thing.angle, there.angle)
 
-    sides = ("x_min", "y_min", "x_max", "y_max")
     regions = tuple(
-        replace(region, **{side: between(getattr(region, side), getattr(there, side)) for side in sides})
+        GoalRegion(region.colour, *map(between, region.box, there.box), region.border)
         for region, there in zip(scene.regions, other.regions, strict=True)
     )
     robot = moved(scene.robot, other.robot)

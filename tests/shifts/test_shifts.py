@@ -400,3 +400,6 @@ def test_factors_are_0_without_the_shift() -> None:
 def test_a_factor_has_bounds() -> None:
     assert Factor("a", "", (1, 2, 3, 4, 5)).bounds == (-5, 5)
     assert Factor("a", "", (5,) * 5, "choice").bounds == (0, 4)
+    for sizes, draw in (((1, 2), "exact"), ((1,) * 5, "unsigned")):
+        with pytest.raises(ShiftError, match="needs 5 sizes"):
+            Factor("a", "", sizes, draw)  # type: ignore[arg-type]
