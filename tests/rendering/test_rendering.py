@@ -272,6 +272,3 @@ def test_each_thread_has_a_canvas_of_its_own() -> None:
     assert len(found) == 3
     for picture in found:
         np.testing.assert_array_equal(picture, expected)
-
-
-# Processes
