@@ -18,16 +18,17 @@ from magical_mj.engine import State
 from magical_mj.engine.engine import Setup
 from magical_mj.engine.simulation import check_state
 from magical_mj.envs.composer.entities import Arena
-from magical_mj.envs.composer.task import SceneTask
+from magical_mj.envs.composer.task import SceneTask, Settings
+from magical_mj.rendering.backend import check_renderer
 from magical_mj.rendering.renderer import check_size
 from magical_mj.scene import Scene, check_scene_type
 from magical_mj.scene.bodies import GRIPPER
-from magical_mj.scene.state_vector import CAMERAS, OBSERVATIONS, VIEWS
+from magical_mj.scene.state_vector import CAMERAS, VIEWS
 from magical_mj.shifts.episode import EpisodeShifts
 from magical_mj.shifts.registry import Shifts, split_body
 from magical_mj.tasks.registry import task_spec
-from magical_mj.tasks.spec import REWARDS, Reward, Rules
-from magical_mj.utils.errors import ClosedError, SettingsError, StateError, check_name, short_repr
+from magical_mj.tasks.spec import Reward, Rules
+from magical_mj.utils.errors import ClosedError, SettingsError, StateError, check_name
 from magical_mj.variants import check_seed
 
 AT_COMPILATION: Final = ("initialize_episode_mjcf", "after_compile")
@@ -121,7 +122,7 @@ class Environment(composer.Environment):
         """
         self._opened()
         self.task.setup.check_start(seed=seed, scene=scene, state=state)
-        setup, strengths = self.task.setup, self.task.strengths
+        setup, strengths = self.task.setup, self.task.settings.strengths
         if state is not None:
             return self._start(*setup.begin({}, state.scene, state.draws), state=state)
         if scene is not None or self._fixed:
@@ -209,8 +210,7 @@ class Environment(composer.Environment):
                 "load another one, make the same changes, and call its set_state() with this one's get_state()"
             )
         shifts = None if task.shifts is None else EpisodeShifts(task.shifts.draws)
-        looks = task.observations, task.image_size, task.reward, task.renderer
-        loaded = task.setup, task.strengths, self.initial_scene, shifts, *looks
+        loaded = task.settings, self.initial_scene, shifts
         seeds = self.random_state.get_state(legacy=False), self.seed, self._first_seed
         return _copied, (loaded, seeds, self._fixed, self._recompile, None if self._over else self.get_state())
 
@@ -284,11 +284,11 @@ def load(
         ShiftError: if a shift of another package is invalid.
     """
     task_spec(task)  # None, too, is no task
-    check_name("reward", reward, REWARDS)
     strengths, body = split_body(shifts, task, body)
-    setup = Setup(task, variant, rules, body)
-    looks = observations, image_size, reward, renderer
-    return _loaded(setup, strengths, seed, scene, *looks, recompile=recompile_mjcf_every_episode)
+    setup, renderer = Setup(task, variant, rules, body), check_renderer(renderer)
+    settings = Settings(setup, strengths, observations, check_size(image_size), reward, renderer)
+    scene = None if scene is None else check_scene_type(scene)
+    return _loaded(settings, seed, scene, recompile=recompile_mjcf_every_episode)
 
 
 def load_scene(
@@ -305,28 +305,11 @@ def load_scene(
     Raises:
         UnknownNameError, InvalidSceneError, InvalidSeedError, SettingsError: as `load`.
     """
-    Setup(None).check(scene)
-    looks = observations, image_size, "none", renderer
-    return _loaded(Setup(None), {}, seed, scene, *looks, recompile=recompile_mjcf_every_episode)
+    settings = Settings(Setup(None), {}, observations, check_size(image_size), "none", check_renderer(renderer))
+    return _loaded(settings, seed, check_scene_type(scene), recompile=recompile_mjcf_every_episode)
 
 
-def _loaded(
-    setup: Setup,
-    strengths: dict[str, int],
-    seed: int | None,
-    scene: Scene | None,
-    observations: Sequence[str],
-    image_size: int,
-    reward: Reward,
-    renderer: str | None,
-    *,
-    recompile: bool,
-) -> Environment:
-    if not isinstance(observations, list | tuple):
-        raise SettingsError(f'observations are a list or a tuple of names, ("ego",), not {short_repr(observations)}')
-    for name in observations:
-        check_name("observation", name, OBSERVATIONS)
+def _loaded(settings: Settings, seed: int | None, scene: Scene | None, *, recompile: bool) -> Environment:
     seed = None if seed is None else check_seed(seed)
-    first = setup.begin(strengths, (seed or 0) if scene is None else check_scene_type(scene))
-    task = SceneTask(setup, strengths, *first, observations, check_size(image_size), reward, renderer)
-    return Environment(task, seed, fixed=scene is not None, recompile=recompile)
+    first = settings.setup.begin(settings.strengths, (seed or 0) if scene is None else scene)
+    return Environment(SceneTask(settings, *first), seed, fixed=scene is not None, recompile=recompile)

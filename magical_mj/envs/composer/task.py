@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
+from dataclasses import dataclass
 from typing import Any, Final
 
 import mujoco
@@ -20,14 +21,14 @@ from magical_mj.engine import State
 from magical_mj.engine.engine import Setup
 from magical_mj.engine.simulation import Simulation, write_numbers
 from magical_mj.envs.composer.entities import Arena
-from magical_mj.rendering.backend import check_renderer
 from magical_mj.scene import Scene
 from magical_mj.scene import constants as c
 from magical_mj.scene.actions import ACTIONS
-from magical_mj.scene.state_vector import STATE_NAMES, StateEncoder
+from magical_mj.scene.state_vector import OBSERVATIONS, STATE_NAMES, StateEncoder
 from magical_mj.shifts.episode import EpisodeShifts
-from magical_mj.tasks.spec import Reward
+from magical_mj.tasks.spec import REWARDS, Reward
 from magical_mj.utils import errors
+from magical_mj.utils.errors import SettingsError, check_name, short_repr
 
 CAMERA_NAMES: Final = {"ego": "robot/ego"}
 """The names of cameras in the compiled tree, where they are not those of the views."""
@@ -47,46 +48,63 @@ class CurrentObservable(observable.Generic):
         return self._own_spec
 
 
+@dataclass(frozen=True)
+class Settings:
+    """What an environment is loaded with.
+
+    Attributes:
+        setup: what is played.
+        strengths: the strengths of the shifts by name.
+        observations, image_size, reward, renderer: as `load`.
+
+    Raises:
+        UnknownNameError: for an unknown observation or reward.
+        SettingsError: if the observations are no list.
+    """
+
+    setup: Setup
+    strengths: dict[str, int]
+    observations: Sequence[str]
+    image_size: int
+    reward: Reward
+    renderer: str | None
+
+    def __post_init__(self) -> None:
+        """Checks the names."""
+        names = self.observations
+        if not isinstance(names, list | tuple):
+            raise SettingsError(f'observations are a list or a tuple of names, ("ego",), not {short_repr(names)}')
+        for name in names:
+            check_name("observation", name, OBSERVATIONS)
+        check_name("reward", self.reward, REWARDS)
+
+
 class SceneTask(composer.Task):
     """Runs scenes: executes actions, provides observations, and ends and scores episodes if there is a benchmark task.
 
     All ten of MuJoCo's steps of an action are one substep of composer, whose own loop takes longer than the physics.
 
     Args:
-        setup: what is played.
-        strengths: the strengths of the shifts by name.
+        settings: what the environment is loaded with.
         scene, shifts: of the first episode.
-        observations, image_size, reward, renderer: as `load`.
 
     Attributes:
         world, shifts: of this episode.
         steps: the number of actions since the start of the episode.
     """
 
-    def __init__(
-        self,
-        setup: Setup,
-        strengths: dict[str, int],
-        scene: Scene,
-        shifts: EpisodeShifts | None,
-        observations: Sequence[str],
-        image_size: int,
-        reward: Reward,
-        renderer: str | None,
-    ) -> None:
-        self.setup, self.strengths = setup, strengths
-        self.observations, self.image_size, self.reward = tuple(observations), image_size, reward
-        self.renderer = check_renderer(renderer)
+    def __init__(self, settings: Settings, scene: Scene, shifts: EpisodeShifts | None) -> None:
+        self.settings, self.setup = settings, settings.setup
         self.steps = 0
         self._simulation: Simulation | None = None
         self._compiled: tuple[mujoco.MjModel, mujoco.MjModel] | None = None
         self._arena = Arena(scene)
         self.start(scene, shifts)
-        self._observables = OrderedDict((name, self._observable(name)) for name in observations)
+        self._observables = OrderedDict((name, self._observable(name)) for name in settings.observations)
 
     def start(self, scene: Scene, shifts: EpisodeShifts | None, state: State | None = None) -> None:
         """Makes the next episode start in the scene, or in a state of an episode that started in it."""
-        if "state" in self.observations:
+        if "state" in self.settings.observations:
             StateEncoder(scene)  # raises an error, while the present episode can go on, if the vector is too short
         self.world, self.shifts, self._state = World(scene), shifts, state
 
@@ -94,7 +112,7 @@ class SceneTask(composer.Task):
         if name == "state":
             vector = specs.Array((len(STATE_NAMES),), np.float32, name)
             return CurrentObservable(lambda physics: self.simulation(physics).state_vector(), vector)
-        size = self.image_size
+        size = self.settings.image_size
         picture = specs.BoundedArray((size, size, 3), np.uint8, 0, 255, name)
         return CurrentObservable(lambda physics: self.simulation(physics).draw(name, size), picture)
 
@@ -103,8 +121,8 @@ class SceneTask(composer.Task):
         model, data = physics.model.ptr, physics.data.ptr
         if self._simulation is None or self._simulation.model is not model or self._simulation.data is not data:
             self.free()
-            speeds = self.setup.speeds
-            self._simulation = Simulation(self.world, model, data, self.renderer, CAMERA_NAMES, speeds=speeds)
+            renderer, speeds = self.settings.renderer, self.setup.speeds
+            self._simulation = Simulation(self.world, model, data, renderer, CAMERA_NAMES, speeds=speeds)
         self._simulation.world, self._simulation.shifts = self.world, self.shifts
         return self._simulation
 
@@ -188,7 +206,8 @@ class SceneTask(composer.Task):
 
     def get_reward(self, physics: Any) -> float:
         """0, or with `reward="score"` the score at the last step."""
-        return self.score(physics) if self.reward == "score" and self.should_terminate_episode(physics) else 0.0
+        rewarded = self.settings.reward == "score" and self.should_terminate_episode(physics)
+        return self.score(physics) if rewarded else 0.0
 
     def score(self, physics: Any) -> float:
         """The score in [0, 1] if the episode ended now; an `InvalidSceneError` for plain scenes."""
