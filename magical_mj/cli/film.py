@@ -131,11 +131,9 @@ def film(
         writer = imageio_ffmpeg.write_frames(
             file, (movie.width, movie.height), fps=rate, macro_block_size=2, quality=8, ffmpeg_log_level="quiet"
         )
-        writer.send(None)
-        try:
+        with closing(writer):
+            writer.send(None)
             yield movie
-        finally:
-            writer.close()
         with suppress(RuntimeError):  # it has no frames at all
             if imageio_ffmpeg.count_frames_and_secs(file)[0] == movie.frames:
                 return

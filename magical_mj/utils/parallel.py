@@ -22,7 +22,7 @@ import traceback
 import weakref
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
-from contextlib import suppress
+from contextlib import closing, suppress
 from itertools import islice
 from typing import IO, Any, Final, Literal, TypeVar, get_args
 
@@ -92,13 +92,10 @@ def map_unordered(
 
 
 def _map_locally(function: Callable[[Piece], Result], pieces: Sequence[Piece], jobs: int) -> Generator[Result]:
-    pool = Pool(jobs)
-    try:
+    with closing(Pool(jobs)) as pool:
         for future in as_completed([pool.submit(function, piece) for piece in pieces]):
             yield future.result()
         pool.finish()
-    finally:
-        pool.close()
 
 
 def _map_on_dask(

@@ -28,7 +28,7 @@ import logging
 import mimetypes
 import secrets
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from typing import Any, ClassVar, Final
@@ -176,14 +176,12 @@ class PlayServer:
         """Serves one connection until it closes. Other connections are served while this one simulates."""
         path = (connection.request or Request("", Headers())).path
         runs = bool(self._operator) and path.startswith(f"/{self._operator}/")
-        session = PlayerSession(self.environments, self.collection, runs=runs)
-        try:
+        with (
+            suppress(ConnectionClosed),  # abnormally, or after a message that was too large
+            closing(PlayerSession(self.environments, self.collection, runs=runs)) as session,
+        ):
             async for message in connection:
                 await connection.send(await asyncio.to_thread(session.answer, message))
-        except ConnectionClosed:  # closed abnormally, or after a message that was too large
-            pass
-        finally:
-            session.close()
 
 
 def _response(status: HTTPStatus, body: bytes | None = None, kind: str | None = None) -> Response:

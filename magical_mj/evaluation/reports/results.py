@@ -81,12 +81,7 @@ class Results:
 
 
 def gather(folders: Sequence[Path], mixed_presets: bool = False, rules: Rules | None = None) -> pd.DataFrame:
-    """The scores of all folders, a row for each episode, in a fixed order.
-
-    Args:
-        folders: those of evaluations, or entries of the leaderboard.
-        mixed_presets: allow different observations.
-        rules: by which all are scored, after a replay if they were scored by others; None: as they are.
+    """The scores of all folders, a row for each episode, in a fixed order; arguments are those of `report`.
 
     Returns:
         A frame with the columns `NAMES`, `folder`, `run`, `seed`, `score`, and `actions`, a checksum. What several

@@ -207,32 +207,20 @@ def shift_tables(shifts: pd.DataFrame) -> Iterator[Table]:
     """The tables of a report from what `by_shift` returns."""
     strengths = tuple(map(str, range(STRENGTHS + 1)))
     single, combined = shifts[shifts["strength"].notna()], shifts[shifts["strength"].isna()]
-    scores, differences = [], []
-    for axis, of_axis in single.groupby("axis", sort=False):
-        means, losses = [], []
-        for policy, rows in of_axis.groupby("policy", sort=False):
-            points, half = curve(rows), half_lost(curve(rows))
-            cells = [f"{points[strength]:.2f}" if strength in points else NONE for strength in range(STRENGTHS + 1)]
-            under = area(points)
-            means.append((str(policy), *cells, NONE if math.isnan(under) else f"{under:.2f}", str(half or NONE)))
-            of_strength = {int(row.strength): _difference(row) for row in rows.itertuples()}
-            losses.append((str(policy), *(of_strength.get(strength, NONE) for strength in range(1, STRENGTHS + 1))))
-        scores.append((str(axis), tuple(means)))
-        differences.append((str(axis), tuple(losses)))
-    if scores:
+    if len(single):
         yield Table(
             "shifts",
             "Mean score by the strength of each shift, the area under the curve (as a mean score), "
             "and the first strength at which at most half of the score at strength 0 is left",
             ("Method", *strengths, "area", "half lost at"),
-            tuple(scores),
+            _by_axis(single, _means),
         )
         yield Table(
             "differences",
             "Difference of the mean score from that at strength 0 in the same scenes, with its 95 % interval "
             "(bootstrap of the scenes within each environment)",
             ("Method", *strengths[1:]),
-            tuple(differences),
+            _by_axis(single, _losses),
         )
     if len(combined):
         rows = tuple(
@@ -246,6 +234,25 @@ def shift_tables(shifts: pd.DataFrame) -> Iterator[Table]:
             header,
             (("", rows),),
         )
+
+
+def _by_axis(shifts: pd.DataFrame, cells: Callable[[pd.DataFrame], tuple[str, ...]]) -> tuple[Group, ...]:
+    """A group for each axis, with a row for each method."""
+    return tuple(
+        (str(axis), tuple((str(policy), *cells(rows)) for policy, rows in of_axis.groupby("policy", sort=False)))
+        for axis, of_axis in shifts.groupby("axis", sort=False)
+    )
+
+
+def _means(rows: pd.DataFrame) -> tuple[str, ...]:
+    points = curve(rows)
+    means = (f"{points[strength]:.2f}" if strength in points else NONE for strength in range(STRENGTHS + 1))
+    return *means, NONE if math.isnan(area(points)) else f"{area(points):.2f}", str(half_lost(points) or NONE)
+
+
+def _losses(rows: pd.DataFrame) -> tuple[str, ...]:
+    differences = {int(row.strength): _difference(row) for row in rows.itertuples()}
+    return tuple(differences.get(strength, NONE) for strength in range(1, STRENGTHS + 1))
 
 
 def _difference(row: Any) -> str:
