@@ -104,21 +104,20 @@ class Torso(nn.Module):
         self.features = features or network.hidden
         side, self.channels = SHAPE[0], 3 * network.frames
         channels, parameters, units = self.channels, 0, 0
-        for outputs, kernel, stride in convolutions(network):
-            parameters += channels * outputs * kernel**2
-            channels, side = outputs, math.ceil(side / stride)
-            units += channels * side**2
-        self.flat = channels * side * side
-        inputs = self.flat + (ONE_HOT if actions else 0)
-        check_size(parameters + (inputs + self.features) * network.hidden)
-        check_size(units, "activations for each picture")
         layers: list[nn.Module] = []
-        channels = self.channels
         for outputs, kernel, stride in convolutions(network):
+            side = math.ceil(side / stride)
+            parameters += channels * outputs * kernel**2
+            units += outputs * side**2
+            check_size(parameters)
+            check_size(units, "activations for each picture")
             layers.append(nn.Conv2d(channels, outputs, kernel, stride, padding=kernel // 2, bias=not batch_norm))
             layers += [nn.BatchNorm2d(outputs)] if batch_norm else []
             layers.append(nn.ReLU())
             channels = outputs
+        self.flat = channels * side * side
+        inputs = self.flat + (ONE_HOT if actions else 0)
+        check_size(parameters + (inputs + self.features) * network.hidden)
         self.convolutions = nn.Sequential(*layers).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         self.linear = last_layers(inputs, network.hidden, self.features)
 
