@@ -126,7 +126,7 @@ def verify_folder(folder: Folder, jobs: option.Jobs = None) -> None:
         bar = progress.add_task(f"replaying {folder}", total=len(read(folder)))
         findings = verify(folder, jobs=jobs, watch=lambda: progress.update(bar, advance=1))
     screen.print(f"{counted(findings.episodes, 'episode')} replayed")
-    if _complained(str(folder), findings):
+    if _printed_problems(str(folder), findings):
         raise typer.Exit(1)
     screen.print("everything is there, and is what it says")
 
@@ -193,7 +193,7 @@ def make_leaderboard(
         owner = next((other for other in good if good[other].method == entry.method), None)
         if owner is not None and good[owner].rules == entry.rules:
             complain(f"{name} is not shown: it has the name of the method in {owner}, {entry.method}")
-        elif not _complained(name, findings[name]):
+        elif not _printed_problems(name, findings[name]):
             good[name] = entry
     for page in write_pages(standings(list(good.values())), pages):
         screen.print(page, soft_wrap=True)
@@ -201,7 +201,7 @@ def make_leaderboard(
         raise EvaluationError(f"entries that are not what they claim, and are not on the page: {bad}")
 
 
-def _complained(name: str, findings: Findings) -> bool:
+def _printed_problems(name: str, findings: Findings) -> bool:
     """Prints the problems, and returns whether there are any."""
     for problems, what in (
         (findings.unfit, "does not fit"),

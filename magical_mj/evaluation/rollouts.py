@@ -31,7 +31,7 @@ from magical_mj.policies.interface import (
     policy_errors,
     policy_name,
     reason,
-    told,
+    told_task,
     uses_simulation,
 )
 from magical_mj.scene.actions import action_number
@@ -102,11 +102,13 @@ def rollouts(
     if isinstance(env, gymnasium.vector.VectorEnv):
         for start in range(0, len(episodes), env.num_envs):
             wave = episodes[start : start + env.num_envs]
-            outcomes = play_side_by_side(env, policy, [replace(episode, task=told(episode.task)) for episode in wave])
+            outcomes = play_side_by_side(
+                env, policy, [replace(episode, task=told_task(episode.task)) for episode in wave]
+            )
             yield from (EpisodeResult.of(*played, **facts) for played in zip(wave, outcomes, strict=True))
     elif callable(policy):
         for episode in episodes:
-            outcome = play(env, policy, replace(episode, task=told(episode.task)))
+            outcome = play(env, policy, replace(episode, task=told_task(episode.task)))
             yield EpisodeResult.of(episode, outcome, scene=engine_of(env).initial_scene.digest(), **facts)
     else:
         raise EvaluationError(f"{type(policy).__name__} takes only batches, and the environment is a single one")

@@ -22,7 +22,7 @@ from magical_mj.envs.registration import env_id
 from magical_mj.evaluation.rollouts import Env, Envs, play, play_side_by_side
 from magical_mj.evaluation.scores import EpisodeResult, Key, Outcome
 from magical_mj.evaluation.settings import WORLDS, EvaluationSettings
-from magical_mj.policies.interface import Act, BatchPolicy, Episode, PolicyError, reason, told, uses_simulation
+from magical_mj.policies.interface import Act, BatchPolicy, Episode, PolicyError, reason, told_task, uses_simulation
 from magical_mj.policies.loading import Source
 from magical_mj.rendering.backend import drawn_by
 from magical_mj.shifts.registry import split_body
@@ -119,7 +119,7 @@ class Player:
     def play(self, unit: Unit) -> Iterator[EpisodeResult]:
         """Plays the unit's episodes: side by side if the policy acts in batches, else one after another."""
         settings, source = unit.settings, unit.source
-        task, policy = told(unit.task, settings.like), self._policy(unit)
+        task, policy = told_task(unit.task, settings.like), self._policy(unit)
         episodes = [Episode(task, unit.variant, seed, source.run) for seed in unit.seeds]
         facts = {
             **{name: getattr(settings, name) for name in ("rules", "split", "wrap", "body")},

@@ -37,7 +37,7 @@ class Episode:
     """The information that a policy gets at the start of an episode.
 
     Attributes:
-        task: the task's name; of a task that is like another one, that one's: see `told`.
+        task: the task's name; of a task that is like another one, that one's: see `told_task`.
         variant: the variant's name.
         seed: the scene's seed: the episode starts in `sample_scene(task, variant, seed)`.
         run: the number of the policy among several runs of a method.
@@ -55,7 +55,7 @@ class Episode:
         return np.random.default_rng([self.run, self.seed, zlib.crc32(f"{self.task}-{self.variant}".encode())])
 
 
-def told(task: str, like: str = "") -> str:
+def told_task(task: str, like: str = "") -> str:
     """The task that policies are told: the task itself, or the one that it is like, by its definition or by `like`."""
     return like or task_spec(task).like or task
 

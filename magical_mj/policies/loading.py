@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from magical_mj.envs.presets import PRESETS, Stacks, observation_space
-from magical_mj.policies.interface import AGENTS, Act, policy_name, reason, told, uses_simulation
+from magical_mj.policies.interface import AGENTS, Act, policy_name, reason, told_task, uses_simulation
 from magical_mj.policies.models import LOADERS, Shape
 from magical_mj.tasks.registry import Pair, task_spec
 from magical_mj.utils.errors import SettingsError, UntrustedNameError, short_repr, unknown_name
@@ -241,7 +241,7 @@ def check_fit(policy: object, pairs: Sequence[Pair], preset: str, like: str = ""
     if getattr(policy, "needs_plan", False):
         for task, _ in pairs:
             if task_spec(task).plan is None:
-                task_spec(told(task, like)).check_plan()
+                task_spec(told_task(task, like)).check_plan()
     trained_on = getattr(policy, "preset", preset)
     if trained_on != preset:
         raise SettingsError(
@@ -249,7 +249,7 @@ def check_fit(policy: object, pairs: Sequence[Pair], preset: str, like: str = ""
         )
     tasks = getattr(policy, "tasks", None)
     tasks = (tasks,) if isinstance(tasks, str) else tasks
-    others = sorted({told(task, like) for task, _ in pairs} - set(tasks)) if tasks is not None else []
+    others = sorted({told_task(task, like) for task, _ in pairs} - set(tasks)) if tasks is not None else []
     if others:
         raise SettingsError(
             f"the policy cannot act in {', '.join(others)}: give --tasks {','.join(tasks or ())}, or --as one of them "

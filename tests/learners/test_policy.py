@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -46,26 +46,21 @@ def test_a_policy_draws_by_the_episode(tmp_path: Path) -> None:
 
 
 @contextmanager
-def doubles() -> Iterator[None]:
-    torch.set_default_dtype(torch.float64)
+def changed(setting: Callable[[Any], object], value: object, usual: object) -> Iterator[None]:
+    setting(value)
     try:
         yield
     finally:
-        torch.set_default_dtype(torch.float32)
-
-
-@contextmanager
-def rough_products() -> Iterator[None]:
-    torch.set_float32_matmul_precision("medium")
-    try:
-        yield
-    finally:
-        torch.set_float32_matmul_precision("highest")
+        setting(usual)
 
 
 @pytest.mark.parametrize(
     "setting",
-    [doubles(), rough_products(), torch.no_grad(), torch.inference_mode(), torch.autocast("cpu"), torch.device("meta")],
+    [
+        changed(torch.set_default_dtype, torch.float64, torch.float32),
+        changed(torch.set_float32_matmul_precision, "medium", "highest"),
+        *(torch.no_grad(), torch.inference_mode(), torch.autocast("cpu"), torch.device("meta")),
+    ],
     ids=["doubles", "rough-products", "no-grad", "inference", "autocast", "device"],
 )
 def test_no_result_depends_on_the_callers_settings_of_torch(tmp_path: Path, setting: Any) -> None:
