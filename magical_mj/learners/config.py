@@ -167,16 +167,11 @@ def uses(method: str, name: str) -> bool:
 def check_changes(
     changes: Mapping[str, Any], methods: Collection[str], preset: Any = None, *, elsewhere: Collection[str]
 ) -> None:
-    """Checks that changes have an effect.
-
-    Args:
-        changes: of settings.
-        methods: for which they are.
-        preset: what is looked at; None: as the changes say, or the default.
-        elsewhere: the settings that are given in another place.
+    """Checks that changes of settings have an effect with the preset (None: that of the changes, or the default).
 
     Raises:
-        SettingsError: if a change is given elsewhere, or none of the methods uses it, or not with this preset.
+        SettingsError: if a change is of what is given `elsewhere`, or none of the methods uses it, or not with this
+            preset.
     """
     preset = preset or changes.get("preset", TrainingSettings.preset)
     for name in changes:

@@ -229,14 +229,8 @@ def _instantiate(kind: type, name: str) -> Any:
 def check_fit(policy: object, pairs: Sequence[Pair], preset: str, like: str = "") -> None:
     """Raises a `SettingsError` if the policy's attributes say that it was trained for something else.
 
-    A `TaskError` is raised if it needs a plan, and a task has none.
-
-    Args:
-        policy: the policy; its attributes `preset`, `tasks`, `observation_shapes` and `needs_plan` are checked if they
-            exist.
-        pairs: pairs of task and variant.
-        preset: the preset of the observations.
-        like: the task that policies are told.
+    Its attributes `preset`, `tasks`, `observation_shapes` and `needs_plan` are checked if they exist. `like` is the
+    task that policies are told. A `TaskError` is raised if it needs a plan, and a task has none.
     """
     if getattr(policy, "needs_plan", False):
         for task, _ in pairs:

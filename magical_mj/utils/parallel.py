@@ -141,13 +141,9 @@ class Pool:
         """Kills all workers and what they have forked; what was not begun is cancelled. May be called twice."""
 
     def submit(self, function: Callable[[Piece], Result], piece: Piece) -> Future[Result]:
-        """The function's result for a piece of work, or its exception, to come.
+        """The function's result for a piece of work, or its exception, to come; both are pickled (by cloudpickle).
 
         A worker that dies is replaced, and its piece is done again; a `WorkerError` comes if three have died of it.
-
-        Args:
-            function: a function of one piece. It and the piece are pickled (by cloudpickle) when a worker is free.
-            piece: the piece of work.
         """
         return self._threads.submit(_do, self._idle, function, piece)
 

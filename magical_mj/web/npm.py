@@ -57,10 +57,7 @@ FILES: Final = {
 
 
 def library_files(cache: Path | None = None) -> dict[str, bytes]:
-    """The files of `FILES`, by the names that the pages use.
-
-    Args:
-        cache: where packages are kept; None: in the user's folder for such things.
+    """The files of `FILES`, by the names that the pages use; packages are kept in `cache`, or else in the user's.
 
     Raises:
         MagicalError: as `fetched`.

@@ -191,13 +191,7 @@ def _response(status: HTTPStatus, body: bytes | None = None, kind: str | None = 
 
 
 class PlayerSession:
-    """Answers the messages of one connection, with a simulation of its own.
-
-    Args:
-        environments: the pairs (task, variant) that may be played.
-        collection: where recordings are saved; None: nowhere.
-        runs: whether this is whoever runs the collection.
-    """
+    """Answers the messages of one connection, with a simulation of its own; `runs`: of whoever runs the collection."""
 
     def __init__(
         self, environments: Sequence[Pair], collection: Collection | None = None, *, runs: bool = False

@@ -74,13 +74,10 @@ class SavedState(NamedTuple):
 
 
 class Lookahead:
-    """A copy of an engine's simulation, to try actions in.
+    """A copy of an engine's simulation in its present state, to try actions in; the engine is not changed.
 
     Where actions are delayed, each is commanded as many steps earlier; if something else was commanded then, that is
     what is taken. The lookahead begins when the first command takes effect that is not given yet.
-
-    Args:
-        engine: the engine whose present state is copied; it is not changed.
     """
 
     def __init__(self, engine: Engine) -> None:

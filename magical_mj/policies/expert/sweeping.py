@@ -49,11 +49,9 @@ class Sweep(NamedTuple):
 
 
 class Sweeper:
-    """The expert for an engine of SweepToTop. Each call gives the action for the engine's present state.
+    """The expert for an engine of SweepToTop, which may be reset again; `seed` is that of its random choices.
 
-    Args:
-        env: an engine of SweepToTop. It may be reset again.
-        seed: of its random choices.
+    Each call gives the action for the engine's present state.
     """
 
     def __init__(self, env: Engine, seed: int = 0) -> None:
