@@ -114,9 +114,7 @@ class Recorder:
     def demonstration(self, demonstrator: Demonstrator, seed: int | None = None) -> Demonstration:
         """The episode so far as a demonstration, with the present score by the paper's rules.
 
-        Args:
-            demonstrator: who acted.
-            seed: the expert's; None: the scene's.
+        The seed is the expert's; None: the scene's.
 
         Raises:
             InvalidSeedError: if the seed is not an integer, or negative.

@@ -158,11 +158,7 @@ class Run:
 
 
 def plan_experiment(file: Path | str, out: Path | str) -> list[Run]:
-    """The runs of an experiment.
-
-    Args:
-        file: TOML with the `ExperimentSettings`.
-        out: the folder of the experiment.
+    """The runs of an experiment in the folder `out`, whose file is TOML with the `ExperimentSettings`.
 
     Raises:
         SettingsError, UnknownNameError: if the file holds invalid settings.
