@@ -65,9 +65,9 @@ def microseconds(draw: Callable[[], object], count: int = 50) -> float:
     return min(times)
 
 
-def compare(task: str, variant: str, seeds: int, count: int) -> tuple[int, int, np.ndarray]:
-    """Prints a row for one environment. Returns the pixels, those that differ, and how many differ by each level."""
-    pixels, levels = 0, np.zeros(256, np.int64)
+def compare(task: str, variant: str, seeds: int, count: int) -> np.ndarray:
+    """Prints a row for one environment. Returns how many pixels differ by each level, 0 to 255."""
+    levels = np.zeros(256, np.int64)
     slow = fast = 0.0
     for seed in range(seeds):
         opengl = software = None
@@ -76,17 +76,20 @@ def compare(task: str, variant: str, seeds: int, count: int) -> tuple[int, int, 
             for view in VIEWS:
                 a, b = opengl.draw(data, view, SIZE).astype(np.int16), software.draw(data, view, SIZE)
                 levels += np.bincount(np.abs(a - b).max(axis=2).ravel(), minlength=256)
-                pixels += SIZE * SIZE
             out = np.zeros((SIZE, SIZE, 12), np.uint8)[..., :3]
             if seed == 0 and not slow:
                 slow, fast = (microseconds(partial(r.draw, data, "ego", SIZE, out)) for r in (opengl, software))
-    different = int(levels[1:].sum())
     print(
-        f"{task:14}{variant:10} {100 * different / pixels:.4f} % differ, by at most {levels.nonzero()[0].max():3}; "
+        f"{task:14}{variant:10} {share(levels):.4f} % differ, by at most {levels.nonzero()[0].max():3}; "
         f"OpenGL {slow:4.0f} us, software {fast:3.0f} us",
         flush=True,
     )
-    return pixels, different, levels
+    return levels
+
+
+def share(levels: np.ndarray) -> float:
+    """The share of pixels that differ, in per cent."""
+    return 100 * levels[1:].sum() / max(levels.sum(), 1)
 
 
 def software_pictures() -> Iterator[bytes]:
@@ -130,12 +133,11 @@ def main() -> None:
         print(f"{digest.hexdigest()}  {arguments.hash} pictures, Python {sys.version.split()[0]}")
         return
     print(f"OpenGL: {opengl_name()}; MuJoCo {mujoco.__version__}")
-    pixels, different, levels = 0, 0, np.zeros(256, np.int64)
+    levels = np.zeros(256, np.int64)
     for task, variant in magical_mj.ENVIRONMENTS if arguments.seeds else ():
-        row = compare(task, variant, arguments.seeds, arguments.states)
-        pixels, different, levels = pixels + row[0], different + row[1], levels + row[2]
-    middle = int(np.searchsorted(levels[1:].cumsum(), different / 2)) + 1
-    print(f"{pixels} pixels, {100 * different / max(pixels, 1):.4f} % differ, half of these by at most {middle} of 255")
+        levels += compare(task, variant, arguments.seeds, arguments.states)
+    middle = int(np.searchsorted(levels[1:].cumsum(), levels[1:].sum() / 2)) + 1
+    print(f"{levels.sum()} pixels, {share(levels):.4f} % differ, half of these by at most {middle} of 255")
     for task in STEPPED if arguments.steps else ():
         rates = {renderer: steps_per_second(task, renderer, arguments.steps) for renderer in RENDERERS}
         ratio = rates["software"] / rates["opengl"]
