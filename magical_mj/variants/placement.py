@@ -133,8 +133,9 @@ def along(scene: Scene, other: Scene, way: float, rng: np.random.Generator) -> S
     def moved(thing: Robot | Block, there: Robot | Block) -> Pose:
         return between(thing.x, there.x), between(thing.y, there.y), turned(thing.angle, there.angle)
 
+    sides = ("x_min", "y_min", "x_max", "y_max")
     regions = tuple(
-        GoalRegion(region.colour, *map(between, region.box, there.box), region.border)
+        replace(region, **{side: between(getattr(region, side), getattr(there, side)) for side in sides})
         for region, there in zip(scene.regions, other.regions, strict=True)
     )
     robot = moved(scene.robot, other.robot)
