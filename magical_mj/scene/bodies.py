@@ -52,7 +52,11 @@ class Body:
         sizes: tuple[Any, ...] = self.radius, self.mass, self.inertia
         if not all(isinstance(value, int | float) and 0 < value < math.inf for value in sizes):
             raise InvalidSceneError(f"radius, mass and inertia of a body must be positive: {short_repr(self)}")
-        if self.outline and not (self.corners.ndim == 2 and len(self.corners) > 3 and is_convex(self.corners)):
+        try:
+            corners = self.corners
+        except (TypeError, ValueError):
+            corners = np.empty(0)  # nor are these points
+        if self.outline and not (corners.shape[1:] == (2,) and len(corners) > 3 and is_convex(corners)):
             raise InvalidSceneError(
                 "the outline of a body must be the corners (x, y) of a convex polygon, four or more, "
                 f"counter-clockwise, not {short_repr(self.outline)}"

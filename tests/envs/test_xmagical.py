@@ -187,9 +187,11 @@ def test_a_body_of_ones_own_pushes_and_scenes_from_files_import_nothing() -> Non
         ((0.0, 0.2), (0.2, -0.1), (-0.2, -0.1)),
         ((0.0, 0.2), (0.0, 0.1)),
         ((0, 0), (1, 0), (0.2, 0.1), (0, 1)),
+        ((1, 1, 0), (-1, 1, 0), (-1, -1, 0), (1, -1, 0)),
+        ((1, 1), (-1,), (-1, -1), (1, -1)),
     ):
         with pytest.raises(InvalidSceneError, match="convex polygon"):
-            Body(outline)
+            Body(outline)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("body", BODY_NAMES)
